@@ -1,0 +1,83 @@
+"""The city model as read: buildings and their polygons at every level of detail, before meshing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.findings import Findings
+
+
+class SurfaceKind(IntEnum):
+    """What a polygon is part of, as far as the source says."""
+
+    UNKNOWN = 0
+    WALL = 1
+    ROOF = 2
+    GROUND = 3
+    CLOSURE = 4
+    OPENING = 5
+    INSTALLATION = 6
+    FLOOR = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Polygons:
+    """Planar polygons with holes, flat: points belong to rings, rings to polygons.
+
+    Rings are not closed (the last point differs from the first); the first ring of a polygon is
+    its outline, the others are holes.
+
+    Attributes:
+        points: (P, 3) float64, metres in the model's local frame (x east, y north, z up).
+        ring_starts: (R + 1,) int64 offsets into ``points``.
+        polygon_starts: (N + 1,) int64 offsets into the rings.
+        building: (N,) int32 index of the building each polygon belongs to.
+        lod: (N,) int16 index into ``CityModel.lods``.
+        kind: (N,) uint8 ``SurfaceKind``.
+    """
+
+    points: NDArray[np.float64]
+    ring_starts: NDArray[np.int64]
+    polygon_starts: NDArray[np.int64]
+    building: NDArray[np.int32]
+    lod: NDArray[np.int16]
+    kind: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.building)
+
+
+@dataclass(frozen=True, slots=True)
+class CityModel:
+    """Buildings with their polygons, in metres, in a local frame.
+
+    ``points + origin`` are coordinates in ``crs``. A model without a CRS is in a local frame of
+    its own (a Wavefront OBJ); its origin is zero unless the user gave one.
+
+    Attributes:
+        source: The file or folder it was read from.
+        format: ``"CityGML"``, ``"OBJ"``, ...
+        version: The format's version, or None where the format has none.
+        crs: Name pyproj understands (``"EPSG:25832+7837"``), or None when unknown.
+        origin: (3,) float64, what was subtracted from the CRS coordinates.
+        building_ids: One id per building, in file order.
+        num_parts: Building parts met, over all buildings.
+        lods: Names of the levels of detail present, ascending: ``("0", "1", "2.2")``.
+        polygons: All polygons of all levels.
+        findings: What was wrong, changed or dropped while reading.
+    """
+
+    source: str
+    format: str
+    version: str | None
+    crs: str | None
+    origin: NDArray[np.float64]
+    building_ids: tuple[str, ...]
+    num_parts: int
+    lods: tuple[str, ...]
+    polygons: Polygons
+    findings: Findings

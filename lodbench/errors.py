@@ -1,0 +1,52 @@
+"""The one exception family of lodbench: a message for the reader and a hint at what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class LodbenchError(Exception):
+    """A fault the user can understand and mend: printed as one line and a hint, exit code 2.
+
+    Args:
+        message: One sentence that names the file, line, building or key at fault.
+        hint: One sentence that says what to do about it; empty when there is nothing to add.
+    """
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __str__(self) -> str:
+        return self.message
+
+
+class CityModelError(LodbenchError):
+    """A city model cannot be read, or has nothing at the level of detail asked for."""
+
+
+class DatasetError(LodbenchError):
+    """A dataset is missing, incomplete or malformed."""
+
+
+class ConfigError(LodbenchError):
+    """A command line or configuration value is unknown or out of range."""
+
+
+class RenderingError(LodbenchError):
+    """A renderer cannot do what was asked, or a library it needs is absent."""
+
+
+class QueryFault(LodbenchError):
+    """A fault of one query: recorded as a failed row with this reason; the run goes on."""
+
+
+def nearest_names(wanted: str, known: Iterable[str]) -> str:
+    """Returns a hint that lists the known names closest to a misspelt one, or all of them."""
+    names = sorted(known)
+    close = difflib.get_close_matches(wanted, names, n=3, cutoff=0.5)
+    if close:
+        return "Did you mean " + " or ".join(close) + "?"
+    return "Known: " + ", ".join(names) + "." if names else ""

@@ -1,0 +1,56 @@
+"""Findings: defects met in input data, each with a stable code, the object's id and a count."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import Enum
+
+
+class Severity(Enum):
+    """How much a finding matters: an ERROR lost data, a WARNING changed it, INFO only tells."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    INFO = "info"
+
+
+@dataclass(frozen=True, slots=True)
+class FindingCode:
+    """A kind of defect, for example ``LB101 RING_TOO_SHORT``; codes never change their meaning."""
+
+    code: str
+    name: str
+    severity: Severity
+    meaning: str
+
+    def __str__(self) -> str:
+        return f"{self.code} {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One defect: its code, the id of the object it was met in, and a detail in words."""
+
+    code: FindingCode
+    object_id: str
+    detail: str = ""
+
+
+@dataclass(slots=True)
+class Findings:
+    """A list of findings that only grows while a file is read."""
+
+    items: list[Finding] = field(default_factory=list)
+
+    def add(self, code: FindingCode, object_id: str, detail: str = "") -> None:
+        """Records one defect."""
+        self.items.append(Finding(code, object_id, detail))
+
+    def counts(self) -> dict[str, int]:
+        """Returns ``{"LB101 RING_TOO_SHORT": 3, ...}`` in the order of the codes."""
+        return dict(sorted(Counter(str(item.code) for item in self.items).items()))
+
+    def has_errors(self) -> bool:
+        """Tells whether any finding lost data."""
+        return any(item.code.severity is Severity.ERROR for item in self.items)
