@@ -1,1 +1,22 @@
-"""."""
+"""Poses, cameras, angles and frames: the one place where conventions live (docs/conventions.md)."""
+
+from lodbench.geometry.angles import (
+    EulerAngles,
+    euler_from_rotation,
+    rotation_from_euler,
+    wrap_deg,
+)
+from lodbench.geometry.camera import Camera
+from lodbench.geometry.grid import AxisRange, PoseGrid
+from lodbench.geometry.pose import Pose
+
+__all__ = [
+    "AxisRange",
+    "Camera",
+    "EulerAngles",
+    "Pose",
+    "PoseGrid",
+    "euler_from_rotation",
+    "rotation_from_euler",
+    "wrap_deg",
+]

@@ -1,1 +1,7 @@
-"""."""
+"""Files and folders written safely, random streams, digests and provenance."""
+
+from lodbench.storage.atomic import write_bytes, write_text
+from lodbench.storage.digest import digest_of, file_digest
+from lodbench.storage.streams import random_stream
+
+__all__ = ["digest_of", "file_digest", "random_stream", "write_bytes", "write_text"]

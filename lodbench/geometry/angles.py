@@ -1,0 +1,113 @@
+"""Angle conventions: the datasets' (pitch, roll, yaw), and those of DJI, Blender and OpenSceneGraph.
+
+The datasets' convention. Let ``R`` turn Blender camera axes (x right, y up, looking along -z) into
+the world (x east, y north, z up). Then ``R = Rz(yaw) Ry(roll) Rx(pitch)``: pitch 0 looks straight
+down, 90 at the horizon; yaw is counter-clockwise from grid north. OpenCV camera axes (x right,
+y down, z forward) are Blender's with y and z negated.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Matrix = NDArray[np.float64]
+
+# Blender camera axes from OpenCV camera axes, and back: the same flip both ways.
+_FLIP_YZ = np.diag([1.0, -1.0, -1.0])
+# OpenCV camera axes (right, down, forward) in a body frame of (forward, right, down).
+_BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+# East-north-up from north-east-down.
+_ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+class EulerAngles(NamedTuple):
+    """Camera attitude in degrees: pitch from nadir, roll, yaw counter-clockwise from grid north."""
+
+    pitch_deg: float
+    roll_deg: float
+    yaw_deg: float
+
+
+def wrap_deg(angle_deg: float) -> float:
+    """Returns the same direction in [-180, 180) degrees; NaN stays NaN."""
+    return (angle_deg + 180.0) % 360.0 - 180.0
+
+
+def _axis_rotation(axis: int, angle_deg: float) -> Matrix:
+    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    rotation = np.eye(3)
+    rotation[i, i], rotation[i, j], rotation[j, i], rotation[j, j] = c, -s, s, c
+    return rotation
+
+
+def _rz_ry_rx(pitch_deg: float, roll_deg: float, yaw_deg: float) -> Matrix:
+    return _axis_rotation(2, yaw_deg) @ _axis_rotation(1, roll_deg) @ _axis_rotation(0, pitch_deg)
+
+
+def _angles_of(rotation: Matrix) -> EulerAngles:
+    sin_roll = min(1.0, max(-1.0, -float(rotation[2, 0])))
+    return EulerAngles(
+        math.degrees(math.atan2(rotation[2, 1], rotation[2, 2])),
+        math.degrees(math.asin(sin_roll)),
+        math.degrees(math.atan2(rotation[1, 0], rotation[0, 0])),
+    )
+
+
+def rotation_from_euler(angles: EulerAngles) -> Matrix:
+    """Returns cam_from_world, (3, 3), of a camera with the datasets' angles in degrees."""
+    world_from_cam = _rz_ry_rx(*angles) @ _FLIP_YZ
+    return np.ascontiguousarray(world_from_cam.T)
+
+
+def euler_from_rotation(cam_from_world: Matrix) -> EulerAngles:
+    """Returns the datasets' angles in degrees of a (3, 3) cam_from_world rotation.
+
+    Yaw and roll are well defined at nadir; they trade off only at roll = +-90 degrees.
+    """
+    return _angles_of(cam_from_world.T @ _FLIP_YZ)
+
+
+def rotation_from_dji(
+    gimbal_yaw_deg: float, gimbal_pitch_deg: float, gimbal_roll_deg: float, convergence_deg: float = 0.0
+) -> Matrix:
+    """Returns cam_from_world, (3, 3), of a DJI gimbal's angles.
+
+    The gimbal turns by yaw (clockwise from true north), then pitch (0 at the horizon, -90 at nadir),
+    then roll about the optical axis, in a north-east-down frame.
+
+    Args:
+        gimbal_yaw_deg: GimbalYawDegree.
+        gimbal_pitch_deg: GimbalPitchDegree.
+        gimbal_roll_deg: GimbalRollDegree.
+        convergence_deg: Grid convergence, clockwise angle from true to grid north: grid heading is
+            true heading minus this.
+    """
+    ned_from_body = _rz_ry_rx(gimbal_roll_deg, gimbal_pitch_deg, gimbal_yaw_deg - convergence_deg)
+    world_from_cam = _ENU_FROM_NED @ ned_from_body @ _BODY_FROM_CAMERA
+    return np.ascontiguousarray(world_from_cam.T)
+
+
+def blender_from_opencv(world_from_cam: Matrix) -> Matrix:
+    """Returns a (4, 4) camera-to-world matrix with Blender axes from one with OpenCV axes.
+
+    The map is its own inverse, so it also turns Blender's into OpenCV's.
+    """
+    flip = np.eye(4)
+    flip[:3, :3] = _FLIP_YZ
+    return np.asarray(world_from_cam @ flip)
+
+
+def osg_angles(cam_from_world: Matrix) -> EulerAngles:
+    """Returns OpenSceneGraph-style angles: of OpenCV's camera-to-world, with 180 added to the first."""
+    first, second, third = _angles_of(cam_from_world.T)
+    return EulerAngles(first + 180.0, second, third)
+
+
+def heading_from_yaw(yaw_deg: float) -> float:
+    """Returns the compass heading in [0, 360), clockwise from grid north, of a yaw in degrees."""
+    return (-yaw_deg) % 360.0

@@ -1,0 +1,59 @@
+"""The 4D grid of pose hypotheses around a prior (paper equation 1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import LodbenchError
+from lodbench.geometry.angles import EulerAngles, rotation_from_euler
+from lodbench.geometry.pose import Pose
+
+
+@dataclass(frozen=True, slots=True)
+class AxisRange:
+    """One axis of the grid: full width (metres or degrees) and number of samples."""
+
+    width: float
+    count: int
+
+    def __post_init__(self) -> None:
+        if self.count < 1 or not self.width >= 0:
+            raise LodbenchError(
+                f"A grid axis needs a width >= 0 and a count >= 1, not {self.width} and {self.count}."
+            )
+
+    def offsets(self) -> NDArray[np.float64]:
+        """Returns ``count`` offsets from -width/2 to +width/2, ends included; one sample is the centre."""
+        if self.count == 1:
+            return np.zeros(1)
+        return -self.width / 2 + np.arange(self.count) * (self.width / (self.count - 1))
+
+
+@dataclass(frozen=True, slots=True)
+class PoseGrid:
+    """The Cartesian product of four axes, in the order (yaw, x, y, z), z fastest."""
+
+    x: AxisRange
+    y: AxisRange
+    z: AxisRange
+    yaw: AxisRange
+
+    def __len__(self) -> int:
+        return self.x.count * self.y.count * self.z.count * self.yaw.count
+
+    def around(self, prior: Pose) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Returns the hypotheses around a prior; pitch and roll stay the prior's.
+
+        Returns:
+            cam_from_world rotations, (N, 3, 3), and camera centres, (N, 3), world metres.
+        """
+        pitch, roll, yaw = prior.euler
+        rotations = np.stack(
+            [rotation_from_euler(EulerAngles(pitch, roll, yaw + d)) for d in self.yaw.offsets()]
+        )
+        axes = np.meshgrid(self.x.offsets(), self.y.offsets(), self.z.offsets(), indexing="ij")
+        centers = prior.center + np.stack([axis.ravel() for axis in axes], axis=1)
+        return np.repeat(rotations, len(centers), axis=0), np.tile(centers, (self.yaw.count, 1))
