@@ -1,0 +1,56 @@
+"""Priors drawn around the truth, where a dataset has no sensor of its own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from lodbench.errors import ConfigError
+from lodbench.geometry import EulerAngles, Pose
+
+
+@dataclass(frozen=True, slots=True)
+class UniformPrior:
+    """Independent uniform errors around the truth, each within plus or minus its half width.
+
+    The defaults are those of the published Swiss-EPFL priors: 17 m and 3.8 degrees in the median.
+    Angles are errors of the datasets' pitch, roll and yaw, not turns about camera axes.
+
+    Attributes:
+        x_m: East, metres.
+        y_m: North, metres.
+        z_m: Up, metres.
+        yaw_deg: Yaw, degrees.
+        pitch_deg: Pitch, degrees.
+        roll_deg: Roll, degrees.
+
+    Raises:
+        ConfigError: A half width is negative or not finite.
+    """
+
+    x_m: float = 10.0
+    y_m: float = 10.0
+    z_m: float = 30.0
+    yaw_deg: float = 7.5
+    pitch_deg: float = 1.0
+    roll_deg: float = 1.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            width = getattr(self, field.name)
+            if not (width >= 0 and math.isfinite(width)):
+                raise ConfigError(f"The prior's {field.name} must be a finite number >= 0, not {width}.")
+
+    def draw(self, truth: Pose, generator: np.random.Generator) -> Pose:
+        """Returns a prior around the truth; always six draws, so a width of 0 changes no other axis."""
+        x, y, z, yaw, pitch, roll = generator.uniform(-1.0, 1.0, size=6)
+        angles = truth.euler
+        wrong = EulerAngles(
+            angles.pitch_deg + pitch * self.pitch_deg,
+            angles.roll_deg + roll * self.roll_deg,
+            angles.yaw_deg + yaw * self.yaw_deg,
+        )
+        offset = np.array([x * self.x_m, y * self.y_m, z * self.z_m])
+        return Pose.from_euler(wrong, truth.center + offset)

@@ -1,0 +1,200 @@
+"""Views over a city: drone poses whose picture holds a useful share of buildings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.geometry.angles import rotation_from_euler
+from lodbench.storage import random_stream
+
+# UAVD4L's drone camera; masks and renderings of it are made at FINE_SIZE, coarse ones at half that.
+RGB_CAMERA = Camera(width=5280, height=3956, fx=3778.423, fy=3767.392, cx=2663.624, cy=1919.721)
+FINE_SIZE = (602, 448)
+
+# The share of buildings is judged on a picture of this width: 0.1 % finer than it matters.
+_PREVIEW_WIDTH = 150
+# A camera keeps this far from buildings, sideways and above, metres.
+_CLEARANCE_M = 15.0
+# A view's centre lies this close to the middle of a building (standard deviation), metres.
+_TARGET_SPREAD_M = 20.0
+# Give up when fewer than one draw in this many is accepted.
+_MAX_DRAWS_PER_VIEW = 200
+
+
+class Silhouettes(Protocol):
+    """What renders the buildings of a scene as a mask."""
+
+    def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
+        """Returns (height, width) bool, True on buildings."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ViewSampling:
+    """Which views to draw; every range is uniform, ends included.
+
+    Attributes:
+        height_m: Camera height above the ground at the view's centre, metres.
+        pitch_deg: From nadir, degrees: 0 looks straight down.
+        roll_deg: Degrees.
+        yaw_deg: Counter-clockwise from grid north, degrees.
+        building_share: Accepted share of building pixels in the picture.
+        area_m: West, south, east and north bounds of the view centres, local metres, or None for
+            the whole city.
+        seed: Seed of the random streams.
+
+    Raises:
+        ConfigError: A range is empty, not finite, or beyond what a view can have.
+    """
+
+    height_m: tuple[float, float] = (100.0, 160.0)
+    pitch_deg: tuple[float, float] = (20.0, 60.0)
+    roll_deg: tuple[float, float] = (-1.0, 1.0)
+    yaw_deg: tuple[float, float] = (-180.0, 180.0)
+    building_share: tuple[float, float] = (0.10, 0.80)
+    area_m: tuple[float, float, float, float] | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        limits = {"height_m": (0.0, 1e5), "pitch_deg": (0.0, 85.0), "building_share": (0.0, 1.0)}
+        for field in fields(self)[:5]:
+            low, high = getattr(self, field.name)
+            least, most = limits.get(field.name, (-360.0, 360.0))
+            if not least <= low <= high <= most:
+                raise ConfigError(
+                    f"The views' {field.name} is ({low}, {high}), not an ascending range "
+                    f"within {least:g} to {most:g}."
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class SampledViews:
+    """Views drawn over a city.
+
+    Attributes:
+        poses: The accepted views, in order.
+        rejections: How many draws were thrown away on the way.
+    """
+
+    poses: tuple[Pose, ...]
+    rejections: int
+
+
+def sample_views(
+    scene: Scene, renderer: Silhouettes, camera: Camera, sampling: ViewSampling, count: int, *names: str | int
+) -> SampledViews:
+    """Draws views over a city whose centres hit built-up ground and that show enough buildings.
+
+    View i depends on the seed, the names and i only: asking for more views keeps the first ones.
+
+    Args:
+        scene: The city.
+        renderer: Renders the silhouettes of the same scene.
+        camera: The views' camera; only its shape of view matters.
+        sampling: What to draw.
+        count: Number of views.
+        *names: Path of the random streams, so that two users of one seed get different views.
+
+    Returns:
+        The poses and the number of rejected draws.
+
+    Raises:
+        DatasetError: The area has no building, or hardly any draw is accepted.
+    """
+    check = ViewCheck(scene, renderer, camera, sampling.building_share)
+    targets = check.buildings_in(sampling.area_m)
+    if len(targets) == 0:
+        raise DatasetError("There is no building to look at in the area of the views.", "Widen area_m.")
+    poses: list[Pose] = []
+    rejections = 0
+    for index in range(count):
+        generator = random_stream(sampling.seed, *names, "views", index)
+        for _ in range(_MAX_DRAWS_PER_VIEW):
+            pose = _draw_view(sampling, check.ground[targets], generator)
+            if check.accepts(pose):
+                break
+            rejections += 1
+        else:
+            low, high = sampling.building_share
+            raise DatasetError(
+                f"{_MAX_DRAWS_PER_VIEW} views in a row show less than {low:.0%} or more than {high:.0%} "
+                "buildings, or stand among them.",
+                "Widen building_share or lower height_m.",
+            )
+        poses.append(pose)
+    return SampledViews(tuple(poses), rejections)
+
+
+def view_of(target: NDArray[np.float64], height_m: float, angles: EulerAngles) -> Pose:
+    """Returns the pose whose optical axis meets a ground point, (3,) metres, from a height above it."""
+    rotation = rotation_from_euler(angles)
+    axis = rotation[2]
+    return Pose.from_center(rotation, np.asarray(target) + axis * (height_m / axis[2]))
+
+
+class ViewCheck:
+    """Judges views of a city: free of buildings at the camera, and enough of them in the picture."""
+
+    def __init__(
+        self, scene: Scene, renderer: Silhouettes, camera: Camera, building_share: tuple[float, float]
+    ) -> None:
+        self._renderer = renderer
+        height = max(1, round(_PREVIEW_WIDTH * camera.height / camera.width))
+        self._preview = camera.scaled(_PREVIEW_WIDTH, height)
+        self._share = building_share
+        kept = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
+        starts = scene.vertex_starts[:-1][kept]
+        vertices = scene.vertices.astype(np.float64)
+        # Empty buildings own no vertices, so the starts of the others still bound them.
+        self._low = np.minimum.reduceat(vertices, starts, axis=0)
+        self._high = np.maximum.reduceat(vertices, starts, axis=0)
+
+    @property
+    def ground(self) -> NDArray[np.float64]:
+        """Returns the middle of each building's base, (B, 3) local metres."""
+        middle = 0.5 * (self._low + self._high)
+        middle[:, 2] = self._low[:, 2]
+        return middle
+
+    def buildings_in(self, area_m: tuple[float, float, float, float] | None) -> NDArray[np.int64]:
+        """Returns the rows of ``ground`` within (west, south, east, north), or all of them."""
+        if area_m is None:
+            return np.arange(len(self._low))
+        x, y = self.ground[:, 0], self.ground[:, 1]
+        west, south, east, north = area_m
+        return np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north))
+
+    def is_clear(self, center: NDArray[np.float64]) -> bool:
+        """Returns whether a camera centre, (3,) metres, keeps its distance from every building."""
+        below = center[2] < self._high[:, 2] + _CLEARANCE_M
+        beside = (
+            (center[:2] > self._low[:, :2] - _CLEARANCE_M) & (center[:2] < self._high[:, :2] + _CLEARANCE_M)
+        ).all(axis=1)
+        return not bool((below & beside).any())
+
+    def share(self, pose: Pose) -> float:
+        """Returns the share of building pixels in a small picture of the view."""
+        return float(self._renderer.render(self._preview, pose).mean())
+
+    def accepts(self, pose: Pose) -> bool:
+        """Returns whether a view is clear of buildings and its share of them is asked for."""
+        low, high = self._share
+        return self.is_clear(pose.center) and low <= self.share(pose) <= high
+
+
+def _draw_view(sampling: ViewSampling, ground: NDArray[np.float64], generator: np.random.Generator) -> Pose:
+    """Draws one view whose centre lies on the ground near one of the buildings, (B, 3) metres."""
+    target = ground[int(generator.integers(len(ground)))].copy()
+    target[:2] += generator.normal(0.0, _TARGET_SPREAD_M, size=2)
+    height, pitch, roll, yaw = (
+        generator.uniform(*bounds)
+        for bounds in (sampling.height_m, sampling.pitch_deg, sampling.roll_deg, sampling.yaw_deg)
+    )
+    return view_of(target, height, EulerAngles(pitch, roll, yaw))

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import ConfigError
+from lodbench.geometry import EulerAngles, Pose, wrap_deg
+from lodbench.storage import random_stream
+
+
+def errors_of(prior: Pose, truth: Pose) -> tuple[float, float]:
+    turn = prior.rotation @ truth.rotation.T
+    cosine = min(1.0, max(-1.0, (float(np.trace(turn)) - 1.0) / 2.0))
+    return float(np.linalg.norm(prior.center - truth.center)), math.degrees(math.acos(cosine))
+
+
+def test_medians_are_those_of_the_published_priors():
+    truth = Pose.from_euler(EulerAngles(40.0, 0.5, 30.0), (100.0, -50.0, 130.0))
+    prior = UniformPrior()
+    sampled = [errors_of(prior.draw(truth, random_stream(0, "prior", k)), truth) for k in range(20000)]
+    translation, rotation = np.median(np.array(sampled), axis=0)
+    assert translation == pytest.approx(17.1, rel=0.02)
+    assert rotation == pytest.approx(3.82, rel=0.02)
+
+
+@given(
+    st.integers(0, 2**32),
+    st.floats(0, 60),
+    st.floats(-179, 179),
+    st.tuples(*[st.floats(0, 40)] * 3),
+    st.tuples(*[st.floats(0, 9)] * 3),
+)
+def test_errors_stay_within_the_half_widths(seed, pitch, yaw, widths_m, widths_deg):
+    truth = Pose.from_euler(EulerAngles(pitch, 0.0, yaw), (3.0, 2.0, 120.0))
+    drawn = UniformPrior(*widths_m, *widths_deg).draw(truth, random_stream(seed, "prior"))
+    assert (np.abs(drawn.center - truth.center) <= np.array(widths_m) + 1e-9).all()
+    pitch_deg, roll_deg, yaw_deg = drawn.euler
+    assert abs(wrap_deg(yaw_deg - yaw)) <= widths_deg[0] + 1e-6
+    assert abs(pitch_deg - pitch) <= widths_deg[1] + 1e-6
+    assert abs(roll_deg) <= widths_deg[2] + 1e-6
+
+
+def test_same_stream_same_prior():
+    truth = Pose.from_euler(EulerAngles(40.0, 0.0, 30.0), (0.0, 0.0, 130.0))
+    first, second = (UniformPrior().draw(truth, random_stream(3, "prior", "q")) for _ in range(2))
+    np.testing.assert_array_equal(first.cam_from_world, second.cam_from_world)
+
+
+def test_a_width_of_zero_changes_no_other_axis():
+    truth = Pose.from_euler(EulerAngles(40.0, 0.0, 30.0), (0.0, 0.0, 130.0))
+    full = UniformPrior().draw(truth, random_stream(3, "q"))
+    level = UniformPrior(z_m=0.0).draw(truth, random_stream(3, "q"))
+    np.testing.assert_allclose(full.center[:2], level.center[:2], atol=1e-9)
+    assert level.center[2] == pytest.approx(130.0)
+
+
+@pytest.mark.parametrize("width", [-1.0, math.nan, math.inf])
+def test_a_bad_width_is_named(width):
+    with pytest.raises(ConfigError, match="z_m"):
+        UniformPrior(z_m=width)
