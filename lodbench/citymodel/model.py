@@ -21,7 +21,8 @@ class SurfaceKind(IntEnum):
     CLOSURE = 4
     OPENING = 5
     INSTALLATION = 6
-    FLOOR = 7
+    FLOOR = 7  # outer floors and ceilings: balconies, arcades, overhangs
+    INTERIOR = 8  # rooms and furniture: read, counted, never meshed
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,172 @@
+"""CityGML 1.0 and 2.0: buildings of every level of detail, streamed one city object at a time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import BinaryIO
+
+import numpy as np
+
+from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
+from lodbench.citymodel.gml_batch import PolygonArrays, read_batch
+from lodbench.citymodel.gml_links import LinkResolver
+from lodbench.citymodel.gml_names import BUILDINGS, GML_IDS, MEMBERS, PARTS, is_building_tag
+from lodbench.citymodel.gml_walk import GeometryWalk
+from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
+from lodbench.errors import CityModelError
+from lodbench.findings import Findings
+
+# Numbers are read when this much text has gathered: large enough that a parse is worth its call,
+# small enough that memory stays flat.
+_BATCH_CHARACTERS = 1 << 22
+
+
+def read_citygml(
+    open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True
+) -> RawCity:
+    """Returns the buildings of a CityGML document in the coordinates of the file.
+
+    Args:
+        open_stream: Opens the document; called again only when a reference crosses members.
+        source: Name of the file, for messages.
+        is_strict: Whether a bad coordinate is an error, or a finding that drops its polygon.
+
+    Raises:
+        CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
+    """
+    reader = _Reader(source, is_strict)
+    with open_stream() as stream:
+        reader.read(stream)
+    if reader.links.unresolved:
+        with open_stream() as stream:
+            reader.read_links(stream)
+    return reader.result()
+
+
+class _Reader:
+    """State of one document while it is read."""
+
+    def __init__(self, source: str, is_strict: bool) -> None:
+        self.findings = Findings()
+        self.walk = GeometryWalk(self.findings)
+        self.links = LinkResolver(self.walk, source.rpartition("/")[2], self.findings)
+        self._source = source
+        self._is_strict = is_strict
+        self._building_ids: list[str] = []
+        self._num_parts = 0
+        self._others: Counter[str] = Counter()
+        self._parts: list[PolygonArrays] = []
+        self._version: str | None = None
+        self._srs_name: str | None = None
+
+    def read(self, stream: BinaryIO) -> None:
+        members = XmlMembers(stream, self._source, MEMBERS, self.findings)
+        for member in members:
+            if self._version is None and members.root is not None:
+                self._read_root(members.root)
+            self._read_member(member)
+            if self.walk.batch.num_characters > _BATCH_CHARACTERS:
+                self._flush()
+        self._flush()
+        if members.root is not None and self._version is None:
+            self._read_root(members.root)
+
+    def read_links(self, stream: BinaryIO) -> None:
+        """Looks in every member for the targets of references that point out of their own."""
+        for member in XmlMembers(stream, self._source, MEMBERS, Findings()):
+            self.walk.begin_member()
+            self.links.resolve_elsewhere(member, self._building_ids)
+            if not self.links.unresolved:
+                break
+        self._flush()
+
+    def _read_root(self, root: Element) -> None:
+        name = local_name(root.tag)
+        if name not in ("CityModel", "FeatureCollection"):
+            raise CityModelError(
+                f"{self._source} is XML, but not CityGML: its root element is <{name}>.",
+                "A CityGML file begins with <CityModel>.",
+            )
+        # A WFS answer wraps the CityModel; its namespace map still names the version.
+        namespaces = [namespace_of(root.tag), *(root.nsmap or {}).values()]
+        versions = [ns.rpartition("/")[2] for ns in namespaces if "opengis.net/citygml/" in (ns or "")]
+        self._version = versions[0] if versions else ""
+        self._srs_name = _envelope_srs(root) or root.get("srsName")
+
+    def _read_member(self, member: Element) -> None:
+        self.walk.begin_member()
+        is_building_met = False
+        for element in member.iter(*BUILDINGS):
+            if not is_building_tag(element.tag):
+                continue
+            is_building_met = True
+            number = len(self._building_ids)
+            building_id = _gml_id(element) or f"building-{number + 1}"
+            self._building_ids.append(building_id)
+            self._num_parts += sum(1 for _ in element.iter(*PARTS))
+            srs_name = _envelope_srs(element) or self._srs_name
+            before = len(self.walk.batch.building), len(self.walk.references)
+            self.walk.walk_building(element, number, building_id, srs_name)
+            if before == (len(self.walk.batch.building), len(self.walk.references)):
+                self.findings.add(BUILDING_EMPTY, building_id)
+        if not is_building_met:
+            self._others.update(local_name(child.tag) for child in member[:1])
+        elif self.walk.references or self.walk.duplicate_ids:
+            self.links.resolve_member(member, self._building_ids)
+
+    def _flush(self) -> None:
+        batch = self.walk.take_batch()
+        if batch.building:
+            self._parts.append(
+                read_batch(batch, self._building_ids, self.findings, is_strict=self._is_strict)
+            )
+
+    def result(self) -> RawCity:
+        self.links.report_unresolved(self._building_ids)
+        for name, count in sorted(self._others.items()):
+            if not name.startswith("Appearance"):
+                self.findings.add(NOT_A_BUILDING, name, f"{count} of them")
+        if not self._building_ids:
+            raise CityModelError(f"{self._source} has no buildings.", "Is it the building tile of the city?")
+        parts = self._parts
+        joined = {
+            name: np.concatenate([getattr(part, name) for part in parts]) if parts else np.zeros(0, np.int64)
+            for name in ("ring_lengths", "ring_counts", "building", "lod", "kind", "srs")
+        }
+        return RawCity(
+            source=self._source,
+            format="CityGML",
+            version=self._version or None,
+            srs_names=tuple(self.walk.srs_names.names),
+            building_ids=tuple(self._building_ids),
+            num_parts=self._num_parts,
+            lods=tuple(name or "" for name in self.walk.lods.names),
+            points=np.concatenate([part.points for part in parts]) if parts else np.zeros((0, 3)),
+            ring_starts=starts_of(joined["ring_lengths"]),
+            polygon_starts=starts_of(joined["ring_counts"]),
+            building=joined["building"].astype(np.int32),
+            lod=joined["lod"].astype(np.int16),
+            kind=joined["kind"].astype(np.uint8),
+            srs=joined["srs"].astype(np.int16),
+            has_closing_points=True,
+            findings=self.findings,
+        )
+
+
+def _gml_id(element: Element) -> str | None:
+    for name in GML_IDS:
+        value = element.get(name)
+        if value is not None:
+            return str(value)
+    return None
+
+
+def _envelope_srs(element: Element) -> str | None:
+    """Returns the srsName of an element's own ``boundedBy/Envelope``, if it has one."""
+    for child in element.iterchildren("{*}boundedBy"):
+        for envelope in child.iterchildren("{*}Envelope"):
+            name = envelope.get("srsName")
+            return None if name is None else str(name).strip()
+    return None

@@ -1,0 +1,84 @@
+"""The catalogue of city model findings: one stable code per kind of defect, in groups of hundred.
+
+LB1xx rings and polygons, LB2xx the structure of a file, LB3xx coordinate reference systems and
+heights, LB4xx buildings and levels of detail. A code never changes its meaning and is never
+reused; new kinds get the next free number. An ERROR lost data, a WARNING changed it or doubts it,
+INFO tells what was decided.
+"""
+
+from __future__ import annotations
+
+from lodbench.findings import FindingCode, Severity
+
+_CATALOGUE: dict[str, FindingCode] = {}
+
+
+def _code(number: int, name: str, severity: Severity, meaning: str) -> FindingCode:
+    code = FindingCode(f"LB{number}", name, severity, meaning)
+    _CATALOGUE[code.code] = code
+    return code
+
+
+_E, _W, _I = Severity.ERROR, Severity.WARNING, Severity.INFO
+
+RING_TOO_SHORT = _code(101, "RING_TOO_SHORT", _E, "A ring has fewer than three distinct points; it is dropped.")
+DUPLICATE_POINTS = _code(102, "DUPLICATE_POINTS", _W, "A ring repeats a point in a row; the repeats are removed.")
+RING_NOT_CLOSED = _code(103, "RING_NOT_CLOSED", _W, "The last point of a GML ring is not its first; it is closed.")
+ZERO_AREA = _code(104, "ZERO_AREA", _W, "A polygon has no area (its points lie on a line); it gets no triangles.")
+NOT_PLANAR = _code(105, "NOT_PLANAR", _W, "A polygon leaves its mean plane by more than 1 cm.")
+AREA_MISMATCH = _code(
+    106, "AREA_MISMATCH", _E, "The triangles of a polygon do not add up to its area (it crosses itself)."
+)
+BAD_COORDINATE = _code(
+    107, "BAD_COORDINATE", _E, "A coordinate is not a finite number; the polygon is dropped."
+)
+BAD_COUNT = _code(
+    108, "BAD_COUNT", _E, "A ring's number of coordinates does not fit its dimension; the polygon is dropped."
+)
+DUPLICATE_POLYGON = _code(
+    109, "DUPLICATE_POLYGON", _W, "A polygon stands twice in one building at one level; one is kept."
+)
+RING_2D = _code(110, "RING_2D", _I, "A ring has no heights; z is 0.")
+
+UNDECLARED_PREFIX = _code(201, "UNDECLARED_PREFIX", _W, "XML uses a namespace prefix it never declares.")
+XLINK_UNRESOLVED = _code(202, "XLINK_UNRESOLVED", _E, "A reference to a geometry has no target in the file.")
+XLINK_REMOTE = _code(
+    203, "XLINK_REMOTE", _E, "A reference points to another file or server; it is never fetched."
+)
+XLINK_CYCLE = _code(204, "XLINK_CYCLE", _W, "References go round in a circle; the circle is cut.")
+DUPLICATE_ID = _code(205, "DUPLICATE_ID", _W, "One id names two objects; references go to the first.")
+GEOMETRY_UNSUPPORTED = _code(206, "GEOMETRY_UNSUPPORTED", _E, "A geometry of a kind that is not read.")
+GEOMETRY_EMPTY = _code(207, "GEOMETRY_EMPTY", _I, "A geometry property holds no geometry.")
+ELEMENT_IGNORED = _code(208, "ELEMENT_IGNORED", _I, "An element that carries no surface is ignored.")
+NOT_A_BUILDING = _code(209, "NOT_A_BUILDING", _I, "A city object that is no building is left out.")
+BAD_INDEX = _code(210, "BAD_INDEX", _E, "A face names a point that does not exist; it is dropped.")
+
+CRS_MISSING = _code(301, "CRS_MISSING", _W, "No coordinate reference system is declared; taken as metres.")
+CRS_UNKNOWN = _code(302, "CRS_UNKNOWN", _W, "The declared reference system is not known; taken as metres.")
+CRS_IMPLAUSIBLE = _code(
+    303, "CRS_IMPLAUSIBLE", _W, "The coordinates lie outside the area of the declared reference system."
+)
+AXES_SWAPPED = _code(
+    304, "AXES_SWAPPED", _I, "The axes stand in another order than the reference system declares."
+)
+CRS_PROJECTED = _code(305, "CRS_PROJECTED", _I, "Coordinates were projected to a metric reference system.")
+CRS_MAPPED = _code(306, "CRS_MAPPED", _I, "The declared name was read as another, by lodbench's own map.")
+CRS_MIXED = _code(307, "CRS_MIXED", _W, "One file declares several reference systems; all go to the first.")
+AXES_AMBIGUOUS = _code(308, "AXES_AMBIGUOUS", _W, "Either axis order is plausible; one was taken.")
+
+LOD_ABSENT = _code(401, "LOD_ABSENT", _W, "A building has nothing at the level of detail asked for.")
+LOD_SUBSTITUTED = _code(
+    402, "LOD_SUBSTITUTED", _I, "The level asked for is absent; a finer name of it is used."
+)
+BUILDING_EMPTY = _code(403, "BUILDING_EMPTY", _W, "A building has no polygon at any level of detail.")
+INTERIOR_SKIPPED = _code(404, "INTERIOR_SKIPPED", _I, "Rooms and furniture are left out of the mesh.")
+
+
+def finding_catalogue() -> tuple[FindingCode, ...]:
+    """Returns every code, in order.
+
+    Example:
+        >>> str(finding_catalogue()[0])
+        'LB101 RING_TOO_SHORT'
+    """
+    return tuple(_CATALOGUE[code] for code in sorted(_CATALOGUE))

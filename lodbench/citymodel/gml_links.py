@@ -1,0 +1,160 @@
+"""XLinks: surfaces that a solid borrows from elsewhere, each polygon counted once per building and level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lodbench.citymodel.codes import DUPLICATE_ID, XLINK_CYCLE, XLINK_REMOTE, XLINK_UNRESOLVED
+from lodbench.citymodel.gml_names import GML_IDS, POLYGONS, XLINK_HREF
+from lodbench.citymodel.gml_walk import GeometryWalk, Reference
+from lodbench.citymodel.xml import Element
+from lodbench.findings import Findings
+
+
+@dataclass(slots=True)
+class _MemberIndex:
+    """Everything in a member that can be referred to; built only when a plain look-up fails."""
+
+    elements: dict[str, Element]
+    polygons: dict[Element, int]
+
+
+class LinkResolver:
+    """Resolves the references of one member after another.
+
+    Args:
+        walk: Holds the polygons, ids and references of the current member.
+        source_name: Name of the file: ``name#id`` refers to the file itself.
+        findings: Receives remote, cyclic and duplicate references.
+
+    Attributes:
+        unresolved: References without a target in their own member, for a second pass.
+    """
+
+    def __init__(self, walk: GeometryWalk, source_name: str, findings: Findings) -> None:
+        self.unresolved: list[Reference] = []
+        self._walk = walk
+        self._source_name = source_name
+        self._findings = findings
+        self._copied: set[tuple[int, int, int]] = set()
+
+    def resolve_member(self, member: Element, building_ids: list[str]) -> None:
+        """Turns the current member's references into copies where they add a surface.
+
+        A reference to a polygon that already counts for the same building and level adds nothing:
+        that is how a solid repeats the surfaces of its walls and roofs.
+        """
+        walk = self._walk
+        for gml_id in sorted(walk.duplicate_ids):
+            self._findings.add(DUPLICATE_ID, gml_id)
+        walk.duplicate_ids.clear()
+        self._copied.clear()
+        index: _MemberIndex | None = None
+        for reference in tuple(walk.references):
+            target = self._target_id(reference, building_ids)
+            if target is None:
+                continue
+            polygon = walk.polygon_ids.get(target)
+            if polygon is not None:
+                self._copy(polygon, reference)
+                continue
+            if index is None:
+                index = _index_member(member, walk)
+            if target not in index.elements:
+                self.unresolved.append(reference)
+            else:
+                self._copy_all(index, target, reference, building_ids, {target})
+
+    def resolve_elsewhere(self, member: Element, building_ids: list[str]) -> None:
+        """Second pass: adds what ``member`` holds of the unresolved references, and forgets those."""
+        index = _index_member(member, self._walk)
+        remaining = []
+        for reference in self.unresolved:
+            target = self._target_id(reference, building_ids)
+            if target is not None and target in index.elements:
+                self._copied.clear()
+                self._copy_all(index, target, reference, building_ids, {target})
+            else:
+                remaining.append(reference)
+        self.unresolved = remaining
+
+    def report_unresolved(self, building_ids: list[str]) -> None:
+        """Adds a finding for every reference that found no target anywhere."""
+        for reference in self.unresolved:
+            self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], reference.href)
+
+    def _target_id(self, reference: Reference, building_ids: list[str]) -> str | None:
+        """Returns the id a reference names in this file, or None with a finding."""
+        href = reference.href.strip()
+        place, hash_sign, fragment = href.partition("#")
+        if not hash_sign:
+            # `urn:uuid:...` and bare names are ids; anything with a path or scheme lies elsewhere.
+            if "/" in href or not href:
+                self._findings.add(XLINK_REMOTE, building_ids[reference.building], href)
+                return None
+            return href.removeprefix("urn:uuid:") if href not in self._walk.polygon_ids else href
+        if place and place != self._source_name:
+            self._findings.add(XLINK_REMOTE, building_ids[reference.building], href)
+            return None
+        return fragment.strip()
+
+    def _copy(self, polygon: int, reference: Reference) -> None:
+        batch = self._walk.batch
+        if batch.building[polygon] == reference.building and batch.lod[polygon] == reference.lod:
+            return
+        key = (polygon, reference.building, reference.lod)
+        if key not in self._copied:
+            self._copied.add(key)
+            kind = reference.kind or batch.kind[polygon]
+            batch.copies.append((polygon, reference.building, reference.lod, kind, reference.is_flipped))
+
+    def _copy_all(
+        self,
+        index: _MemberIndex,
+        target: str,
+        reference: Reference,
+        building_ids: list[str],
+        visited: set[str],
+    ) -> None:
+        """Copies every polygon below a referenced element, following its own references in turn."""
+        element = index.elements[target]
+        for polygon_element in element.iter(*POLYGONS):
+            if polygon_element not in index.polygons:
+                # A geometry outside every geometry property: nothing has counted it yet.
+                self._walk_once(polygon_element, index, reference)
+            else:
+                self._copy(index.polygons[polygon_element], reference)
+        for nested in element.iter("{*}surfaceMember", "{*}baseSurface", "{*}exterior"):
+            href = nested.get(XLINK_HREF)
+            if href is None:
+                continue
+            inner = href.strip().removeprefix("#").strip()
+            if inner in visited:
+                self._findings.add(XLINK_CYCLE, building_ids[reference.building], href)
+            elif inner in index.elements:
+                visited.add(inner)
+                self._copy_all(index, inner, reference, building_ids, visited)
+            else:
+                self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], href)
+
+    def _walk_once(self, element: Element, index: _MemberIndex, reference: Reference) -> None:
+        walk = self._walk
+        polygon = len(walk.batch.building)
+        walk.walk_geometry(
+            element, reference.building, reference.lod, reference.kind, walk.default_srs, 0
+        )
+        index.polygons[element] = polygon
+        if reference.is_flipped:
+            walk.batch.flipped.append(polygon)
+
+
+def _index_member(member: Element, walk: GeometryWalk) -> _MemberIndex:
+    elements: dict[str, Element] = {}
+    for element in member.iter():
+        for name in GML_IDS:
+            gml_id = element.get(name)
+            if gml_id is not None:
+                elements.setdefault(gml_id, element)
+    first = walk.first_polygon
+    polygons = {element: first + i for i, element in enumerate(walk.polygon_elements)}
+    return _MemberIndex(elements, polygons)

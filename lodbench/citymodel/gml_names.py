@@ -1,0 +1,112 @@
+"""The vocabulary of CityGML: which element names matter, and what they mean."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.xml import local_name, namespace_of
+
+XLINK_HREF = "{http://www.w3.org/1999/xlink}href"
+GML_IDS = ("{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id")
+
+MEMBERS = ("cityObjectMember", "featureMember", "featureMembers", "member", "appearanceMember")
+BUILDINGS = ("{*}Building",)
+PARTS = ("{*}BuildingPart",)
+
+# Exact names only: PLATEAU's `uro:lod1HeightType` and the like begin with "lod" and hold no geometry.
+_PROPERTY_SUFFIXES = ("Solid", "MultiSurface", "Geometry", "FootPrint", "RoofEdge", "ImplicitRepresentation")
+_PROPERTY_LODS = {f"lod{lod}{suffix}": str(lod) for lod in range(5) for suffix in _PROPERTY_SUFFIXES}
+GEOMETRY_PROPERTIES = tuple("{*}" + name for name in _PROPERTY_LODS)
+
+SURFACE_KINDS = {
+    "WallSurface": SurfaceKind.WALL,
+    "RoofSurface": SurfaceKind.ROOF,
+    "GroundSurface": SurfaceKind.GROUND,
+    "ClosureSurface": SurfaceKind.CLOSURE,
+    "OuterFloorSurface": SurfaceKind.FLOOR,
+    "OuterCeilingSurface": SurfaceKind.FLOOR,
+    "Window": SurfaceKind.OPENING,
+    "Door": SurfaceKind.OPENING,
+    "WindowSurface": SurfaceKind.OPENING,
+    "DoorSurface": SurfaceKind.OPENING,
+    "BuildingInstallation": SurfaceKind.INSTALLATION,
+    "BuildingConstructiveElement": SurfaceKind.INSTALLATION,
+    "OtherConstruction": SurfaceKind.INSTALLATION,
+}
+INTERIOR_NAMES = frozenset(
+    {
+        "Room",
+        "BuildingRoom",
+        "IntBuildingInstallation",
+        "BuildingFurniture",
+        "InteriorWallSurface",
+        "CeilingSurface",
+        "FloorSurface",
+    }
+)
+
+
+class Node(IntEnum):
+    """What the geometry walk does at an element."""
+
+    POLYGON = 0  # a new polygon begins
+    RING = 1  # a new ring begins
+    NUMBERS = 2  # posList or pos: adds to the ring
+    TUPLES = 3  # GML2 coordinates: adds to the ring
+    REFERENCE = 4  # may refer to geometry elsewhere
+    ORIENTABLE = 5  # may turn its polygons round
+    CURVE = 6  # numbers below belong to no surface, unless inside a ring
+
+
+_NODES = {
+    "Polygon": Node.POLYGON,
+    "PolygonPatch": Node.POLYGON,
+    "Triangle": Node.POLYGON,
+    "Rectangle": Node.POLYGON,
+    "exterior": Node.RING,
+    "interior": Node.RING,
+    "outerBoundaryIs": Node.RING,
+    "innerBoundaryIs": Node.RING,
+    "posList": Node.NUMBERS,
+    "pos": Node.NUMBERS,
+    "coordinates": Node.TUPLES,
+    "surfaceMember": Node.REFERENCE,
+    "geometryMember": Node.REFERENCE,
+    "solidMember": Node.REFERENCE,
+    "baseSurface": Node.REFERENCE,
+    "OrientableSurface": Node.ORIENTABLE,
+    "LineString": Node.CURVE,
+    "Point": Node.CURVE,
+    "Curve": Node.CURVE,
+    "LineStringSegment": Node.CURVE,
+}
+POLYGONS = tuple("{*}" + name for name, node in _NODES.items() if node is Node.POLYGON)
+GEOMETRY_NODES = tuple("{*}" + name for name in _NODES)
+
+
+class NodeTable(dict[str, Node]):
+    """Full tag to ``Node``, filled as tags are met, so that a known tag costs one look-up."""
+
+    def __missing__(self, tag: str) -> Node:
+        self[tag] = node = _NODES[local_name(tag)]
+        return node
+
+
+def property_lod(tag: str) -> str | None:
+    """Returns the level of detail of a geometry property of CityGML, or None for anything else.
+
+    Example:
+        >>> property_lod("{http://www.opengis.net/citygml/building/2.0}lod2MultiSurface")
+        '2'
+        >>> property_lod("{https://www.geospatial.jp/iur/uro/3.1}lod1Solid") is None
+        True
+    """
+    if "opengis.net/citygml" not in namespace_of(tag):
+        return None
+    return _PROPERTY_LODS.get(local_name(tag))
+
+
+def is_building_tag(tag: str) -> bool:
+    """Tells whether a tag is the ``Building`` of any version of CityGML."""
+    return local_name(tag) == "Building" and "opengis.net/citygml" in namespace_of(tag)

@@ -1,0 +1,86 @@
+"""What a reader hands over: polygons in the coordinates of the file, before frames and cleaning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.findings import Findings
+
+
+@dataclass(slots=True)
+class RawCity:
+    """Polygons as a file states them: its axes, its reference systems, its closing points.
+
+    Attributes:
+        source: The file's name.
+        format: ``"CityGML"``, ``"OBJ"``, ...
+        version: The format's version, or None.
+        srs_names: Reference systems declared, as written; None stands for "not declared".
+        building_ids: One id per building, in file order.
+        num_parts: Building parts met.
+        lods: Level names the ``lod`` array points into; not sorted, all used.
+        points: (P, 3) float64, columns in the order of the file.
+        ring_starts: (R + 1,) int64 offsets into ``points``.
+        polygon_starts: (N + 1,) int64 offsets into the rings.
+        building: (N,) int32.
+        lod: (N,) int16.
+        kind: (N,) uint8 ``SurfaceKind``.
+        srs: (N,) int16 index into ``srs_names``.
+        has_closing_points: Rings end with their first point again, as GML asks.
+        findings: What was met while reading.
+    """
+
+    source: str
+    format: str
+    version: str | None
+    srs_names: tuple[str | None, ...]
+    building_ids: tuple[str, ...]
+    num_parts: int
+    lods: tuple[str, ...]
+    points: NDArray[np.float64]
+    ring_starts: NDArray[np.int64]
+    polygon_starts: NDArray[np.int64]
+    building: NDArray[np.int32]
+    lod: NDArray[np.int16]
+    kind: NDArray[np.uint8]
+    srs: NDArray[np.int16]
+    has_closing_points: bool
+    findings: Findings
+
+
+def starts_of(lengths: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Returns offsets from lengths: ``(n + 1,)``, beginning with 0.
+
+    Example:
+        >>> starts_of(np.array([2, 3]))
+        array([0, 2, 5])
+    """
+    starts = np.zeros(len(lengths) + 1, np.int64)
+    np.cumsum(lengths, out=starts[1:])
+    return starts
+
+
+def take_segments(
+    starts: NDArray[np.int64], chosen: NDArray[np.integer]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the item indices of the chosen segments in a row, and the offsets of the result.
+
+    Args:
+        starts: (S + 1,) offsets of all segments.
+        chosen: (C,) segment indices, in any order, repeats allowed.
+
+    Returns:
+        items: indices into the items the segments are made of.
+        new_starts: (C + 1,) offsets into ``items``.
+
+    Example:
+        >>> take_segments(np.array([0, 2, 5]), np.array([1, 0]))
+        (array([2, 3, 4, 0, 1]), array([0, 3, 5]))
+    """
+    lengths = starts[chosen + 1] - starts[chosen]
+    new_starts = starts_of(lengths)
+    items = np.arange(new_starts[-1]) + np.repeat(starts[chosen] - new_starts[:-1], lengths)
+    return items, new_starts

@@ -1,0 +1,174 @@
+"""The one place where XML is parsed: streamed, bounded, and closed to everything but the file itself.
+
+A document type declaration is refused outright, so there are no entities, no external files and no
+network. One member of the city is in memory at a time.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import BinaryIO
+
+from lxml import etree
+
+from lodbench.citymodel.codes import UNDECLARED_PREFIX
+from lodbench.errors import CityModelError
+from lodbench.findings import Findings
+
+Element = etree._Element
+
+_CHUNK_BYTES = 1 << 16
+# One city object of this size would need about 1.3 GB as a tree; real ones stay below 50 MB.
+_MAX_MEMBER_BYTES = 1 << 28
+# Everything XML allows before the root element, up to a DOCTYPE. NUL bytes are removed before the
+# match, so that UTF-16 cannot hide it.
+_PROLOG_DOCTYPE = re.compile(
+    rb"\A(?:\xef\xbb\xbf|\xff\xfe|\xfe\xff)?(?:\s|<\?.*?\?>|<!--.*?-->)*<!DOCTYPE", re.DOTALL
+)
+_NAMESPACE_ERRORS = frozenset({"NS_ERR_UNDEFINED_NAMESPACE"})
+
+
+def local_name(tag: str) -> str:
+    """Returns a tag without its namespace.
+
+    Example:
+        >>> local_name("{http://www.opengis.net/gml}Polygon")
+        'Polygon'
+    """
+    return tag.rpartition("}")[2]
+
+
+def namespace_of(tag: str) -> str:
+    """Returns the namespace of a tag, or "" where it has none.
+
+    Example:
+        >>> namespace_of("{http://www.opengis.net/gml}Polygon")
+        'http://www.opengis.net/gml'
+    """
+    return tag[1:].partition("}")[0] if tag.startswith("{") else ""
+
+
+class XmlMembers:
+    """Iterates over the members of a document, each as a tree that is freed when the next is asked for.
+
+    A member is an element with one of the given local names that is a child of the root, or of a
+    ``CityModel`` below it. Memory does not grow with the file.
+
+    Args:
+        stream: The document's bytes.
+        source: Its name, for messages.
+        member_names: Local names of member elements.
+        findings: Receives ``UNDECLARED_PREFIX`` where a prefix is not declared; every other fault
+            of the XML is an error.
+
+    Attributes:
+        root: The root element, known once the first member is out or the iteration has ended.
+    """
+
+    def __init__(
+        self, stream: BinaryIO, source: str, member_names: tuple[str, ...], findings: Findings
+    ) -> None:
+        self.root: Element | None = None
+        self._stream = stream
+        self._source = source
+        self._findings = findings
+        self._offset = 0
+        self._parser = etree.XMLPullParser(
+            events=("end",),
+            tag=tuple("{*}" + name for name in member_names),
+            resolve_entities=False,
+            no_network=True,
+            load_dtd=False,
+            dtd_validation=False,
+            attribute_defaults=False,
+            remove_comments=True,
+            remove_pis=True,
+            collect_ids=False,
+            # Without it a single text of 10 MB is an error. The depth limit it raises is 2048, the
+            # entity limits stay, and _MAX_MEMBER_BYTES bounds what is held.
+            huge_tree=True,
+        )
+
+    def __iter__(self) -> Iterator[Element]:
+        """Yields the members.
+
+        Raises:
+            CityModelError: The XML is malformed, cut off, holds a DOCTYPE, or a member is too large.
+        """
+        pending = 0
+        while chunk := self._stream.read(_CHUNK_BYTES):
+            if self._offset == 0 and _PROLOG_DOCTYPE.match(chunk.replace(b"\0", b"")):
+                raise self._doctype_error()
+            self._offset += len(chunk)
+            pending += len(chunk)
+            self._feed(chunk)
+            for _, element in self._parser.read_events():
+                pending = 0
+                if self._is_member(element):
+                    yield element
+                    _release(element)
+            if pending > _MAX_MEMBER_BYTES:
+                raise CityModelError(
+                    f"{self._source}: one element of the XML is larger than {_MAX_MEMBER_BYTES >> 20} MiB "
+                    f"(near byte {self._offset})."
+                )
+        self._close()
+
+    def _is_member(self, element: Element) -> bool:
+        if self.root is None:
+            self._set_root(element.getroottree().getroot())
+        parent = element.getparent()
+        return parent is not None and (parent is self.root or local_name(parent.tag) == "CityModel")
+
+    def _set_root(self, root: Element) -> None:
+        # The prolog check above sees one chunk; this one sees any DOCTYPE at all.
+        if root.getroottree().docinfo.internalDTD is not None:
+            raise self._doctype_error()
+        self.root = root
+
+    def _feed(self, chunk: bytes) -> None:
+        try:
+            self._parser.feed(chunk)
+        except etree.XMLSyntaxError as error:
+            raise self._syntax_error(error) from None
+
+    def _close(self) -> None:
+        if self._offset == 0:
+            raise CityModelError(f"{self._source} is empty.", "Download or export the file again.")
+        try:
+            root = self._parser.close()
+        except etree.XMLSyntaxError as error:
+            log = [entry for entry in error.error_log if entry.type_name not in _NAMESPACE_ERRORS]
+            if log or self.root is None:
+                raise self._syntax_error(error) from None
+            for entry in error.error_log:
+                self._findings.add(UNDECLARED_PREFIX, "", f"line {entry.line}: {entry.message}")
+            return
+        if self.root is None:
+            self._set_root(root)
+
+    def _doctype_error(self) -> CityModelError:
+        return CityModelError(
+            f"{self._source}: the XML has a DOCTYPE declaration, which is refused.",
+            "City models need none: remove the declaration and any entity it defines.",
+        )
+
+    def _syntax_error(self, error: etree.XMLSyntaxError) -> CityModelError:
+        # The last entry that is no mere namespace slip is the one that stopped the parser.
+        fatal = [entry for entry in error.error_log if entry.type_name not in _NAMESPACE_ERRORS]
+        line, message = (fatal[-1].line, fatal[-1].message) if fatal else (error.lineno, str(error.msg))
+        where = f"line {line}, before byte {self._offset}"
+        hint = "The file is damaged or cut off: download or export it again."
+        if "encoding" in message.lower():
+            hint = "The bytes are not in the encoding the first line of the file names."
+        return CityModelError(f"{self._source} is not well-formed XML ({where}): {message.strip()}.", hint)
+
+
+def _release(element: Element) -> None:
+    """Frees a member and everything before it."""
+    parent = element.getparent()
+    element.clear()
+    if parent is not None:
+        while element.getprevious() is not None:
+            del parent[0]
