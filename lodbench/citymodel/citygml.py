@@ -23,9 +23,7 @@ from lodbench.findings import Findings
 _BATCH_CHARACTERS = 1 << 22
 
 
-def read_citygml(
-    open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True
-) -> RawCity:
+def read_citygml(open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True) -> RawCity:
     """Returns the buildings of a CityGML document in the coordinates of the file.
 
     Args:

@@ -21,11 +21,21 @@ def _code(number: int, name: str, severity: Severity, meaning: str) -> FindingCo
 
 _E, _W, _I = Severity.ERROR, Severity.WARNING, Severity.INFO
 
-RING_TOO_SHORT = _code(101, "RING_TOO_SHORT", _E, "A ring has fewer than three distinct points; it is dropped.")
-DUPLICATE_POINTS = _code(102, "DUPLICATE_POINTS", _W, "A ring repeats a point in a row; the repeats are removed.")
-RING_NOT_CLOSED = _code(103, "RING_NOT_CLOSED", _W, "The last point of a GML ring is not its first; it is closed.")
-ZERO_AREA = _code(104, "ZERO_AREA", _W, "A polygon has no area (its points lie on a line); it gets no triangles.")
-NOT_PLANAR = _code(105, "NOT_PLANAR", _W, "A polygon leaves its mean plane by more than 1 cm.")
+RING_TOO_SHORT = _code(
+    101, "RING_TOO_SHORT", _E, "A ring has fewer than three distinct points; it is dropped."
+)
+DUPLICATE_POINTS = _code(
+    102, "DUPLICATE_POINTS", _W, "A ring repeats a point in a row; the repeats are removed."
+)
+RING_NOT_CLOSED = _code(
+    103, "RING_NOT_CLOSED", _W, "The last point of a GML ring is not its first; it is closed."
+)
+ZERO_AREA = _code(
+    104, "ZERO_AREA", _W, "A polygon has no area (its points lie on a line); it gets no triangles."
+)
+NOT_PLANAR = _code(
+    105, "NOT_PLANAR", _W, "A polygon is bent by more than 1 cm, or enough to change its area by 1e-4."
+)
 AREA_MISMATCH = _code(
     106, "AREA_MISMATCH", _E, "The triangles of a polygon do not add up to its area (it crosses itself)."
 )

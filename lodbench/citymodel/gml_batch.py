@@ -92,8 +92,7 @@ def _settle_dimensions(
     unsure = undeclared[fits_2 & (counts[undeclared] >= 6)]
     first, last = starts[unsure], starts[unsure + 1]
     is_closed = [
-        np.all([values[first + k] == values[last - size + k] for k in range(size)], axis=0)
-        for size in (2, 3)
+        np.all([values[first + k] == values[last - size + k] for k in range(size)], axis=0) for size in (2, 3)
     ]
     unsure_fits_3 = counts[unsure] % 3 == 0
     dimensions[unsure[is_closed[0] & ~(is_closed[1] & unsure_fits_3)]] = 2

@@ -140,9 +140,7 @@ class LinkResolver:
     def _walk_once(self, element: Element, index: _MemberIndex, reference: Reference) -> None:
         walk = self._walk
         polygon = len(walk.batch.building)
-        walk.walk_geometry(
-            element, reference.building, reference.lod, reference.kind, walk.default_srs, 0
-        )
+        walk.walk_geometry(element, reference.building, reference.lod, reference.kind, walk.default_srs, 0)
         index.polygons[element] = polygon
         if reference.is_flipped:
             walk.batch.flipped.append(polygon)

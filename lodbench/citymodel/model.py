@@ -69,6 +69,7 @@ class CityModel:
         num_parts: Building parts met, over all buildings.
         lods: Names of the levels of detail present, ascending: ``("0", "1", "2.2")``.
         polygons: All polygons of all levels.
+        polygons_read: Per level, polygons in the file; those too short to be one are not kept.
         findings: What was wrong, changed or dropped while reading.
     """
 
@@ -81,4 +82,5 @@ class CityModel:
     num_parts: int
     lods: tuple[str, ...]
     polygons: Polygons
+    polygons_read: tuple[int, ...]
     findings: Findings

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.identity import number_rows, point_bits
 from lodbench.errors import CityModelError
 
 
@@ -90,24 +91,18 @@ def build_scene(
         raise CityModelError("The city model has coordinates that are not finite.")
     order = np.argsort(triangle_building, kind="stable")
     building = triangle_building[order].astype(np.int64)
-    corners = points.astype(np.float32)[triangles[order]] + np.float32(0)  # -0.0 becomes 0.0
-
-    # One key per (building, point): equal keys become one vertex, numbered by building first.
-    key = np.empty(corners.shape[:2], dtype=[("b", np.int64), ("x", "f4"), ("y", "f4"), ("z", "f4")])
-    key["b"] = building[:, None]
-    key["x"], key["y"], key["z"] = corners[..., 0], corners[..., 1], corners[..., 2]
-    unique, inverse = np.unique(key.reshape(-1), return_inverse=True)
-    indices = inverse.reshape(-1, 3)
+    corners = points.astype(np.float32)[triangles[order]].reshape(-1, 3) + np.float32(0)  # no -0.0
+    corner_building = np.repeat(building, 3)
+    numbers, first = number_rows([corner_building.astype(np.uint64), *point_bits(corners)])
+    indices = numbers.reshape(-1, 3)
     kept = (
-        (indices[:, 0] != indices[:, 1])
-        & (indices[:, 1] != indices[:, 2])
-        & (indices[:, 2] != indices[:, 0])
+        (indices[:, 0] != indices[:, 1]) & (indices[:, 1] != indices[:, 2]) & (indices[:, 2] != indices[:, 0])
     )
     bounds = np.arange(len(building_ids) + 1)
     return Scene(
-        vertices=np.stack([unique["x"], unique["y"], unique["z"]], axis=1),
+        vertices=corners[first],
         triangles=np.ascontiguousarray(indices[kept], dtype=np.int32),
-        vertex_starts=np.searchsorted(unique["b"], bounds).astype(np.int64),
+        vertex_starts=np.searchsorted(corner_building[first], bounds).astype(np.int64),
         triangle_starts=np.searchsorted(building[kept], bounds).astype(np.int64),
         building_ids=building_ids,
         lod=lod,

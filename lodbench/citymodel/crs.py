@@ -1,0 +1,186 @@
+"""Names of coordinate reference systems, as city models write them, to what pyproj knows.
+
+pyproj reads most names; the map here adds what it cannot read (the URNs of the German surveys) or
+reads otherwise than meant (``CH1903`` on projected Swiss coordinates).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from lodbench.errors import CityModelError
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+_ADV_HORIZONTAL = {
+    "ETRS89_UTM31": 25831,
+    "ETRS89_UTM32": 25832,
+    "ETRS89_UTM33": 25833,
+    "DE_DHDN_3GK2": 31466,
+    "DE_DHDN_3GK3": 31467,
+    "DE_DHDN_3GK4": 31468,
+    "DE_DHDN_3GK5": 31469,
+    "DE_42-83_3GK4": 2398,
+    "DE_42-83_3GK5": 2399,
+}
+_ADV_VERTICAL = {
+    "DE_DHHN2016_NH": 7837,
+    "DE_DHHN92_NH": 5783,
+    "DE_DHHN85_NOH": 5784,
+    "DE_DHHN12_NOH": 7699,
+    "DE_DHN92_NH": 5783,  # a misspelling found in deliveries
+    "DE_HN76_NH": 5785,
+    "DE_SNN76_NH": 5785,
+}
+_SWISS = {
+    "CH1903": "EPSG:21781+5728",
+    "CH1903/LV03": "EPSG:21781+5728",
+    "LV03": "EPSG:21781+5728",
+    "CH1903+": "EPSG:2056+5728",
+    "CH1903+/LV95": "EPSG:2056+5728",
+    "LV95": "EPSG:2056+5728",
+}
+# EPSG:25832, urn:ogc:def:crs:EPSG::7415, urn:...crs:EPSG:6.12:25833, .../def/crs/EPSG/0/6697,
+# .../gml/srs/epsg.xml#4326
+_EPSG_CODE = re.compile(r"EPSG(?:/[\w.]+/|:[\w.]*:|:|\.xml#)(\d{4,6})(?!\d)", re.IGNORECASE)
+_COMPOUND_EPSG = re.compile(r"EPSG:(\d{4,6})\+(\d{4,6})", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class KnownCrs:
+    """A reference system taken apart.
+
+    Attributes:
+        label: Name pyproj understands, vertical part included: ``"EPSG:25832+7837"``.
+        horizontal: The two-dimensional part.
+        vertical_code: EPSG code of the vertical part, or None.
+        vertical_to_m: Metres per unit of height.
+        is_mapped: Whether lodbench's own map was needed to read the name.
+    """
+
+    label: str
+    horizontal: CRS
+    vertical_code: int | None
+    vertical_to_m: float
+    is_mapped: bool
+
+
+def crs_label(name: str) -> tuple[str, bool]:
+    """Returns the name to ask pyproj for, and whether lodbench's own map was needed.
+
+    Example:
+        >>> crs_label("urn:adv:crs:ETRS89_UTM32*DE_DHHN2016_NH*GCG2016")
+        ('EPSG:25832+7837', True)
+        >>> crs_label("http://www.opengis.net/def/crs/EPSG/0/6697")
+        ('EPSG:6697', False)
+    """
+    text = name.strip()
+    swiss = _SWISS.get(re.sub(r"[\s_]+", "", text).upper().replace("CH1903+LV", "CH1903+/LV"))
+    if swiss is not None:
+        return swiss, True
+    if text.lower().startswith("urn:adv:crs:"):
+        parts = text[len("urn:adv:crs:") :].split("*")
+        codes = [_ADV_HORIZONTAL.get(part) or _ADV_VERTICAL.get(part) for part in parts]
+        known = [str(code) for code in codes if code is not None]
+        if known and parts[0] in _ADV_HORIZONTAL:
+            return "EPSG:" + "+".join(known[:2]), True
+        return text, False
+    compound = _COMPOUND_EPSG.fullmatch(text)
+    codes_found = list(compound.groups()) if compound else _EPSG_CODE.findall(text)
+    if codes_found:
+        return "EPSG:" + "+".join(codes_found[:2]), False
+    return text, False
+
+
+@lru_cache(maxsize=64)
+def resolve_crs(name: str) -> KnownCrs | None:
+    """Returns the reference system a name stands for, or None when nobody knows it."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    label, is_mapped = crs_label(name)
+    try:
+        crs = CRS.from_user_input(label)
+    except CRSError:
+        return None
+    vertical_code, vertical_to_m = None, 1.0
+    horizontal = crs
+    for part in crs.sub_crs_list:
+        if part.is_vertical:
+            vertical_code, vertical_to_m = part.to_epsg(), part.axis_info[0].unit_conversion_factor
+        elif part.is_geographic or part.is_projected:
+            horizontal = part
+    if not crs.sub_crs_list and len(crs.axis_info) == 3:
+        horizontal = crs.to_2d()
+        vertical_to_m = crs.axis_info[2].unit_conversion_factor
+    if not (horizontal.is_geographic or horizontal.is_projected):
+        return None
+    return KnownCrs(label, horizontal, vertical_code, vertical_to_m, is_mapped)
+
+
+def require_crs(name: str) -> KnownCrs:
+    """Returns the reference system a user asked for.
+
+    Raises:
+        CityModelError: Nobody knows the name, or it is no horizontal reference system.
+    """
+    known = resolve_crs(name)
+    if known is None:
+        raise CityModelError(
+            f"Unknown coordinate reference system {name!r}.", "Write it as EPSG:25832 or EPSG:25832+7837."
+        )
+    return known
+
+
+def metric_crs(known: KnownCrs, longitude_deg: float, latitude_deg: float) -> str:
+    """Returns the metric system for a place: Japan's plane zones for Japanese data, else UTM.
+
+    The UTM zone is in the datum of the data where EPSG has one (ETRS89, NAD83), else in WGS 84.
+
+    Args:
+        known: The system the coordinates are in; geographic, or projected in feet.
+        longitude_deg: Of the middle of the data.
+        latitude_deg: Likewise.
+
+    Returns:
+        A label with the vertical part of ``known``.
+    """
+    datum = known.horizontal.geodetic_crs.name if known.horizontal.geodetic_crs is not None else ""
+    zone = int((longitude_deg + 180.0) // 6.0) % 60 + 1
+    code = (32600 if latitude_deg >= 0 else 32700) + zone
+    if datum.startswith("JGD"):
+        code = _japan_zone(longitude_deg, latitude_deg, 6669 if datum == "JGD2011" else 2443)
+    elif datum.startswith("ETRS89") and 28 <= zone <= 38:
+        code = 25800 + zone
+    elif datum == "NAD83" and 1 <= zone <= 23:
+        code = 26900 + zone
+    return f"EPSG:{code}" + (f"+{known.vertical_code}" if known.vertical_code else "")
+
+
+def _japan_zone(longitude_deg: float, latitude_deg: float, first_code: int) -> int:
+    """Returns the EPSG code of the plane zone around a place: the one whose origin is nearest.
+
+    Zones follow prefectures; their bounding boxes overlap, and among those that hold the place the
+    nearest central meridian is the better guess (and the smaller scale error in any case).
+    """
+    from pyproj import CRS
+
+    def distance(code: int) -> tuple[bool, float]:
+        crs = CRS.from_epsg(code)
+        area = crs.area_of_use
+        is_outside = area is None or not (
+            area.west <= longitude_deg <= area.east and area.south <= latitude_deg <= area.north
+        )
+        parameters = crs.to_dict() if crs.coordinate_operation is None else {}
+        meridian = parameters.get("lon_0", 0.0)
+        if crs.coordinate_operation is not None:
+            meridian = next(
+                p.value for p in crs.coordinate_operation.params if p.name.startswith("Longitude of natural")
+            )
+        return is_outside, abs(longitude_deg - float(meridian))
+
+    return min(range(first_code, first_code + 19), key=distance)

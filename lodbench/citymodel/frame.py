@@ -1,0 +1,195 @@
+"""From the coordinates of a file to metres, east and north: axis order, plausibility, projection.
+
+The declared axis order counts, and so does where the coordinates would lie: many files store east
+first whatever their reference system says. What is decided against the declaration is a finding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import (
+    AXES_AMBIGUOUS,
+    AXES_SWAPPED,
+    CRS_IMPLAUSIBLE,
+    CRS_MAPPED,
+    CRS_MISSING,
+    CRS_PROJECTED,
+    CRS_UNKNOWN,
+)
+from lodbench.citymodel.crs import KnownCrs, metric_crs, require_crs, resolve_crs
+from lodbench.errors import CityModelError
+from lodbench.findings import Findings
+
+# Areas of use are bounding boxes of countries and zones; tiles at their rim reach a little out.
+_AREA_MARGIN_DEG = 0.5
+# No town lies further south or north; it tells latitudes from longitudes where the area is the world.
+_INHABITED_LATITUDES_DEG = (-56.0, 80.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """One reading of the first two columns, and whether it puts the data where it should be."""
+
+    is_north_first: bool
+    is_plausible: bool
+    longitude_deg: float
+    latitude_deg: float
+
+
+def to_metres(
+    points: NDArray[np.float64], srs_name: str | None, override: str | None, findings: Findings
+) -> tuple[NDArray[np.float64], str | None]:
+    """Returns points as east, north, up in metres, and the label of their reference system.
+
+    Args:
+        points: (P, 3) float64 with the columns of the file.
+        srs_name: What the file declares, or None.
+        override: What the user says instead, or None.
+        findings: Receives every decision that the declaration alone does not settle.
+
+    Returns:
+        points: (P, 3) float64, metres.
+        label: Name pyproj understands, or None where the system is unknown.
+
+    Raises:
+        CityModelError: ``override`` is unknown, or the coordinates are degrees of an unknown system.
+    """
+    known = require_crs(override) if override is not None else None
+    if known is None and srs_name is not None:
+        known = resolve_crs(srs_name)
+    if known is None:
+        return _without_crs(points, srs_name, findings), None
+    if known.is_mapped and known.label.startswith("EPSG:21781") and np.median(points[:, 0]) > 2e6:
+        known = require_crs(known.label.replace("21781", "2056"))  # "CH1903" on LV95 coordinates
+    if known.is_mapped or known.label.startswith("EPSG:2056+"):
+        findings.add(CRS_MAPPED, "", f"{srs_name or override} read as {known.label}")
+    if len(points) == 0:
+        return points, known.label
+    points = _strip_zone_prefix(points, known, findings)
+    order = _settle_order(points, known, findings)
+    first, second = (1, 0) if order.is_north_first else (0, 1)
+    east_north_up = np.stack([points[:, first], points[:, second], points[:, 2]], axis=1)
+    if known.horizontal.is_projected and known.horizontal.axis_info[0].unit_conversion_factor == 1.0:
+        east_north_up[:, 2] *= known.vertical_to_m
+        return east_north_up, known.label
+    return _project(east_north_up, known, order, findings)
+
+
+def _without_crs(
+    points: NDArray[np.float64], srs_name: str | None, findings: Findings
+) -> NDArray[np.float64]:
+    if srs_name is None:
+        findings.add(CRS_MISSING, "", "")
+    else:
+        findings.add(CRS_UNKNOWN, "", srs_name)
+    if len(points):
+        low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+        # A town in degrees: small numbers, a tiny extent, and not around the origin.
+        is_degrees = np.all(np.abs(points[:, :2]).max(axis=0) <= 180.0) and np.all(high - low < 1.0)
+        if is_degrees and np.abs(low).max() > 5.0:
+            raise CityModelError(
+                "The coordinates look like degrees, but the file names no reference system that is known.",
+                "Name it with crs=EPSG:4979, for example.",
+            )
+    return points
+
+
+def _strip_zone_prefix(
+    points: NDArray[np.float64], known: KnownCrs, findings: Findings
+) -> NDArray[np.float64]:
+    """Removes the zone number that some German deliveries write before the easting (32 512 345)."""
+    zone = known.horizontal.utm_zone
+    if zone is None:
+        return points
+    prefix = float(zone[:-1]) * 1e6
+    column = int(np.argmax(np.median(points[:, :2], axis=0)))
+    if not prefix <= np.median(points[:, column]) < prefix + 1e6:
+        return points
+    findings.add(CRS_MAPPED, "", f"the eastings begin with the zone number {zone[:-1]}; it is removed")
+    points = points.copy()
+    points[:, column] -= prefix
+    return points
+
+
+def _settle_order(points: NDArray[np.float64], known: KnownCrs, findings: Findings) -> _Order:
+    """Returns how to read the first two columns."""
+    axes = [axis.direction.lower() for axis in known.horizontal.axis_info[:2]]
+    is_declared_north_first = axes[0].startswith("north") or axes[0] == "south"
+    middle = np.median(points[:, :2], axis=0)
+    declared = _try_order(middle, known, is_declared_north_first)
+    swapped = _try_order(middle, known, not is_declared_north_first)
+    if declared.is_plausible and not swapped.is_plausible:
+        return declared
+    if swapped.is_plausible and not declared.is_plausible:
+        findings.add(
+            AXES_SWAPPED, "", f"{known.label}: {'north' if swapped.is_north_first else 'east'} first"
+        )
+        return swapped
+    if not declared.is_plausible:
+        findings.add(
+            CRS_IMPLAUSIBLE,
+            "",
+            f"{known.label}: the middle ({middle[0]:.6g}, {middle[1]:.6g}) lies outside its area of use",
+        )
+        if known.horizontal.is_geographic and np.abs(middle).max() > 360.0:
+            raise CityModelError(
+                f"The coordinates are no degrees, although {known.label} says so.",
+                "Name the right reference system with crs=EPSG:...",
+            )
+        # Files of projected systems store east first more often than not.
+        return swapped if known.horizontal.is_projected and is_declared_north_first else declared
+    if known.horizontal.is_projected and is_declared_north_first:
+        findings.add(
+            AXES_AMBIGUOUS, "", f"{known.label} declares north first; taken as east first, as is usual"
+        )
+        return swapped
+    return declared
+
+
+def _try_order(middle: NDArray[np.float64], known: KnownCrs, is_north_first: bool) -> _Order:
+    east, north = (middle[1], middle[0]) if is_north_first else (middle[0], middle[1])
+    longitude, latitude = float(east), float(north)
+    if known.horizontal.is_projected:
+        from pyproj import Proj
+
+        longitude, latitude = Proj(known.horizontal)(east, north, inverse=True)
+    area = known.horizontal.area_of_use
+    low, high = _INHABITED_LATITUDES_DEG
+    is_plausible = bool(np.isfinite(longitude) and np.isfinite(latitude)) and low <= latitude <= high
+    is_plausible = is_plausible and -180.0 <= longitude <= 180.0
+    if area is not None and is_plausible:
+        is_plausible = (
+            area.south - _AREA_MARGIN_DEG <= latitude <= area.north + _AREA_MARGIN_DEG
+            and _longitude_within(longitude, area.west, area.east)
+        )
+    return _Order(is_north_first, is_plausible, longitude, latitude)
+
+
+def _longitude_within(longitude_deg: float, west_deg: float, east_deg: float) -> bool:
+    width = (east_deg - west_deg) % 360.0 or 360.0
+    return (longitude_deg - west_deg + _AREA_MARGIN_DEG) % 360.0 <= width + 2 * _AREA_MARGIN_DEG
+
+
+def _project(
+    east_north_up: NDArray[np.float64], known: KnownCrs, order: _Order, findings: Findings
+) -> tuple[NDArray[np.float64], str]:
+    """Projects degrees or feet to a metric system around the middle of the data; heights stay."""
+    from pyproj import Transformer
+
+    label = metric_crs(known, order.longitude_deg, order.latitude_deg)
+    target = require_crs(label).horizontal
+    transformer = Transformer.from_crs(known.horizontal, target, always_xy=True)
+    east, north = transformer.transform(east_north_up[:, 0], east_north_up[:, 1])
+    if not (np.isfinite(east).all() and np.isfinite(north).all()):
+        raise CityModelError(f"Some coordinates cannot be projected from {known.label} to {label}.")
+    height_to_m = known.vertical_to_m
+    detail = f"from {known.label} to {label}"
+    if known.vertical_code is None and known.horizontal.is_projected:
+        height_to_m = known.horizontal.axis_info[0].unit_conversion_factor
+        detail += ", heights taken in the unit of the plane"
+    findings.add(CRS_PROJECTED, "", detail)
+    return np.stack([east, north, east_north_up[:, 2] * height_to_m], axis=1), label

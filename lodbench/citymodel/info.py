@@ -1,0 +1,52 @@
+"""What a city model holds, in numbers: the data behind ``lodbench city info``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.model import CityModel
+from lodbench.errors import CityModelError
+
+
+def city_info(model: CityModel) -> dict[str, Any]:
+    """Returns a summary made of plain values, ready for JSON.
+
+    Args:
+        model: The city as read.
+
+    Returns:
+        ``format, version, crs, buildings, parts, extent_m`` (x, y, z lengths), ``lods``: level name
+        to ``polygons`` (as in the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2``
+        and ``lost_m2``; and ``findings``: code and name to count, meshing included.
+    """
+    points = model.polygons.points
+    extent = np.ptp(points, axis=0) if len(points) else np.zeros(3)
+    counts = Counter(model.findings.counts())
+    lods: dict[str, dict[str, float]] = {}
+    for name, num_read in zip(model.lods, model.polygons_read, strict=True):
+        row: dict[str, float] = {"polygons": num_read, "triangles": 0, "area_m2": 0.0}
+        try:
+            mesh = mesh_model(model, name)
+        except CityModelError:
+            pass  # every polygon of the level is degenerate; the findings say so
+        else:
+            counts.update(mesh.findings.counts())
+            row["triangles"] = len(mesh.scene.triangles)
+            row["area_m2"] = round(mesh.area_m2, 3)
+            row["meshed_m2"] = round(mesh.meshed_m2, 3)
+            row["lost_m2"] = round(mesh.lost_m2, 3)
+        lods[name] = row
+    return {
+        "format": model.format,
+        "version": model.version,
+        "crs": model.crs,
+        "buildings": len(model.building_ids),
+        "parts": model.num_parts,
+        "extent_m": [round(float(length), 3) for length in extent],
+        "lods": lods,
+        "findings": dict(sorted(counts.items())),
+    }

@@ -1,0 +1,94 @@
+"""Meshing: one level of detail of a city model as a scene, with an account of every square metre."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from lodbench.citymodel.codes import INTERIOR_SKIPPED, LOD_ABSENT
+from lodbench.citymodel.lods import choose_lod
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.scene import Scene, build_scene
+from lodbench.citymodel.triangulate import Triangulation, select_polygons, triangulate
+from lodbench.errors import CityModelError
+from lodbench.findings import Findings
+
+
+@dataclass(frozen=True, slots=True)
+class CityMesh:
+    """A scene and what became of the model's area on the way to it.
+
+    Attributes:
+        scene: Triangles, ready for the renderers.
+        num_polygons: Polygons meshed.
+        area_m2: Their Newell area.
+        meshed_m2: Area of their triangles; larger where polygons are bent.
+        lost_m2: Area no triangle covers.
+        findings: What was met while meshing; the model's own findings are not repeated.
+    """
+
+    scene: Scene
+    num_polygons: int
+    area_m2: float
+    meshed_m2: float
+    lost_m2: float
+    findings: Findings
+
+
+def mesh_model(model: CityModel, lod: str | None = None) -> CityMesh:
+    """Returns the mesh of one level of detail, with its areas and findings.
+
+    Args:
+        model: The city as read.
+        lod: Level name, or None for the lowest that has walls (see ``choose_lod``).
+
+    Raises:
+        CityModelError: The level is absent, or holds no surface.
+    """
+    findings = Findings()
+    name = choose_lod(model.lods, lod, findings)
+    polygons = model.polygons
+    at_level = polygons.lod == model.lods.index(name)
+    is_interior = polygons.kind == SurfaceKind.INTERIOR
+    for building, count in sorted(Counter(polygons.building[at_level & is_interior].tolist()).items()):
+        findings.add(INTERIOR_SKIPPED, model.building_ids[building], f"{count} polygons")
+    chosen = select_polygons(polygons, np.flatnonzero(at_level & ~is_interior))
+    for building in np.setdiff1d(np.arange(len(model.building_ids)), chosen.building):
+        findings.add(LOD_ABSENT, model.building_ids[building], f"no LoD{name}")
+    result: Triangulation = triangulate(chosen, model.building_ids, findings)
+    if len(result.triangles) == 0:
+        raise CityModelError(
+            f"{model.source} has no surface to mesh at level of detail {name}.", "Try lodbench city check."
+        )
+    scene = build_scene(
+        chosen.points,
+        result.triangles,
+        chosen.building[result.polygon],
+        model.building_ids,
+        lod=name,
+        crs=model.crs,
+        origin=model.origin,
+    )
+    return CityMesh(
+        scene=scene,
+        num_polygons=len(chosen),
+        area_m2=float(result.area_m2.sum()),
+        meshed_m2=float(result.meshed_m2.sum()),
+        lost_m2=result.lost_m2,
+        findings=findings,
+    )
+
+
+def mesh_city(model: CityModel, lod: str | None = None) -> Scene:
+    """Returns one level of detail of a city as a scene; see ``mesh_model`` for the account of it.
+
+    Args:
+        model: The city as read.
+        lod: Level name (``"1"``, ``"2.2"``), or None for the lowest that has walls.
+
+    Raises:
+        CityModelError: The level is absent, or holds no surface.
+    """
+    return mesh_model(model, lod).scene

@@ -1,0 +1,242 @@
+"""Polygons to triangles: vectorised for three and four corners, earcut for the rest, area checked.
+
+Every polygon is seen along the main axis of its Newell normal, from an origin of its own, in
+float64. The areas of its triangles must add up to its Newell area; where they do not, the polygon
+is not planar or crosses itself, and a finding gives both areas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import AREA_MISMATCH, NOT_PLANAR, ZERO_AREA
+from lodbench.citymodel.model import Polygons
+from lodbench.citymodel.raw import take_segments
+from lodbench.findings import Findings
+
+PLANAR_TOLERANCE_M = 0.01  # what surveys promise for a planar face; 3D city validators use the same
+AREA_TOLERANCE = 1e-4  # relative
+# Below this a surface is invisible at any distance a drone keeps, and relative areas mean nothing.
+_MIN_AREA_M2 = 1e-6
+
+# For a normal whose largest component is x, y or z: the two columns that keep its orientation.
+_PLANE_COLUMNS = np.array([[1, 2], [2, 0], [0, 1]])
+
+
+@dataclass(frozen=True, slots=True)
+class Triangulation:
+    """Triangles of polygons, and what became of each polygon's area.
+
+    Attributes:
+        triangles: (T, 3) int64 indices into the polygons' points.
+        polygon: (T,) int64 polygon of each triangle, ascending.
+        area_m2: (N,) Newell area, holes taken off.
+        meshed_m2: (N,) summed area of the triangles.
+        covered_m2: (N,) the same, seen along the polygon's normal: what the triangles cover of it.
+        deviation_m: (N,) largest distance of a corner from the mean plane.
+    """
+
+    triangles: NDArray[np.int64]
+    polygon: NDArray[np.int64]
+    area_m2: NDArray[np.float64]
+    meshed_m2: NDArray[np.float64]
+    covered_m2: NDArray[np.float64]
+    deviation_m: NDArray[np.float64]
+
+    @property
+    def lost_m2(self) -> float:
+        """Area the triangles do not cover, over all polygons that come out smaller than they are."""
+        return float(np.maximum(self.area_m2 - self.covered_m2, 0.0).sum())
+
+
+def triangulate(polygons: Polygons, building_ids: tuple[str, ...], findings: Findings) -> Triangulation:
+    """Returns the triangles of all polygons, oriented as the polygons are.
+
+    Args:
+        polygons: Clean polygons: finite points, rings of three points or more.
+        building_ids: For the findings.
+        findings: Receives ``ZERO_AREA``, ``NOT_PLANAR`` and ``AREA_MISMATCH``.
+    """
+    normals, areas = newell(polygons)
+    local = _local_points(polygons)
+    axis = np.argmax(np.abs(normals), axis=1)
+    point_counts = _points_per_polygon(polygons)
+    has_holes = np.diff(polygons.polygon_starts) > 1
+    is_flat = areas < _MIN_AREA_M2
+    plane = _project(polygons, local, normals, axis, point_counts)
+
+    simple = ~has_holes & ~is_flat
+    threes = np.flatnonzero(simple & (point_counts == 3))
+    fours = np.flatnonzero(simple & (point_counts == 4))
+    first = polygons.ring_starts[polygons.polygon_starts[:-1]]
+    four_triangles, is_crossed = _split_quads(plane, first[fours])
+    rest = np.concatenate([np.flatnonzero(~is_flat & (has_holes | (point_counts > 4))), fours[is_crossed]])
+    ear_triangles, ear_counts = _cut_ears(polygons, plane, np.sort(rest))
+    triangles = np.concatenate(
+        [first[threes][:, None] + np.arange(3), four_triangles[~is_crossed].reshape(-1, 3), ear_triangles]
+    )
+    owner = np.concatenate([threes, np.repeat(fours[~is_crossed], 2), np.repeat(np.sort(rest), ear_counts)])
+    order = np.argsort(owner, kind="stable")
+    triangles, owner = triangles[order], owner[order]
+    unit = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    vectors = _triangle_vectors(local, triangles)
+    covered = np.abs(np.einsum("ij,ij->i", vectors, unit[owner]))
+    result = Triangulation(
+        triangles,
+        owner,
+        area_m2=areas,
+        meshed_m2=np.bincount(owner, np.linalg.norm(vectors, axis=1), minlength=len(polygons)),
+        covered_m2=np.bincount(owner, covered, minlength=len(polygons)),
+        deviation_m=_deviation(polygons, local, unit, point_counts),
+    )
+    _report(result, polygons, building_ids, findings)
+    return result
+
+
+def newell(polygons: Polygons) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns the outlines' Newell vectors (N, 3), of twice their area, and the areas less holes (N,)."""
+    points, starts = polygons.points, polygons.ring_starts
+    lengths = np.diff(starts)
+    if len(lengths) == 0:
+        return np.zeros((0, 3)), np.zeros(0)
+    relative = points - np.repeat(points[starts[:-1]], lengths, axis=0)
+    following = np.concatenate([relative[1:], relative[:1]])
+    following[starts[1:] - 1] = 0.0  # the first point of each ring, relative to itself
+    ring_vectors = np.add.reduceat(np.cross(relative, following), starts[:-1], axis=0)
+    ring_areas = 0.5 * np.linalg.norm(ring_vectors, axis=1)
+    outlines = polygons.polygon_starts[:-1]
+    total = np.add.reduceat(ring_areas, outlines)
+    return ring_vectors[outlines], np.maximum(2.0 * ring_areas[outlines] - total, 0.0)
+
+
+def _points_per_polygon(polygons: Polygons) -> NDArray[np.int64]:
+    return np.diff(polygons.ring_starts[polygons.polygon_starts])
+
+
+def _local_points(polygons: Polygons) -> NDArray[np.float64]:
+    """Returns the points with each polygon's first point as its origin."""
+    first = polygons.ring_starts[polygons.polygon_starts[:-1]]
+    return polygons.points - np.repeat(polygons.points[first], _points_per_polygon(polygons), axis=0)
+
+
+def _project(
+    polygons: Polygons,
+    local: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    axis: NDArray[np.int64],
+    point_counts: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Returns (P, 2) points along each polygon's main axis, outlines counter-clockwise."""
+    columns = _PLANE_COLUMNS[axis]
+    is_negative = np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] < 0
+    columns[is_negative] = columns[is_negative][:, ::-1]
+    return np.take_along_axis(local, np.repeat(columns, point_counts, axis=0), axis=1)
+
+
+def _turn(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns twice the signed areas of plane triangles, each corner (N, 2)."""
+    first, second = b - a, c - a
+    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+
+
+def _split_quads(
+    plane: NDArray[np.float64], first: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Returns (Q, 2, 3) triangles of quadrilaterals, and which of them cross themselves.
+
+    A diagonal lies inside when it leaves two triangles of positive area. Where both do, the one
+    with the larger smaller triangle is taken, so that a corner on a straight edge costs no sliver.
+    """
+    a, b, c, d = (plane[first + i] for i in range(4))
+    by_ac = np.minimum(_turn(a, b, c), _turn(a, c, d))
+    by_bd = np.minimum(_turn(a, b, d), _turn(b, c, d))
+    # Slightly concave by rounding is not crossed: earcut decides those that are clearly neither.
+    is_crossed = np.maximum(by_ac, by_bd) < 0
+    offsets = np.where((by_ac >= by_bd)[:, None, None], [[[0, 1, 2], [0, 2, 3]]], [[[0, 1, 3], [1, 2, 3]]])
+    return first[:, None, None] + offsets, is_crossed
+
+
+def _cut_ears(
+    polygons: Polygons, plane: NDArray[np.float64], chosen: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the triangles of the chosen polygons in a row, and how many each has."""
+    if len(chosen) == 0:
+        return np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
+    import mapbox_earcut
+
+    earcut = mapbox_earcut.triangulate_float64
+    ring_starts = polygons.ring_starts
+    first_ring = polygons.polygon_starts[chosen].tolist()
+    end_ring = polygons.polygon_starts[chosen + 1].tolist()
+    pieces, counts = [], []
+    for begin, end in zip(first_ring, end_ring, strict=True):
+        offset = ring_starts[begin]
+        ends = (ring_starts[begin + 1 : end + 1] - offset).astype(np.uint32)
+        corners = earcut(plane[offset : ring_starts[end]], ends)
+        pieces.append(corners.astype(np.int64) + offset)
+        counts.append(len(corners) // 3)
+    return np.concatenate(pieces).reshape(-1, 3), np.asarray(counts, np.int64)
+
+
+def _triangle_vectors(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Returns (T, 3) normals as long as the triangles' areas."""
+    corners = points[triangles]
+    return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def _deviation(
+    polygons: Polygons,
+    local: NDArray[np.float64],
+    unit: NDArray[np.float64],
+    point_counts: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Returns each polygon's largest corner distance from the plane through its mean point, metres."""
+    if len(polygons) == 0:
+        return np.zeros(0)
+    height = np.einsum("ij,ij->i", local, np.repeat(unit, point_counts, axis=0))
+    first = polygons.ring_starts[polygons.polygon_starts[:-1]]
+    mean = np.add.reduceat(height, first) / point_counts
+    return np.maximum.reduceat(np.abs(height - np.repeat(mean, point_counts)), first)
+
+
+def _report(
+    result: Triangulation, polygons: Polygons, building_ids: tuple[str, ...], findings: Findings
+) -> None:
+    is_flat = result.area_m2 < _MIN_AREA_M2
+    tolerance = AREA_TOLERANCE * result.area_m2
+    is_off = ~is_flat & (np.abs(result.covered_m2 - result.area_m2) > tolerance + _MIN_AREA_M2)
+    # A narrow polygon can be planar to a millimetre and still gain 1e-4 of its area by its bends.
+    is_bent = (
+        ~is_flat
+        & ~is_off
+        & (
+            (result.deviation_m > PLANAR_TOLERANCE_M)
+            | (np.abs(result.meshed_m2 - result.area_m2) > tolerance)
+        )
+    )
+    for code, is_met in ((ZERO_AREA, is_flat), (NOT_PLANAR, is_bent), (AREA_MISMATCH, is_off)):
+        for polygon in np.flatnonzero(is_met):
+            detail = (
+                f"polygon {polygon}: {result.deviation_m[polygon]:.3f} m off its plane, "
+                f"area {result.area_m2[polygon]:.4f} m2, triangles {result.meshed_m2[polygon]:.4f} m2"
+            )
+            findings.add(code, building_ids[polygons.building[polygon]], detail)
+
+
+def select_polygons(polygons: Polygons, chosen: NDArray[np.int64]) -> Polygons:
+    """Returns some of the polygons, in the order given."""
+    if len(chosen) == len(polygons):
+        return polygons
+    rings, polygon_starts = take_segments(polygons.polygon_starts, chosen)
+    points, ring_starts = take_segments(polygons.ring_starts, rings)
+    return Polygons(
+        points=polygons.points[points],
+        ring_starts=ring_starts,
+        polygon_starts=polygon_starts,
+        building=polygons.building[chosen],
+        lod=polygons.lod[chosen],
+        kind=polygons.kind[chosen],
+    )
