@@ -1,0 +1,81 @@
+"""Bit-packed masks: 64 pixels to a word, rows padded to whole words, lowest bit leftmost."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+Words = NDArray[np.uint64]
+
+
+@intrinsic  # type: ignore[misc]
+def popcount(_context: Any, word: Any) -> Any:
+    """Returns the number of set bits of a uint64 (the CPU's own instruction)."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        count = builder.module.declare_intrinsic("llvm.ctpop", [ir.IntType(64)])
+        return builder.call(count, args)
+
+    return types.uint64(types.uint64), generate
+
+
+def words_per_row(width: int) -> int:
+    """Returns how many 64-bit words hold a row of ``width`` pixels."""
+    return (width + 63) // 64
+
+
+def pack_mask(mask: NDArray[np.bool_]) -> Words:
+    """Returns the (H, ceil(W / 64)) uint64 words of a (H, W) mask; padding bits are 0."""
+    height, width = mask.shape
+    padded = np.zeros((height, words_per_row(width) * 64), dtype=np.uint8)
+    padded[:, :width] = mask
+    return np.packbits(padded, axis=1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
+
+
+def unpack_mask(words: Words, width: int) -> NDArray[np.bool_]:
+    """Returns the (H, W) mask of (H, ceil(W / 64)) words."""
+    octets = np.ascontiguousarray(words, dtype="<u8").view(np.uint8)
+    return np.unpackbits(octets, axis=1, bitorder="little")[:, :width].astype(np.bool_)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def fill_span(words, row, start, stop):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Sets the bits of columns start <= i < stop in one row (start < stop, both within the row)."""
+    ones = np.uint64(0xFFFFFFFFFFFFFFFF)
+    first, last = start >> 6, (stop - 1) >> 6
+    head = ones << np.uint64(start & 63)
+    tail = ones >> np.uint64(63 - ((stop - 1) & 63))
+    if first == last:
+        words[row, first] |= head & tail
+    else:
+        words[row, first] |= head
+        for word in range(first + 1, last):
+            words[row, word] = ones
+        words[row, last] |= tail
+
+
+@njit(cache=True, nogil=True)
+def count_bits(words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the number of set bits in an array of words."""
+    total = np.uint64(0)
+    flat = words.reshape(-1)
+    for i in range(flat.size):
+        total += popcount(flat[i])
+    return np.int64(total)
+
+
+@njit(cache=True, nogil=True)
+def intersect_and_clear(words, query):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns (set bits in both, set bits in ``words``) and clears ``words`` for the next view."""
+    both, mine = np.uint64(0), np.uint64(0)
+    a, b = words.reshape(-1), query.reshape(-1)
+    for i in range(a.size):
+        both += popcount(a[i] & b[i])
+        mine += popcount(a[i])
+        a[i] = np.uint64(0)
+    return np.int64(both), np.int64(mine)

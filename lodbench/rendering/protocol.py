@@ -1,0 +1,54 @@
+"""What a renderer is to the rest of lodbench."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.geometry import Camera, Pose
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IouCounts:
+    """Pixel counts of N hypotheses against one query mask; exact integers, so ties are ties.
+
+    Attributes:
+        intersection: (N,) int64 pixels in both.
+        union: (N,) int64 pixels in either.
+    """
+
+    intersection: NDArray[np.int64]
+    union: NDArray[np.int64]
+
+    def iou(self) -> Floats:
+        """Returns (N,) intersection over union in [0, 1]; an empty union scores 0 (paper equation 2).
+
+        Two different fractions of counts below 2**26 pixels never round to the same float64, so
+        comparing these numbers is comparing the fractions.
+        """
+        return np.where(self.union > 0, self.intersection / np.maximum(self.union, 1), 0.0)
+
+
+class Renderer(Protocol):
+    """Draws building silhouettes of one scene."""
+
+    name: str
+    scene: Scene
+
+    def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
+        """Returns the (H, W) silhouette seen from a pose."""
+        ...
+
+
+class Scorer(Renderer, Protocol):
+    """A renderer that also compares many hypotheses with a query mask."""
+
+    def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
+        """Counts how N hypotheses, (N, 3, 3) rotations and (N, 3) centres, overlap an (H, W) mask."""
+        ...

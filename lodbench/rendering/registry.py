@@ -1,0 +1,77 @@
+"""Renderers by name, imported when first asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import ConfigError, nearest_names
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering.protocol import Floats, IouCounts, Renderer, Scorer
+
+
+def _silhouette(scene: Scene, threads: int | None) -> Renderer:
+    from lodbench.rendering.silhouette import SilhouetteRenderer
+
+    return SilhouetteRenderer(scene, threads)
+
+
+def _reference(scene: Scene, threads: int | None) -> Renderer:
+    from lodbench.rendering.reference import ReferenceRenderer
+
+    return ReferenceRenderer(scene)
+
+
+def _pyrender(scene: Scene, threads: int | None) -> Renderer:
+    from lodbench.rendering.pyrender_backend import PyrenderRenderer
+
+    return PyrenderRenderer(scene)
+
+
+RENDERERS: dict[str, Callable[[Scene, int | None], Renderer]] = {
+    "silhouette": _silhouette,
+    "reference": _reference,
+    "pyrender": _pyrender,
+}
+
+
+def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer:
+    """Returns the renderer of a name, ready to score hypotheses.
+
+    Args:
+        name: One of ``RENDERERS``.
+        scene: The city.
+        threads: Worker threads of the engine, None for one per core; other renderers use their own.
+
+    Raises:
+        ConfigError: The name is unknown.
+        RenderingError: A library the renderer needs is absent.
+    """
+    if name not in RENDERERS:
+        raise ConfigError(f"Renderer {name!r} is not known.", nearest_names(name, RENDERERS))
+    renderer = RENDERERS[name](scene, threads)
+    return renderer if hasattr(renderer, "score") else RenderAndCompare(renderer)
+
+
+class RenderAndCompare:
+    """Gives any renderer the engine's ``score``, by drawing each hypothesis and counting pixels."""
+
+    def __init__(self, renderer: Renderer) -> None:
+        self.name = renderer.name
+        self.scene = renderer.scene
+        self._renderer = renderer
+
+    def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
+        """Returns the (H, W) silhouette seen from a pose."""
+        return self._renderer.render(camera, pose)
+
+    def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
+        """Counts how N hypotheses overlap an (H, W) mask."""
+        counts = np.zeros((2, len(centers)), dtype=np.int64)
+        for i, (rotation, center) in enumerate(zip(rotations, centers, strict=True)):
+            drawn = self.render(camera, Pose.from_center(rotation, center))
+            counts[:, i] = np.count_nonzero(drawn & mask), np.count_nonzero(drawn | mask)
+        return IouCounts(counts[0], counts[1])
