@@ -110,7 +110,7 @@ class _Reader:
             if before == (len(self.walk.batch.building), len(self.walk.references)):
                 self.findings.add(BUILDING_EMPTY, building_id)
         if not is_building_met:
-            self._others.update(local_name(child.tag) for child in member[:1])
+            self._others.update(local_name(child.tag) for child in member)
         elif self.walk.references or self.walk.duplicate_ids:
             self.links.resolve_member(member, self._building_ids)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 RING_SEPARATOR = ";"
 
-_POWERS = 10.0 ** np.arange(23)  # all exact in float64
+_POWERS: NDArray[np.float64] = 10.0 ** np.arange(23, dtype=np.float64)  # all exact in float64
 _SEMICOLON, _PLUS, _MINUS, _DOT = 59, 43, 45, 46
 _LOWER_E, _UPPER_E, _ZERO, _NINE = 101, 69, 48, 57
 # Veltkamp's constant: splits a float64 into two halves whose products are exact.
@@ -90,7 +90,8 @@ def _decimal(mantissa: np.uint64, exponent: int, powers: NDArray[np.float64]) ->
     high = np.float64(mantissa)
     low = np.float64(np.int64(mantissa) - np.int64(high))
     if exponent >= 0:
-        return (high + low) * powers[exponent]
+        scaled: float = (high + low) * powers[exponent]
+        return scaled
     power = powers[-exponent]
     quotient = high / power
     # The exact product quotient * power in two parts (Dekker), then one step of long division.
@@ -102,7 +103,8 @@ def _decimal(mantissa: np.uint64, exponent: int, powers: NDArray[np.float64]) ->
     b_low = power - b_high
     product = quotient * power
     error = ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
-    return quotient + (((high - product) - error) + low) / power
+    corrected: float = quotient + (((high - product) - error) + low) / power
+    return corrected
 
 
 @numba.njit(cache=True, nogil=True)
@@ -163,7 +165,7 @@ def _scan(  # noqa: C901 - one state machine; splitting it would cost the speed 
             exponent_digits = 0
             while position < size and _ZERO <= data[position] <= _NINE:
                 if written < 100000:
-                    written = written * 10 + np.int64(data[position] - _ZERO)
+                    written = written * 10 + int(data[position] - _ZERO)
                 exponent_digits += 1
                 position += 1
             is_clean = exponent_digits > 0

@@ -52,8 +52,8 @@ def read_batch(
     """
     values, counts, is_bad = parse_rings(batch.texts)
     dimensions = np.zeros(len(counts), np.int64)
-    for ring, dimension in batch.dimensions.items():
-        dimensions[ring] = dimension
+    for declared_ring, dimension in batch.dimensions.items():
+        dimensions[declared_ring] = dimension
     _settle_dimensions(values, counts, dimensions)
     has_remainder = counts % dimensions != 0
     ring_counts = np.asarray(batch.ring_counts, np.int64)
@@ -75,7 +75,7 @@ def read_batch(
         srs=np.asarray(batch.srs, np.int64),
     )
     for ring in np.flatnonzero(dimensions == 2):
-        findings.add(RING_2D, building_ids[building[ring_polygon[ring]]])
+        findings.add(RING_2D, building_ids[batch.building[ring_polygon[ring]]])
     _flip(arrays, batch.flipped)
     faulty = np.unique(ring_polygon[is_bad | has_remainder])
     return _select(arrays, batch, faulty)
@@ -111,7 +111,7 @@ def _points(
     within = np.arange(len(ring)) - starts_of(lengths)[ring]
     first = starts_of(counts)[ring] + within * dimensions[ring]
     columns = np.stack([first, first + 1, np.minimum(first + 2, len(values) - 1)], axis=1)
-    points = values[columns]
+    points: NDArray[np.float64] = values[columns]
     points[dimensions[ring] == 2, 2] = 0.0
     return points
 

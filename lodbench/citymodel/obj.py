@@ -52,7 +52,7 @@ def read_obj(stream: BinaryIO, source: str) -> RawCity:
         source=source,
         format="OBJ",
         version=None,
-        srs_names=(None,),
+        srs_names=(),
         building_ids=tuple(f"component-{i + 1:0{width}d}" for i in range(num_buildings)),
         num_parts=0,
         lods=("",),
@@ -96,7 +96,8 @@ def _read_points(lines: list[str], positions: list[int], source: str) -> NDArray
     if is_bad.any():
         line = positions[int(np.argmax(is_bad))]
         raise _line_error(source, line, lines[line], "is not a point of three finite numbers")
-    return values[starts_of(counts)[:-1, None] + np.arange(3)]
+    columns: NDArray[np.int64] = starts_of(counts)[:-1, None] + np.arange(3)
+    return values.take(columns)
 
 
 def _read_faces(

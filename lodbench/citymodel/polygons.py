@@ -52,9 +52,11 @@ def finish_model(
 
 def _in_metres(raw: RawCity, override: str | None) -> tuple[NDArray[np.float64], str | None]:
     """Returns all points in metres of one reference system: that of the first polygon."""
+    if not raw.srs_names and override is None:
+        return raw.points, None  # a format that cannot name a reference system
     used = np.unique(raw.srs)
     if len(used) <= 1 or override is not None:
-        name = raw.srs_names[used[0]] if len(used) else (raw.srs_names + (None,))[0]
+        name = raw.srs_names[used[0]] if len(used) and raw.srs_names else None
         return to_metres(raw.points, name, override, raw.findings)
     ring_srs = np.repeat(raw.srs, np.diff(raw.polygon_starts))
     point_srs = np.repeat(ring_srs, np.diff(raw.ring_starts))
@@ -134,7 +136,7 @@ def _clean(raw: RawCity, points: NDArray[np.float64], lod_rank: NDArray[np.int64
 def _lost_polygons(raw: RawCity, is_short: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Tells which polygons have no outline left."""
     counts = np.diff(raw.polygon_starts)
-    is_lost = counts == 0
+    is_lost: NDArray[np.bool_] = counts == 0
     has_rings = np.flatnonzero(~is_lost)
     is_lost[has_rings] = is_short[raw.polygon_starts[has_rings]]
     return is_lost

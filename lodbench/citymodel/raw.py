@@ -18,7 +18,8 @@ class RawCity:
         source: The file's name.
         format: ``"CityGML"``, ``"OBJ"``, ...
         version: The format's version, or None.
-        srs_names: Reference systems declared, as written; None stands for "not declared".
+        srs_names: Reference systems declared, as written; None stands for "not declared". Empty for
+            a format that cannot declare one.
         building_ids: One id per building, in file order.
         num_parts: Building parts met.
         lods: Level names the ``lod`` array points into; not sorted, all used.

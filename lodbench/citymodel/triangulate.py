@@ -88,8 +88,8 @@ def triangulate(polygons: Polygons, building_ids: tuple[str, ...], findings: Fin
         triangles,
         owner,
         area_m2=areas,
-        meshed_m2=np.bincount(owner, np.linalg.norm(vectors, axis=1), minlength=len(polygons)),
-        covered_m2=np.bincount(owner, covered, minlength=len(polygons)),
+        meshed_m2=_sum_by(owner, np.linalg.norm(vectors, axis=1), len(polygons)),
+        covered_m2=_sum_by(owner, covered, len(polygons)),
         deviation_m=_deviation(polygons, local, unit, point_counts),
     )
     _report(result, polygons, building_ids, findings)
@@ -110,6 +110,10 @@ def newell(polygons: Polygons) -> tuple[NDArray[np.float64], NDArray[np.float64]
     outlines = polygons.polygon_starts[:-1]
     total = np.add.reduceat(ring_areas, outlines)
     return ring_vectors[outlines], np.maximum(2.0 * ring_areas[outlines] - total, 0.0)
+
+
+def _sum_by(owner: NDArray[np.int64], weights: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+    return np.bincount(owner, weights, minlength=size).astype(np.float64)
 
 
 def _points_per_polygon(polygons: Polygons) -> NDArray[np.int64]:

@@ -7,8 +7,8 @@ network. One member of the city is in memory at a time.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from typing import BinaryIO
+from collections.abc import Iterable, Iterator
+from typing import BinaryIO, cast
 
 from lxml import etree
 
@@ -105,7 +105,7 @@ class XmlMembers:
             self._feed(chunk)
             for _, element in self._parser.read_events():
                 pending = 0
-                if self._is_member(element):
+                if isinstance(element, Element) and self._is_member(element):
                     yield element
                     _release(element)
             if pending > _MAX_MEMBER_BYTES:
@@ -139,14 +139,24 @@ class XmlMembers:
         try:
             root = self._parser.close()
         except etree.XMLSyntaxError as error:
-            log = [entry for entry in error.error_log if entry.type_name not in _NAMESPACE_ERRORS]
-            if log or self.root is None:
+            slips, faults = self._sort_log()
+            if faults or self.root is None:
                 raise self._syntax_error(error) from None
-            for entry in error.error_log:
-                self._findings.add(UNDECLARED_PREFIX, "", f"line {entry.line}: {entry.message}")
+            for line, message in slips:
+                self._findings.add(UNDECLARED_PREFIX, "", f"line {line}: {message}")
             return
         if self.root is None:
             self._set_root(root)
+
+    def _sort_log(self) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
+        """Returns line and message of undeclared prefixes, and those of all other faults."""
+        slips: list[tuple[int, str]] = []
+        faults: list[tuple[int, str]] = []
+        # The parser's own log: the one on an exception can hold entries of other documents.
+        for entry in cast("Iterable[etree._LogEntry]", self._parser.feed_error_log):
+            kind = slips if entry.type_name in _NAMESPACE_ERRORS else faults
+            kind.append((entry.line, entry.message))
+        return slips, faults
 
     def _doctype_error(self) -> CityModelError:
         return CityModelError(
@@ -156,8 +166,8 @@ class XmlMembers:
 
     def _syntax_error(self, error: etree.XMLSyntaxError) -> CityModelError:
         # The last entry that is no mere namespace slip is the one that stopped the parser.
-        fatal = [entry for entry in error.error_log if entry.type_name not in _NAMESPACE_ERRORS]
-        line, message = (fatal[-1].line, fatal[-1].message) if fatal else (error.lineno, str(error.msg))
+        _, faults = self._sort_log()
+        line, message = faults[-1] if faults else (error.lineno or 0, str(error.msg))
         where = f"line {line}, before byte {self._offset}"
         hint = "The file is damaged or cut off: download or export it again."
         if "encoding" in message.lower():

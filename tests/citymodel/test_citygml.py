@@ -1,0 +1,334 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel import city_info, mesh_city, mesh_model, open_scene, read_city_model
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.errors import CityModelError
+
+from .gml_text import (
+    bounded_by,
+    box_area,
+    box_city,
+    box_rings,
+    city,
+    link,
+    member,
+    multi_surface,
+    polygon,
+    pos_list,
+    solid,
+    surface_members,
+    write,
+)
+
+BOX = box_rings()
+
+
+def model_of(tmp_path: Path, text: str | bytes, **options: object) -> CityModel:
+    return read_city_model(write(tmp_path / "city.gml", text), **options)  # type: ignore[arg-type]
+
+
+def codes(model: CityModel) -> dict[str, int]:
+    return {key.split()[0]: count for key, count in model.findings.counts().items()}
+
+
+class TestGeometry:
+    def test_box(self, tmp_path: Path) -> None:
+        model = model_of(tmp_path, box_city())
+        assert (model.format, model.version, model.lods) == ("CityGML", "2.0", ("1",))
+        assert model.building_ids == ("b1",)
+        assert model.crs == "EPSG:25832"
+        assert model.origin.tolist() == [500000, 5600000, 0]
+        mesh = mesh_model(model)
+        assert mesh.scene.vertices.shape == (8, 3)
+        assert mesh.scene.triangles.shape == (12, 3)
+        assert mesh.meshed_m2 == pytest.approx(box_area(), rel=1e-12)
+        assert mesh.scene.vertices.min(axis=0).tolist() == [0, 0, 50]
+
+    @pytest.mark.parametrize("version", ["1.0", "2.0"])
+    def test_versions(self, tmp_path: Path, version: str) -> None:
+        text = city(member(solid(surface_members(map(polygon, BOX)))), version=version)
+        assert model_of(tmp_path, text).version == version
+
+    @pytest.mark.parametrize(
+        "ring",
+        [
+            "<gml:posList>0 0 0 4 0 0 4 4 0 0 0 0</gml:posList>",
+            '<gml:posList srsDimension="3">0 0 0\n4 0 0\t4 4 0 0 0 0 </gml:posList>',
+            "".join(f"<gml:pos>{p}</gml:pos>" for p in ("0 0 0", "4 0 0", "4 4 0", "0 0 0")),
+            "<gml:coordinates>0,0,0 4,0,0 4,4,0 0,0,0</gml:coordinates>",
+            '<gml:coordinates decimal="," cs=" " ts=";">0,0 0 0;4,0 0 0;4 4 0;0 0 0</gml:coordinates>',
+        ],
+        ids=["posList", "dimension", "pos", "coordinates", "separators"],
+    )
+    def test_ring_notations(self, tmp_path: Path, ring: str) -> None:
+        model = model_of(tmp_path, city(member(multi_surface(surface_members([polygon(ring)])))))
+        assert model.polygons.points.tolist() == [[0, 0, 0], [4, 0, 0], [4, 4, 0]]
+        assert model.findings.counts().keys() <= {"LB303 CRS_IMPLAUSIBLE"}
+
+    def test_interior_rings(self, tmp_path: Path) -> None:
+        hole = [(2.0, 2.0, 5.0), (2.0, 4.0, 5.0), (4.0, 4.0, 5.0), (4.0, 2.0, 5.0)]
+        outline = [(0.0, 0.0, 5.0), (9.0, 0.0, 5.0), (9.0, 9.0, 5.0), (0.0, 9.0, 5.0)]
+        text = city(member(multi_surface(surface_members([polygon(outline, [hole])]))), srs=None)
+        mesh = mesh_model(model_of(tmp_path, text))
+        assert mesh.area_m2 == pytest.approx(81 - 4)
+        assert mesh.meshed_m2 == pytest.approx(81 - 4)
+
+    def test_surface_kinds_and_openings(self, tmp_path: Path) -> None:
+        window = "<bldg:opening><bldg:Window>{}</bldg:Window></bldg:opening>"
+        faces = [surface_members([polygon(ring)]) for ring in BOX]
+        content = (
+            bounded_by("GroundSurface", multi_surface(faces[0], 3))
+            + bounded_by("RoofSurface", multi_surface(faces[1], 3))
+            + bounded_by(
+                "WallSurface", multi_surface(faces[2], 3) + window.format(multi_surface(faces[3], 3))
+            )
+            + "<bldg:outerBuildingInstallation><bldg:BuildingInstallation><bldg:lod3Geometry>"
+            f"<gml:MultiGeometry><gml:geometryMember>{polygon(BOX[4])}</gml:geometryMember>"
+            "<gml:geometryMember><gml:LineString><gml:posList>1 2 3 4 5 6</gml:posList></gml:LineString>"
+            "</gml:geometryMember></gml:MultiGeometry></bldg:lod3Geometry></bldg:BuildingInstallation>"
+            "</bldg:outerBuildingInstallation>"
+        )
+        model = model_of(tmp_path, city(member(content)))
+        kinds = sorted(SurfaceKind(kind).name for kind in model.polygons.kind)
+        assert kinds == ["GROUND", "INSTALLATION", "OPENING", "ROOF", "WALL"]
+        assert np.diff(model.polygons.ring_starts).tolist() == [4] * 5
+
+    def test_rooms_are_counted_but_not_meshed(self, tmp_path: Path) -> None:
+        faces = [surface_members([polygon(ring)]) for ring in BOX]
+        room = "<bldg:interiorRoom><bldg:Room>{}</bldg:Room></bldg:interiorRoom>"
+        content = bounded_by("WallSurface", multi_surface(faces[2], 4)) + room.format(
+            bounded_by("InteriorWallSurface", multi_surface(faces[3], 4))
+            + "<bldg:interiorFurniture><bldg:BuildingFurniture><bldg:lod4Geometry><gml:MultiSurface>"
+            f"{faces[4]}</gml:MultiSurface></bldg:lod4Geometry></bldg:BuildingFurniture></bldg:interiorFurniture>"
+        )
+        model = model_of(tmp_path, city(member(content)))
+        mesh = mesh_model(model, "3")
+        assert model.polygons_read == (3,)
+        assert mesh.num_polygons == 1
+        assert set(mesh.findings.counts()) == {"LB402 LOD_SUBSTITUTED", "LB404 INTERIOR_SKIPPED"}
+
+    def test_parts_belong_to_their_building(self, tmp_path: Path) -> None:
+        name = "bldg:consistsOfBuildingPart"
+        part = f"<{name}><bldg:BuildingPart>{{}}</bldg:BuildingPart></{name}>"
+        halves = [solid(surface_members(map(polygon, box_rings(x=500000.0 + 20 * i)))) for i in range(2)]
+        model = model_of(tmp_path, city(member("".join(map(part.format, halves)))))
+        assert (len(model.building_ids), model.num_parts, len(model.polygons)) == (1, 2, 12)
+
+    def test_triangles_and_patches(self, tmp_path: Path) -> None:
+        ring = "<gml:exterior><gml:LinearRing>{}</gml:LinearRing></gml:exterior>"
+        triangle = f"<gml:Triangle>{ring.format(pos_list(BOX[0][:3]))}</gml:Triangle>"
+        patch = f"<gml:PolygonPatch>{ring.format(pos_list(BOX[1]))}</gml:PolygonPatch>"
+        members = surface_members(
+            [
+                f"<gml:TriangulatedSurface><gml:trianglePatches>{triangle}</gml:trianglePatches>"
+                "</gml:TriangulatedSurface>",
+                f"<gml:Surface><gml:patches>{patch}</gml:patches></gml:Surface>",
+            ]
+        )
+        model = model_of(tmp_path, city(member(multi_surface(members))))
+        assert np.diff(model.polygons.ring_starts).tolist() == [3, 4]
+
+    def test_ring_of_curves(self, tmp_path: Path) -> None:
+        line = "<gml:LineString><gml:posList>{}</gml:posList></gml:LineString>"
+        curve = f"<gml:curveMember>{line}</gml:curveMember>"
+        ring = curve.format("0 0 0 4 0 0 4 4 0") + curve.format("4 4 0 0 4 0 0 0 0")
+        text = f"<gml:Polygon><gml:exterior><gml:Ring>{ring}</gml:Ring></gml:exterior></gml:Polygon>"
+        model = model_of(tmp_path, city(member(multi_surface(surface_members([text]))), srs=None))
+        assert model.polygons.points.tolist() == [[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]
+
+    def test_orientation_turns_a_polygon_round(self, tmp_path: Path) -> None:
+        base = "<gml:baseSurface>{}</gml:baseSurface>"
+        turned = f'<gml:OrientableSurface orientation="-">{base}</gml:OrientableSurface>'
+        text = surface_members([polygon(BOX[1]), turned.format(polygon(BOX[1]))])
+        model = model_of(tmp_path, city(member(multi_surface(text))))
+        first, second = model.polygons.points[:4], model.polygons.points[4:]
+        assert {tuple(p) for p in first.tolist()} == {tuple(p) for p in second.tolist()}
+        area = [np.cross(r[1] - r[0], r[2] - r[0])[2] for r in (first, second)]
+        assert area[0] == -area[1] > 0
+
+    def test_plateau_attribute_that_looks_like_geometry(self, tmp_path: Path) -> None:
+        extra = (
+            "<uro:lod1HeightType>2</uro:lod1HeightType><uro:lod1Solid>" + polygon(BOX[0]) + "</uro:lod1Solid>"
+        )
+        text = city(member(extra + solid(surface_members(map(polygon, BOX)))))
+        assert len(model_of(tmp_path, text).polygons) == 6
+
+    def test_two_dimensional_footprint(self, tmp_path: Path) -> None:
+        ring = '<gml:posList srsDimension="2">0 0 6 0 6 6 0 6 0 0 </gml:posList>'
+        implied = "<gml:posList>0 0 6 0 6 6 3 7 0 6 0 0</gml:posList>"
+        text = surface_members([polygon(ring), polygon(implied)])
+        content = f"<bldg:lod0FootPrint><gml:MultiSurface>{text}</gml:MultiSurface></bldg:lod0FootPrint>"
+        model = model_of(tmp_path, city(member(content), srs=None))
+        assert np.diff(model.polygons.ring_starts).tolist() == [4, 5]
+        assert not model.polygons.points[:, 2].any()
+        assert codes(model)["LB110"] == 2
+
+
+class TestLinks:
+    walls = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2], gml_id="w")])))
+
+    @pytest.mark.parametrize("is_forward", [True, False])
+    def test_a_linked_polygon_counts_once(self, tmp_path: Path, is_forward: bool) -> None:
+        parts = [solid(link("#w") + link("# w ") + link("city.gml#w"), 2), self.walls]
+        model = model_of(tmp_path, city(member("".join(parts if is_forward else parts[::-1]))))
+        assert len(model.polygons) == 1
+        assert model.findings.counts() == {}
+
+    def test_a_link_to_another_level_adds_its_polygon_there(self, tmp_path: Path) -> None:
+        model = model_of(tmp_path, city(member(solid(link("#w"), 3) + self.walls)))
+        assert [model.lods[i] for i in model.polygons.lod] == ["2", "3"]
+        assert np.array_equal(*np.split(model.polygons.points, 2))
+
+    def test_a_link_to_a_composite(self, tmp_path: Path) -> None:
+        faces = surface_members(map(polygon, BOX[:3]))
+        composite = f'<gml:CompositeSurface gml:id="c">{faces}</gml:CompositeSurface>'
+        walls = multi_surface(surface_members([composite]))
+        model = model_of(tmp_path, city(member(solid(link("#c"), 3) + bounded_by("WallSurface", walls))))
+        assert sorted(model.lods[i] for i in model.polygons.lod) == ["2"] * 3 + ["3"] * 3
+
+    def test_a_link_across_members(self, tmp_path: Path) -> None:
+        text = city(member(solid(link("#w"), 2)) + member(self.walls, "b2"))
+        model = model_of(tmp_path, text)
+        assert model.polygons.building.tolist() == [1, 0]
+        assert model.findings.counts() == {}
+
+    @pytest.mark.parametrize(
+        ("href", "code"),
+        [
+            ("#nowhere", "LB202"),
+            ("http://127.0.0.1/x#w", "LB203"),
+            ("../other.gml#w", "LB203"),
+            ("", "LB203"),
+        ],
+    )
+    def test_broken_links_are_findings(self, tmp_path: Path, href: str, code: str) -> None:
+        model = model_of(tmp_path, city(member(solid(link(href), 2) + self.walls)))
+        assert len(model.polygons) == 1
+        assert codes(model) == {code: 1}
+        assert [item.object_id for item in model.findings.items] == ["b1"]
+
+    def test_cycles_end(self, tmp_path: Path) -> None:
+        def composite(name: str, target: str) -> str:
+            return (
+                f'<gml:surfaceMember><gml:CompositeSurface gml:id="{name}">{link(target)}'
+                "</gml:CompositeSurface></gml:surfaceMember>"
+            )
+
+        text = multi_surface(composite("a", "#c") + composite("c", "#a")) + self.walls
+        model = model_of(tmp_path, city(member(text)))
+        assert len(model.polygons) == 1
+        assert "LB204" in codes(model)
+
+    def test_duplicate_ids(self, tmp_path: Path) -> None:
+        model = model_of(tmp_path, city(member(self.walls + self.walls)))
+        assert codes(model) == {"LB205": 1}
+
+
+class TestRings:
+    def ring_model(self, tmp_path: Path, ring: str, **options: object) -> CityModel:
+        good = polygon([(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (3.0, 3.0, 0.0)])
+        text = city(member(multi_surface(surface_members([good, polygon(ring)])), "Haus-ä"), srs=None)
+        return model_of(tmp_path, text, **options)
+
+    @pytest.mark.parametrize(
+        ("numbers", "expected", "num_polygons"),
+        [
+            ("0 0 0 1 0 0 1 1 0", {"LB103": 1}, 2),
+            ("0 0 0 1 0 0 1 0 0 1 1 0 0 0 0", {"LB102": 1}, 2),
+            ("0 0 0 1 0 0 0 0 0", {"LB101": 1}, 1),
+            ("0 0 0 0 0 0", {"LB101": 1, "LB102": 1}, 1),
+            ("", {"LB101": 1}, 1),
+        ],
+    )
+    def test_cleaning(
+        self, tmp_path: Path, numbers: str, expected: dict[str, int], num_polygons: int
+    ) -> None:
+        model = self.ring_model(tmp_path, f"<gml:posList>{numbers}</gml:posList>")
+        found = codes(model)
+        assert found.pop("LB301") == 1
+        found.pop("LB102", None) if "LB102" not in expected else None
+        assert found == expected
+        assert len(model.polygons) == num_polygons
+
+    @pytest.mark.parametrize(
+        ("numbers", "message", "code"),
+        [
+            ("0 0 0 1 0 NaN 1 1 0 0 0 0", "finite", "LB107"),
+            ("0 0 0 1 0 inf 1 1 0 0 0 0", "finite", "LB107"),
+            ("0 0 0 1 0 1e400 1 1 0 0 0 0", "finite", "LB107"),
+            ("0 0 0 1 0 abc 1 1 0 0 0 0", "finite", "LB107"),
+            ("0 0 0 1 0 0 1 1 0 0 0", "11 numbers", "LB108"),
+        ],
+    )
+    def test_bad_coordinates(self, tmp_path: Path, numbers: str, message: str, code: str) -> None:
+        ring = f"<gml:posList>{numbers}</gml:posList>"
+        with pytest.raises(CityModelError, match=f"Haus-ä.*{message}") as caught:
+            self.ring_model(tmp_path, ring)
+        assert caught.value.hint
+        model = self.ring_model(tmp_path, ring, is_strict=False)
+        assert codes(model)[code] == 1
+        assert len(model.polygons) == 1
+
+
+class TestFiles:
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            (b"", "is empty"),
+            (b"  \n", "is empty"),
+            (b"<a/>", "root element is <a>"),
+            (b"<CityModel/>", "no buildings"),
+            (b"\x89PNG\r\n", "no city model that lodbench can read"),
+            (b"hello world", "no city model"),
+            (box_city().encode()[:900], "not well-formed"),
+            (b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "DOCTYPE"),
+        ],
+    )
+    def test_refusals(self, tmp_path: Path, content: bytes, message: str) -> None:
+        with pytest.raises(CityModelError, match=message) as caught:
+            read_city_model(write(tmp_path / "x.gml", content))
+        assert caught.value.hint
+
+    def test_missing_file_and_folder(self, tmp_path: Path) -> None:
+        with pytest.raises(CityModelError, match="There is no city model"):
+            read_city_model(tmp_path / "nowhere.gml")
+
+    def test_path_with_spaces_umlauts_and_signs(self, tmp_path: Path) -> None:
+        assert open_scene(write(tmp_path / "Stadt (Köln), a=b.gml", box_city())).num_buildings == 1
+
+    def test_absent_level_names_the_levels(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "x.gml", box_city())
+        with pytest.raises(CityModelError, match="level of detail 2; the file has: 1"):
+            open_scene(path, lod="2")
+
+    def test_building_without_the_level_is_a_finding(self, tmp_path: Path) -> None:
+        faces = surface_members(map(polygon, BOX))
+        text = city(member(solid(faces)) + member(solid(faces, 2), "b2") + member("", "b3"))
+        model = model_of(tmp_path, text)
+        assert codes(model) == {"LB403": 1}
+        mesh = mesh_model(model)
+        assert mesh.scene.lod == "1"
+        assert [item.object_id for item in mesh.findings.items] == ["b2", "b3"]
+
+    def test_empty_property_and_other_objects(self, tmp_path: Path) -> None:
+        other = "<core:cityObjectMember><bldg:Tree/></core:cityObjectMember>" * 3
+        text = city(other + member("<bldg:lod4MultiSurface/>" + solid(surface_members(map(polygon, BOX)))))
+        model = model_of(tmp_path, text)
+        assert codes(model) == {"LB207": 1, "LB209": 1}
+
+    def test_info(self, tmp_path: Path) -> None:
+        info = city_info(model_of(tmp_path, box_city()))
+        assert info["lods"]["1"]["polygons"] == 6
+        assert info["lods"]["1"]["triangles"] == 12
+        assert info["lods"]["1"]["area_m2"] == pytest.approx(box_area())
+        assert info["extent_m"] == [10, 10, 6]
+        assert info["findings"] == {}
+
+    def test_same_bytes_same_scene(self, tmp_path: Path) -> None:
+        scenes = [mesh_city(model_of(tmp_path, box_city())) for _ in range(2)]
+        assert scenes[0].digest() == scenes[1].digest()

@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pyproj import Transformer
+
+from lodbench.citymodel.crs import crs_label, require_crs, resolve_crs
+from lodbench.citymodel.frame import to_metres
+from lodbench.errors import CityModelError
+from lodbench.findings import Findings
+
+
+def points(*rows: tuple[float, float, float]) -> np.ndarray:
+    return np.array(rows, np.float64)
+
+
+def convert(
+    rows: np.ndarray, name: str | None, override: str | None = None
+) -> tuple[np.ndarray, str | None, list[str]]:
+    findings = Findings()
+    metres, label = to_metres(rows, name, override, findings)
+    return metres, label, [item.code.code for item in findings.items]
+
+
+class TestLabel:
+    @pytest.mark.parametrize(
+        ("name", "label"),
+        [
+            ("EPSG:25832", "EPSG:25832"),
+            ("epsg:25832+7837", "EPSG:25832+7837"),
+            ("urn:ogc:def:crs:EPSG::7415", "EPSG:7415"),
+            ("urn:ogc:def:crs:EPSG:6.12:28992", "EPSG:28992"),
+            ("urn:ogc:def:crs,crs:EPSG:6.12:25833,crs:EPSG:6.12:5783", "EPSG:25833+5783"),
+            ("urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::5783", "EPSG:25832+5783"),
+            ("http://www.opengis.net/def/crs/EPSG/0/6697", "EPSG:6697"),
+            ("https://www.opengis.net/def/crs/EPSG/0/7415", "EPSG:7415"),
+            ("http://www.opengis.net/gml/srs/epsg.xml#4326", "EPSG:4326"),
+            ("urn:adv:crs:ETRS89_UTM32*DE_DHHN2016_NH", "EPSG:25832+7837"),
+            ("urn:adv:crs:ETRS89_UTM32*DE_DHHN2016_NH*GCG2016", "EPSG:25832+7837"),
+            ("urn:adv:crs:ETRS89_UTM33*DE_DHHN92_NH", "EPSG:25833+5783"),
+            ("urn:adv:crs:DE_DHDN_3GK3*DE_DHHN92_NH", "EPSG:31467+5783"),
+            ("urn:adv:crs:ETRS89_UTM31", "EPSG:25831"),
+            ("CH1903", "EPSG:21781+5728"),
+            ("CH1903+ / LV95", "EPSG:2056+5728"),
+            ("CH1903+_LV95", "EPSG:2056+5728"),
+        ],
+    )
+    def test_known_names(self, name: str, label: str) -> None:
+        assert crs_label(name)[0] == label
+        assert resolve_crs(name) is not None
+
+    @pytest.mark.parametrize("name", ["", "unknown", "EPSG:99999", "urn:adv:crs:MARS*X", "EPSG:5783"])
+    def test_unknown_names(self, name: str) -> None:
+        assert resolve_crs(name) is None
+        with pytest.raises(CityModelError, match="Unknown coordinate reference system"):
+            require_crs(name)
+
+
+class TestAxes:
+    def test_declared_and_plausible(self) -> None:
+        metres, label, codes = convert(points((690953, 5335962, 500)), "EPSG:25832")
+        assert metres.tolist() == [[690953, 5335962, 500]]
+        assert (label, codes) == ("EPSG:25832", [])
+
+    def test_gauss_kruger_east_first_against_the_declaration(self) -> None:
+        metres, _, codes = convert(points((4467593, 5334499, 500)), "EPSG:31468")
+        assert metres[0].tolist() == [4467593, 5334499, 500]
+        assert codes == ["LB304"]
+
+    def test_gauss_kruger_north_first_as_declared(self) -> None:
+        metres, _, codes = convert(points((5334499, 4467593, 500)), "EPSG:31468")
+        assert metres[0].tolist() == [4467593, 5334499, 500]
+        assert codes == []
+
+    def test_utm_north_first_against_the_declaration(self) -> None:
+        metres, _, codes = convert(points((5335962, 690953, 500)), "EPSG:25832")
+        assert metres[0].tolist() == [690953, 5335962, 500]
+        assert codes == ["LB304"]
+
+    def test_either_order_plausible(self) -> None:
+        metres, _, codes = convert(points((28000, 38000, 5)), "EPSG:3414")
+        assert metres[0].tolist() == [28000, 38000, 5]
+        assert codes == ["LB308"]
+
+    def test_wrong_declaration_is_told(self) -> None:
+        _, label, codes = convert(points((3000, 5340000, 180)), "EPSG:7415")
+        assert (label, codes) == ("EPSG:7415", ["LB303"])
+
+    def test_tile_at_the_rim_of_a_zone(self) -> None:
+        assert convert(points((280847, 5657118, 40)), "EPSG:25832")[2] == []
+
+    def test_zone_number_before_the_easting(self) -> None:
+        metres, _, codes = convert(points((32690953, 5335962, 500)), "EPSG:25832")
+        assert metres[0].tolist() == [690953, 5335962, 500]
+        assert codes == ["LB306"]
+
+
+class TestDegrees:
+    @pytest.mark.parametrize(
+        ("latitude", "longitude", "code"),
+        [
+            (35.756, 139.555, 6677),  # Nishitokyo
+            (43.06, 141.35, 6680),  # Sapporo
+            (34.69, 135.50, 6674),  # Osaka
+            (33.59, 130.40, 6670),  # Fukuoka
+            (26.21, 127.68, 6683),  # Naha
+            (38.27, 140.87, 6678),  # Sendai
+            (35.18, 136.91, 6675),  # Nagoya
+            (34.39, 132.46, 6671),  # Hiroshima
+        ],
+    )
+    def test_japan(self, latitude: float, longitude: float, code: int) -> None:
+        metres, label, codes = convert(
+            points((latitude, longitude, 55)), "http://www.opengis.net/def/crs/EPSG/0/6697"
+        )
+        assert label == f"EPSG:{code}+6695"
+        assert codes == ["LB305"]
+        expected = Transformer.from_crs("EPSG:6668", f"EPSG:{code}", always_xy=True).transform(
+            longitude, latitude
+        )
+        assert metres[0].tolist() == pytest.approx([*expected, 55], abs=1e-6)
+
+    def test_swapped_against_the_area_of_use(self) -> None:
+        _, label, codes = convert(points((139.555, 35.756, 55)), "EPSG:6697")
+        assert label == "EPSG:6677+6695"
+        assert codes == ["LB304", "LB305"]
+
+    @pytest.mark.parametrize("longitude", [-122.4, -75.2])
+    def test_open_city_model_writes_longitude_first(self, longitude: float) -> None:
+        metres, label, codes = convert(points((longitude, 39.9, 0)), "EPSG:4979")
+        assert codes == ["LB304", "LB305"]
+        assert label == f"EPSG:{32600 + int((longitude + 180) // 6) + 1}"
+        assert 4.3e6 < metres[0, 1] < 4.5e6
+
+    def test_other_datums(self) -> None:
+        assert convert(points((48.1, 11.5, 0)), "EPSG:4258")[1] == "EPSG:25832"
+        assert convert(points((40.7, -74.0, 0)), "EPSG:4269")[1] == "EPSG:26918"
+        assert convert(points((-33.9, 151.2, 0)), "EPSG:4326")[1] == "EPSG:32756"
+
+    def test_metres_declared_as_degrees(self) -> None:
+        with pytest.raises(CityModelError, match="no degrees"):
+            convert(points((690953, 5335962, 500)), "EPSG:4326")
+
+
+class TestOthers:
+    def test_feet_become_metres(self) -> None:
+        metres, label, codes = convert(points((988000, 190000, 100)), "EPSG:2263")
+        assert label == "EPSG:26918"
+        assert codes == ["LB305"]
+        assert metres[0, 2] == pytest.approx(30.48006, abs=1e-4)
+
+    @pytest.mark.parametrize(
+        ("east", "label"), [(683270.0, "EPSG:21781+5728"), (2683270.0, "EPSG:2056+5728")]
+    )
+    def test_swiss_name_on_metres(self, east: float, label: str) -> None:
+        north = 247425.0 if east < 1e6 else 1247425.0
+        metres, found, codes = convert(points((east, north, 400)), "CH1903")
+        assert (found, codes) == (label, ["LB306"])
+        assert metres[0, 0] == east
+
+    def test_override(self) -> None:
+        metres, label, codes = convert(points((3000, 340000, 180)), "EPSG:7415", "EPSG:31256")
+        assert (label, codes) == ("EPSG:31256", ["LB304"])
+        assert metres[0].tolist() == [3000, 340000, 180]
+
+    @pytest.mark.parametrize(("name", "code"), [(None, "LB301"), ("nonsense", "LB302")])
+    def test_missing_or_unknown(self, name: str | None, code: str) -> None:
+        metres, label, codes = convert(points((1, 2, 3), (900, 800, 3)), name)
+        assert (label, codes) == (None, [code])
+        assert metres.tolist() == [[1, 2, 3], [900, 800, 3]]
+
+    def test_degrees_without_a_name(self) -> None:
+        with pytest.raises(CityModelError, match="look like degrees") as caught:
+            convert(points((35.7, 139.5, 0), (35.71, 139.51, 9)), None)
+        assert "crs=" in caught.value.hint
