@@ -26,7 +26,7 @@ _PUBLIC = {
     "read_mask": "lodbench.segmentation.masks",
     "read_poses": "lodbench.datasets.pose_text",
 }
-__all__ = ["__version__", *sorted(_PUBLIC)]  # noqa: PLE0604
+__all__ = ["__version__", *sorted(_PUBLIC)]
 
 # In an uninstalled checkout `baselines/` and `conf/` lie beside the package, not inside it.
 if not (Path(__file__).parent / "conf").is_dir():

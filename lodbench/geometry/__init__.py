@@ -4,6 +4,7 @@ from lodbench.geometry.angles import (
     EulerAngles,
     euler_from_rotation,
     rotation_from_euler,
+    rotations_at_yaws,
     wrap_deg,
 )
 from lodbench.geometry.camera import Camera
@@ -18,5 +19,6 @@ __all__ = [
     "PoseGrid",
     "euler_from_rotation",
     "rotation_from_euler",
+    "rotations_at_yaws",
     "wrap_deg",
 ]

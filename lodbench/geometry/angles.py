@@ -64,6 +64,19 @@ def rotation_from_euler(angles: EulerAngles) -> Matrix:
     return np.ascontiguousarray(world_from_cam.T)
 
 
+def rotations_at_yaws(pitch_deg: float, roll_deg: float, yaws_deg: Matrix) -> Matrix:
+    """Returns (N, 3, 3) cam_from_world rotations of one tilt at (N,) yaws, degrees.
+
+    Written out element by element: no matrix product, whose last bit may depend on the BLAS.
+    """
+    level = (_rz_ry_rx(pitch_deg, roll_deg, 0.0) @ _FLIP_YZ).T
+    yaws = np.radians(np.asarray(yaws_deg, dtype=np.float64))
+    c, s = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
+    x, y = level[:, 0], level[:, 1]
+    z = np.broadcast_to(level[:, 2], (len(yaws), 3))
+    return np.ascontiguousarray(np.stack([c * x - s * y, s * x + c * y, z], axis=2))
+
+
 def euler_from_rotation(cam_from_world: Matrix) -> EulerAngles:
     """Returns the datasets' angles in degrees of a (3, 3) cam_from_world rotation.
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import LodbenchError
-from lodbench.geometry.angles import EulerAngles, rotation_from_euler
 from lodbench.geometry.pose import Pose
 
 
@@ -29,7 +28,8 @@ class AxisRange:
         """Returns ``count`` offsets from -width/2 to +width/2, ends included; one sample is the centre."""
         if self.count == 1:
             return np.zeros(1)
-        return -self.width / 2 + np.arange(self.count) * (self.width / (self.count - 1))
+        steps = np.arange(self.count, dtype=np.float64)
+        return -self.width / 2 + steps * (self.width / (self.count - 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +48,9 @@ class PoseGrid:
         """Returns the hypotheses around a prior; pitch and roll stay the prior's.
 
         Returns:
-            cam_from_world rotations, (N, 3, 3), and camera centres, (N, 3), world metres.
+            Camera centres, (N, 3), world metres, and yaws, (N,), degrees.
         """
-        pitch, roll, yaw = prior.euler
-        rotations = np.stack(
-            [rotation_from_euler(EulerAngles(pitch, roll, yaw + d)) for d in self.yaw.offsets()]
-        )
+        yaws = prior.euler.yaw_deg + self.yaw.offsets()
         axes = np.meshgrid(self.x.offsets(), self.y.offsets(), self.z.offsets(), indexing="ij")
         centers = prior.center + np.stack([axis.ravel() for axis in axes], axis=1)
-        return np.repeat(rotations, len(centers), axis=0), np.tile(centers, (self.yaw.count, 1))
+        return np.tile(centers, (self.yaw.count, 1)), np.repeat(yaws, len(centers))

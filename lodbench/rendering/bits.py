@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Words = NDArray[np.uint64]
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def popcount(_context: Any, word: Any) -> Any:
     """Returns the number of set bits of a uint64 (the CPU's own instruction)."""
 
@@ -65,7 +65,7 @@ def count_bits(words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     total = np.uint64(0)
     flat = words.reshape(-1)
     for i in range(flat.size):
-        total += popcount(flat[i])
+        total += popcount(flat[i])  # type: ignore[call-arg]
     return np.int64(total)
 
 
@@ -75,7 +75,7 @@ def intersect_and_clear(words, query):  # type: ignore[no-untyped-def]  # noqa: 
     both, mine = np.uint64(0), np.uint64(0)
     a, b = words.reshape(-1), query.reshape(-1)
     for i in range(a.size):
-        both += popcount(a[i] & b[i])
+        both += popcount(a[i] & b[i])  # type: ignore[call-arg]
         mine += popcount(a[i])
         a[i] = np.uint64(0)
     return np.int64(both), np.int64(mine)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,7 @@ def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer
     if name not in RENDERERS:
         raise ConfigError(f"Renderer {name!r} is not known.", nearest_names(name, RENDERERS))
     renderer = RENDERERS[name](scene, threads)
-    return renderer if hasattr(renderer, "score") else RenderAndCompare(renderer)
+    return cast(Scorer, renderer) if hasattr(renderer, "score") else RenderAndCompare(renderer)
 
 
 class RenderAndCompare:

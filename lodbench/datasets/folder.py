@@ -1,0 +1,127 @@
+"""``dataset=folder``: any folder in LoD-Loc's text layout.
+
+::
+
+    ROOT/                       or one such folder per split: ROOT/in_place, ROOT/out_of_place, ...
+        GT_pose.txt             name qw qx qy qz tx ty tz, world to camera
+        GPS_pose.txt            the priors, likewise
+        intrinsic.txt           name PINHOLE W H fx fy cx cy
+        Query_image/            the photos (optional)
+        masks/                  building masks, 255 = building (optional)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lodbench.datasets.pose_text import read_cameras, read_poses
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import ConfigError, DatasetError, nearest_names
+from lodbench.geometry import Camera, Pose
+
+TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
+_LAYOUT_HINT = (
+    f"A dataset folder holds {TRUTH_FILE}, {PRIOR_FILE} and {CAMERA_FILE}, or such folders as splits."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class FolderParams:
+    """Settings of ``dataset=folder``.
+
+    Attributes:
+        root: The folder.
+        city_model: File of the city model.
+        lod: Level of detail to localise against; None for the lowest.
+        crs: CRS of the city model, where its file says none or a wrong one.
+        name: Name to report.
+    """
+
+    root: str
+    city_model: str
+    lod: str | None = None
+    crs: str | None = None
+    name: str = "folder"
+
+
+def open_folder(params: FolderParams) -> Dataset:
+    """Returns the dataset of a folder in the text layout.
+
+    Raises:
+        DatasetError: The folder, a pose file or the city model is missing, or a line is malformed.
+    """
+    root, city = Path(params.root).expanduser(), Path(params.city_model).expanduser()
+    if not root.is_dir():
+        raise DatasetError(f"{root} is not a folder.", "Set dataset.root=FOLDER.")
+    if not city.is_file():
+        raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
+    folders = [root] if (root / TRUTH_FILE).is_file() else _split_folders(root)
+    names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]
+    parts = [_read_split(folder, name) for folder, name in zip(folders, names, strict=True)]
+    return Dataset(
+        name=params.name,
+        version="",
+        root=root,
+        city_model=city,
+        lod=params.lod,
+        crs=params.crs,
+        splits=tuple(names),
+        entries=tuple(entry for entries, _, _ in parts for entry in entries),
+        truth={key: pose for _, truth, _ in parts for key, pose in truth.items()},
+        notes=tuple(note for _, _, notes in parts for note in notes),
+    )
+
+
+def select_splits(dataset: Dataset, wanted: Sequence[str]) -> tuple[str, ...]:
+    """Returns the splits to run, in the dataset's order; an empty list means all.
+
+    Raises:
+        ConfigError: A name is not a split of the dataset.
+    """
+    for name in wanted:
+        if name not in dataset.splits:
+            raise ConfigError(
+                f"Dataset {dataset.name} has no split {name!r}.", nearest_names(name, dataset.splits)
+            )
+    return tuple(name for name in dataset.splits if not wanted or name in wanted)
+
+
+def _split_folders(root: Path) -> list[Path]:
+    folders = sorted(child for child in root.iterdir() if (child / TRUTH_FILE).is_file())
+    if not folders:
+        raise DatasetError(f"{root} holds no {TRUTH_FILE}.", _LAYOUT_HINT)
+    return folders
+
+
+def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose], list[str]]:
+    truth = read_poses(folder / TRUTH_FILE)
+    priors = read_poses(folder / PRIOR_FILE)
+    cameras = read_cameras(folder / CAMERA_FILE)
+    if not truth:
+        raise DatasetError(f"{folder / TRUTH_FILE} holds no poses.", _LAYOUT_HINT)
+    names = list(dict.fromkeys([*truth, *priors]))
+    notes = [
+        f"{split}: {name} has a camera but no pose"
+        for name in cameras
+        if name not in truth and name not in priors
+    ]
+    entries = [_entry(folder, split, name, cameras, priors) for name in names]
+    return entries, {f"{split}/{name}": pose for name, pose in truth.items()}, notes
+
+
+def _entry(folder: Path, split: str, name: str, cameras: dict[str, Camera], priors: dict[str, Pose]) -> Entry:
+    return Entry(
+        name=name,
+        split=split,
+        camera=cameras.get(name),
+        prior=priors.get(name),
+        image=_first_file(folder / "Query_image", [name]),
+        # A mask is stored under the photo's name, or under its stem as PNG.
+        mask=_first_file(folder / "masks", [name, Path(name).stem + ".png"]),
+    )
+
+
+def _first_file(folder: Path, names: list[str]) -> Path | None:
+    return next((folder / name for name in names if (folder / name).is_file()), None)

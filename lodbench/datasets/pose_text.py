@@ -1,0 +1,88 @@
+"""Text poses and cameras: ``name qw qx qy qz tx ty tz`` and ``name MODEL W H params...``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path, PurePosixPath
+from typing import TypeVar
+
+from lodbench.errors import DatasetError, LodbenchError
+from lodbench.geometry import Camera, Pose
+
+T = TypeVar("T")
+
+
+def read_poses(path: str | Path) -> dict[str, Pose]:
+    """Returns world-to-camera poses by image name, from lines ``name qw qx qy qz tx ty tz``.
+
+    A folder before the name (``query/``) is dropped. Empty lines and lines starting with # are
+    skipped.
+
+    Raises:
+        DatasetError: The file cannot be read, or a line is malformed or repeats a name; the
+            message names the line.
+    """
+    return _read_lines(Path(path), _parse_pose, "name qw qx qy qz tx ty tz")
+
+
+def read_cameras(path: str | Path) -> dict[str, Camera]:
+    """Returns cameras by image name, from lines ``name MODEL W H params...`` (COLMAP's models).
+
+    Raises:
+        DatasetError: As for ``read_poses``.
+    """
+    return _read_lines(Path(path), _parse_camera, "name PINHOLE W H fx fy cx cy")
+
+
+def format_pose(name: str, pose: Pose) -> str:
+    """Returns the line of a pose, with as many digits as restore it exactly."""
+    numbers = [*pose.quat_wxyz, *(float(v) for v in pose.translation)]
+    return " ".join([name, *(repr(v) for v in numbers)])
+
+
+def format_camera(name: str, camera: Camera) -> str:
+    """Returns the line of a pinhole camera."""
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
+    return " ".join([name, "PINHOLE", str(camera.width), str(camera.height), *(repr(v) for v in numbers)])
+
+
+def write_lines(lines: Iterable[str]) -> str:
+    """Returns lines as the text of a file."""
+    return "".join(line + "\n" for line in lines)
+
+
+def _read_lines(path: Path, parse: Callable[[list[str]], T], layout: str) -> dict[str, T]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{path} cannot be read: {error}.") from error
+    values: dict[str, T] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        words = line.split()
+        name = PurePosixPath(words[0]).name
+        try:
+            if name in values:
+                raise LodbenchError(f"the name {name} occurs twice")
+            values[name] = parse(words[1:])
+        except (LodbenchError, ValueError) as error:
+            reason = str(error).rstrip(".")
+            raise DatasetError(f"{path}, line {number}: {reason}.", f"Each line reads: {layout}") from error
+    return values
+
+
+def _parse_pose(words: list[str]) -> Pose:
+    if len(words) != 7:
+        raise LodbenchError(f"{len(words)} values after the name instead of 7")
+    numbers = [float(word) for word in words]
+    if not all(math.isfinite(number) for number in numbers):
+        raise LodbenchError("a value is not finite")
+    return Pose.from_quaternion(numbers[:4], numbers[4:])
+
+
+def _parse_camera(words: list[str]) -> Camera:
+    if len(words) < 4:
+        raise LodbenchError("too few values")
+    return Camera.from_colmap(words[0], int(words[1]), int(words[2]), [float(word) for word in words[3:]])

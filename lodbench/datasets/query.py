@@ -1,0 +1,87 @@
+"""What a method is shown of a query, and, in another type, what only the evaluator may see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.geometry import Camera, Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Query:
+    """One query as a method sees it, in the scene's local frame.
+
+    Attributes:
+        name: Image file name.
+        split: Name of the split it belongs to.
+        camera: Pinhole of the full-size image.
+        prior: The rough pose to start from.
+        building_probability: (H, W) float32 in [0, 1], what the segmenter said.
+        image: The photo, or None where the dataset has none.
+    """
+
+    name: str
+    split: str
+    camera: Camera
+    prior: Pose
+    building_probability: NDArray[np.float32]
+    image: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """One query as a dataset stores it, in the dataset's frame; what is missing is None.
+
+    Attributes:
+        name: Image file name.
+        split: Name of the split.
+        camera: Intrinsics of the full-size image.
+        prior: Rough pose.
+        image: The photo.
+        mask: A building mask made beforehand.
+    """
+
+    name: str
+    split: str
+    camera: Camera | None
+    prior: Pose | None
+    image: Path | None
+    mask: Path | None
+
+    @property
+    def key(self) -> str:
+        """Returns ``split/name``, unique within a dataset."""
+        return f"{self.split}/{self.name}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dataset:
+    """Queries, their truth, and the city they were taken in.
+
+    Attributes:
+        name: Public name, for example ``demo``.
+        version: Version of the data, where it has one.
+        root: Folder the data lives in.
+        city_model: File of the city model.
+        lod: Level of detail to localise against, or None for the lowest there is.
+        crs: CRS override for the city model, or None.
+        splits: Names of the splits, in the order to report them.
+        entries: All queries, in file order by split.
+        truth: True pose by ``Entry.key``, in the dataset's frame; never handed to a method.
+        notes: What the reader should know, for example names that occur in one file only.
+    """
+
+    name: str
+    version: str
+    root: Path
+    city_model: Path
+    lod: str | None
+    crs: str | None
+    splits: tuple[str, ...]
+    entries: tuple[Entry, ...]
+    truth: dict[str, Pose]
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,144 @@
+"""LoD-Loc v2: pose selection on a grid, then refinement by a particle filter (paper section 3)."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.geometry import Camera, Pose, rotations_at_yaws
+from lodbench.localization.lodlocv2.params import Params
+from lodbench.localization.method import Estimate, Streams
+from lodbench.rendering import Scorer
+from lodbench.segmentation import binary_mask
+
+Floats = NDArray[np.float64]
+
+
+class Particles(NamedTuple):
+    """Poses of one tilt, and how well each fits.
+
+    Attributes:
+        centers: (N, 3) camera centres, scene metres.
+        yaws_deg: (N,) yaw, degrees.
+        scores: (N,) IoU.
+    """
+
+    centers: Floats
+    yaws_deg: Floats
+    scores: Floats
+
+
+class Judge:
+    """Scores poses of the prior's tilt against the query mask at one working size (paper equation 2)."""
+
+    def __init__(self, query: Query, scorer: Scorer, size: tuple[int, int]) -> None:
+        self.camera: Camera = query.camera.scaled(*size)
+        self.mask = binary_mask(query.building_probability, *size)
+        self.pitch_deg, self.roll_deg, _ = query.prior.euler
+        self.scored = 0
+        self._scorer = scorer
+        if not self.mask.any():
+            raise QueryFault("the mask holds no building")
+
+    def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
+        """Returns the poses with their scores."""
+        rotations = rotations_at_yaws(self.pitch_deg, self.roll_deg, yaws_deg)
+        counts = self._scorer.score(self.camera, rotations, centers, self.mask)
+        self.scored += len(centers)
+        return Particles(centers, yaws_deg, counts.iou())
+
+
+class LodLocV2:
+    """The paper's method. Pitch and roll stay the prior's throughout."""
+
+    params_type = Params
+    name = "lodlocv2"
+
+    def __init__(self, settings: Params | None = None) -> None:
+        self.params = settings or Params()
+
+    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+        """Returns the pose whose silhouette fits the query mask best.
+
+        Raises:
+            QueryFault: The mask is empty, or no hypothesis overlaps it.
+        """
+        started = time.perf_counter()
+        best = Particles(query.prior.center[None], np.array([query.prior.euler.yaw_deg]), np.zeros(1))
+        seconds: dict[str, float] = {}
+        trace: dict[str, tuple[float, ...]] = {}
+        hypotheses = 0
+        if self.params.variant != "no_select":
+            judge = Judge(query, scorer, self.params.coarse_size)
+            best = select(judge, *self.params.grid().around(query.prior))
+            hypotheses += judge.scored
+            trace["coarse"] = (float(best.scores[0]),)
+            seconds["coarse"] = time.perf_counter() - started
+        if self.params.variant != "no_refine":
+            judge = Judge(query, scorer, self.params.fine_size)
+            best, trace["fine"] = refine(judge, best, self.params, streams)
+            hypotheses += judge.scored
+            seconds["fine"] = time.perf_counter() - started - seconds.get("coarse", 0.0)
+        if best.scores[0] <= 0:
+            raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
+        rotation = rotations_at_yaws(*query.prior.euler[:2], best.yaws_deg)[0]
+        pose = Pose.from_center(rotation, best.centers[0])
+        return Estimate(pose, float(best.scores[0]), hypotheses, seconds, trace)
+
+
+def select(judge: Judge, centers: Floats, yaws_deg: Floats) -> Particles:
+    """Returns the one best pose of a grid; ties go to the first (paper section 3.2)."""
+    scored = judge(centers, yaws_deg)
+    return _take(scored, np.array([int(np.argmax(scored.scores))]))
+
+
+def refine(
+    judge: Judge, start: Particles, params: Params, streams: Streams
+) -> tuple[Particles, tuple[float, ...]]:
+    """Returns the best pose after the filter's last step, and the best score after each step.
+
+    Every beam starts from the same pose. In each step it keeps its best poses unchanged, so that
+    its score never falls, and adds moved copies of each; beams never mix (paper section 3.3).
+    """
+    first = judge(start.centers, start.yaws_deg)
+    beams = [_take(first, np.zeros(params.kept, dtype=np.int64)) for _ in range(params.beams)]
+    trace: list[float] = []
+    for step in range(params.steps):
+        children = judge(*_moved(beams, params, params.scale(step), streams("fine", step)))
+        per_beam = len(children.scores) // params.beams
+        for b, kept in enumerate(beams):
+            mine = _take(children, np.arange(b * per_beam, (b + 1) * per_beam))
+            beams[b] = _best(_joined(kept, mine), params.kept)
+        trace.append(max(float(beam.scores[0]) for beam in beams))
+    winner = int(np.argmax([beam.scores[0] for beam in beams]))
+    return _take(beams[winner], np.zeros(1, dtype=np.int64)), tuple(trace)
+
+
+def _moved(
+    beams: list[Particles], params: Params, scale: float, generator: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Returns moved copies of every beam's kept poses: centres (N, 3) and yaws (N,), beam by beam."""
+    copies = params.children_per_parent
+    centers = np.concatenate([np.repeat(beam.centers, copies, axis=0) for beam in beams])
+    yaws = np.concatenate([np.repeat(beam.yaws_deg, copies) for beam in beams])
+    turns = generator.uniform(-1.0, 1.0, len(yaws)) * (params.spread_yaw_deg * scale)
+    moves = generator.standard_normal((len(yaws), 3)) * (params.sigma_m * scale)
+    return centers + moves, yaws + turns
+
+
+def _joined(a: Particles, b: Particles) -> Particles:
+    return Particles(*(np.concatenate(pair) for pair in zip(a, b, strict=True)))
+
+
+def _take(particles: Particles, indices: NDArray[np.int64]) -> Particles:
+    return Particles(*(values[indices] for values in particles))
+
+
+def _best(particles: Particles, count: int) -> Particles:
+    # A stable sort: of equal scores the earlier pose stays ahead, kept ones before their copies.
+    return _take(particles, np.argsort(-particles.scores, kind="stable")[:count])

@@ -1,0 +1,58 @@
+"""What a localisation method is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from lodbench.datasets.query import Query
+from lodbench.geometry import Pose
+from lodbench.rendering import Scorer
+
+# Random numbers of one query: a stage's name and a step give a generator of their own.
+Streams = Callable[[str, int], np.random.Generator]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """A method's answer to one query.
+
+    Attributes:
+        pose: The camera's pose, scene frame.
+        score: The method's own measure of fit, higher is better.
+        hypotheses: Poses rendered and compared.
+        seconds: Wall time by stage.
+        trace: Best score after each step of each stage.
+    """
+
+    pose: Pose
+    score: float
+    hypotheses: int
+    seconds: dict[str, float] = field(default_factory=dict)
+    trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+class Method(Protocol):
+    """Finds the pose of a query in a scene.
+
+    A method is made from its ``Params`` and holds no state between queries. It is never shown the
+    truth, and draws random numbers only from the streams it is given.
+    """
+
+    name: str
+
+    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+        """Returns the estimated pose.
+
+        Args:
+            query: Camera, prior and building mask, in the scene's frame.
+            scorer: Renders and scores hypotheses; ``scorer.scene`` is the city.
+            streams: Random numbers of this query.
+
+        Raises:
+            QueryFault: There is no estimate; the reason becomes the query's row.
+        """
+        ...
