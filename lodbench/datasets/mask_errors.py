@@ -104,9 +104,7 @@ def moved_outline(distance: Field, generator: np.random.Generator, pixels_per_m:
     return np.where(sharp * blurred > 0, reached, np.where(reached < 4, np.float32(np.inf), rounded))
 
 
-def dropped_areas(
-    mask: Mask, distance: Field, labels: Labels, generator: np.random.Generator, pixels_per_m: float
-) -> Field:
+def dropped_areas(mask: Mask, labels: Labels, generator: np.random.Generator, pixels_per_m: float) -> Field:
     """Returns the strength at which each pixel's building is missed: holes in roofs, small buildings.
 
     Every pixel is missed at some strength, so that any IoU can be reached.
@@ -120,8 +118,8 @@ def dropped_areas(
     # Small buildings go first: a shed of 30 m2 at a strength of about 3, a house of 150 m2 at 8.
     birth = generator.exponential(1.0, len(area)) * 0.6 * np.sqrt(area) / pixels_per_m + 0.5
     birth[area > 0.15 * area.sum()] = np.inf
-    # A building dwindles from its outline over a short stretch of strength, so the IoU has no jump.
-    dwindling = birth.astype(np.float32)[labels] + np.float32(0.02) * np.maximum(distance, 0)
+    # A building goes patch by patch over a short stretch of strength, so the IoU has no jump.
+    dwindling = birth.astype(np.float32)[labels] + np.float32(0.3) * noise
     return np.asarray(np.minimum(holes, dwindling), dtype=np.float32)
 
 

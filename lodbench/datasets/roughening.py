@@ -103,7 +103,7 @@ def _draw_errors(mask: Mask, generator: np.random.Generator, trees: bool, pixels
     streams = [random_stream(seed, kind) for kind in ("outline", "dropped", "trees", "added")]
     distance, labels = signed_distance(mask)
     outline = moved_outline(distance, streams[0], pixels_per_m)
-    hidden = dropped_areas(mask, distance, labels, streams[1], pixels_per_m)
+    hidden = dropped_areas(mask, labels, streams[1], pixels_per_m)
     if trees:
         np.minimum(hidden, trees_in_front(mask, streams[2], pixels_per_m), out=hidden)
     return _Errors(outline, hidden, added_blobs(mask, streams[3], pixels_per_m))

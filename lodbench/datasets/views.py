@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
+from lodbench.rendering.protocol import Renderer
 from lodbench.storage import random_stream
 
 # UAVD4L's drone camera; masks and renderings of it are made at FINE_SIZE, coarse ones at half that.
@@ -26,14 +26,6 @@ _CLEARANCE_M = 15.0
 _TARGET_SPREAD_M = 20.0
 # Give up when fewer than one draw in this many is accepted.
 _MAX_DRAWS_PER_VIEW = 200
-
-
-class Silhouettes(Protocol):
-    """What renders the buildings of a scene as a mask."""
-
-    def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
-        """Returns (height, width) bool, True on buildings."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +80,7 @@ class SampledViews:
 
 
 def sample_views(
-    scene: Scene, renderer: Silhouettes, camera: Camera, sampling: ViewSampling, count: int, *names: str | int
+    scene: Scene, renderer: Renderer, camera: Camera, sampling: ViewSampling, count: int, *names: str | int
 ) -> SampledViews:
     """Draws views over a city whose centres hit built-up ground and that show enough buildings.
 
@@ -143,7 +135,7 @@ class ViewCheck:
     """Judges views of a city: free of buildings at the camera, and enough of them in the picture."""
 
     def __init__(
-        self, scene: Scene, renderer: Silhouettes, camera: Camera, building_share: tuple[float, float]
+        self, scene: Scene, renderer: Renderer, camera: Camera, building_share: tuple[float, float]
     ) -> None:
         self._renderer = renderer
         height = max(1, round(_PREVIEW_WIDTH * camera.height / camera.width))

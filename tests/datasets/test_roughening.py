@@ -87,11 +87,12 @@ def test_errors_are_areas_not_pixels(target):
 
 
 def test_both_kinds_of_error_occur():
-    mask = town_mask(2)
-    rough, _ = roughen_mask(mask, 0.85, random_stream(2))
-    wrong = (rough ^ mask).sum()
-    assert (mask & ~rough).sum() > 0.15 * wrong
-    assert (rough & ~mask).sum() > 0.15 * wrong
+    lost, gained = 0, 0
+    for seed in range(6):
+        mask = town_mask(seed)
+        rough, _ = roughen_mask(mask, 0.85, random_stream(seed))
+        lost, gained = lost + (mask & ~rough).sum(), gained + (rough & ~mask).sum()
+    assert min(lost, gained) > 0.2 * (lost + gained)
 
 
 def test_trees_stand_before_the_lower_outlines():

@@ -1,0 +1,1 @@
+"""The demo: a made-up town, its queries, and the folder they are written to."""

@@ -1,0 +1,151 @@
+"""Writes the demo as a folder in LoD-Loc's text layout, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel import open_scene
+from lodbench.datasets.demo.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text
+from lodbench.datasets.demo.queries import QUERY_CAMERA, TARGET_IOU, DemoQuery, DemoSplit, make_splits
+from lodbench.datasets.demo.town import TOWN_VERSION, Town, grow_town
+from lodbench.errors import DatasetError
+from lodbench.geometry import Pose
+from lodbench.rendering.silhouette import SilhouetteRenderer
+
+CITY_FILE = "town.gml"
+MANIFEST_FILE = "demo.json"
+
+
+def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0) -> Path:
+    """Builds the demo dataset in a folder, unless the same one is there already.
+
+    The folder holds ``town.gml``, ``demo.json`` and per split ``in_place`` and ``out_of_place``
+    the files ``GT_pose.txt``, ``GPS_pose.txt``, ``intrinsic.txt`` and ``masks/``. Poses are world
+    to camera in the absolute coordinates of the city file. All bytes follow from the seed.
+
+    Args:
+        root: The folder to create; its parents are made where missing.
+        num_queries: Queries over both splits.
+        seed: Seed of the town and everything in it.
+
+    Returns:
+        ``root``.
+
+    Raises:
+        DatasetError: Fewer than two queries, or something else stands at ``root``.
+    """
+    if num_queries < 2:
+        raise DatasetError(f"The demo has two splits, so it needs at least 2 queries, not {num_queries}.")
+    asked = {"town_version": TOWN_VERSION, "seed": seed, "num_queries": num_queries}
+    if root.exists() and _is_same_demo(root, asked):
+        return root
+    root.parent.mkdir(parents=True, exist_ok=True)
+    building = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".part", dir=root.parent))
+    try:
+        _write_demo(building, num_queries, seed, asked)
+        # mkdtemp makes folders private; a dataset is as readable as any other folder of the user.
+        building.chmod(0o755)
+        _move_into_place(building, root, asked)
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+    return root
+
+
+def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
+    """Returns whether a finished demo with these parameters stands at a path.
+
+    Raises:
+        DatasetError: Something else does.
+    """
+    try:
+        manifest = json.loads((root / MANIFEST_FILE).read_text(encoding="utf-8"))
+        found = {key: manifest[key] for key in asked}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise DatasetError(
+            f"{root} exists and is no demo dataset.", "Name another folder, or remove it."
+        ) from None
+    if found != asked:
+        raise DatasetError(
+            f"{root} holds another demo: {found} instead of {asked}.", "Name another folder, or remove it."
+        )
+    return True
+
+
+def _move_into_place(building: Path, root: Path, asked: dict[str, Any]) -> None:
+    try:
+        building.rename(root)
+    except OSError:
+        # Another process was quicker; its demo has the same bytes.
+        if not (root.exists() and _is_same_demo(root, asked)):
+            raise
+
+
+def _write_demo(folder: Path, num_queries: int, seed: int, asked: dict[str, Any]) -> None:
+    town = grow_town(seed)
+    city = folder / CITY_FILE
+    city.write_text(citygml_text(town), encoding="utf-8", newline="\n")
+    # The queries see the town as a reader does: through the file, in the frame it gives the scene.
+    scene = open_scene(city, lod="2")
+    renderer = SilhouetteRenderer(scene, threads=1)
+    splits = make_splits(town, scene, renderer, ORIGIN_M - scene.origin, num_queries)
+    for split in splits:
+        _write_split(folder / split.name, split, scene.origin)
+    manifest = asked | _manifest(town, splits)
+    text = json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False)
+    (folder / MANIFEST_FILE).write_text(text + "\n", encoding="utf-8", newline="\n")
+
+
+def _write_split(folder: Path, split: DemoSplit, origin: NDArray[np.float64]) -> None:
+    """Writes the poses, intrinsics and masks of one split."""
+    masks = folder / "masks"
+    masks.mkdir(parents=True)
+    c = QUERY_CAMERA
+    camera = f"PINHOLE {c.width} {c.height} {c.fx!r} {c.fy!r} {c.cx!r} {c.cy!r}"
+    files = {
+        "GT_pose.txt": [_pose_line(q.name, q.truth, origin) for q in split.queries],
+        "GPS_pose.txt": [_pose_line(q.name, q.prior, origin) for q in split.queries],
+        "intrinsic.txt": [f"{q.name} {camera}" for q in split.queries],
+    }
+    for name, lines in files.items():
+        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    for query in split.queries:
+        (masks / query.name).write_bytes(_png(query))
+
+
+def _pose_line(name: str, pose: Pose, origin: NDArray[np.float64]) -> str:
+    """Returns one line of a pose file, the pose moved from the local frame to the CRS."""
+    absolute = pose.shifted(origin)
+    numbers = [f"{v:.12f}" for v in absolute.quat_wxyz] + [f"{v:.6f}" for v in absolute.translation]
+    return " ".join([name, *numbers])
+
+
+def _png(query: DemoQuery) -> bytes:
+    encoded, content = cv2.imencode(".png", query.mask.astype(np.uint8) * 255)
+    if not encoded:
+        raise DatasetError(f"The mask of {query.name} cannot be written as PNG.")
+    return content.tobytes()
+
+
+def _manifest(town: Town, splits: list[DemoSplit]) -> dict[str, Any]:
+    """Returns what there is to know about the demo besides its files."""
+    return {
+        "city": {"file": CITY_FILE, "crs": CRS_NAME, "buildings": len(town.buildings), "lods": ["1", "2"]},
+        "frame": "world to camera, absolute coordinates of the CRS, metres",
+        "splits": {
+            split.name: {
+                "queries": len(split.queries),
+                "rejected_views": split.rejections,
+                "target_iou": TARGET_IOU[split.name],
+                "mask_iou": {query.name: round(query.mask_iou, 6) for query in split.queries},
+            }
+            for split in splits
+        },
+    }

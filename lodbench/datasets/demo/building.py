@@ -1,0 +1,90 @@
+"""One building of the town, at two levels of detail."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.demo.details import Annex, RoofBox
+from lodbench.datasets.demo.roofs import Roof
+from lodbench.datasets.demo.shapes import area
+from lodbench.datasets.demo.solid import Solid, prism
+from lodbench.datasets.demo.sweep import Body, Strip
+from lodbench.datasets.demo.terrain import Terrain
+
+Points = NDArray[np.float64]
+
+# LoD1 outlines are generalised: corners snap to this grid, and courtyards below this size are filled.
+LOD1_GRID_M = 0.5
+LOD1_COURTYARD_M2 = 120.0
+# LoD1 boxes end this share of the way from the eaves to the ridge.
+LOD1_HEIGHT_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What is decided of a building before it stands.
+
+    Attributes:
+        strip: Its plan.
+        roof: Its roof, heights above the base.
+        function: ``residential``, ``commercial``, ``public``, ``church``, ``industrial``, ``garage``.
+        district: Where in town it stands.
+        details: What only LoD2 shows.
+    """
+
+    strip: Strip
+    roof: Roof
+    function: str
+    district: str
+    details: tuple[Annex | RoofBox, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Building:
+    """A building with its solids, local metres.
+
+    Attributes:
+        identifier: Unique and stable for a seed.
+        plan: What it was built from.
+        lod1: A box over the generalised outline, from the ground to between eaves and ridge.
+        lod2: Walls, roof faces and details.
+    """
+
+    identifier: str
+    plan: Plan
+    lod1: Solid
+    lod2: Solid
+
+
+def pieces_of(plan: Plan) -> list[Points]:
+    """Returns the convex pieces of a plan with its annexes, (4, 2) each, counter-clockwise."""
+    annexes = [detail for detail in plan.details if isinstance(detail, Annex)]
+    body = Body(plan.strip, plan.roof, 0.0) if annexes else None
+    return [*plan.strip.pieces, *[annex.plan(body) for annex in annexes if body is not None]]
+
+
+def erect(identifier: str, plan: Plan, terrain: Terrain) -> Building:
+    """Returns a building on the lowest ground under its outline: no side floats."""
+    base = float(terrain.height(np.concatenate(plan.strip.rings)).min())
+    base = round(base, 2)
+    body = Body(plan.strip, plan.roof, base)
+    for detail in plan.details:
+        detail.add_to(body)
+    rise = plan.roof.ridge_m - plan.roof.eave_m
+    top = round(base + plan.roof.eave_m + LOD1_HEIGHT_SHARE * rise, 2)
+    return Building(identifier, plan, prism(_generalised(plan.strip.rings), base, top), body.builder.build())
+
+
+def _generalised(rings: list[Points]) -> list[Points]:
+    """Returns plan rings on the LoD1 grid, without small courtyards; unchanged where nothing is left."""
+    kept = [rings[0], *[ring for ring in rings[1:] if -area(ring) >= LOD1_COURTYARD_M2]]
+    snapped = []
+    for ring in kept:
+        coarse = np.round(ring / LOD1_GRID_M) * LOD1_GRID_M
+        coarse = coarse[(coarse != np.roll(coarse, 1, axis=0)).any(axis=1)]
+        sound = len(coarse) >= 3 and area(coarse) * area(ring) > 0
+        snapped.append(coarse if sound else ring)
+    return snapped

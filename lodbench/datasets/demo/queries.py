@@ -1,0 +1,168 @@
+"""The demo's queries: flight lines over the old town, and free views of another district."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.demo.town import OLD_TOWN_RADIUS_M, Town
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.roughening import roughen_mask
+from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA, ViewCheck, ViewSampling, sample_views, view_of
+from lodbench.errors import DatasetError
+from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.rendering.protocol import Renderer
+from lodbench.storage import random_stream
+
+Points = NDArray[np.float64]
+
+# Twice the size at which methods compare silhouettes: masks are finer than what is scored, as a
+# network's are, and still small files.
+QUERY_CAMERA = RGB_CAMERA.scaled(2 * FINE_SIZE[0], 2 * FINE_SIZE[1])
+# Mean IoU of the masks with the true silhouettes: as the paper's network does in and out of place.
+TARGET_IOU = {"in_place": 0.88, "out_of_place": 0.80}
+
+_BUILDING_SHARE = (0.10, 0.80)
+# The flight over the old town: height of each line, tilt of its camera, and jitter around both.
+_LINE_HEIGHTS_M = (112.0, 130.0, 148.0)
+_LINE_PITCHES_DEG = (28.0, 50.0, 38.0)
+_LINE_SPACING_M = 105.0
+# Where the out-of-place views look: this far from the middle, away from the river.
+_SUBURB_AT_M = 345.0
+_SUBURB_HALF_M = 135.0
+_ATTEMPTS = 50
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DemoQuery:
+    """One query with its truth, in the scene's local frame.
+
+    Attributes:
+        name: Image name.
+        truth: Where the camera was.
+        prior: Where the sensor says it was.
+        mask: (H, W) bool, the roughened silhouette in `QUERY_CAMERA`.
+        mask_iou: IoU of the mask with the true LoD2 silhouette.
+    """
+
+    name: str
+    truth: Pose
+    prior: Pose
+    mask: NDArray[np.bool_]
+    mask_iou: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DemoSplit:
+    """The queries of one split.
+
+    Attributes:
+        name: ``in_place`` or ``out_of_place``.
+        queries: In flight order.
+        rejections: Views thrown away for showing too few or too many buildings.
+    """
+
+    name: str
+    queries: tuple[DemoQuery, ...]
+    rejections: int
+
+
+def make_splits(
+    town: Town, scene: Scene, renderer: Renderer, offset_m: Points, count: int
+) -> list[DemoSplit]:
+    """Returns both splits, half of the queries each, the odd one in place.
+
+    Args:
+        town: The town.
+        scene: Its LoD2 scene.
+        renderer: Renders that scene.
+        offset_m: (3,) what to add to the town's local metres to be in the scene's frame.
+        count: Number of queries over both splits.
+
+    Raises:
+        DatasetError: No acceptable view is found somewhere.
+    """
+    check = ViewCheck(scene, renderer, QUERY_CAMERA, _BUILDING_SHARE)
+    flight, in_rejections = _fly_over(town, check, offset_m, count - count // 2)
+    sampling = ViewSampling(building_share=_BUILDING_SHARE, area_m=_suburb(town, offset_m), seed=town.seed)
+    views = sample_views(scene, renderer, QUERY_CAMERA, sampling, count // 2, "demo", "out_of_place")
+    return [
+        _split("in_place", town.seed, flight, in_rejections, renderer),
+        _split("out_of_place", town.seed, list(views.poses), views.rejections, renderer),
+    ]
+
+
+def _split(name: str, seed: int, truths: list[Pose], rejections: int, renderer: Renderer) -> DemoSplit:
+    """Returns a split: a prior and a mask for each true pose, from streams of their own."""
+    queries = []
+    for k, truth in enumerate(truths):
+        image = f"{name}_{k:04d}.png"
+        clean = renderer.render(QUERY_CAMERA, truth)
+        rough, iou = roughen_mask(
+            clean,
+            TARGET_IOU[name],
+            random_stream(seed, "demo", image, "mask"),
+            pixels_per_m=_pixels_per_m(QUERY_CAMERA, truth, renderer.scene),
+        )
+        prior = UniformPrior().draw(truth, random_stream(seed, "demo", image, "prior"))
+        queries.append(DemoQuery(image, truth, prior, rough, iou))
+    return DemoSplit(name, tuple(queries), rejections)
+
+
+def _pixels_per_m(camera: Camera, pose: Pose, scene: Scene) -> float:
+    """Returns the image scale where the view's centre meets the lowest ground of the scene."""
+    drop = float(pose.center[2]) - float(scene.vertices[:, 2].min())
+    return camera.fx * -float(pose.rotation[2, 2]) / drop
+
+
+def _suburb(town: Town, offset_m: Points) -> tuple[float, float, float, float]:
+    """Returns west, south, east and north of the out-of-place district, scene metres."""
+    x, y = -town.streets.to_river * _SUBURB_AT_M + offset_m[:2]
+    return x - _SUBURB_HALF_M, y - _SUBURB_HALF_M, x + _SUBURB_HALF_M, y + _SUBURB_HALF_M
+
+
+def _fly_over(town: Town, check: ViewCheck, offset_m: Points, count: int) -> tuple[list[Pose], int]:
+    """Returns views along three parallel flight lines over the old town, to and fro, and the rejections.
+
+    The camera looks ahead along the line; a station that shows too few or too many buildings is
+    tried again with more jitter.
+    """
+    turn = float(random_stream(town.seed, "demo", "flight").uniform(-180.0, 180.0))
+    poses, rejections = [], 0
+    for index in range(count):
+        line, place = index * 3 // count, (index * 3 / count) % 1.0
+        for attempt in range(_ATTEMPTS):
+            generator = random_stream(town.seed, "demo", "in_place", index, attempt)
+            pose = _station(town, line, place, turn, 1.0 + attempt, generator).shifted(offset_m)
+            if check.accepts(pose):
+                break
+            rejections += 1
+        else:
+            raise DatasetError(
+                f"The demo town of seed {town.seed} shows too few buildings from its flight line {line}.",
+                "Take another seed.",
+            )
+        poses.append(pose)
+    return poses, rejections
+
+
+def _station(
+    town: Town, line: int, place: float, turn: float, jitter: float, generator: np.random.Generator
+) -> Pose:
+    """Returns the view from one place, in [0, 1), of a flight line, town metres."""
+    along = np.array([-np.sin(np.radians(turn)), np.cos(np.radians(turn))])
+    across = np.array([along[1], -along[0]])
+    forward = line % 2 == 0
+    way = 2.0 * place - 1.0 if forward else 1.0 - 2.0 * place
+    middle = along * way * OLD_TOWN_RADIUS_M + across * (line - 1) * _LINE_SPACING_M
+    middle = middle + generator.normal(0.0, 4.0 * jitter, size=2)
+    target = np.append(middle, town.terrain.height(middle[None])[0])
+    height = np.clip(_LINE_HEIGHTS_M[line] + generator.normal(0.0, 3.0 * jitter), 100.0, 160.0)
+    pitch = np.clip(_LINE_PITCHES_DEG[line] + generator.normal(0.0, 2.0 * jitter), 20.0, 60.0)
+    yaw = turn + (0.0 if forward else 180.0) + generator.normal(0.0, 3.0)
+    return view_of(
+        target, float(height), EulerAngles(float(pitch), float(generator.normal(0, 0.3)), float(yaw))
+    )

@@ -1,0 +1,66 @@
+"""Roofs as cross-sections: a line of heights from one eave to the other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Roof:
+    """The cross-section of a roof, and how its ends are closed.
+
+    Attributes:
+        name: ``flat``, ``gabled``, ``hipped``, ``mansard``, ``pavilion`` or ``serrated``.
+        profile: (share of the way across, height above the base in metres) from eave to eave.
+        hips_m: How far the ridge stops short of the first and last end; 0 is a gable.
+    """
+
+    name: str
+    profile: tuple[tuple[float, float], ...]
+    hips_m: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def eave_m(self) -> float:
+        """Lowest height of the roof above the base."""
+        return min(height for _, height in self.profile)
+
+    @property
+    def ridge_m(self) -> float:
+        """Greatest height of the roof above the base."""
+        return max(height for _, height in self.profile)
+
+
+def flat(height_m: float) -> Roof:
+    """Returns a flat roof."""
+    return Roof("flat", ((0.0, height_m), (1.0, height_m)))
+
+
+def gabled(eave_m: float, pitch_deg: float, depth_m: float, ridge_at: float = 0.5) -> Roof:
+    """Returns a roof whose steeper side has a pitch, over a body of a depth."""
+    rise = min(ridge_at, 1 - ridge_at) * depth_m * math.tan(math.radians(pitch_deg))
+    return Roof("gabled", ((0.0, eave_m), (ridge_at, eave_m + rise), (1.0, eave_m)))
+
+
+def hipped(
+    eave_m: float, pitch_deg: float, depth_m: float, length_m: float, ends: tuple[bool, bool] = (True, True)
+) -> Roof:
+    """Returns a roof with equal pitch all round; a pavilion (tent) roof where the ridge is a point."""
+    ridge = gabled(eave_m, pitch_deg, depth_m)
+    hip = min(depth_m / 2, length_m / 2)
+    name = "pavilion" if all(ends) and length_m - 2 * hip < 0.05 else "hipped"
+    return Roof(name, ridge.profile, (hip if ends[0] else 0.0, hip if ends[1] else 0.0))
+
+
+def mansard(eave_m: float, depth_m: float) -> Roof:
+    """Returns a roof with a steep lower and a shallow upper part."""
+    lower, upper = 1.4, depth_m / 2 - 1.4
+    knee, ridge = eave_m + 2.6, eave_m + 2.6 + upper * math.tan(math.radians(22))
+    share = lower / depth_m
+    return Roof("mansard", ((0.0, eave_m), (share, knee), (0.5, ridge), (1 - share, knee), (1.0, eave_m)))
+
+
+def serrated(eave_m: float, rise_m: float, count: int) -> Roof:
+    """Returns a row of low gables side by side, as over factory halls."""
+    profile = [(k / (2 * count), eave_m + (rise_m if k % 2 else 0.0)) for k in range(2 * count + 1)]
+    return Roof("serrated", tuple(profile))

@@ -1,0 +1,109 @@
+"""Plane geometry of the town: rings of corners, (N, 2) metres, counter-clockwise unless said."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Points = NDArray[np.float64]
+
+
+def area(ring: Points) -> float:
+    """Returns the signed area, positive when counter-clockwise."""
+    x, y = ring[:, 0], ring[:, 1]
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def edge_directions(ring: Points) -> Points:
+    """Returns the unit direction of each edge, (N, 2), from a corner to the next."""
+    edges = np.roll(ring, -1, axis=0) - ring
+    return np.asarray(edges / np.linalg.norm(edges, axis=1, keepdims=True))
+
+
+def left_of(direction: Points) -> Points:
+    """Returns directions, (..., 2), turned by 90 degrees to the left."""
+    return np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
+
+
+def cut(ring: Points, point: Points, inward: Points) -> Points:
+    """Returns the part of a convex ring on the inward side of a line through a point; may be empty."""
+    side = (ring - point) @ inward
+    kept: list[Points] = []
+    for k in range(len(ring)):
+        here, ahead = side[k], side[(k + 1) % len(ring)]
+        if here >= 0:
+            kept.append(ring[k])
+        if here * ahead < 0:
+            kept.append(ring[k] + (ring[(k + 1) % len(ring)] - ring[k]) * (here / (here - ahead)))
+    return np.array(kept).reshape(-1, 2)
+
+
+def parallel(line: Points, distances: Points, *, closed: bool) -> Points:
+    """Returns a polyline moved to its left, each segment by its own distance, with mitred corners.
+
+    Args:
+        line: (K, 2) corners.
+        distances: (K - 1,) distances of the segments, or (K,) of a closed ring.
+        closed: Whether the last corner joins the first.
+    """
+    along = edge_directions(line)
+    left = left_of(along)
+    moved = np.empty_like(line)
+    for k in range(len(line)):
+        if not closed and k == 0:
+            moved[k] = line[k] + left[0] * distances[0]
+        elif not closed and k == len(line) - 1:
+            moved[k] = line[k] + left[k - 1] * distances[k - 1]
+        else:
+            normals = np.stack([left[k - 1], left[k]])
+            moved[k] = line[k] + np.linalg.solve(normals, np.array([distances[k - 1], distances[k]]))
+    return moved
+
+
+def inset(ring: Points, distance: float) -> Points | None:
+    """Returns a ring shrunk by a distance with the same corners, or None where an edge would vanish."""
+    inner = parallel(ring, np.full(len(ring), distance), closed=True)
+    edges = np.roll(inner, -1, axis=0) - inner
+    lengths = np.sum(edges * edge_directions(ring), axis=1)
+    return inner if lengths.min() > 1.0 and area(inner) > 0 else None
+
+
+def corner_angles_deg(ring: Points) -> Points:
+    """Returns the inner angle at each corner, (N,), degrees."""
+    out = edge_directions(ring)
+    into = np.roll(out, 1, axis=0)
+    turn = np.arctan2(into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0], np.sum(into * out, axis=1))
+    return np.asarray(180.0 - np.degrees(turn))
+
+
+def contains(ring: Points, points: Points) -> NDArray[np.bool_]:
+    """Returns which points, (M, 2), lie inside a ring of any shape (even-odd rule)."""
+    x, y = points[:, :1], points[:, 1:]
+    ahead = np.roll(ring, -1, axis=0)
+    crosses = (ring[:, 1] > y) != (ahead[:, 1] > y)
+    rise = np.where(ahead[:, 1] == ring[:, 1], 1.0, ahead[:, 1] - ring[:, 1])
+    crossing = ring[:, 0] + (y - ring[:, 1]) / rise * (ahead[:, 0] - ring[:, 0])
+    return np.asarray(np.sum(crosses & (x < crossing), axis=1) % 2 == 1)
+
+
+def keeps_apart(a: Points, b: Points, gap_m: float) -> bool:
+    """Returns whether some edge of two convex rings separates them by at least a gap."""
+    for first, second in ((a, b), (b, a)):
+        outward = -left_of(edge_directions(first))
+        distance = np.einsum("kc,kmc->km", outward, second[None, :, :] - first[:, None, :]).min(axis=1)
+        if distance.max() >= gap_m - 1e-9:
+            return True
+    return False
+
+
+def box_of(ring: Points) -> tuple[Points, float, float]:
+    """Returns the direction, length and width of the smallest box around a ring, along one of its edges."""
+    best: tuple[float, Points, float, float] | None = None
+    for along in edge_directions(ring):
+        spans = np.ptp(ring @ np.stack([along, left_of(along)]).T, axis=0)
+        size = float(spans[0] * spans[1])
+        if best is None or size < best[0] - 1e-9:
+            best = (size, along, float(spans[0]), float(spans[1]))
+    assert best is not None  # noqa: S101 - a ring has edges
+    _, along, length, width = best
+    return (along, length, width) if length >= width else (left_of(along), width, length)

@@ -1,0 +1,123 @@
+"""Closed solids as planar faces over shared points: every edge belongs to two faces, once each way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.model import SurfaceKind
+
+Points = NDArray[np.float64]
+Ring = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """A planar polygon: rings of point indices, the outline first, then holes.
+
+    Seen from outside the solid the outline runs counter-clockwise and holes clockwise.
+    """
+
+    kind: SurfaceKind
+    rings: tuple[Ring, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """A body bounded by faces.
+
+    Attributes:
+        points: (P, 3) float64 local metres, rounded to millimetres.
+        faces: Its faces, normals outward.
+    """
+
+    points: Points
+    faces: tuple[Face, ...]
+
+    def volume_m3(self) -> float:
+        """Returns the enclosed volume in cubic metres, positive when the faces look outward."""
+        volume = 0.0
+        middle = self.points.mean(axis=0)
+        for face in self.faces:
+            for ring in face.rings:
+                corners = self.points[list(ring)] - middle
+                # Fans around the first corner: a hole's fan is negative, so it need not be convex.
+                crossed = np.cross(corners[1:-1], corners[2:])
+                volume += float(np.sum(crossed @ corners[0])) / 6.0
+        return volume
+
+
+@dataclass(slots=True)
+class SolidBuilder:
+    """Collects points and faces; equal points, to the millimetre, are one."""
+
+    _index: dict[tuple[int, int, int], int] = field(default_factory=dict)
+    _faces: list[tuple[SurfaceKind, list[list[int]]]] = field(default_factory=list)
+
+    def point(self, x: float, y: float, z: float) -> int:
+        """Returns the index of a point in local metres."""
+        key = (round(x * 1000), round(y * 1000), round(z * 1000))
+        return self._index.setdefault(key, len(self._index))
+
+    def points(self, plan: Points, height: float) -> list[int]:
+        """Returns the indices of plan positions, (N, 2), at one height."""
+        return [self.point(x, y, height) for x, y in plan.tolist()]
+
+    def position(self, index: int) -> Points:
+        """Returns a point, (3,) local metres."""
+        return np.array(list(self._index)[index]) / 1000.0
+
+    def face(self, kind: SurfaceKind, outline: Sequence[int], *holes: Sequence[int]) -> int:
+        """Adds a face, leaving out corners that fell together, and returns its number."""
+        self._faces.append((kind, [_without_repeats(ring) for ring in (outline, *holes)]))
+        return len(self._faces) - 1
+
+    def outline(self, face: int) -> list[int]:
+        """Returns the outline of a face."""
+        return self._faces[face][1][0]
+
+    def add_hole(self, face: int, ring: Sequence[int]) -> None:
+        """Cuts a hole into a face; the ring runs clockwise seen from outside."""
+        self._faces[face][1].append(list(ring))
+
+    def detour(self, face: int, start: int, end: int, way: Sequence[int]) -> None:
+        """Leads the edge from ``start`` to ``end`` of a face's rings over other points."""
+        for ring in self._faces[face][1]:
+            for k, point in enumerate(ring):
+                if point == start and ring[(k + 1) % len(ring)] == end:
+                    ring[k + 1 : k + 1] = list(way)
+                    return
+        raise ValueError(f"face {face} has no edge from {start} to {end}")
+
+    def build(self) -> Solid:
+        """Returns the solid."""
+        points = np.array(list(self._index), dtype=np.float64) / 1000.0
+        faces = tuple(Face(kind, tuple(tuple(ring) for ring in rings)) for kind, rings in self._faces)
+        return Solid(points, faces)
+
+
+def _without_repeats(ring: Sequence[int]) -> list[int]:
+    return [point for k, point in enumerate(ring) if point != ring[k - 1]]
+
+
+def prism(rings: Sequence[Points], base_m: float, top_m: float) -> Solid:
+    """Returns a flat-roofed block.
+
+    Args:
+        rings: Plan rings, (N, 2): the outline counter-clockwise, then holes clockwise.
+        base_m: Height of the ground face.
+        top_m: Height of the roof face.
+    """
+    builder = SolidBuilder()
+    low = [builder.points(ring, base_m) for ring in rings]
+    high = [builder.points(ring, top_m) for ring in rings]
+    builder.face(SurfaceKind.GROUND, *[ring[::-1] for ring in low])
+    builder.face(SurfaceKind.ROOF, *high)
+    for bottom, top in zip(low, high, strict=True):
+        for k in range(len(bottom)):
+            ahead = (k + 1) % len(bottom)
+            builder.face(SurfaceKind.WALL, [bottom[k], bottom[ahead], top[ahead], top[k]])
+    return builder.build()
