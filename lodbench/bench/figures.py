@@ -1,0 +1,61 @@
+"""A figure: a measured number, and the same of a peer beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+# Called with the steps done and their total.
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measured number.
+
+    Attributes:
+        figure: What was measured, unique within a report.
+        value: Our number.
+        unit: Its unit; "" for a count.
+        peer: Who or what the number stands beside, with the reason if it could not be measured; or "".
+        peer_value: The peer's number in the same unit, or None.
+        ratio: How many times better ours is, or None.
+    """
+
+    figure: str
+    value: float
+    unit: str
+    peer: str = ""
+    peer_value: float | None = None
+    ratio: float | None = None
+
+    def to_json(self) -> dict[str, str | float | None]:
+        """Returns a JSON object in which what is not finite is null."""
+        return {
+            "figure": self.figure,
+            "value": _finite(self.value),
+            "unit": self.unit,
+            "peer": self.peer,
+            "peer_value": _finite(self.peer_value),
+            "ratio": _finite(self.ratio),
+        }
+
+
+def format_columns(rows: Sequence[Sequence[str]]) -> str:
+    """Returns rows of cells as lines of text: first column flush left, the others flush right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [row[0].ljust(widths[0])]
+        cells += [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def no_progress(done: int, total: int) -> None:
+    """Tells nobody."""
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
