@@ -105,9 +105,9 @@ class _Reader:
             self._building_ids.append(building_id)
             self._num_parts += sum(1 for _ in element.iter(*PARTS))
             srs_name = _envelope_srs(element) or self._srs_name
-            before = len(self.walk.batch.building), len(self.walk.references)
+            before = len(self.walk.batch.owners), len(self.walk.references)
             self.walk.walk_building(element, number, building_id, srs_name)
-            if before == (len(self.walk.batch.building), len(self.walk.references)):
+            if before == (len(self.walk.batch.owners), len(self.walk.references)):
                 self.findings.add(BUILDING_EMPTY, building_id)
         if not is_building_met:
             self._others.update(local_name(child.tag) for child in member)
@@ -116,7 +116,7 @@ class _Reader:
 
     def _flush(self) -> None:
         batch = self.walk.take_batch()
-        if batch.building:
+        if batch.owners:
             self._parts.append(
                 read_batch(batch, self._building_ids, self.findings, is_strict=self._is_strict)
             )

@@ -49,10 +49,14 @@ def parse_rings(
         return np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_)
     data = np.frombuffer(joined.encode("ascii"), dtype=np.uint8)
     values = np.zeros(len(data) // 2 + 1)
-    spans = np.zeros((len(data) // 2 + 1, 2), np.int64)
-    counts = np.zeros(len(texts), np.int64)
-    is_bad = np.zeros(len(texts), np.bool_)
-    num_values, num_long = _scan(data, _POWERS, values, counts, is_bad, spans)
+    spans = np.zeros((0, 2), np.int64)
+    while True:
+        counts = np.zeros(len(texts), np.int64)
+        is_bad = np.zeros(len(texts), np.bool_)
+        num_values, num_long = _scan(data, _POWERS, values, counts, is_bad, spans)
+        if num_long <= len(spans):
+            break
+        spans = np.zeros((num_long, 2), np.int64)  # rare, so room is made only when there are some
     values = values[:num_values].copy()
     _repair_long(joined, values, counts, is_bad, spans[:num_long])
     return values, counts, is_bad
@@ -183,8 +187,9 @@ def _scan(  # noqa: C901 - one state machine; splitting it would cost the speed 
             values[num_values] = np.nan
             is_bad[ring] = True
         elif is_long or exponent < -22 or exponent > 22 or (exponent > 0 and mantissa > 9007199254740992):
-            spans[num_long, 0] = num_values
-            spans[num_long, 1] = start
+            if num_long < len(spans):
+                spans[num_long, 0] = num_values
+                spans[num_long, 1] = start
             num_long += 1
         else:
             value = _decimal(mantissa, exponent, powers)

@@ -52,12 +52,13 @@ def read_batch(
     """
     values, counts, is_bad = parse_rings(batch.texts)
     dimensions = np.zeros(len(counts), np.int64)
+    dimensions[batch.solid_rings] = 3
     for declared_ring, dimension in batch.dimensions.items():
         dimensions[declared_ring] = dimension
     _settle_dimensions(values, counts, dimensions)
     has_remainder = counts % dimensions != 0
     ring_counts = np.asarray(batch.ring_counts, np.int64)
-    building = np.asarray(batch.building, np.int64)
+    building, lod, kind, srs = np.asarray(batch.owners, np.int64).reshape(-1, 4).T
     ring_polygon = np.repeat(np.arange(len(ring_counts)), ring_counts)
     faults: list[tuple[FindingCode, NDArray[np.bool_]]] = [
         (BAD_COORDINATE, is_bad),
@@ -70,12 +71,12 @@ def read_batch(
         ring_lengths=counts // dimensions,
         ring_counts=ring_counts,
         building=building,
-        lod=np.asarray(batch.lod, np.int64),
-        kind=np.asarray(batch.kind, np.int64),
-        srs=np.asarray(batch.srs, np.int64),
+        lod=lod,
+        kind=kind,
+        srs=srs,
     )
     for ring in np.flatnonzero(dimensions == 2):
-        findings.add(RING_2D, building_ids[batch.building[ring_polygon[ring]]])
+        findings.add(RING_2D, building_ids[batch.owners[ring_polygon[ring]][0]])
     _flip(arrays, batch.flipped)
     faulty = np.unique(ring_polygon[is_bad | has_remainder])
     return _select(arrays, batch, faulty)
@@ -126,7 +127,7 @@ def _report_faults(
     is_strict: bool,
 ) -> None:
     for ring in np.flatnonzero(is_faulty):
-        building_id = building_ids[batch.building[ring_polygon[ring]]]
+        building_id = building_ids[batch.owners[ring_polygon[ring]][0]]
         excerpt = " ".join(batch.texts[ring].split()[:6])
         if is_strict:
             what = (

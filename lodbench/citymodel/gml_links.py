@@ -5,7 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lodbench.citymodel.codes import DUPLICATE_ID, XLINK_CYCLE, XLINK_REMOTE, XLINK_UNRESOLVED
-from lodbench.citymodel.gml_names import GML_IDS, POLYGONS, XLINK_HREF
+from lodbench.citymodel.gml_names import (
+    BUILDINGS,
+    GEOMETRY_PROPERTIES,
+    GML_IDS,
+    POLYGONS,
+    XLINK_HREF,
+    is_building_tag,
+    property_lod,
+)
 from lodbench.citymodel.gml_walk import GeometryWalk, Reference
 from lodbench.citymodel.xml import Element
 from lodbench.findings import Findings
@@ -50,7 +58,12 @@ class LinkResolver:
         walk.duplicate_ids.clear()
         self._copied.clear()
         index: _MemberIndex | None = None
+        owners, polygon_ids = walk.batch.owners, walk.polygon_ids
         for reference in tuple(walk.references):
+            href, building, lod, _, _ = reference
+            known = polygon_ids.get(href[1:])
+            if known is not None and owners[known][0] == building and owners[known][1] == lod:
+                continue  # the usual case, before any care for odd spellings
             target = self._target_id(reference, building_ids)
             if target is None:
                 continue
@@ -67,7 +80,7 @@ class LinkResolver:
 
     def resolve_elsewhere(self, member: Element, building_ids: list[str]) -> None:
         """Second pass: adds what ``member`` holds of the unresolved references, and forgets those."""
-        index = _index_member(member, self._walk)
+        index = _index_member(member, None)
         remaining = []
         for reference in self.unresolved:
             target = self._target_id(reference, building_ids)
@@ -100,12 +113,13 @@ class LinkResolver:
 
     def _copy(self, polygon: int, reference: Reference) -> None:
         batch = self._walk.batch
-        if batch.building[polygon] == reference.building and batch.lod[polygon] == reference.lod:
+        building, lod, own_kind, _ = batch.owners[polygon]
+        if (building, lod) == (reference.building, reference.lod):
             return
         key = (polygon, reference.building, reference.lod)
         if key not in self._copied:
             self._copied.add(key)
-            kind = reference.kind or batch.kind[polygon]
+            kind = reference.kind or own_kind
             batch.copies.append((polygon, reference.building, reference.lod, kind, reference.is_flipped))
 
     def _copy_all(
@@ -139,20 +153,31 @@ class LinkResolver:
 
     def _walk_once(self, element: Element, index: _MemberIndex, reference: Reference) -> None:
         walk = self._walk
-        polygon = len(walk.batch.building)
+        polygon = len(walk.batch.owners)
         walk.walk_geometry(element, reference.building, reference.lod, reference.kind, walk.default_srs, 0)
         index.polygons[element] = polygon
         if reference.is_flipped:
             walk.batch.flipped.append(polygon)
 
 
-def _index_member(member: Element, walk: GeometryWalk) -> _MemberIndex:
+def _index_member(member: Element, walk: GeometryWalk | None) -> _MemberIndex:
+    """Returns what can be referred to; polygons by number where ``walk`` has just collected them."""
     elements: dict[str, Element] = {}
     for element in member.iter():
         for name in GML_IDS:
             gml_id = element.get(name)
             if gml_id is not None:
                 elements.setdefault(gml_id, element)
-    first = walk.first_polygon
-    polygons = {element: first + i for i, element in enumerate(walk.polygon_elements)}
+    if walk is None:
+        return _MemberIndex(elements, {})
+    # The same steps in the same order as the walk took, so that numbers agree.
+    in_order = (
+        polygon
+        for building in member.iter(*BUILDINGS)
+        if is_building_tag(building.tag)
+        for prop in building.iter(*GEOMETRY_PROPERTIES)
+        if property_lod(prop.tag) is not None
+        for polygon in prop.iter(*POLYGONS)
+    )
+    polygons = {element: walk.first_polygon + i for i, element in enumerate(in_order)}
     return _MemberIndex(elements, polygons)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
+from functools import lru_cache
 
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import local_name, namespace_of
@@ -34,6 +34,10 @@ SURFACE_KINDS = {
     "BuildingConstructiveElement": SurfaceKind.INSTALLATION,
     "OtherConstruction": SurfaceKind.INSTALLATION,
 }
+# Surfaces that only ever bound the outside: no look at what is around them is needed.
+OUTER_NAMES = frozenset(
+    {"WallSurface", "RoofSurface", "GroundSurface", "OuterFloorSurface", "OuterCeilingSurface"}
+)
 INTERIOR_NAMES = frozenset(
     {
         "Room",
@@ -47,52 +51,51 @@ INTERIOR_NAMES = frozenset(
 )
 
 
-class Node(IntEnum):
-    """What the geometry walk does at an element."""
-
-    POLYGON = 0  # a new polygon begins
-    RING = 1  # a new ring begins
-    NUMBERS = 2  # posList or pos: adds to the ring
-    TUPLES = 3  # GML2 coordinates: adds to the ring
-    REFERENCE = 4  # may refer to geometry elsewhere
-    ORIENTABLE = 5  # may turn its polygons round
-    CURVE = 6  # numbers below belong to no surface, unless inside a ring
-
+# What the geometry walk does at an element. Plain integers: the walk compares them a million times,
+# and members of an IntEnum cost five times as much to compare.
+POLYGON = 0  # a new polygon begins
+RING = 1  # a new ring begins
+NUMBERS = 2  # posList or pos: adds to the ring
+TUPLES = 3  # GML2 coordinates: adds to the ring
+REFERENCE = 4  # may refer to geometry elsewhere
+ORIENTABLE = 5  # may turn its polygons round
+CURVE = 6  # numbers below belong to no surface, unless inside a ring
+NOTHING = 7  # passes by
 
 _NODES = {
-    "Polygon": Node.POLYGON,
-    "PolygonPatch": Node.POLYGON,
-    "Triangle": Node.POLYGON,
-    "Rectangle": Node.POLYGON,
-    "exterior": Node.RING,
-    "interior": Node.RING,
-    "outerBoundaryIs": Node.RING,
-    "innerBoundaryIs": Node.RING,
-    "posList": Node.NUMBERS,
-    "pos": Node.NUMBERS,
-    "coordinates": Node.TUPLES,
-    "surfaceMember": Node.REFERENCE,
-    "geometryMember": Node.REFERENCE,
-    "solidMember": Node.REFERENCE,
-    "baseSurface": Node.REFERENCE,
-    "OrientableSurface": Node.ORIENTABLE,
-    "LineString": Node.CURVE,
-    "Point": Node.CURVE,
-    "Curve": Node.CURVE,
-    "LineStringSegment": Node.CURVE,
+    "Polygon": POLYGON,
+    "PolygonPatch": POLYGON,
+    "Triangle": POLYGON,
+    "Rectangle": POLYGON,
+    "exterior": RING,
+    "interior": RING,
+    "outerBoundaryIs": RING,
+    "innerBoundaryIs": RING,
+    "posList": NUMBERS,
+    "pos": NUMBERS,
+    "coordinates": TUPLES,
+    "surfaceMember": REFERENCE,
+    "geometryMember": REFERENCE,
+    "solidMember": REFERENCE,
+    "baseSurface": REFERENCE,
+    "OrientableSurface": ORIENTABLE,
+    "LineString": CURVE,
+    "Point": CURVE,
+    "Curve": CURVE,
+    "LineStringSegment": CURVE,
 }
-POLYGONS = tuple("{*}" + name for name, node in _NODES.items() if node is Node.POLYGON)
-GEOMETRY_NODES = tuple("{*}" + name for name in _NODES)
+POLYGONS = tuple("{*}" + name for name, node in _NODES.items() if node == POLYGON)
 
 
-class NodeTable(dict[str, Node]):
-    """Full tag to ``Node``, filled as tags are met, so that a known tag costs one look-up."""
+class NodeTable(dict[str, int]):
+    """Full tag to what the walk does there, filled as tags are met, so that a known tag costs one look-up."""
 
-    def __missing__(self, tag: str) -> Node:
-        self[tag] = node = _NODES[local_name(tag)]
+    def __missing__(self, tag: str) -> int:
+        self[tag] = node = _NODES.get(local_name(tag), NOTHING)
         return node
 
 
+@lru_cache(maxsize=256)
 def property_lod(tag: str) -> str | None:
     """Returns the level of detail of a geometry property of CityGML, or None for anything else.
 

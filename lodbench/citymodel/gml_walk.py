@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from lodbench.citymodel.codes import GEOMETRY_EMPTY
 from lodbench.citymodel.gml_names import (
-    GEOMETRY_NODES,
+    CURVE,
     GEOMETRY_PROPERTIES,
     GML_IDS,
     INTERIOR_NAMES,
+    NUMBERS,
+    ORIENTABLE,
+    OUTER_NAMES,
+    POLYGON,
     POLYGONS,
+    REFERENCE,
+    RING,
     SURFACE_KINDS,
+    TUPLES,
     XLINK_HREF,
-    Node,
     NodeTable,
     property_lod,
 )
@@ -22,8 +30,7 @@ from lodbench.citymodel.xml import Element, local_name
 from lodbench.findings import Findings
 
 
-@dataclass(slots=True)
-class Reference:
+class Reference(NamedTuple):
     """An XLink met inside a geometry property: the id it names, and whose surface it stands for."""
 
     href: str
@@ -40,8 +47,9 @@ class PolygonBatch:
     Attributes:
         texts: One text of numbers per ring.
         dimensions: Ring index to declared dimension, for the rings that declare one.
+        solid_rings: Rings that declare three dimensions themselves, which most files do, or none.
         ring_counts: Rings of each polygon.
-        building, lod, kind, srs: One entry per polygon.
+        owners: (building, lod, kind, srs) of each polygon.
         flipped: Polygons whose orientation is turned round.
         copies: Polygons that repeat an earlier one: (source polygon, building, lod, kind, flipped).
         num_characters: Total length of the texts, to know when to read the numbers.
@@ -49,11 +57,9 @@ class PolygonBatch:
 
     texts: list[str] = field(default_factory=list)
     dimensions: dict[int, int] = field(default_factory=dict)
+    solid_rings: list[int] = field(default_factory=list)
     ring_counts: list[int] = field(default_factory=list)
-    building: list[int] = field(default_factory=list)
-    lod: list[int] = field(default_factory=list)
-    kind: list[int] = field(default_factory=list)
-    srs: list[int] = field(default_factory=list)
+    owners: list[tuple[int, int, int, int]] = field(default_factory=list)
     flipped: list[int] = field(default_factory=list)
     copies: list[tuple[int, int, int, int, bool]] = field(default_factory=list)
     num_characters: int = 0
@@ -83,7 +89,7 @@ class GeometryWalk:
         lods: Levels of detail met.
         srs_names: Reference systems met.
         polygon_ids: gml:id to polygon of the current member.
-        polygon_elements: The current member's polygons as elements, from ``first_polygon`` on.
+        first_polygon: Number of the current member's first polygon.
         references: XLinks of the current member.
         duplicate_ids: Polygon ids met twice in the current member.
         default_srs: Reference system of the current building.
@@ -94,7 +100,6 @@ class GeometryWalk:
         self.lods = NameTable()
         self.srs_names = NameTable()
         self.polygon_ids: dict[str, int] = {}
-        self.polygon_elements: list[Element] = []
         self.first_polygon = 0
         self.references: list[Reference] = []
         self.duplicate_ids: set[str] = set()
@@ -106,9 +111,8 @@ class GeometryWalk:
     def begin_member(self) -> None:
         """Forgets the ids and references of the member before."""
         self.polygon_ids.clear()
-        self.polygon_elements.clear()
         self.references.clear()
-        self.first_polygon = len(self.batch.building)
+        self.first_polygon = len(self.batch.owners)
 
     def take_batch(self) -> PolygonBatch:
         """Returns what was collected and begins anew; call between members only."""
@@ -135,9 +139,9 @@ class GeometryWalk:
         if len(prop) == 0:
             return href is not None
         srs, dimension = self._declared(prop[0], srs, 0)
-        first, first_reference = len(self.batch.building), len(self.references)
+        first, first_reference = len(self.batch.owners), len(self.references)
         self.walk_geometry(prop, building, lod, kind, srs, dimension)
-        return len(self.batch.building) > first or len(self.references) > first_reference
+        return len(self.batch.owners) > first or len(self.references) > first_reference
 
     def _declared(self, element: Element, srs: int, dimension: int) -> tuple[int, int]:
         """Returns reference system and dimension as an element declares them, else as inherited."""
@@ -154,62 +158,66 @@ class GeometryWalk:
     ) -> None:
         """Adds the polygons and references below an element, in document order."""
         batch, nodes = self.batch, self._nodes
-        texts = batch.texts
+        texts, ring_counts = batch.texts, batch.ring_counts
         is_new_ring, is_in_polygon = True, False
-        ring_srs, ring_dimension = srs, dimension
-        for element in root.iter(*GEOMETRY_NODES):
+        ring_dimension = dimension
+        # Without a tag filter: setting one up costs more than passing by the few other elements.
+        for element in root.iter():
             node = nodes[element.tag]
-            if node == Node.POLYGON:
-                attributes = element.items()
-                ring_srs, ring_dimension = srs, dimension
-                if attributes:
-                    self._note_id(element, len(batch.building))
-                    ring_srs, ring_dimension = self._declared(element, srs, dimension)
-                self.polygon_elements.append(element)
-                batch.building.append(building)
-                batch.lod.append(lod)
-                batch.kind.append(kind)
-                batch.srs.append(ring_srs)
-                batch.ring_counts.append(0)
-                if self._turned and element in self._turned:
-                    batch.flipped.append(len(batch.building) - 1)
-                is_new_ring, is_in_polygon = True, True
-            elif node == Node.NUMBERS or node == Node.TUPLES:
+            if node == NUMBERS or node == TUPLES:
                 if not is_in_polygon:
                     continue
-                text = element.text or ""
-                if node == Node.TUPLES:
-                    text = plain_numbers(element)
+                text = (element.text or "") if node == NUMBERS else plain_numbers(element)
                 if is_new_ring:
                     texts.append(text)
-                    batch.ring_counts[-1] += 1
+                    ring_counts[-1] += 1
                     is_new_ring = False
                 else:
                     texts[-1] += " " + text
                 batch.num_characters += len(text)
                 declared = element.get("srsDimension")
-                if declared is not None or ring_dimension:
+                if declared == "3":
+                    batch.solid_rings.append(len(texts) - 1)
+                elif ring_dimension or declared is not None:
                     self._note_dimension(len(texts) - 1, declared, ring_dimension)
-            elif node == Node.RING:
+            elif node == RING:
                 is_new_ring = True
                 if len(element) == 0:
                     self._note_reference(element, building, lod, kind)
-            elif node == Node.REFERENCE:
+            elif node == REFERENCE:
                 if len(element) == 0:
                     self._note_reference(element, building, lod, kind)
-            elif node == Node.ORIENTABLE:
+            elif node == POLYGON:
+                polygon_srs, ring_dimension = srs, dimension
+                attributes = element.items()
+                if attributes:
+                    polygon_srs, ring_dimension = self._read_attributes(attributes, srs, dimension)
+                if self._turned and element in self._turned:
+                    batch.flipped.append(len(ring_counts))
+                ring_counts.append(0)
+                batch.owners.append((building, lod, kind, polygon_srs))
+                is_new_ring, is_in_polygon = True, True
+            elif node == ORIENTABLE:
                 self._note_orientation(element)
-            elif node == Node.CURVE:
+            elif node == CURVE:
                 is_in_polygon = is_in_polygon and _is_in_ring(element)
         self._turned.clear()
 
-    def _note_id(self, element: Element, polygon: int) -> None:
-        for name in GML_IDS:
-            gml_id = element.get(name)
-            if gml_id is not None:
-                if gml_id in self.polygon_ids:
-                    self.duplicate_ids.add(gml_id)
-                self.polygon_ids.setdefault(gml_id, polygon)
+    def _read_attributes(
+        self, attributes: Sequence[tuple[Any, Any]], srs: int, dimension: int
+    ) -> tuple[int, int]:
+        """Notes the id of the polygon that comes next; returns its reference system and dimension."""
+        for name, value in attributes:
+            if name in GML_IDS:
+                if value in self.polygon_ids:
+                    self.duplicate_ids.add(value)
+                else:
+                    self.polygon_ids[value] = len(self.batch.ring_counts)
+            elif name == "srsName":
+                srs = self.srs_names.index(value.strip())
+            elif name == "srsDimension" and value.strip() in ("2", "3"):
+                dimension = int(value)
+        return srs, dimension
 
     def _note_dimension(self, ring: int, declared: str | None, inherited: int) -> None:
         text = (declared or "").strip()
@@ -241,15 +249,20 @@ def plain_numbers(element: Element) -> str:
     return text if decimal == "." else text.replace(decimal, ".")
 
 
-def surface_kind(prop: Element, building: Element) -> SurfaceKind:
-    """Returns what the surfaces of a geometry property are, from the elements around it."""
-    kind = SurfaceKind.UNKNOWN
+def surface_kind(prop: Element, building: Element) -> int:
+    """Returns the ``SurfaceKind`` of a geometry property, from the elements around it."""
     node = prop.getparent()
+    if node is None or node is building:
+        return SurfaceKind.UNKNOWN
+    name = local_name(node.tag)
+    if name in OUTER_NAMES:
+        return SURFACE_KINDS[name]
+    kind = SurfaceKind.UNKNOWN
     while node is not None and node is not building:
         name = local_name(node.tag)
         if name in INTERIOR_NAMES:
             return SurfaceKind.INTERIOR
-        if kind is SurfaceKind.UNKNOWN:
+        if kind == SurfaceKind.UNKNOWN:
             kind = SURFACE_KINDS.get(name, SurfaceKind.UNKNOWN)
         node = node.getparent()
     return kind
