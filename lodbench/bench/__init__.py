@@ -1,1 +1,17 @@
 """Figures anyone can make again: accuracy on a real model, and speed beside other renderers."""
+
+from lodbench.bench.accuracy import AccuracyOptions, measure_accuracy
+from lodbench.bench.accuracy_report import AccuracyReport
+from lodbench.bench.figures import Figure
+from lodbench.bench.silhouette_report import SilhouetteReport
+from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
+
+__all__ = [
+    "AccuracyOptions",
+    "AccuracyReport",
+    "Figure",
+    "SilhouetteOptions",
+    "SilhouetteReport",
+    "measure_accuracy",
+    "measure_silhouettes",
+]

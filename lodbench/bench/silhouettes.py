@@ -1,0 +1,184 @@
+"""How fast hypotheses are rendered and compared with a mask, beside other renderers in the same run.
+
+Hypotheses lie uniformly around each seeded view, within the ranges of the published priors, and
+keep the view's tilt, as a localisation method's do. Every renderer draws the same views and counts
+the overlap with the same mask; of several passes over a view the fastest counts.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.bench.figures import Progress, no_progress
+from lodbench.bench.silhouette_report import SilhouetteReport, Timing
+from lodbench.citymodel import Scene, open_scene
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
+from lodbench.errors import ConfigError, RenderingError
+from lodbench.geometry import Camera, Pose, rotations_at_yaws
+from lodbench.rendering import Scorer, make_renderer
+from lodbench.storage import random_stream
+
+Floats = NDArray[np.float64]
+
+ENGINE = "silhouette"
+
+
+@dataclass(frozen=True, slots=True)
+class SilhouetteOptions:
+    """What to measure.
+
+    Attributes:
+        num_views: Seeded views over the city.
+        hypotheses: Hypotheses around each view.
+        sizes: Widths and heights of the masks, pixels.
+        threads: Thread counts of the engine; () for one thread and one per core.
+        peers: Renderers to stand beside; one that is absent is reported as such.
+        peer_hypotheses: Hypotheses around each view for peers, the first of ours: they are slow.
+        repeats: Passes over each view; the fastest counts.
+        seed: Seed of views and hypotheses.
+    """
+
+    num_views: int = 20
+    hypotheses: int = 2000
+    sizes: tuple[tuple[int, int], ...] = (FINE_SIZE, (301, 224))
+    threads: tuple[int, ...] = ()
+    peers: tuple[str, ...] = ("pyrender",)
+    peer_hypotheses: int = 20
+    repeats: int = 3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if min(self.num_views, self.hypotheses, self.peer_hypotheses, self.repeats) < 1:
+            raise ConfigError("num_views, hypotheses, peer_hypotheses and repeats are at least 1.")
+        if not self.sizes or min((side for size in self.sizes for side in size), default=0) < 1:
+            raise ConfigError(f"sizes are widths and heights in pixels, not {self.sizes}.")
+        if any(count < 1 for count in self.threads):
+            raise ConfigError(f"threads are counts of at least 1, not {self.threads}.")
+
+    def thread_counts(self) -> tuple[int, ...]:
+        """Returns the thread counts to time the engine with, ascending."""
+        return tuple(sorted(set(self.threads or (1, os.cpu_count() or 1))))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swarm:
+    """One view and the hypotheses around it.
+
+    Attributes:
+        pose: The view.
+        rotations: (N, 3, 3) cam_from_world.
+        centers: (N, 3) metres.
+    """
+
+    pose: Pose
+    rotations: Floats
+    centers: Floats
+
+
+def measure_silhouettes(
+    city: Path, options: SilhouetteOptions | None = None, progress: Progress = no_progress
+) -> SilhouetteReport:
+    """Returns the time per hypothesis, rendering and IoU together, of the engine and its peers.
+
+    Args:
+        city: City model file.
+        options: What to measure.
+        progress: Called after each view of each renderer and size.
+
+    Raises:
+        LodbenchError: The city cannot be read, or no views can be drawn over it.
+    """
+    options = options or SilhouetteOptions()
+    scene = open_scene(city)
+    engine = make_renderer(ENGINE, scene, 1)
+    swarms, rejections = make_swarms(scene, engine, options)
+    steps = (len(options.thread_counts()) + len(options.peers)) * len(options.sizes) * len(swarms)
+    done = 0
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        progress(done, steps)
+
+    timings = []
+    for threads in options.thread_counts():
+        scorer = make_renderer(ENGINE, scene, threads)
+        timings += _time_sizes(scorer, engine, threads, swarms, options.hypotheses, options, step)
+    absent: dict[str, str] = {}
+    for name in options.peers:
+        try:
+            peer = make_renderer(name, scene)
+            timings += _time_sizes(peer, engine, None, swarms, options.peer_hypotheses, options, step)
+        except RenderingError as error:
+            absent[name] = error.message
+    return SilhouetteReport(
+        city=Path(city).name,
+        num_triangles=len(scene.triangles),
+        hypotheses=options.hypotheses,
+        rejections=rejections,
+        cores=os.cpu_count() or 1,
+        timings=tuple(timings),
+        absent=absent,
+    )
+
+
+def make_swarms(scene: Scene, engine: Scorer, options: SilhouetteOptions) -> tuple[list[Swarm], int]:
+    """Returns seeded views with their hypotheses, and how many draws of views were rejected."""
+    camera = RGB_CAMERA.scaled(*FINE_SIZE)
+    sampling = ViewSampling(seed=options.seed)
+    views = sample_views(scene, engine, camera, sampling, options.num_views, "silhouettes")
+    return [_swarm(pose, i, options) for i, pose in enumerate(views.poses)], views.rejections
+
+
+def _swarm(pose: Pose, index: int, options: SilhouetteOptions) -> Swarm:
+    spread = UniformPrior()
+    half = np.array([spread.x_m, spread.y_m, spread.z_m, spread.yaw_deg])
+    stream = random_stream(options.seed, "silhouettes", index)
+    offsets = stream.uniform(-half, half, size=(options.hypotheses, 4))
+    pitch_deg, roll_deg, yaw_deg = pose.euler
+    rotations = rotations_at_yaws(pitch_deg, roll_deg, yaw_deg + offsets[:, 3])
+    return Swarm(pose, rotations, pose.center + offsets[:, :3])
+
+
+def _time_sizes(
+    scorer: Scorer,
+    engine: Scorer,
+    threads: int | None,
+    swarms: list[Swarm],
+    count: int,
+    options: SilhouetteOptions,
+    step: Callable[[], None],
+) -> list[Timing]:
+    """Times one renderer on every size; ``engine`` makes the masks to compare with."""
+    timings = []
+    for size in options.sizes:
+        camera = RGB_CAMERA.scaled(*size)
+        microseconds, different = [], []
+        for swarm in swarms:
+            mask = engine.render(camera, swarm.pose)
+            different.append(float((scorer.render(camera, swarm.pose) != mask).mean()))
+            microseconds.append(_best_pass(scorer, camera, swarm, count, mask, options.repeats))
+            step()
+        timings.append(Timing(scorer.name, threads, size, tuple(microseconds), float(np.mean(different))))
+    return timings
+
+
+def _best_pass(
+    scorer: Scorer, camera: Camera, swarm: Swarm, count: int, mask: NDArray[np.bool_], repeats: int
+) -> float:
+    """Returns microseconds per hypothesis of the fastest pass over a view's first hypotheses."""
+    rotations, centers = swarm.rotations[:count], swarm.centers[:count]
+    seconds = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        scorer.score(camera, rotations, centers, mask)
+        seconds.append(time.perf_counter() - started)
+    return min(seconds) / len(centers) * 1e6
