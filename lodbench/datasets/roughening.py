@@ -58,12 +58,15 @@ def roughen_mask(
         back empty with IoU 0, for it has no buildings to be wrong about.
 
     Raises:
-        LodbenchError: The mask is not a bool image, or the target lies outside (0, 1].
+        LodbenchError: The mask is not a bool image, the target lies outside (0, 1], or the scale is
+            not positive.
     """
     if mask.ndim != 2 or mask.dtype != np.bool_:
         raise LodbenchError(f"A mask is a bool image (H, W), not {mask.dtype} of shape {mask.shape}.")
     if not 0.0 < target_iou <= 1.0:
         raise LodbenchError(f"A target IoU lies in (0, 1], not {target_iou}.")
+    if pixels_per_m is not None and not pixels_per_m > 0.0:
+        raise LodbenchError(f"An image scale is positive, not {pixels_per_m} pixels per metre.")
     if not mask.any():
         return mask.copy(), 0.0
     if target_iou == 1.0:

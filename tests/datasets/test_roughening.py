@@ -134,6 +134,11 @@ def test_targets_out_of_range_are_refused(target):
         roughen_mask(town_mask(), target, random_stream(0))
 
 
+def test_a_scale_of_zero_is_refused():
+    with pytest.raises(LodbenchError, match="scale"):
+        roughen_mask(town_mask(), 0.8, random_stream(0), pixels_per_m=0.0)
+
+
 @pytest.mark.parametrize("bad", [np.zeros((3, 4)), np.zeros((2, 3, 4), bool)])
 def test_what_is_no_mask_is_refused(bad):
     with pytest.raises(LodbenchError, match="bool"):

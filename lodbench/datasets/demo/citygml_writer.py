@@ -33,22 +33,22 @@ _NAMESPACES = {
         "http://schemas.opengis.net/citygml/generics/2.0/generics.xsd"
     ),
 }
-# Codes of the SIG 3D lists for bldg:function and bldg:roofType.
+# Codes of the German surveying authorities' LoD2 profile for bldg:function and bldg:roofType.
 _FUNCTIONS = {
-    "residential": "1000",
-    "garage": "1610",
-    "commercial": "1150",
-    "industrial": "1700",
-    "public": "2000",
-    "church": "2250",
+    "residential": "31001_1000",
+    "garage": "31001_2463",
+    "commercial": "31001_2000",
+    "industrial": "31001_2100",
+    "public": "31001_3000",
+    "church": "31001_3041",
 }
 _ROOF_TYPES = {
     "flat": "1000",
-    "gabled": "1030",
-    "hipped": "1040",
-    "mansard": "1060",
-    "pavilion": "1070",
-    "serrated": "1030",
+    "gabled": "3100",
+    "hipped": "3200",
+    "mansard": "3400",
+    "pavilion": "3500",
+    "serrated": "3800",
 }
 _BOUNDARIES = {
     SurfaceKind.GROUND: "GroundSurface",

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.demo.town import OLD_TOWN_RADIUS_M, Town
+from lodbench.datasets.demo.districts import OLD_TOWN_RADIUS_M
+from lodbench.datasets.demo.town import Town
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.roughening import roughen_mask
 from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA, ViewCheck, ViewSampling, sample_views, view_of

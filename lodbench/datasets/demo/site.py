@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.demo.building import Plan, pieces_of
-from lodbench.datasets.demo.shapes import contains, keeps_apart
+from lodbench.datasets.demo.shapes import box_of, contains, keeps_apart, left_of
 
 Points = NDArray[np.float64]
 
@@ -61,3 +61,17 @@ class Site:
 def _outline(piece: Points) -> Points:
     """Returns corners and edge middles: enough to test against a nearly convex ring."""
     return np.concatenate([piece, 0.5 * (piece + np.roll(piece, -1, axis=0))])
+
+
+def places_on(ring: Points, spacing_m: float, generator: np.random.Generator) -> list[Points]:
+    """Returns places to try on a block, in random order: a jittered grid along its own directions."""
+    along, _, _ = box_of(ring)
+    axes = np.stack([along, left_of(along)])
+    spans = ring @ axes.T
+    steps = [
+        np.arange(low + 1.0, high, spacing_m)
+        for low, high in zip(spans.min(axis=0), spans.max(axis=0), strict=True)
+    ]
+    grid = np.stack([axis.ravel() for axis in np.meshgrid(*steps)], axis=1)
+    grid += generator.uniform(0.0, 4.0, size=grid.shape)
+    return list(generator.permutation(grid) @ axes)

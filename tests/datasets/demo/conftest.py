@@ -1,12 +1,22 @@
-"""One town for all tests of the demo: growing it takes a second."""
+"""Towns for the tests of the demo, each grown once: that takes a second."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import pytest
 
 from lodbench.datasets.demo.town import grow_town
 
+_town = cache(grow_town)
+
+
+@pytest.fixture(scope="session")
+def town_of():
+    """Returns a function from a seed to its town."""
+    return _town
+
 
 @pytest.fixture(scope="session")
 def town():
-    return grow_town(0)
+    return _town(0)

@@ -12,8 +12,8 @@ from lodbench.datasets.demo.town import grow_town
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_every_solid_is_sound(town, seed):
-    for building in (town if seed == 0 else grow_town(seed)).buildings:
+def test_every_solid_is_sound(town_of, seed):
+    for building in town_of(seed).buildings:
         assert_sound(building.lod1)
         assert_sound(building.lod2)
 
@@ -32,8 +32,8 @@ def inside(piece: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
-def test_footprints_do_not_overlap(town, seed):
-    buildings = (town if seed == 0 else grow_town(seed)).buildings
+def test_footprints_do_not_overlap(town_of, seed):
+    buildings = town_of(seed).buildings
     owned = [(number, p) for number, b in enumerate(buildings) for p in pieces_of(b.plan)]
     owners, pieces = [number for number, _ in owned], [piece for _, piece in owned]
     middles = np.stack([piece.mean(axis=0) for piece in pieces])
@@ -58,8 +58,8 @@ def test_it_is_a_town_of_many_kinds(town):
     assert max(b.plan.roof.eave_m for b in town.buildings) > 30.0
 
 
-def test_courtyards_and_u_shapes_exist_somewhere():
-    strips = [b.plan.strip for seed in (0, 1, 3) for b in grow_town(seed).buildings]
+def test_courtyards_and_u_shapes_exist_somewhere(town_of):
+    strips = [b.plan.strip for seed in (0, 1, 3) for b in town_of(seed).buildings]
     assert any(strip.closed for strip in strips)
     assert any(strip.num_segments == 3 and not strip.closed for strip in strips)
 
@@ -98,10 +98,16 @@ def test_no_block_is_a_rectangle_on_a_grid(town):
     assert counts.max() < 0.25 * counts.sum()
 
 
-def test_same_seed_same_town_and_other_seeds_differ(town):
-    again, other = grow_town(0), grow_town(1)
+def test_same_seed_same_town_and_other_seeds_differ(town, town_of):
+    again, other = grow_town(0), town_of(1)
     assert len(again.buildings) == len(town.buildings)
     for first, second in zip(town.buildings, again.buildings, strict=True):
         np.testing.assert_array_equal(first.lod2.points, second.lod2.points)
         assert first.lod2.faces == second.lod2.faces
     assert len(other.buildings) != len(town.buildings)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_every_town_has_its_church(town_of, seed):
+    churches = [b.plan for b in town_of(seed).buildings if b.plan.function == "church"]
+    assert [plan.roof.name for plan in churches] == ["hipped", "pavilion"]
