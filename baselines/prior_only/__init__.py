@@ -1,0 +1,30 @@
+"""``method=prior_only``: answers the prior itself, the floor any method must rise above."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lodbench.datasets.query import Query
+from lodbench.localization import Estimate, Streams
+from lodbench.rendering import Scorer
+
+
+@dataclass(frozen=True, slots=True)
+class PriorOnlyParams:
+    """Settings of ``method=prior_only``: none."""
+
+    name: str = "prior_only"
+
+
+class PriorOnly:
+    """Returns every query's prior, unscored."""
+
+    params_type = PriorOnlyParams
+    name = "prior_only"
+
+    def __init__(self, params: PriorOnlyParams) -> None:
+        self.params = params
+
+    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+        """Returns the prior."""
+        return Estimate(query.prior, score=float("nan"), hypotheses=0)

@@ -1,0 +1,1 @@
+"""Hydra configuration of lodbench: names and numbers, no code."""

@@ -1,0 +1,7 @@
+"""`python -m lodbench`."""
+
+import sys
+
+from lodbench.cli import main
+
+sys.exit(main())

@@ -1,0 +1,72 @@
+"""The command line: `lodbench COMMAND ...`. Nothing heavy is imported before a command is chosen."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+# Command -> (module with `main(argv) -> int`, one line of help).
+COMMANDS = {
+    "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
+    "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
+    "render": ("lodbench.cli.render", "draw a city's silhouettes from given poses"),
+    "city": ("lodbench.cli.city", "look into a city model: info, check"),
+    "dataset": ("lodbench.cli.dataset", "make the demo dataset, list what there is"),
+    "bench": ("lodbench.cli.bench", "measure speed and accuracy: silhouettes, accuracy"),
+}
+
+_USAGE = """\
+lodbench: where was the camera? City models, silhouettes, and a benchmark for aerial localisation.
+
+Usage: lodbench COMMAND [...]        lodbench COMMAND --help
+
+{commands}
+
+Start here:
+  lodbench run method=lodlocv2 dataset=demo
+  lodbench run dataset=folder dataset.root=DIR dataset.city_model=FILE
+  lodbench city info FILE
+"""
+
+
+def usage() -> str:
+    """Returns the help of `lodbench --help`."""
+    width = max(map(len, COMMANDS))
+    return _USAGE.format(
+        commands="\n".join(f"  {name.ljust(width)}  {help_}" for name, (_, help_) in COMMANDS.items())
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command and returns its exit code: 0 done, 2 a fault the message explains, 130 stopped."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help", "help"):
+        sys.stdout.write(usage())
+        return 0
+    if words[0] in ("-V", "--version"):
+        from lodbench import __version__
+
+        sys.stdout.write(f"lodbench {__version__}\n")
+        return 0
+    from lodbench.errors import LodbenchError, nearest_names
+
+    try:
+        if words[0] not in COMMANDS:
+            raise LodbenchError(f"There is no command {words[0]!r}.", nearest_names(words[0], COMMANDS))
+        code: int = import_module(COMMANDS[words[0]][0]).main(words[1:])
+        sys.stdout.flush()
+        return code
+    except LodbenchError as error:
+        sys.stderr.write(f"lodbench: {error.message}\n")
+        if error.hint:
+            sys.stderr.write(f"  hint: {error.hint}\n")
+        return 2
+    except BrokenPipeError:
+        # The reader of a pipe has left (`| head`): leave quietly, and keep Python from flushing again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except KeyboardInterrupt:
+        sys.stderr.write("\nlodbench: stopped. The same command again goes on from here.\n")
+        return 130

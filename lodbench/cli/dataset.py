@@ -1,0 +1,27 @@
+"""`lodbench dataset make-demo DIR`: write the demo dataset where it can be looked at."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    parser = argparse.ArgumentParser("lodbench dataset", description="Datasets.")
+    actions = parser.add_subparsers(dest="action", required=True)
+    make = actions.add_parser("make-demo", help="write the demo town, its queries and masks to a folder")
+    make.add_argument("folder", type=Path)
+    make.add_argument("--num-queries", type=int, default=40)
+    make.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(argv)
+
+    from lodbench.datasets.demo.build import CITY_FILE, build_demo
+
+    root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed)
+    sys.stdout.write(
+        f"{root}\nTry: lodbench run dataset=folder dataset.root={root} dataset.city_model={root / CITY_FILE}\n"
+    )
+    return 0

@@ -1,0 +1,148 @@
+"""Commands in Hydra's grammar: composing the configuration, and turning its faults into one line."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from importlib.metadata import entry_points
+from typing import Any, TypeVar
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from lodbench.errors import ConfigError, nearest_names
+
+T = TypeVar("T")
+
+# Keys whose value is a path: quoted for Hydra, whose grammar gives commas, brackets and = a meaning.
+PATH_KEYS = frozenset(
+    {"dataset.root", "dataset.city_model", "city", "poses", "intrinsics", "out", "data", "paths.runs"}
+)
+_is_registered = False
+
+
+def run_hydra(
+    command: str, config_name: str, task: Callable[[DictConfig], None], argv: Sequence[str]
+) -> int:
+    """Composes the configuration of a command and runs its task, once or per job of a sweep.
+
+    Raises:
+        LodbenchError: An override is malformed, unknown or of the wrong type; or the task's own.
+    """
+    import hydra
+    from hydra.errors import HydraException
+
+    _register_config_sources()
+    words = [quote_path(word) for word in argv]
+    # Hydra would print the fault and exit by itself; with this it lets the exception through.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    saved, sys.argv = sys.argv, [f"lodbench {command}", *words]
+    try:
+        version = {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}
+        hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **version)(task)()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise _explained(error, config_name) from error
+    finally:
+        sys.argv = saved
+    return 0
+
+
+def quote_path(word: str) -> str:
+    """Returns an override with the value of a path key quoted, so that Hydra takes it as it stands."""
+    key, equals, value = word.partition("=")
+    if not equals or key.lstrip("+") not in PATH_KEYS or value[:1] in "'\"":
+        return word
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("${", "\\${")
+    return f'{key}="{escaped}"'
+
+
+def plain(config: DictConfig) -> dict[str, Any]:
+    """Returns a configuration as JSON values, all references resolved.
+
+    Raises:
+        ConfigError: A value that must be given (``???``) is missing.
+    """
+    missing = sorted(OmegaConf.missing_keys(config))
+    if missing:
+        raise ConfigError(f"{missing[0]} is not set.", f"Add {missing[0]}=VALUE.")
+    values = OmegaConf.to_container(config, resolve=True)
+    return {str(key): value for key, value in dict(values).items()}  # type: ignore[arg-type]
+
+
+def to_params(values: dict[str, Any], params_type: type[T], section: str) -> T:
+    """Returns a frozen Params made from a section of the configuration, checked for names and types.
+
+    Raises:
+        ConfigError: A name is unknown or a value has the wrong type.
+    """
+    known = [f.name for f in fields(params_type)]  # type: ignore[arg-type]
+    for name in values:
+        if name not in known:
+            raise ConfigError(f"{section}.{name} is not a setting.", nearest_names(name, known))
+    try:
+        merged = OmegaConf.merge(OmegaConf.structured(params_type), values)
+        return OmegaConf.to_object(merged)  # type: ignore[return-value]
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"{section}.{error.full_key}: {reason}") from error
+
+
+def load_plugin(group: str, name: str) -> Any:
+    """Returns what a plug-in's entry point names.
+
+    Raises:
+        ConfigError: No installed package offers it.
+    """
+    points = {point.name: point for point in entry_points(group=f"lodbench.{group}")}
+    if name not in points:
+        raise ConfigError(f"There is no {group.rstrip('s')} {name!r}.", nearest_names(name, points))
+    return points[name].load()
+
+
+def _register_config_sources() -> None:
+    """Lets installed plug-ins add their configuration folders (entry points `lodbench.config_sources`)."""
+    global _is_registered
+    if _is_registered:
+        return
+    from hydra.core.plugins import Plugins
+    from hydra.plugins.search_path_plugin import SearchPathPlugin
+
+    class LodbenchSources(SearchPathPlugin):  # type: ignore[misc]
+        def manipulate_search_path(self, search_path: Any) -> None:
+            points = sorted(entry_points(group="lodbench.config_sources"), key=lambda point: point.name)
+            for point in points:
+                if point.value != "lodbench.conf":
+                    search_path.append(provider=f"lodbench:{point.name}", path=f"pkg://{point.value}")
+
+    Plugins.instance().register(LodbenchSources)
+    _is_registered = True
+
+
+def _explained(error: Exception, config_name: str) -> ConfigError:
+    """Returns Hydra's complaint as one line and, for an unknown key, the nearest known ones."""
+    text = str(error)
+    option = re.search(r"Could not find '([^']+)/([^'/]+)'[\s\S]*?Available options in '[^']+':\s*([\s\S]*)", text)
+    if option:
+        known = [line.strip() for line in option[3].splitlines() if line.strip()]
+        known = [name for name in known if re.fullmatch(r"[\w.-]+", name)]
+        return ConfigError(f"There is no {option[1]} {option[2]!r}.", nearest_names(option[2], known))
+    key = re.search(r"Could not override '([^']+)'", text)
+    if key:
+        return ConfigError(f"{key[1]} is not a setting.", _nearest_key(key[1], config_name))
+    return ConfigError(f"The command line cannot be read: {text.splitlines()[0]}", "Settings are key=value.")
+
+
+def _nearest_key(key: str, config_name: str) -> str:
+    from hydra import compose, initialize_config_module
+
+    overrides = [word for word in sys.argv[1:] if re.fullmatch(r"(method|dataset|segmenter|executor)=\w+", word)]
+    with initialize_config_module("lodbench.conf", version_base="1.3"):
+        config = compose(config_name, overrides=overrides)
+    parent, _, name = key.rpartition(".")
+    section = OmegaConf.select(config, parent) if parent else config
+    if not isinstance(section, DictConfig):
+        section, name = config, key.split(".")[0]
+    return nearest_names(name, [str(k) for k in section])

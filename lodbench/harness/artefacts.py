@@ -1,0 +1,147 @@
+"""What a finished run leaves in its folder; everything printed can be recomputed from it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+from lodbench import __version__
+from lodbench.datasets.pose_text import format_pose, write_lines
+from lodbench.evaluation.errors import PoseError
+from lodbench.evaluation.rows import seconds_per_query, summarize_rows
+from lodbench.harness.run import Run
+from lodbench.storage import write_text
+
+SCHEMA = 1
+
+
+def write_artefacts(run: Run, config_yaml: str) -> None:
+    """Writes config, poses, per-query rows and the summary; and, apart from them, times and provenance.
+
+    The first four are the same bytes whatever the machine's threads; the last two are not.
+    """
+    write_text(run.folder / "config.yaml", config_yaml)
+    write_text(run.folder / "poses.txt", write_lines(_pose_lines(run)))
+    write_text(run.folder / "queries.csv", _queries_csv(run))
+    write_text(run.folder / "summary.json", _json(summary_of(run)))
+    write_text(run.folder / "timings.csv", _timings_csv(run))
+    write_text(run.folder / "provenance.json", _json(_provenance(run)))
+
+
+def summary_of(run: Run) -> dict[str, Any]:
+    """Returns the summary: protocol, recalls by split, the priors' own, failures by reason."""
+    splits, priors = {}, {}
+    for split in run.splits:
+        estimates, prior = summarize_rows(run.rows, split)
+        splits[split], priors[split] = estimates.to_json(), prior.to_json()
+    failures: dict[str, int] = {}
+    for row in run.rows:
+        if row.failure:
+            failures[row.failure] = failures.get(row.failure, 0) + 1
+    config = run.config
+    return {
+        "schema": SCHEMA,
+        "dataset": {"name": run.dataset.name, "version": run.dataset.version, **run.inputs},
+        "method": {"name": config["method"]["name"], "variant": config["method"].get("variant", "")},
+        "protocol": {
+            "tilt": config["tilt"],
+            "seed": config["seed"],
+            "segmenter": config["segmenter"]["name"],
+            "renderer": config["renderer"],
+            "lod": run.preparation.scene.lod,
+        },
+        "splits": splits,
+        "prior": priors,
+        "failures": dict(sorted(failures.items())),
+        "notes": list(run.dataset.notes),
+    }
+
+
+def _pose_lines(run: Run) -> list[str]:
+    return [
+        format_pose(row.key if len(run.splits) > 1 else row.name, row.pose)
+        for row in run.rows
+        if row.pose is not None
+    ]
+
+
+def _queries_csv(run: Run) -> str:
+    header = [
+        "query",
+        "split",
+        "translation_error_m",
+        "rotation_error_deg",
+        "score",
+        "hypotheses",
+        "failure",
+        "prior_translation_error_m",
+        "prior_rotation_error_deg",
+        "tilt",
+    ]
+    rows = [
+        [
+            row.name,
+            row.split,
+            *_error_cells(row.error),
+            "" if row.score is None else repr(row.score),
+            row.hypotheses,
+            row.failure,
+            *_error_cells(row.prior_error),
+            run.config["tilt"],
+        ]
+        for row in run.rows
+    ]
+    return _csv(header, rows)
+
+
+def _error_cells(error: PoseError | None) -> list[str]:
+    """Returns two cells, empty where there is no finite number."""
+    if error is None or math.isinf(error.translation_m):
+        return ["", ""]
+    return [repr(error.translation_m), repr(error.rotation_deg)]
+
+
+def _timings_csv(run: Run) -> str:
+    stages = list(dict.fromkeys(stage for row in run.rows for stage in row.seconds))
+    rows = [[row.name, row.split, *(row.seconds.get(stage, "") for stage in stages)] for row in run.rows]
+    return _csv(["query", "split", *(f"{stage}_s" for stage in stages)], rows)
+
+
+def _csv(header: list[str], rows: list[list[Any]]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def _provenance(run: Run) -> dict[str, Any]:
+    import numba
+    import numpy
+
+    return {
+        "lodbench": __version__,
+        "python": sys.version.split()[0],
+        "numpy": numpy.__version__,
+        "numba": numba.__version__,
+        "machine": platform.machine(),
+        "system": platform.platform(),
+        "threads": getattr(run.scorer, "threads", 1),
+        "city_model": str(Path(run.dataset.city_model).resolve()),
+        "dataset_root": str(Path(run.dataset.root).resolve()),
+        "queries_resumed": run.resumed,
+        "seconds_per_query": {
+            split: (None if math.isnan(s := seconds_per_query(run.rows, split)) else s)
+            for split in run.splits
+        },
+    }
+
+
+def _json(value: dict[str, Any]) -> str:
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"

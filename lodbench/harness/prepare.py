@@ -1,0 +1,82 @@
+"""From a stored entry to what a method is shown: the one place where truth may touch a query."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.query import Dataset, Entry, Query
+from lodbench.errors import ConfigError, QueryFault, nearest_names
+from lodbench.geometry import Pose
+from lodbench.segmentation import Segmenter
+
+TILTS = ("prior", "truth")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Preparation:
+    """How entries become queries in a run.
+
+    Attributes:
+        dataset: Where the entries come from.
+        scene: The city; queries are moved into its local frame.
+        segmenter: Makes the masks.
+        tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
+    """
+
+    dataset: Dataset
+    scene: Scene
+    segmenter: Segmenter
+    tilt: str
+
+    def __post_init__(self) -> None:
+        if self.tilt not in TILTS:
+            raise ConfigError(f"tilt={self.tilt} is not known.", nearest_names(self.tilt, TILTS))
+
+    def local(self, pose: Pose) -> Pose:
+        """Returns a pose of the dataset's frame in the scene's local frame."""
+        return pose.shifted(-self.scene.origin)
+
+    def in_dataset_frame(self, pose: Pose) -> Pose:
+        """Returns a pose of the scene's local frame in the dataset's frame."""
+        return pose.shifted(self.scene.origin)
+
+    def prior(self, entry: Entry) -> Pose | None:
+        """Returns the prior a method starts from, in the dataset's frame; None if there is none."""
+        truth = self.dataset.truth.get(entry.key)
+        if entry.prior is None or truth is None or self.tilt == "prior":
+            return entry.prior
+        return entry.prior.with_tilt_of(truth)
+
+    def query(self, entry: Entry) -> Query:
+        """Returns the query of an entry.
+
+        Raises:
+            QueryFault: The truth, camera or prior is missing, or the segmenter has no mask.
+        """
+        if entry.key not in self.dataset.truth:
+            raise QueryFault("no true pose to compare with")
+        if entry.camera is None:
+            raise QueryFault("no camera in intrinsic.txt")
+        prior = self.prior(entry)
+        if prior is None:
+            raise QueryFault("no prior pose")
+        probability = self.segmenter.segment(entry)
+        _check_shape(probability, entry)
+        return Query(entry.name, entry.split, entry.camera, self.local(prior), probability, entry.image)
+
+
+def _check_shape(probability: NDArray[np.float32], entry: Entry) -> None:
+    """Refuses a mask whose shape cannot be that of the camera's image: off by over 2 % in aspect."""
+    height, width = probability.shape
+    if entry.camera is None:
+        return
+    aspect = (width / height) / (entry.camera.width / entry.camera.height)
+    if abs(aspect - 1.0) > 0.02:
+        raise QueryFault(
+            f"the mask is {width} x {height}, the camera {entry.camera.width} x {entry.camera.height}: "
+            "another aspect"
+        )

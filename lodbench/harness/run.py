@@ -1,0 +1,174 @@
+"""One method over one dataset: every query once, resumable, the same bytes every time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from lodbench.citymodel import open_scene
+from lodbench.datasets.folder import select_splits
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.evaluation.errors import FAILED, pose_error
+from lodbench.evaluation.rows import QueryRow
+from lodbench.execution import Ledger, Progress
+from lodbench.geometry import Pose
+from lodbench.harness.prepare import Preparation
+from lodbench.localization import Method
+from lodbench.rendering import Scorer, make_renderer
+from lodbench.segmentation import Segmenter
+from lodbench.storage import digest_of, random_stream
+
+
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """What a run is told besides its method, dataset and segmenter.
+
+    Attributes:
+        runs_root: Folder that run folders are made in.
+        config: The resolved configuration that defines the result, as JSON values; it names the
+            run folder together with the content of the inputs.
+        renderer: Name of the renderer.
+        threads: Threads of the engine, None for one per core; never changes a result.
+        tilt: ``prior`` or ``truth``.
+        seed: Seed of the random streams.
+        splits: Splits to run; empty for all.
+        limit: At most this many queries per split, or None.
+    """
+
+    runs_root: Path
+    config: dict[str, Any] = field(default_factory=dict)
+    renderer: str = "silhouette"
+    threads: int | None = None
+    tilt: str = "prior"
+    seed: int = 0
+    splits: tuple[str, ...] = ()
+    limit: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """A finished run, in memory.
+
+    Attributes:
+        folder: The run folder.
+        config: The resolved configuration.
+        dataset: The dataset.
+        preparation: How queries were made from entries.
+        scorer: The renderer, for pictures.
+        splits: Splits run, in order.
+        rows: One row per query.
+        resumed: How many rows were taken from an earlier, interrupted run.
+        inputs: Digests of what went in.
+    """
+
+    folder: Path
+    config: dict[str, Any]
+    dataset: Dataset
+    preparation: Preparation
+    scorer: Scorer
+    splits: tuple[str, ...]
+    rows: tuple[QueryRow, ...]
+    resumed: int
+    inputs: dict[str, str]
+
+
+def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings: RunSettings) -> Run:
+    """Runs a method over a dataset and returns the rows; the ledger in the run folder lets it resume.
+
+    Raises:
+        LodbenchError: A fault of the dataset or the settings, before any work is done.
+    """
+    if settings.limit is not None and settings.limit < 1:
+        raise ConfigError(f"limit={settings.limit} is not a number of queries.")
+    splits = select_splits(dataset, settings.splits)
+    entries = _chosen(dataset, splits, settings.limit)
+    scene = open_scene(dataset.city_model, lod=dataset.lod, crs=dataset.crs)
+    preparation = Preparation(dataset, scene, segmenter, settings.tilt)
+    scorer = make_renderer(settings.renderer, scene, settings.threads)
+    inputs = {
+        "scene": scene.digest(),
+        "queries": _fingerprint(dataset, entries),
+        "masks": segmenter.fingerprint(entries),
+    }
+    digest = digest_of({"config": settings.config, "inputs": inputs})
+    folder = settings.runs_root / dataset.name / method.name / digest
+    folder.mkdir(parents=True, exist_ok=True)
+    ledger = Ledger(folder / "ledger.jsonl")
+    resumed = sum(entry.key in ledger for entry in entries)
+    with Progress(f"{method.name} on {dataset.name}", len(entries)) as progress:
+        for entry in entries:
+            if entry.key not in ledger:
+                streams = partial(random_stream, settings.seed, dataset.name, entry.key)
+                ledger.record(entry.key, _answer(method, preparation, scorer, entry, streams))
+            progress.advance()
+    rows = tuple(_row(entry, ledger[entry.key], preparation) for entry in entries)
+    return Run(folder, settings.config, dataset, preparation, scorer, splits, rows, resumed, inputs)
+
+
+def _chosen(dataset: Dataset, splits: tuple[str, ...], limit: int | None) -> tuple[Entry, ...]:
+    by_split = [[entry for entry in dataset.entries if entry.split == split] for split in splits]
+    return tuple(entry for entries in by_split for entry in entries[:limit])
+
+
+def _fingerprint(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
+    def numbers(pose: Pose | None) -> list[float] | None:
+        return None if pose is None else [float(v) for v in pose.cam_from_world[:3].ravel()]
+
+    return digest_of(
+        [
+            [entry.key, repr(entry.camera), numbers(entry.prior), numbers(dataset.truth.get(entry.key))]
+            for entry in entries
+        ]
+    )
+
+
+def _answer(
+    method: Method, preparation: Preparation, scorer: Scorer, entry: Entry, streams: Callable[..., Any]
+) -> dict[str, Any]:
+    """Returns one query's outcome as JSON values: what the ledger keeps."""
+    started = time.perf_counter()
+    try:
+        query = preparation.query(entry)
+        prepared = time.perf_counter()
+        estimate = method.localize(query, scorer, streams)
+    except QueryFault as fault:
+        return {"failure": fault.message, "pose": None, "score": None, "hypotheses": 0, "seconds": {}}
+    pose = preparation.in_dataset_frame(estimate.pose)
+    seconds = {"prepare": prepared - started, **estimate.seconds}
+    return {
+        "failure": "",
+        "pose": [float(v) for v in pose.cam_from_world[:3].ravel()],
+        "score": estimate.score if math.isfinite(estimate.score) else None,
+        "hypotheses": estimate.hypotheses,
+        "seconds": seconds,
+    }
+
+
+def _row(entry: Entry, answer: dict[str, Any], preparation: Preparation) -> QueryRow:
+    matrix = answer["pose"]
+    pose = None
+    if matrix is not None:
+        top = [matrix[0:4], matrix[4:8], matrix[8:12], [0.0, 0.0, 0.0, 1.0]]
+        pose = Pose.from_matrix(top)  # type: ignore[arg-type]
+    truth, prior = preparation.dataset.truth.get(entry.key), preparation.prior(entry)
+    error = prior_error = None
+    if truth is not None:
+        error = FAILED if pose is None else pose_error(pose, truth)
+        prior_error = FAILED if prior is None else pose_error(prior, truth)
+    return QueryRow(
+        entry.name,
+        entry.split,
+        pose,
+        answer["score"],
+        answer["hypotheses"],
+        answer["failure"],
+        error,
+        prior_error,
+        answer["seconds"],
+    )

@@ -1,0 +1,111 @@
+"""Pictures of queries: the photo, the query mask, and the model's outline at prior, estimate and truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering import Renderer
+from lodbench.storage import write_bytes
+
+Picture = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+# Pictures are drawn at this width, pixels: a screen's half.
+_WIDTH = 900
+# BGR: told apart with any colour vision, on dark and on light.
+PRIOR_COLOUR, ESTIMATE_COLOUR, TRUTH_COLOUR = (64, 112, 255), (255, 208, 64), (255, 255, 255)
+_MASK_COLOUR = (80, 190, 240)
+_INK, _PAPER = (235, 235, 235), (32, 28, 26)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OverlayInput:
+    """What an overlay shows; poses are in the renderer's scene frame, None where there is none.
+
+    Attributes:
+        camera: Intrinsics of the full-size image.
+        mask: (H, W) query mask of any size of the same aspect, or None.
+        image: The photo, or None.
+        prior: Where the method started.
+        estimate: What it answered.
+        truth: Where the camera was.
+        caption: Line of text under the picture.
+    """
+
+    camera: Camera
+    mask: Mask | None
+    image: Path | None
+    prior: Pose | None
+    estimate: Pose | None
+    truth: Pose | None
+    caption: str
+
+
+def draw_overlay(shown: OverlayInput, renderer: Renderer) -> Picture:
+    """Returns the picture, (H, W, 3) BGR, with a caption and a legend below."""
+    import cv2
+
+    width = min(_WIDTH, shown.camera.width)
+    camera = shown.camera.scaled(width, round(width * shown.camera.height / shown.camera.width))
+    canvas = _background(shown.image, camera)
+    if shown.mask is not None:
+        mask = cv2.resize(shown.mask.astype(np.uint8), (camera.width, camera.height)) > 0
+        tint = np.array(_MASK_COLOUR, dtype=np.float64)
+        canvas[mask] = (0.62 * canvas[mask] + 0.38 * tint).astype(np.uint8)
+    for pose, colour, thickness in (
+        (shown.truth, TRUTH_COLOUR, 3),
+        (shown.prior, PRIOR_COLOUR, 1),
+        (shown.estimate, ESTIMATE_COLOUR, 1),
+    ):
+        if pose is not None:
+            drawn = renderer.render(camera, pose).astype(np.uint8)
+            outlines, _ = cv2.findContours(drawn, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+            cv2.drawContours(canvas, outlines, -1, colour, thickness, cv2.LINE_AA)
+    return np.vstack([canvas, _caption(shown.caption, camera.width)])
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Writes a picture as PNG, atomically."""
+    import cv2
+
+    write_bytes(path, cv2.imencode(".png", picture)[1].tobytes())
+
+
+def _background(image: Path | None, camera: Camera) -> Picture:
+    import cv2
+
+    canvas = np.full((camera.height, camera.width, 3), 58, dtype=np.uint8)
+    if image is None:
+        return canvas
+    content = np.frombuffer(image.read_bytes(), dtype=np.uint8)
+    # The intrinsics belong to the pixels as stored, so an EXIF turn is not applied.
+    photo = cv2.imdecode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if photo is None:
+        return canvas
+    resized = cv2.resize(photo, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(resized, dtype=np.uint8)
+
+
+def _caption(text: str, width: int) -> Picture:
+    import cv2
+
+    strip = np.full((48, width, 3), _PAPER, dtype=np.uint8)
+    scale = min(0.5, width / 1400)
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(strip, text, (8, 18), font, scale, _INK, 1, cv2.LINE_AA)
+    x = 8
+    for name, colour in (
+        ("query mask", _MASK_COLOUR),
+        ("prior", PRIOR_COLOUR),
+        ("estimate", ESTIMATE_COLOUR),
+        ("truth", TRUTH_COLOUR),
+    ):
+        cv2.line(strip, (x, 35), (x + 20, 35), colour, 4)
+        cv2.putText(strip, name, (x + 26, 40), font, scale, _INK, 1, cv2.LINE_AA)
+        x += 40 + int(cv2.getTextSize(name, font, scale, 1)[0][0])
+    return strip
