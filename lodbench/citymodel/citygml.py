@@ -13,9 +13,8 @@ from lodbench.citymodel.gml_batch import PolygonArrays, read_batch
 from lodbench.citymodel.gml_links import LinkResolver
 from lodbench.citymodel.gml_names import BUILDINGS, GML_IDS, MEMBERS, PARTS, is_building_tag
 from lodbench.citymodel.gml_walk import GeometryWalk
-from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
-from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
 # Numbers are read when this much text has gathered: large enough that a parse is worth its call,
@@ -83,7 +82,7 @@ class _Reader:
     def _read_root(self, root: Element) -> None:
         name = local_name(root.tag)
         if name not in ("CityModel", "FeatureCollection"):
-            raise CityModelError(
+            raise NotACity(
                 f"{self._source} is XML, but not CityGML: its root element is <{name}>.",
                 "A CityGML file begins with <CityModel>.",
             )
@@ -127,7 +126,7 @@ class _Reader:
             if not name.startswith("Appearance"):
                 self.findings.add(NOT_A_BUILDING, name, f"{count} of them")
         if not self._building_ids:
-            raise CityModelError(f"{self._source} has no buildings.", "Is it the building tile of the city?")
+            raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
         parts = self._parts
         joined = {
             name: np.concatenate([getattr(part, name) for part in parts]) if parts else np.zeros(0, np.int64)

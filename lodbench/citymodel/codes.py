@@ -62,6 +62,7 @@ GEOMETRY_EMPTY = _code(207, "GEOMETRY_EMPTY", _I, "A geometry property holds no 
 ELEMENT_IGNORED = _code(208, "ELEMENT_IGNORED", _I, "An element that carries no surface is ignored.")
 NOT_A_BUILDING = _code(209, "NOT_A_BUILDING", _I, "A city object that is no building is left out.")
 BAD_INDEX = _code(210, "BAD_INDEX", _E, "A face names a point that does not exist; it is dropped.")
+FILE_SKIPPED = _code(211, "FILE_SKIPPED", _I, "A file among the tiles is no city model, or has no building.")
 
 CRS_MISSING = _code(301, "CRS_MISSING", _W, "No coordinate reference system is declared; taken as metres.")
 CRS_UNKNOWN = _code(302, "CRS_UNKNOWN", _W, "The declared reference system is not known; taken as metres.")

@@ -17,7 +17,7 @@ from lodbench.citymodel.codes import ELEMENT_IGNORED
 from lodbench.citymodel.coordinates import RING_SEPARATOR, parse_rings
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
 from lodbench.citymodel.model import SurfaceKind
-from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -43,7 +43,7 @@ def read_obj(stream: BinaryIO, source: str) -> RawCity:
     faces = [i for i, line in enumerate(lines) if line.startswith("f ")]
     _report_ignored(lines, source, findings)
     if not faces:
-        raise CityModelError(f"{source} has no faces.", "A city model in OBJ needs `v` and `f` lines.")
+        raise NotACity(f"{source} has no faces.", "A city model in OBJ needs `v` and `f` lines.")
     points = _read_points(lines, positions, source)
     corners, counts = _read_faces(lines, faces, np.asarray(positions, np.int64), source)
     building, num_buildings = _buildings(points, corners, counts)

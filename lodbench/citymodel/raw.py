@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.codes import DUPLICATE_ID
+from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+
+
+class NotACity(CityModelError):
+    """A file is of another kind, or holds no building: among other tiles it can be passed over."""
 
 
 @dataclass(slots=True)
@@ -50,6 +57,51 @@ class RawCity:
     srs: NDArray[np.int16]
     has_closing_points: bool
     findings: Findings
+
+
+def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
+    """Returns several tiles as one city; a building id that two tiles share is a finding.
+
+    Args:
+        source: Name of the folder or archive.
+        cities: One or more tiles, of any format.
+    """
+    first = cities[0]
+    srs_names = tuple(dict.fromkeys(name for city in cities for name in city.srs_names or (None,)))
+    lods = tuple(dict.fromkeys(name for city in cities for name in city.lods))
+    findings = Findings([item for city in cities for item in city.findings.items])
+    building_ids = tuple(name for city in cities for name in city.building_ids)
+    for name, count in Counter(building_ids).items():
+        if count > 1:
+            findings.add(DUPLICATE_ID, name, f"in {count} tiles")
+    before = starts_of(np.asarray([len(city.building_ids) for city in cities]))
+    return RawCity(
+        source=source,
+        format=first.format,
+        version=first.version,
+        srs_names=srs_names,
+        building_ids=building_ids,
+        num_parts=sum(city.num_parts for city in cities),
+        lods=lods,
+        points=np.concatenate([city.points for city in cities]),
+        ring_starts=starts_of(np.concatenate([np.diff(city.ring_starts) for city in cities])),
+        polygon_starts=starts_of(np.concatenate([np.diff(city.polygon_starts) for city in cities])),
+        building=np.concatenate([c.building + n for c, n in zip(cities, before, strict=False)]).astype(
+            np.int32
+        ),
+        lod=np.concatenate([_renamed(c.lod, c.lods, lods) for c in cities]),
+        kind=np.concatenate([city.kind for city in cities]),
+        srs=np.concatenate([_renamed(c.srs, c.srs_names or (None,), srs_names) for c in cities]),
+        has_closing_points=all(city.has_closing_points for city in cities),
+        findings=findings,
+    )
+
+
+def _renamed(
+    indices: NDArray[np.int16], names: tuple[str | None, ...], all_names: tuple[str | None, ...]
+) -> NDArray[np.int16]:
+    table = np.asarray([all_names.index(name) for name in names], np.int16)
+    return table[indices] if len(table) else indices
 
 
 def starts_of(lengths: NDArray[np.integer]) -> NDArray[np.int64]:

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator
+from pathlib import Path, PurePath
 
+from lodbench.citymodel.codes import FILE_SKIPPED
 from lodbench.citymodel.mesh import mesh_city
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.polygons import finish_model
-from lodbench.citymodel.raw import RawCity
+from lodbench.citymodel.raw import NotACity, RawCity, merge_cities
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.source import Source, open_sources
 from lodbench.errors import CityModelError
+from lodbench.findings import Findings
 
-_HEAD_BYTES = 4096
-_SUPPORTED = "Supported: CityGML (.gml, .xml, .citygml) and Wavefront OBJ (.obj)."
+_SUPPORTED = (
+    "Supported: CityGML (.gml, .xml, .citygml), CityJSON (.json, .jsonl), Wavefront OBJ (.obj), "
+    "these as .gz or in a .zip, and folders of them."
+)
 
 
 def read_city_model(path: str | Path, *, crs: str | None = None, is_strict: bool = True) -> CityModel:
     """Returns a city model in metres, in a local frame.
 
     Args:
-        path: The file.
+        path: A file, a ``.gz``, a ``.zip``, or a folder of tiles, which become one model.
         crs: Reference system of its coordinates, instead of the one it declares.
         is_strict: Whether a coordinate that is no finite number is an error; if not, its polygon
             is dropped with a finding.
@@ -28,8 +34,11 @@ def read_city_model(path: str | Path, *, crs: str | None = None, is_strict: bool
         CityModelError: The file is missing, unreadable, empty, damaged or of an unknown kind, or
             has no building.
     """
-    path = Path(path)
-    raw = _read_raw(path, _head_of(path), is_strict)
+    sources = open_sources(Path(path))
+    if len(sources) == 1:
+        raw = _read_raw(sources[0], is_strict)
+    else:
+        raw = merge_cities(str(path), list(_read_tiles(sources, is_strict)))
     return finish_model(raw, crs=crs)
 
 
@@ -47,37 +56,42 @@ def open_scene(path: str | Path, *, lod: str | None = None, crs: str | None = No
     return mesh_city(read_city_model(path, crs=crs), lod)
 
 
-def _head_of(path: Path) -> bytes:
-    """Returns the first bytes of a file.
+def _read_tiles(sources: tuple[Source, ...], is_strict: bool) -> Iterator[RawCity]:
+    """Yields the tiles of a folder or archive; what is no city model, or has no building, is told."""
+    skipped = Findings()
+    last: CityModelError | None = None
+    num_read = 0
+    for source in sources:
+        try:
+            tile = _read_raw(source, is_strict)
+        except NotACity as error:
+            skipped.add(FILE_SKIPPED, source.name, error.message)
+            last = error
+            continue
+        num_read += 1
+        tile.findings.items[:0] = skipped.items
+        skipped = Findings()
+        yield tile
+    if num_read == 0 and last is not None:
+        raise last
 
-    Raises:
-        CityModelError: There is no such file, or it is a folder, empty or not readable.
-    """
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES)
-    except FileNotFoundError:
-        raise CityModelError(f"There is no city model at {path}.", "Check the path.") from None
-    except IsADirectoryError:
-        raise CityModelError(f"{path} is a folder, not a city model.", "Name a file in it.") from None
-    except OSError as error:
-        raise CityModelError(f"{path} cannot be read: {error.strerror}.", "Check its permissions.") from None
-    if not head.strip(b"\0 \r\n\t"):
-        raise CityModelError(f"{path} is empty.", "Download or export the file again.")
-    return head
 
-
-def _read_raw(path: Path, head: bytes, is_strict: bool) -> RawCity:
-    source = str(path)
+def _read_raw(source: Source, is_strict: bool) -> RawCity:
+    head = source.head()
     text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n\t")
+    suffixes = [suffix.lower() for suffix in PurePath(source.name).suffixes[-2:]]
     if text.startswith(b"<"):
         from lodbench.citymodel.citygml import read_citygml
 
-        return read_citygml(lambda: path.open("rb"), source, is_strict=is_strict)
+        return read_citygml(source.open, source.name, is_strict=is_strict)
+    if text.startswith((b"{", b"[")):
+        from lodbench.citymodel.cityjson import read_cityjson
+
+        return read_cityjson(source.open, source.name, is_strict=is_strict)
     first_words = {line.split(None, 1)[0] for line in text.splitlines() if line.strip()}
-    if path.suffix.lower() == ".obj" or first_words & {b"v", b"f", b"o", b"mtllib"}:
+    if ".obj" in suffixes or first_words & {b"v", b"f", b"o", b"mtllib"}:
         from lodbench.citymodel.obj import read_obj
 
-        with path.open("rb") as stream:
-            return read_obj(stream, source)
-    raise CityModelError(f"{path} is no city model that lodbench can read.", _SUPPORTED)
+        with source.open() as stream:
+            return read_obj(stream, source.name)
+    raise NotACity(f"{source.name} is no city model that lodbench can read.", _SUPPORTED)

@@ -1,0 +1,229 @@
+"""CityJSON 1.0, 1.1, 2.0 and CityJSONSeq: objects, parents, transforms, templates, text levels."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.cityjson_geometry import GeometryReader
+from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
+from lodbench.citymodel.collect import PolygonCollector
+from lodbench.citymodel.gml_names import INTERIOR_NAMES
+from lodbench.citymodel.raw import NotACity, RawCity
+from lodbench.errors import CityModelError
+
+# A feature is one building with its parts; a line of this size is something else.
+_MAX_LINE_BYTES = 1 << 28
+_HINT = "Check it with a CityJSON validator."
+
+Json = dict[str, Any]
+
+
+def read_cityjson(open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True) -> RawCity:
+    """Returns the buildings of a CityJSON file or a sequence of CityJSON features.
+
+    Args:
+        open_stream: Opens the document.
+        source: Its name, for messages.
+        is_strict: Whether a bad vertex index is an error, or a finding that drops its polygon.
+
+    Raises:
+        CityModelError: The file is no JSON, no CityJSON, or breaks its structure; the message names
+            the object.
+    """
+    reader = _Reader(source, is_strict)
+    with open_stream() as stream:
+        documents = _documents(stream, source)
+        header = next(documents)
+        reader.read_header(header)
+        is_sequence = False
+        for feature in documents:
+            is_sequence = True
+            reader.read_feature(feature)
+    return reader.result("CityJSONSeq" if is_sequence else "CityJSON")
+
+
+class _Reader:
+    """State of one file while it is read."""
+
+    def __init__(self, source: str, is_strict: bool) -> None:
+        self._source = source
+        self._is_strict = is_strict
+        self._collector = PolygonCollector()
+        self._version: str | None = None
+        self._srs_name: str | None = None
+        self._transform: Json | None = None
+        self._templates: Json = {}
+        self._others: Counter[str] = Counter()
+        self._seen: set[str] = set()
+
+    def read_header(self, document: Any) -> None:
+        kind = document.get("type") if isinstance(document, dict) else None
+        if kind == "CityJSONFeature":
+            raise CityModelError(
+                f"{self._source} is a CityJSON feature without the CityJSON line that should come first.",
+                "Without its transform the coordinates mean nothing: put the header line before it.",
+            )
+        if kind != "CityJSON":
+            raise NotACity(f"{self._source} is JSON, but not CityJSON (type {kind!r}).", _HINT)
+        version = str(document.get("version", ""))
+        if version.partition(".")[0] not in ("1", "2"):
+            raise CityModelError(
+                f"{self._source} is CityJSON {version or 'of no version'}.", "1.0 to 2.0 is read."
+            )
+        self._version = version
+        metadata = document.get("metadata")
+        if isinstance(metadata, dict):
+            # 0.9 and 1.0 files write the EPSG code alone, too.
+            name = metadata.get("referenceSystem") or metadata.get("crs", {}).get("epsg")
+            self._srs_name = f"EPSG:{name}" if isinstance(name, int) else name
+        self._transform = document.get("transform")
+        templates = document.get("geometry-templates")
+        self._templates = templates if isinstance(templates, dict) else {}
+        self.read_feature(document)
+
+    def read_feature(self, document: Any) -> None:
+        """Adds the buildings of a document with objects and vertices of its own."""
+        if not isinstance(document, dict) or not isinstance(document.get("CityObjects", {}), dict):
+            raise CityModelError(f"{self._source} has a feature that is no CityJSON object.", _HINT)
+        objects: dict[str, Json] = document.get("CityObjects", {})
+        if not objects:
+            return
+        vertices = self._vertices(document.get("vertices", []))
+        geometry = GeometryReader(self._collector, vertices, self._templates, self._is_strict)
+        numbers = self._number_buildings(objects)
+        for object_id, item in objects.items():
+            number = numbers.get(object_id)
+            if number is None:
+                continue
+            is_interior = item.get("type") in INTERIOR_NAMES
+            try:
+                for part in item.get("geometry") or ():
+                    geometry.read(part, number, object_id, is_interior)
+            except CityModelError:
+                raise
+            except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
+                raise CityModelError(
+                    f"{self._source}: the geometry of {object_id} is malformed ({error}).", _HINT
+                ) from None
+        geometry.finish()
+
+    def _vertices(self, values: Any) -> NDArray[np.float64]:
+        """Returns (V, 3) coordinates: the transform is applied where there is one."""
+        try:
+            vertices = np.asarray(values, dtype=np.float64).reshape(-1, 3)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise CityModelError(f"{self._source} has malformed vertices ({error}).", _HINT) from None
+        if not np.isfinite(vertices).all():
+            raise CityModelError(f"{self._source} has vertices that are not finite numbers.", _HINT)
+        if self._transform is None:
+            if self._version != "1.0" and len(vertices) and np.all(vertices == np.floor(vertices)):
+                raise CityModelError(
+                    f"{self._source} has no transform, without which its whole numbers mean nothing.", _HINT
+                )
+            return vertices
+        try:
+            scale = np.asarray(self._transform["scale"], np.float64).reshape(3)
+            translate = np.asarray(self._transform["translate"], np.float64).reshape(3)
+        except (TypeError, ValueError, KeyError) as error:
+            raise CityModelError(f"{self._source} has a malformed transform ({error}).", _HINT) from None
+        return vertices * scale + translate
+
+    def _number_buildings(self, objects: dict[str, Json]) -> dict[str, int]:
+        """Returns the building number of every object that belongs to a building."""
+        parents: dict[str, str] = {}
+        for object_id, item in objects.items():
+            if not isinstance(item, dict):
+                raise CityModelError(f"{self._source}: the object {object_id} is malformed.", _HINT)
+            for child in item.get("children") or ():
+                parents.setdefault(str(child), object_id)
+            for parent in (item.get("parents") or ())[:1]:
+                parents[object_id] = str(parent)
+        roots = {object_id: _root_of(object_id, parents, objects) for object_id in objects}
+        numbers: dict[str, int] = {}
+        has_geometry = {roots[object_id] for object_id, item in objects.items() if item.get("geometry")}
+        for object_id, item in objects.items():
+            kind = str(item.get("type"))
+            if not _is_building(str(objects[roots[object_id]].get("type"))):
+                self._others[kind] += 1
+                continue
+            self._collector.num_parts += kind == "BuildingPart"
+            root = roots[object_id]
+            if root not in numbers:
+                numbers[root] = self._add_building(root, root in has_geometry)
+            numbers[object_id] = numbers[root]
+        return numbers
+
+    def _add_building(self, building_id: str, has_geometry: bool) -> int:
+        findings = self._collector.findings
+        if building_id in self._seen:
+            findings.add(DUPLICATE_ID, building_id)
+        self._seen.add(building_id)
+        if not has_geometry:
+            findings.add(BUILDING_EMPTY, building_id)
+        self._collector.building_ids.append(building_id)
+        return len(self._collector.building_ids) - 1
+
+    def result(self, format: str) -> RawCity:
+        for name, count in sorted(self._others.items()):
+            self._collector.findings.add(NOT_A_BUILDING, name, f"{count} of them")
+        if not self._collector.building_ids:
+            raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
+        return self._collector.finish(
+            source=self._source, format=format, version=self._version, srs_names=(self._srs_name,)
+        )
+
+
+def _is_building(kind: str) -> bool:
+    # Extensions name their own: "+NoiseBuilding", and "BuildingZ" without the sign has been seen.
+    return kind.lstrip("+").startswith("Building") or (kind.startswith("+") and "Building" in kind)
+
+
+def _root_of(object_id: str, parents: dict[str, str], objects: dict[str, Json]) -> str:
+    """Returns the topmost ancestor that is in the file; a circle of parents ends where it closes."""
+    visited = {object_id}
+    while (parent := parents.get(object_id)) in objects and parent not in visited and parent is not None:
+        visited.add(parent)
+        object_id = parent
+    return object_id
+
+
+def _documents(stream: BinaryIO, source: str) -> Iterator[Any]:
+    """Yields one JSON document per line of a sequence, or the one document that fills the file."""
+    first = stream.readline(_MAX_LINE_BYTES)
+    try:
+        yield _parse(first, source, 1)
+    except CityModelError:
+        rest = stream.read()
+        if not rest.strip():
+            raise
+        # Not one document per line: a single one over many lines.
+        yield _parse(first + rest, source, None)
+        return
+    for number, line in enumerate(iter(lambda: stream.readline(_MAX_LINE_BYTES), b""), start=2):
+        if line.strip():
+            yield _parse(line, source, number)
+
+
+def _parse(data: bytes, source: str, line: int | None) -> Any:
+    where = f"{source}, line {line}" if line is not None else source
+    try:
+        return json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
+    except RecursionError:
+        raise CityModelError(f"{where}: the JSON is nested too deeply.") from None
+    except UnicodeDecodeError as error:
+        raise CityModelError(f"{where} is not UTF-8 (byte {error.start}).") from None
+    except ValueError as error:
+        raise CityModelError(
+            f"{where} is not well-formed JSON: {error}.",
+            "The file is damaged or cut off: download or export it again.",
+        ) from None
+
+
+def _refuse_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no JSON number")

@@ -1,0 +1,160 @@
+"""Geometry of CityJSON: nested index lists to flat rings, with every index checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
+from lodbench.citymodel.collect import PolygonCollector
+from lodbench.citymodel.gml_names import INTERIOR_NAMES, SURFACE_KINDS
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.errors import CityModelError
+
+# How many lists of lists stand around a surface.
+_DEPTHS = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2, "CompositeSolid": 2}
+_WITHOUT_SURFACES = frozenset({"MultiPoint", "MultiLineString"})
+
+
+class GeometryReader:
+    """Adds geometries that share one list of vertices to a collector.
+
+    Args:
+        collector: Receives polygons and findings.
+        vertices: (V, 3) coordinates the indices point into.
+        templates: The file's ``geometry-templates``, or an empty mapping.
+        is_strict: Whether a bad index is an error, or a finding that drops its polygon.
+    """
+
+    def __init__(
+        self,
+        collector: PolygonCollector,
+        vertices: NDArray[np.float64],
+        templates: dict[str, Any],
+        is_strict: bool,
+    ) -> None:
+        self._collector = collector
+        self._vertices = vertices
+        self._templates = templates
+        self._is_strict = is_strict
+        self._indices: list[int] = []
+
+    def read(self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool) -> None:
+        """Adds one geometry of an object."""
+        kind = geometry["type"]
+        findings = self._collector.findings
+        if kind == "GeometryInstance":
+            self._read_instance(geometry, building, object_id, is_interior)
+        elif kind in _DEPTHS:
+            before = len(self._collector.ring_counts)
+            self._read_surfaces(geometry, building, object_id, is_interior)
+            if len(self._collector.ring_counts) == before:
+                findings.add(GEOMETRY_EMPTY, object_id, f"{kind} of LoD{geometry.get('lod')}")
+        elif kind not in _WITHOUT_SURFACES:
+            findings.add(GEOMETRY_UNSUPPORTED, object_id, str(kind))
+
+    def finish(self) -> None:
+        """Turns the indices gathered so far into points."""
+        if self._indices:
+            self._collector.point_blocks.append(self._vertices[np.asarray(self._indices, np.int64)])
+            self._indices = []
+
+    def _read_surfaces(
+        self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool
+    ) -> None:
+        collector, indices = self._collector, self._indices
+        lod = collector.lod_index(lod_name(geometry.get("lod", "")))
+        surfaces = _flatten(geometry["boundaries"], _DEPTHS[geometry["type"]])
+        kinds = surface_kinds(geometry, len(surfaces), is_interior)
+        num_vertices = len(self._vertices)
+        ring_lengths, ring_counts, owners = collector.ring_lengths, collector.ring_counts, collector.owners
+        for surface, kind in zip(surfaces, kinds, strict=True):
+            for ring in surface:
+                # Python would take -1 for the last vertex, so both ends are checked.
+                if ring and not (
+                    0 <= min(ring) and max(ring) < num_vertices and set(map(type, ring)) == {int}
+                ):
+                    self._report_index(ring, object_id)
+                    break
+            else:
+                for ring in surface:
+                    indices.extend(ring)
+                    ring_lengths.append(len(ring))
+                ring_counts.append(len(surface))
+                owners.append((building, lod, kind))
+
+    def _report_index(self, ring: list[Any], object_id: str) -> None:
+        detail = f"a ring with the indices {str(ring)[:60]}, of {len(self._vertices)} vertices"
+        if self._is_strict:
+            raise CityModelError(
+                f"{object_id} has {detail}.",
+                "Mend the file, or see `lodbench city check FILE` for all of them.",
+            )
+        self._collector.findings.add(BAD_INDEX, object_id, detail)
+
+    def _read_instance(
+        self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool
+    ) -> None:
+        """Adds a template, moved by its 4x4 matrix to its reference point."""
+        number = geometry["template"]
+        if type(number) is not int or number < 0:
+            raise ValueError(f"template {number!r}")
+        template = self._templates["templates"][number]
+        anchor = geometry["boundaries"][0]
+        if type(anchor) is not int or not 0 <= anchor < len(self._vertices):
+            self._report_index([anchor], object_id)
+            return
+        matrix = np.asarray(geometry["transformationMatrix"], np.float64).reshape(4, 4)
+        local = np.asarray(self._templates["vertices-templates"], np.float64).reshape(-1, 3)
+        placed = local @ matrix[:3, :3].T + matrix[:3, 3] + self._vertices[anchor]
+        if not np.isfinite(placed).all():
+            raise ValueError("template coordinates are not finite")
+        self.finish()
+        inner = GeometryReader(self._collector, placed, {}, self._is_strict)
+        inner.read(template, building, object_id, is_interior)
+        inner.finish()
+
+
+def lod_name(value: Any) -> str:
+    """Returns the level as text: ``1``, ``1.0`` and ``"1"`` are one level, ``2.2`` another.
+
+    Example:
+        >>> lod_name(1.0), lod_name("2.2"), lod_name(0)
+        ('1', '2.2', '0')
+    """
+    text = str(value).strip()
+    return text.removesuffix(".0")
+
+
+def surface_kinds(geometry: dict[str, Any], num_surfaces: int, is_interior: bool) -> list[int]:
+    """Returns the ``SurfaceKind`` of each surface, in the order of the boundaries."""
+    if is_interior:
+        return [int(SurfaceKind.INTERIOR)] * num_surfaces
+    unknown = [int(SurfaceKind.UNKNOWN)] * num_surfaces
+    semantics = geometry.get("semantics")
+    if not isinstance(semantics, dict) or not semantics.get("values"):
+        return unknown
+    names = [str(surface.get("type")) for surface in semantics.get("surfaces", ())]
+    known = [int(SurfaceKind.INTERIOR if n in INTERIOR_NAMES else SURFACE_KINDS.get(n, 0)) for n in names]
+    values: list[Any] = []
+    _flatten_values(semantics["values"], values, _DEPTHS[geometry["type"]])
+    if len(values) != num_surfaces:
+        return unknown  # semantics that do not fit are no reason to lose a surface
+    return [known[v] if type(v) is int and 0 <= v < len(known) else 0 for v in values]
+
+
+def _flatten(boundaries: list[Any], depth: int) -> list[Any]:
+    """Returns the surfaces of a solid or of several."""
+    for _ in range(depth):
+        boundaries = [inner for outer in boundaries for inner in outer]
+    return boundaries
+
+
+def _flatten_values(values: Any, flat: list[Any], depth: int) -> None:
+    for value in values or ():
+        if depth and isinstance(value, list):
+            _flatten_values(value, flat, depth - 1)
+        else:
+            flat.append(value)

@@ -1,0 +1,59 @@
+"""Collecting polygons one by one: what readers of formats without bulk data put their finds into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.findings import Findings
+
+
+@dataclass(slots=True)
+class PolygonCollector:
+    """Grows polygons into the arrays of a ``RawCity``.
+
+    Points come in blocks; rings and polygons are plain lists until the end.
+    """
+
+    point_blocks: list[NDArray[np.float64]] = field(default_factory=list)
+    ring_lengths: list[int] = field(default_factory=list)
+    ring_counts: list[int] = field(default_factory=list)
+    owners: list[tuple[int, int, int]] = field(default_factory=list)
+    lods: list[str] = field(default_factory=list)
+    building_ids: list[str] = field(default_factory=list)
+    num_parts: int = 0
+    findings: Findings = field(default_factory=Findings)
+
+    def lod_index(self, name: str) -> int:
+        """Returns the number of a level of detail, a new one where it is new."""
+        if name not in self.lods:
+            self.lods.append(name)
+        return self.lods.index(name)
+
+    def finish(
+        self, *, source: str, format: str, version: str | None, srs_names: tuple[str | None, ...]
+    ) -> RawCity:
+        """Returns everything collected; all of it is in the first of ``srs_names``."""
+        owners = np.asarray(self.owners, np.int64).reshape(-1, 3)
+        points = np.concatenate(self.point_blocks) if self.point_blocks else np.zeros((0, 3))
+        return RawCity(
+            source=source,
+            format=format,
+            version=version,
+            srs_names=srs_names,
+            building_ids=tuple(self.building_ids),
+            num_parts=self.num_parts,
+            lods=tuple(self.lods),
+            points=points,
+            ring_starts=starts_of(np.asarray(self.ring_lengths, np.int64)),
+            polygon_starts=starts_of(np.asarray(self.ring_counts, np.int64)),
+            building=owners[:, 0].astype(np.int32),
+            lod=owners[:, 1].astype(np.int16),
+            kind=owners[:, 2].astype(np.uint8),
+            srs=np.zeros(len(owners), np.int16),
+            has_closing_points=False,
+            findings=self.findings,
+        )

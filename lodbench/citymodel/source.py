@@ -1,0 +1,208 @@
+"""Where the bytes come from: a file, a compressed file, an archive or a folder of tiles.
+
+Nothing is ever unpacked to disk: members of an archive are read in place, within limits, so neither
+a path in an archive nor a bomb of zeros can do harm.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import BinaryIO
+
+from lodbench.errors import CityModelError
+
+HEAD_BYTES = 4096
+_CITY_SUFFIXES = (".gml", ".xml", ".citygml", ".json", ".jsonl", ".obj")
+_ARCHIVE_SUFFIXES = (".gz", ".zip")
+# Beside the tiles, PLATEAU and others deliver these; none holds a building.
+_OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
+_MAX_MEMBERS = 100_000
+# City models compress 8 to 30 times. Beyond this ratio a stream is taken for a bomb.
+_MAX_RATIO = 250
+_RATIO_STARTS_AT_BYTES = 1 << 24
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One city file, wherever it lies.
+
+    Attributes:
+        name: For messages: the path, with the member of an archive after an exclamation mark.
+        open: Opens a fresh stream of its bytes; the caller closes it.
+        path: The file on disk that holds it.
+    """
+
+    name: str
+    open: Callable[[], BinaryIO]
+    path: Path
+
+    def head(self) -> bytes:
+        """Returns the first bytes.
+
+        Raises:
+            CityModelError: They cannot be read, or there is nothing but white space.
+        """
+        with self.open() as stream:
+            head = stream.read(HEAD_BYTES)
+        if not head.strip(b"\0 \r\n\t"):
+            raise CityModelError(f"{self.name} is empty.", "Download or export the file again.")
+        return head
+
+
+class BoundedStream(io.RawIOBase):
+    """A decompressed stream that stops at a bomb and speaks of damage in words.
+
+    Args:
+        stream: Decompressed bytes.
+        name: For messages.
+        packed_bytes: Size of the compressed data, to tell a bomb by its ratio.
+    """
+
+    def __init__(self, stream: BinaryIO, name: str, packed_bytes: int) -> None:
+        super().__init__()
+        self._stream = stream
+        self._name = name
+        self._limit = max(_RATIO_STARTS_AT_BYTES, packed_bytes * _MAX_RATIO)
+        self._done = 0
+
+    def readable(self) -> bool:
+        """Tells that the stream can be read."""
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """Returns up to ``size`` bytes, all that is left where it is negative.
+
+        Raises:
+            CityModelError: The data is damaged or cut off, or expands beyond all reason.
+        """
+        wanted = self._limit + 1 - self._done if size < 0 else size
+        try:
+            data = self._stream.read(wanted)
+        except (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile, OSError) as error:
+            raise CityModelError(
+                f"{self._name} is damaged or cut off ({error}).", "Download the file again."
+            ) from None
+        except (RuntimeError, NotImplementedError) as error:
+            raise CityModelError(f"{self._name} cannot be unpacked: {error}.") from None
+        self._done += len(data)
+        if self._done > self._limit:
+            raise CityModelError(
+                f"{self._name} expands more than {_MAX_RATIO} times, which no city model does.",
+                "If you trust it, unpack it yourself and name the result.",
+            )
+        return data
+
+    def close(self) -> None:
+        """Closes the stream below."""
+        if not self.closed:
+            self._stream.close()
+        super().close()
+
+
+def open_sources(path: Path) -> tuple[Source, ...]:
+    """Returns the city files at a path: one for a file, several for an archive or a folder.
+
+    Args:
+        path: A file, a ``.gz``, a ``.zip``, or a folder of any of these (read recursively). In a
+            folder with parts for buildings, roads and so on (``udx/bldg``), the buildings' part.
+
+    Raises:
+        CityModelError: Nothing is there, it cannot be read, or it holds no city file.
+    """
+    if path.is_dir():
+        return _folder_sources(path)
+    try:
+        with path.open("rb") as stream:
+            magic = stream.read(4)
+    except FileNotFoundError:
+        raise CityModelError(f"There is no city model at {path}.", "Check the path.") from None
+    except OSError as error:
+        raise CityModelError(f"{path} cannot be read: {error.strerror}.", "Check its permissions.") from None
+    if magic[:2] == b"\x1f\x8b":
+        return (_gzip_source(path),)
+    if magic == b"PK\x03\x04":
+        return _zip_sources(path)
+    return (Source(str(path), lambda: path.open("rb"), path),)
+
+
+def _folder_sources(folder: Path) -> tuple[Source, ...]:
+    suffixes = _CITY_SUFFIXES + _ARCHIVE_SUFFIXES
+    files = [
+        file
+        for file in sorted(folder.rglob("*"))
+        if file.suffix.lower() in suffixes
+        and file.is_file()
+        and _may_hold_buildings(file.relative_to(folder))
+    ]
+    buildings_only = [file for file in files if "bldg" in file.relative_to(folder).parts]
+    sources = tuple(source for file in buildings_only or files for source in open_sources(file))
+    if not sources:
+        raise CityModelError(
+            f"The folder {folder} holds no city file.",
+            f"Looked for {', '.join(suffixes)}, in all its folders.",
+        )
+    return sources
+
+
+def _may_hold_buildings(path: Path | PurePosixPath) -> bool:
+    return not _OTHER_FOLDERS.intersection(part.lower() for part in path.parts)
+
+
+def _gzip_source(path: Path) -> Source:
+    def open_stream() -> BinaryIO:
+        return BoundedStream(gzip.open(path, "rb"), str(path), path.stat().st_size)  # type: ignore[return-value, arg-type]
+
+    return Source(str(path), open_stream, path)
+
+
+def _zip_sources(path: Path) -> tuple[Source, ...]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        raise CityModelError(f"{path} is no readable zip ({error}).", "Download the file again.") from None
+    if len(members) > _MAX_MEMBERS:
+        raise CityModelError(f"{path} holds more than {_MAX_MEMBERS} files.", "Unpack the tiles you need.")
+    sources = tuple(_zip_members(path, members))
+    if not sources:
+        names = ", ".join(member.filename for member in members[:5])
+        hint = f"It holds: {names}." if names else "It is empty."
+        if any(member.filename.lower().endswith(_ARCHIVE_SUFFIXES) for member in members):
+            hint = "Archives inside an archive are not read: unpack the outer one."
+        raise CityModelError(f"{path} holds no city file.", hint)
+    return sources
+
+
+def _zip_members(path: Path, members: list[zipfile.ZipInfo]) -> Iterator[Source]:
+    chosen = []
+    for member in members:
+        name = PurePosixPath(member.filename.replace("\\", "/"))
+        if name.is_absolute() or ".." in name.parts or ":" in name.parts[0] if name.parts else False:
+            raise CityModelError(
+                f"{path} has a member with the unsafe path {member.filename!r}.", "Do not trust this file."
+            )
+        if not member.is_dir() and name.suffix.lower() in _CITY_SUFFIXES and _may_hold_buildings(name):
+            chosen.append((name, member))
+    buildings_only = [pair for pair in chosen if "bldg" in pair[0].parts]
+    for _, member in sorted(buildings_only or chosen, key=lambda pair: str(pair[0])):
+        yield _zip_source(path, member)
+
+
+def _zip_source(path: Path, member: zipfile.ZipInfo) -> Source:
+    name = f"{path}!{member.filename}"
+
+    def open_stream() -> BinaryIO:
+        try:
+            stream = zipfile.ZipFile(path).open(member)
+        except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError) as error:
+            hint = "Take the password off." if member.flag_bits & 1 else "Download the file again."
+            raise CityModelError(f"{name} cannot be unpacked ({error}).", hint) from None
+        return BoundedStream(stream, name, member.compress_size)  # type: ignore[return-value, arg-type]
+
+    return Source(name, open_stream, path)
