@@ -134,7 +134,7 @@ def _fly_over(town: Town, check: ViewCheck, offset_m: Points, count: int) -> tup
     turn = float(random_stream(town.seed, "demo", "flight").uniform(-180.0, 180.0))
     poses, rejections = [], 0
     for index in range(count):
-        line, place = index * 3 // count, (index * 3 / count) % 1.0
+        line, place = index * 3 // count, (index * 3 % count) / count
         for attempt in range(_ATTEMPTS):
             generator = random_stream(town.seed, "demo", "in_place", index, attempt)
             pose = _station(town, line, place, turn, 1.0 + attempt, generator).shifted(offset_m)
