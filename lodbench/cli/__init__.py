@@ -50,6 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         sys.stdout.write(f"lodbench {__version__}\n")
         return 0
+    from lodbench.cli.console import report_fault
     from lodbench.errors import LodbenchError, nearest_names
 
     try:
@@ -59,9 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except LodbenchError as error:
-        sys.stderr.write(f"lodbench: {error.message}\n")
-        if error.hint:
-            sys.stderr.write(f"  hint: {error.hint}\n")
+        report_fault(error)
         return 2
     except BrokenPipeError:
         # The reader of a pipe has left (`| head`): leave quietly, and keep Python from flushing again.

@@ -21,7 +21,8 @@ def main(argv: Sequence[str]) -> int:
     from lodbench.datasets.demo.build import CITY_FILE, build_demo
 
     root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed)
+    city = root / CITY_FILE
     sys.stdout.write(
-        f"{root}\nTry: lodbench run dataset=folder dataset.root={root} dataset.city_model={root / CITY_FILE}\n"
+        f"{root}\nTry: lodbench run dataset=folder dataset.root={root} dataset.city_model={city}\n"
     )
     return 0

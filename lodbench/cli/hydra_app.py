@@ -8,12 +8,13 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib.metadata import entry_points
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.cli.console import report_fault
+from lodbench.errors import ConfigError, LodbenchError, nearest_names
 
 T = TypeVar("T")
 
@@ -24,16 +25,28 @@ PATH_KEYS = frozenset(
 _is_registered = False
 
 
-def run_hydra(
-    command: str, config_name: str, task: Callable[[DictConfig], None], argv: Sequence[str]
-) -> int:
+def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None], argv: Sequence[str]) -> int:
     """Composes the configuration of a command and runs its task, once or per job of a sweep.
 
+    A job of a sweep that fails is reported on standard error and does not keep the others from
+    running.
+
+    Returns:
+        The exit code: 0, or 2 if a job of a sweep failed.
+
     Raises:
-        LodbenchError: An override is malformed, unknown or of the wrong type; or the task's own.
+        LodbenchError: An override is malformed, unknown or of the wrong type; or the only job's own.
     """
     import hydra
     from hydra.errors import HydraException
+
+    faults: list[LodbenchError] = []
+
+    def job(config: DictConfig) -> None:
+        try:
+            task(config)
+        except LodbenchError as fault:
+            faults.append(fault)
 
     _register_config_sources()
     words = [quote_path(word) for word in argv]
@@ -42,12 +55,16 @@ def run_hydra(
     saved, sys.argv = sys.argv, [f"lodbench {command}", *words]
     try:
         version = {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}
-        hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **version)(task)()
+        hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **version)(job)()
     except (HydraException, OmegaConfBaseException) as error:
         raise _explained(error, config_name) from error
     finally:
         sys.argv = saved
-    return 0
+    if len(faults) == 1 and not {"-m", "--multirun"} & set(words):
+        raise faults[0]
+    for fault in faults:
+        report_fault(fault)
+    return 2 if faults else 0
 
 
 def quote_path(word: str) -> str:
@@ -84,7 +101,7 @@ def to_params(values: dict[str, Any], params_type: type[T], section: str) -> T:
             raise ConfigError(f"{section}.{name} is not a setting.", nearest_names(name, known))
     try:
         merged = OmegaConf.merge(OmegaConf.structured(params_type), values)
-        return OmegaConf.to_object(merged)  # type: ignore[return-value]
+        return cast(T, OmegaConf.to_object(merged))
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(f"{section}.{error.full_key}: {reason}") from error
@@ -110,7 +127,7 @@ def _register_config_sources() -> None:
     from hydra.core.plugins import Plugins
     from hydra.plugins.search_path_plugin import SearchPathPlugin
 
-    class LodbenchSources(SearchPathPlugin):  # type: ignore[misc]
+    class LodbenchSources(SearchPathPlugin):
         def manipulate_search_path(self, search_path: Any) -> None:
             points = sorted(entry_points(group="lodbench.config_sources"), key=lambda point: point.name)
             for point in points:
@@ -124,7 +141,9 @@ def _register_config_sources() -> None:
 def _explained(error: Exception, config_name: str) -> ConfigError:
     """Returns Hydra's complaint as one line and, for an unknown key, the nearest known ones."""
     text = str(error)
-    option = re.search(r"Could not find '([^']+)/([^'/]+)'[\s\S]*?Available options in '[^']+':\s*([\s\S]*)", text)
+    option = re.search(
+        r"Could not find '([^']+)/([^'/]+)'[\s\S]*?Available options in '[^']+':([\s\S]*)", text
+    )
     if option:
         known = [line.strip() for line in option[3].splitlines() if line.strip()]
         known = [name for name in known if re.fullmatch(r"[\w.-]+", name)]
@@ -138,7 +157,8 @@ def _explained(error: Exception, config_name: str) -> ConfigError:
 def _nearest_key(key: str, config_name: str) -> str:
     from hydra import compose, initialize_config_module
 
-    overrides = [word for word in sys.argv[1:] if re.fullmatch(r"(method|dataset|segmenter|executor)=\w+", word)]
+    choice = re.compile(r"(method|dataset|segmenter|executor)=\w+")
+    overrides = [word for word in sys.argv[1:] if choice.fullmatch(word)]
     with initialize_config_module("lodbench.conf", version_base="1.3"):
         config = compose(config_name, overrides=overrides)
     parent, _, name = key.rpartition(".")

@@ -4,23 +4,35 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import yaml
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, to_params
 from lodbench.datasets.query import Dataset
+from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.artefacts import summary_of, write_artefacts
 from lodbench.harness.gallery import write_overlays
-from lodbench.evaluation.rows import seconds_per_query
 from lodbench.reporting.tables import format_text, tables_of
 
 # Settings that never change a result, or are named by content instead: they do not name the run folder.
 _NOT_IN_DIGEST = {"paths", "executor"}
 _PATHS_IN_DATASET = {"root", "city_model"}
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """The settings of a run that belong to no part of it; their meaning is in ``RunSettings``."""
+
+    renderer: str = "silhouette"
+    tilt: str = "prior"
+    seed: int = 0
+    split: list[str] = field(default_factory=list)
+    limit: int | None = None
+
 
 # The runs of this process, for the one table at the end of a sweep.
 _finished: list[Run] = []
@@ -50,20 +62,21 @@ def run_config(values: dict[str, Any]) -> Run:
     method = method_type(to_params(values["method"], method_type.params_type, "method"))
     segmenter_type = load_plugin("segmenters", values["segmenter"]["name"])
     segmenter = segmenter_type(to_params(values["segmenter"], segmenter_type.params_type, "segmenter"))
+    options = to_params({f.name: values[f.name] for f in fields(RunOptions)}, RunOptions, "run")
     dataset = _open_dataset(values["dataset"])
     config = identity_of(values)
     settings = RunSettings(
         runs_root=Path(values["paths"]["runs"]).expanduser(),
         config=config,
-        renderer=values["renderer"],
+        renderer=options.renderer,
         threads=values["executor"]["threads"],
-        tilt=values["tilt"],
-        seed=values["seed"],
-        splits=tuple(values["split"]),
-        limit=values["limit"],
+        tilt=options.tilt,
+        seed=options.seed,
+        splits=tuple(options.split),
+        limit=options.limit,
     )
     run = run_method(method, dataset, segmenter, settings)
-    write_artefacts(run, yaml.safe_dump(config, sort_keys=True, allow_unicode=True))
+    write_artefacts(run, OmegaConf.to_yaml(OmegaConf.create(config), sort_keys=True))
     write_overlays(run)
     return run
 
@@ -86,9 +99,8 @@ def report(runs: Sequence[Run]) -> str:
         for split in run.splits:
             cells = summary["splits"][split]
             seconds, hypotheses = seconds_per_query(run.rows, split), cells["hypotheses_per_query"]
-            lines.append(
-                f"{name}, tilt={run.config['tilt']}, {split}: {hypotheses or 0:.0f} hypotheses and {seconds:.2f} s per query"
-            )
+            cost = f"{hypotheses or 0:.0f} hypotheses and {seconds:.2f} s per query"
+            lines.append(f"{name}, tilt={run.config['tilt']}, {split}: {cost}")
         lines += [f"  {count} x {reason}" for reason, count in summary["failures"].items()]
         lines += [f"  note: {note}" for note in run.dataset.notes]
         resumed = f" ({run.resumed} queries were there already)" if run.resumed else ""

@@ -58,7 +58,7 @@ def draw_overlay(shown: OverlayInput, renderer: Renderer) -> Picture:
         tint = np.array(_MASK_COLOUR, dtype=np.float64)
         canvas[mask] = (0.62 * canvas[mask] + 0.38 * tint).astype(np.uint8)
     for pose, colour, thickness in (
-        (shown.truth, TRUTH_COLOUR, 3),
+        (shown.truth, TRUTH_COLOUR, 2),
         (shown.prior, PRIOR_COLOUR, 1),
         (shown.estimate, ESTIMATE_COLOUR, 1),
     ):

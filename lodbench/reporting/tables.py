@@ -73,11 +73,15 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def tables_of(summaries: Sequence[dict[str, Any]]) -> list[RecallTable]:
-    """Returns one table per protocol (dataset, tilt, segmenter, seed), the priors' row on top of each."""
-    groups: dict[str, list[dict[str, Any]]] = {}
+    """Returns one table per protocol (dataset, tilt, segmenter, seed), the priors' row on top of each.
+
+    Runs over other queries or another city never share a table, whatever their names.
+    """
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for summary in summaries:
-        groups.setdefault(title_of(summary), []).append(summary)
-    return [_table(title, members) for title, members in groups.items()]
+        inputs = (summary["dataset"].get("queries", ""), summary["dataset"].get("scene", ""))
+        groups.setdefault((title_of(summary), *inputs), []).append(summary)
+    return [_table(title, members) for (title, *_), members in groups.items()]
 
 
 def title_of(summary: dict[str, Any]) -> str:
@@ -131,7 +135,10 @@ def format_text(table: RecallTable) -> str:
 def format_markdown(table: RecallTable) -> str:
     """Returns the table in Markdown."""
     labels = table.labels()
-    header = ["Method", *(f"{split} {name}" for split in table.splits for name in [*labels, "T.e./R.e.", "failed"])]
+    header = [
+        "Method",
+        *(f"{split} {name}" for split in table.splits for name in [*labels, "T.e./R.e.", "failed"]),
+    ]
     lines = [f"**{table.title}**", "", _pipes(header), _pipes(["---"] + ["--:"] * (len(header) - 1))]
     lines += [_pipes([label, *_row_cells(table, row, labels)]) for label, row in table.rows]
     return "\n".join(lines) + "\n"
@@ -143,7 +150,16 @@ def format_csv(table: RecallTable) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     labels = table.labels()
     writer.writerow(
-        ["protocol", "method", "split", *labels, "median_translation_m", "median_rotation_deg", "queries", "failed"]
+        [
+            "protocol",
+            "method",
+            "split",
+            *labels,
+            "median_translation_m",
+            "median_rotation_deg",
+            "queries",
+            "failed",
+        ]
     )
     for label, row in table.rows:
         for split, cells in row.items():
@@ -160,7 +176,9 @@ def format_latex(table: RecallTable) -> str:
     labels = table.labels()
     width = len(labels) + 1
     spans = " & ".join(rf"\multicolumn{{{width}}}{{c}}{{\textit{{{_tex(split)}}}}}" for split in table.splits)
-    names = " & ".join([*(label.replace("deg", r"$^\circ$") for label in labels), "T.e./R.e."] * len(table.splits))
+    names = " & ".join(
+        [*(label.replace("deg", r"$^\circ$") for label in labels), "T.e./R.e."] * len(table.splits)
+    )
     lines = [rf"% {table.title}", rf"\begin{{tabular}}{{l{'c' * (width * len(table.splits))}}}", r"\toprule"]
     lines += [rf"Method & {spans} \\", rf" & {names} \\", r"\midrule"]
     for label, row in table.rows:
@@ -212,7 +230,10 @@ def _align(head: list[list[str]], body: list[list[str]], group: int) -> str:
         widths[start + group - 1] += max(0, missing)
 
     def line(row: list[str]) -> str:
-        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        cells = [
+            row[0].ljust(widths[0]),
+            *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
+        ]
         return "  ".join(cells).rstrip()
 
     spans = [" " * widths[0]]

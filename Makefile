@@ -1,0 +1,36 @@
+# Two commands do everything: `make demo` and `make test`. PYTHON may name any of 3.11 to 3.13.
+PYTHON ?= python3.11
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo ablation test lint figures clean
+
+# Builds the demo town, localises its 40 queries with the sensor's tilt and with the true one.
+demo: $(VENV)/.base
+	$(BIN)/lodbench run --multirun method=lodlocv2 dataset=demo tilt=prior,truth
+
+# The paper's Table 1 on the demo: without refinement, without selection, in full.
+ablation: $(VENV)/.base
+	$(BIN)/lodbench run --multirun method=lodlocv2 dataset=demo tilt=truth method.variant=no_refine,no_select,full
+
+test: $(VENV)/.test lint
+	$(BIN)/python -m pytest -n auto --dist loadgroup
+
+lint: $(VENV)/.test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
+
+$(VENV)/.base: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+$(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,render]'
+	touch $@ $(VENV)/.base
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
