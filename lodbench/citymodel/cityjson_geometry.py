@@ -48,9 +48,7 @@ class GeometryReader:
         if kind == "GeometryInstance":
             self._read_instance(geometry, building, object_id, is_interior)
         elif kind in _DEPTHS:
-            before = len(self._collector.ring_counts)
-            self._read_surfaces(geometry, building, object_id, is_interior)
-            if len(self._collector.ring_counts) == before:
+            if not self._read_surfaces(geometry, building, object_id, is_interior):
                 findings.add(GEOMETRY_EMPTY, object_id, f"{kind} of LoD{geometry.get('lod')}")
         elif kind not in _WITHOUT_SURFACES:
             findings.add(GEOMETRY_UNSUPPORTED, object_id, str(kind))
@@ -63,7 +61,8 @@ class GeometryReader:
 
     def _read_surfaces(
         self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool
-    ) -> None:
+    ) -> int:
+        """Adds the surfaces of a geometry; returns how many it has, sound or not."""
         collector, indices = self._collector, self._indices
         lod = collector.lod_index(lod_name(geometry.get("lod", "")))
         surfaces = _flatten(geometry["boundaries"], _DEPTHS[geometry["type"]])
@@ -84,6 +83,7 @@ class GeometryReader:
                     ring_lengths.append(len(ring))
                 ring_counts.append(len(surface))
                 owners.append((building, lod, kind))
+        return len(surfaces)
 
     def _report_index(self, ring: list[Any], object_id: str) -> None:
         detail = f"a ring with the indices {str(ring)[:60]}, of {len(self._vertices)} vertices"

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import BAD_COORDINATE, BAD_COUNT, RING_2D
 from lodbench.citymodel.coordinates import parse_rings
-from lodbench.citymodel.gml_walk import PolygonBatch
+from lodbench.citymodel.gml_implicit import Placement
+from lodbench.citymodel.gml_polygons import PolygonBatch
 from lodbench.citymodel.raw import starts_of, take_segments
 from lodbench.errors import CityModelError
 from lodbench.findings import FindingCode, Findings
@@ -153,7 +154,7 @@ def _flip(arrays: PolygonArrays, flipped: list[int]) -> None:
 
 def _select(arrays: PolygonArrays, batch: PolygonBatch, faulty: NDArray[np.int64]) -> PolygonArrays:
     """Drops faulty polygons and appends the copies that references ask for."""
-    if len(faulty) == 0 and not batch.copies:
+    if len(faulty) == 0 and not batch.copies and not batch.placed:
         return arrays
     copies = np.asarray([copy[:4] for copy in batch.copies], np.int64).reshape(-1, 4)
     sources = np.concatenate([np.arange(len(arrays.building)), copies[:, 0]])
@@ -171,4 +172,16 @@ def _select(arrays: PolygonArrays, batch: PolygonBatch, faulty: NDArray[np.int64
     )
     is_flipped = np.asarray([False] * len(arrays.building) + [copy[4] for copy in batch.copies])[chosen]
     _flip(selected, np.flatnonzero(is_flipped).tolist())
+    placements = [batch.placed.get(polygon) for polygon in range(len(arrays.building))]
+    placements += [copy[5] for copy in batch.copies]
+    _place(selected, [placements[polygon] for polygon in chosen])
     return selected
+
+
+def _place(arrays: PolygonArrays, placements: list[Placement | None]) -> None:
+    """Sets polygons of implicit geometries down, in place."""
+    first_points = starts_of(arrays.ring_lengths)[starts_of(arrays.ring_counts)]
+    for polygon, placement in enumerate(placements):
+        if placement is not None:
+            points = slice(first_points[polygon], first_points[polygon + 1])
+            arrays.points[points] = placement.apply(arrays.points[points])

@@ -14,7 +14,8 @@ from lodbench.citymodel.gml_names import (
     is_building_tag,
     property_lod,
 )
-from lodbench.citymodel.gml_walk import GeometryWalk, Reference
+from lodbench.citymodel.gml_polygons import Reference
+from lodbench.citymodel.gml_walk import GeometryWalk
 from lodbench.citymodel.xml import Element
 from lodbench.findings import Findings
 
@@ -44,7 +45,7 @@ class LinkResolver:
         self._walk = walk
         self._source_name = source_name
         self._findings = findings
-        self._copied: set[tuple[int, int, int]] = set()
+        self._copied: set[tuple[int, int, int, int]] = set()
 
     def resolve_member(self, member: Element, building_ids: list[str]) -> None:
         """Turns the current member's references into copies where they add a surface.
@@ -60,9 +61,14 @@ class LinkResolver:
         index: _MemberIndex | None = None
         owners, polygon_ids = walk.batch.owners, walk.polygon_ids
         for reference in tuple(walk.references):
-            href, building, lod, _, _ = reference
+            href, building, lod, _, _, placement = reference
             known = polygon_ids.get(href[1:])
-            if known is not None and owners[known][0] == building and owners[known][1] == lod:
+            if (
+                known is not None
+                and owners[known][0] == building
+                and owners[known][1] == lod
+                and placement is None
+            ):
                 continue  # the usual case, before any care for odd spellings
             target = self._target_id(reference, building_ids)
             if target is None:
@@ -114,13 +120,15 @@ class LinkResolver:
     def _copy(self, polygon: int, reference: Reference) -> None:
         batch = self._walk.batch
         building, lod, own_kind, _ = batch.owners[polygon]
-        if (building, lod) == (reference.building, reference.lod):
+        if (building, lod) == (reference.building, reference.lod) and reference.placement is None:
             return
-        key = (polygon, reference.building, reference.lod)
+        key = (polygon, reference.building, reference.lod, id(reference.placement))
         if key not in self._copied:
             self._copied.add(key)
             kind = reference.kind or own_kind
-            batch.copies.append((polygon, reference.building, reference.lod, kind, reference.is_flipped))
+            batch.copies.append(
+                (polygon, reference.building, reference.lod, kind, reference.is_flipped, reference.placement)
+            )
 
     def _copy_all(
         self,
@@ -158,6 +166,8 @@ class LinkResolver:
         index.polygons[element] = polygon
         if reference.is_flipped:
             walk.batch.flipped.append(polygon)
+        if reference.placement is not None:
+            walk.batch.placed[polygon] = reference.placement
 
 
 def _index_member(member: Element, walk: GeometryWalk | None) -> _MemberIndex:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
-from lodbench.citymodel.codes import GEOMETRY_EMPTY
+from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
+from lodbench.citymodel.gml_implicit import read_placement
 from lodbench.citymodel.gml_names import (
     CURVE,
     GEOMETRY_PROPERTIES,
@@ -25,57 +25,10 @@ from lodbench.citymodel.gml_names import (
     NodeTable,
     property_lod,
 )
+from lodbench.citymodel.gml_polygons import NameTable, PolygonBatch, Reference
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element, local_name
 from lodbench.findings import Findings
-
-
-class Reference(NamedTuple):
-    """An XLink met inside a geometry property: the id it names, and whose surface it stands for."""
-
-    href: str
-    building: int
-    lod: int
-    kind: int
-    is_flipped: bool
-
-
-@dataclass(slots=True)
-class PolygonBatch:
-    """Polygons of many city objects as text, in document order.
-
-    Attributes:
-        texts: One text of numbers per ring.
-        dimensions: Ring index to declared dimension, for the rings that declare one.
-        solid_rings: Rings that declare three dimensions themselves, which most files do, or none.
-        ring_counts: Rings of each polygon.
-        owners: (building, lod, kind, srs) of each polygon.
-        flipped: Polygons whose orientation is turned round.
-        copies: Polygons that repeat an earlier one: (source polygon, building, lod, kind, flipped).
-        num_characters: Total length of the texts, to know when to read the numbers.
-    """
-
-    texts: list[str] = field(default_factory=list)
-    dimensions: dict[int, int] = field(default_factory=dict)
-    solid_rings: list[int] = field(default_factory=list)
-    ring_counts: list[int] = field(default_factory=list)
-    owners: list[tuple[int, int, int, int]] = field(default_factory=list)
-    flipped: list[int] = field(default_factory=list)
-    copies: list[tuple[int, int, int, int, bool]] = field(default_factory=list)
-    num_characters: int = 0
-
-
-@dataclass(slots=True)
-class NameTable:
-    """Names in the order they are first met: levels of detail, reference systems."""
-
-    names: list[str | None] = field(default_factory=list)
-
-    def index(self, name: str | None) -> int:
-        """Returns the number of a name, a new one where it is new."""
-        if name not in self.names:
-            self.names.append(name)
-        return self.names.index(name)
 
 
 class GeometryWalk:
@@ -128,20 +81,40 @@ class GeometryWalk:
                 continue
             lod = self.lods.index(lod_name)
             kind = int(surface_kind(prop, element))
-            if not self._walk_property(prop, building, lod, kind, srs):
-                self._findings.add(GEOMETRY_EMPTY, building_id, local_name(prop.tag))
+            name = local_name(prop.tag)
+            if name.endswith("ImplicitRepresentation"):
+                self._walk_implicit(prop, building, building_id, lod, kind, srs)
+            elif not self._walk_property(prop, building, lod, kind, srs):
+                self._findings.add(GEOMETRY_EMPTY, building_id, name)
 
     def _walk_property(self, prop: Element, building: int, lod: int, kind: int, srs: int) -> bool:
         """Adds the polygons and references of one geometry property; tells whether there were any."""
         href = prop.get(XLINK_HREF)
         if href is not None:
-            self.references.append(Reference(href, building, lod, kind, False))
+            self.references.append(Reference(href, building, lod, kind, False, None))
         if len(prop) == 0:
             return href is not None
         srs, dimension = self._declared(prop[0], srs, 0)
         first, first_reference = len(self.batch.owners), len(self.references)
         self.walk_geometry(prop, building, lod, kind, srs, dimension)
         return len(self.batch.owners) > first or len(self.references) > first_reference
+
+    def _walk_implicit(
+        self, prop: Element, building: int, building_id: str, lod: int, kind: int, srs: int
+    ) -> None:
+        """Adds the polygons of an implicit geometry, which are set down when their numbers are read."""
+        placement = read_placement(prop[0]) if len(prop) else None
+        if placement is None or prop[0].find("{*}libraryObject") is not None:
+            what = "a shape in another file" if placement is not None else "an incomplete placement"
+            self._findings.add(GEOMETRY_UNSUPPORTED, building_id, f"{local_name(prop.tag)}: {what}")
+            return
+        first = len(self.batch.owners)
+        for shape in prop[0].iterchildren("{*}relativeGMLGeometry", "{*}relativeGeometry"):
+            href = shape.get(XLINK_HREF)
+            if href is not None:
+                self.references.append(Reference(href, building, lod, kind, False, placement))
+            self.walk_geometry(shape, building, lod, kind, srs, 3)
+        self.batch.placed.update(dict.fromkeys(range(first, len(self.batch.owners)), placement))
 
     def _declared(self, element: Element, srs: int, dimension: int) -> tuple[int, int]:
         """Returns reference system and dimension as an element declares them, else as inherited."""
@@ -227,7 +200,7 @@ class GeometryWalk:
         href = element.get(XLINK_HREF)
         if href is not None:
             is_flipped = self._turned and element in self._turned
-            self.references.append(Reference(href, building, lod, kind, bool(is_flipped)))
+            self.references.append(Reference(href, building, lod, kind, bool(is_flipped), None))
 
     def _note_orientation(self, element: Element) -> None:
         """Marks what stands below an ``OrientableSurface`` of orientation "-"; twice is not at all."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path, PurePath
 
 from lodbench.citymodel.codes import FILE_SKIPPED
@@ -12,7 +11,6 @@ from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity, RawCity, merge_cities
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import Source, open_sources
-from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
 _SUPPORTED = (
@@ -38,7 +36,7 @@ def read_city_model(path: str | Path, *, crs: str | None = None, is_strict: bool
     if len(sources) == 1:
         raw = _read_raw(sources[0], is_strict)
     else:
-        raw = merge_cities(str(path), list(_read_tiles(sources, is_strict)))
+        raw = _read_tiles(str(path), sources, is_strict)
     return finish_model(raw, crs=crs)
 
 
@@ -56,24 +54,20 @@ def open_scene(path: str | Path, *, lod: str | None = None, crs: str | None = No
     return mesh_city(read_city_model(path, crs=crs), lod)
 
 
-def _read_tiles(sources: tuple[Source, ...], is_strict: bool) -> Iterator[RawCity]:
-    """Yields the tiles of a folder or archive; what is no city model, or has no building, is told."""
+def _read_tiles(name: str, sources: tuple[Source, ...], is_strict: bool) -> RawCity:
+    """Returns the tiles of a folder or archive as one city; files without a building are told of."""
+    tiles: list[RawCity] = []
     skipped = Findings()
-    last: CityModelError | None = None
-    num_read = 0
     for source in sources:
         try:
-            tile = _read_raw(source, is_strict)
+            tiles.append(_read_raw(source, is_strict))
         except NotACity as error:
+            if source is sources[-1] and not tiles:
+                raise
             skipped.add(FILE_SKIPPED, source.name, error.message)
-            last = error
-            continue
-        num_read += 1
-        tile.findings.items[:0] = skipped.items
-        skipped = Findings()
-        yield tile
-    if num_read == 0 and last is not None:
-        raise last
+    city = merge_cities(name, tiles)
+    city.findings.items[:0] = skipped.items
+    return city
 
 
 def _read_raw(source: Source, is_strict: bool) -> RawCity:

@@ -229,6 +229,48 @@ class TestLinks:
         assert codes(model) == {"LB205": 1}
 
 
+class TestImplicitGeometry:
+    shape = (
+        "<gml:MultiSurface>"
+        + surface_members([polygon([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], gml_id="shape")])
+        + "</gml:MultiSurface>"
+    )
+
+    def placed(self, shape: str, at: str, matrix: str = "") -> str:
+        return (
+            "<bldg:outerBuildingInstallation><bldg:BuildingInstallation><bldg:lod3ImplicitRepresentation>"
+            f"<core:ImplicitGeometry>{matrix}{shape}<core:referencePoint><gml:Point><gml:pos>{at}</gml:pos>"
+            "</gml:Point></core:referencePoint></core:ImplicitGeometry></bldg:lod3ImplicitRepresentation>"
+            "</bldg:BuildingInstallation></bldg:outerBuildingInstallation>"
+        )
+
+    def test_shape_and_links_to_it(self, tmp_path: Path) -> None:
+        turned = "<core:transformationMatrix>0 -2 0 0 2 0 0 0 0 0 2 5 0 0 0 1</core:transformationMatrix>"
+        inline = f"<core:relativeGMLGeometry>{self.shape}</core:relativeGMLGeometry>"
+        linked = '<core:relativeGMLGeometry xlink:href="#shape"/>'
+        content = self.placed(inline, "100 200 3") + self.placed(linked, "300 400 3", turned)
+        other = self.placed(linked, "500 600 3")
+        text = city(member(content) + member(other, "b2"), srs=None)
+        model = model_of(tmp_path, text)
+        corners = model.polygons.points.reshape(-1, 3, 3)
+        assert corners[0].tolist() == [[100, 200, 3], [101, 200, 3], [100, 201, 3]]
+        assert corners[1].tolist() == [[300, 400, 8], [300, 402, 8], [298, 400, 8]]
+        assert corners[2].tolist() == [[500, 600, 3], [501, 600, 3], [500, 601, 3]]
+        assert set(model.polygons.kind) == {SurfaceKind.INSTALLATION}
+
+    @pytest.mark.parametrize(
+        ("shape", "at"),
+        [
+            ("<core:libraryObject>http://127.0.0.1/tree.3ds</core:libraryObject>", "0 0 0"),
+            ("<core:transformationMatrix>1 2 3</core:transformationMatrix>", "0 0 0"),
+            ("", "0 x 0"),
+        ],
+    )
+    def test_what_cannot_be_placed_is_a_finding(self, tmp_path: Path, shape: str, at: str) -> None:
+        text = city(member(self.placed(shape, at) + solid(surface_members(map(polygon, BOX)))))
+        assert codes(model_of(tmp_path, text)) == {"LB206": 1}
+
+
 class TestRings:
     def ring_model(self, tmp_path: Path, ring: str, **options: object) -> CityModel:
         good = polygon([(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (3.0, 3.0, 0.0)])

@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel import mesh_model, read_city_model
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.errors import CityModelError
+
+from .gml_text import write
+
+SQUARE = [[0, 0, 0], [4000, 0, 0], [4000, 4000, 0], [0, 4000, 0]]
+TRANSFORM = {"scale": [0.001, 0.001, 0.001], "translate": [85000.0, 446000.0, 0.0]}
+
+
+def document(objects: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    base: dict[str, Any] = {
+        "type": "CityJSON",
+        "version": "1.1",
+        "transform": TRANSFORM,
+        "metadata": {"referenceSystem": "https://www.opengis.net/def/crs/EPSG/0/7415"},
+        "CityObjects": objects,
+        "vertices": SQUARE,
+    }
+    merged = base | changes
+    return {key: value for key, value in merged.items() if value is not None}
+
+
+def surface(*rings: list[int], lod: Any = "1", kind: str = "MultiSurface") -> dict[str, Any]:
+    return {"type": kind, "lod": lod, "boundaries": [list(rings)]}
+
+
+def building(*geometry: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"type": "Building", "geometry": list(geometry), **more}
+
+
+def read(tmp_path: Path, content: Any, **options: Any) -> CityModel:
+    text = content if isinstance(content, str | bytes) else json.dumps(content)
+    return read_city_model(write(tmp_path / "x.city.json", text), **options)
+
+
+def codes(model: CityModel) -> dict[str, int]:
+    return {key.split()[0]: count for key, count in model.findings.counts().items()}
+
+
+class TestReading:
+    def test_transform_and_frame(self, tmp_path: Path) -> None:
+        model = read(tmp_path, document({"a": building(surface([0, 1, 2, 3]))}))
+        assert model.origin.tolist() == [85000, 446000, 0]
+        assert model.polygons.points.tolist() == [[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]
+        assert (model.format, model.version, model.crs) == ("CityJSON", "1.1", "EPSG:7415")
+        assert model.findings.counts() == {}
+
+    @pytest.mark.parametrize("lod", [1, 1.0, "1", "1.0"])
+    def test_level_names(self, tmp_path: Path, lod: Any) -> None:
+        assert read(tmp_path, document({"a": building(surface([0, 1, 2], lod=lod))})).lods == ("1",)
+
+    def test_parts_go_to_their_building(self, tmp_path: Path) -> None:
+        part = {"type": "BuildingPart", "geometry": [surface([0, 1, 2])], "parents": ["a"]}
+        orphan = {"type": "BuildingPart", "geometry": [surface([0, 1, 2])]}
+        model = read(tmp_path, document({"p": part, "a": building(children=["p", "q"]), "q": orphan}))
+        assert (model.building_ids, model.num_parts, len(model.polygons)) == (("a",), 2, 2)
+
+    def test_extensions_and_other_objects(self, tmp_path: Path) -> None:
+        square = surface([0, 1, 2])
+        objects = {
+            "a": {"type": "+NoiseBuilding", "geometry": [square]},
+            "b": {"type": "BuildingZ", "geometry": [square]},
+            "c": {"type": "Road", "geometry": [square]},
+            "d": building(),
+        }
+        model = read(tmp_path, document(objects))
+        assert model.building_ids == ("a", "b", "d")
+        assert codes(model) == {"LB209": 1, "LB403": 1}
+
+    def test_circle_of_parents_ends(self, tmp_path: Path) -> None:
+        objects = {
+            "a": building(surface([0, 1, 2]), parents=["b"]),
+            "b": building(surface([0, 1, 2]), parents=["a"]),
+        }
+        assert len(read(tmp_path, document(objects)).polygons) == 2
+
+    def test_template(self, tmp_path: Path) -> None:
+        templates = {
+            "templates": [surface([0, 1, 2], lod="2")],
+            "vertices-templates": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        }
+        turned = [0, -2, 0, 0, 2, 0, 0, 0, 0, 0, 2, 5, 0, 0, 0, 1]
+        instance = {
+            "type": "GeometryInstance",
+            "template": 0,
+            "boundaries": [1],
+            "transformationMatrix": turned,
+        }
+        objects = {"a": building(instance, surface([0, 1, 2], lod="2"))}
+        model = read(tmp_path, document(objects, **{"geometry-templates": templates}))
+        points = model.polygons.points + model.origin - [85000, 446000, 0]
+        assert points[:3].tolist() == [[4, 0, 5], [4, 2, 5], [2, 0, 5]]
+        assert len(model.polygons) == 2
+
+    def test_interiors_are_not_meshed(self, tmp_path: Path) -> None:
+        room = {"type": "BuildingRoom", "geometry": [surface([0, 1, 2])], "parents": ["a"]}
+        model = read(tmp_path, document({"a": building(surface([0, 1, 2, 3])), "r": room}))
+        assert mesh_model(model).num_polygons == 1
+
+    def test_semantics_that_do_not_fit_lose_nothing(self, tmp_path: Path) -> None:
+        walls = surface([0, 1, 2])
+        walls["semantics"] = {"surfaces": [{"type": "WallSurface"}], "values": [0, 0, 0]}
+        model = read(tmp_path, document({"a": building(walls)}))
+        assert model.polygons.kind.tolist() == [SurfaceKind.UNKNOWN]
+
+    def test_missing_reference_system(self, tmp_path: Path) -> None:
+        assert codes(read(tmp_path, document({"a": building(surface([0, 1, 2]))}, metadata=None))) == {
+            "LB301": 1
+        }
+
+    def test_real_coordinates_of_version_1_0(self, tmp_path: Path) -> None:
+        vertices = (np.array(SQUARE) / 1000.0 + [85000.5, 446000.5, 0]).tolist()
+        model = read(
+            tmp_path,
+            document({"a": building(surface([0, 1, 2]))}, version="1.0", transform=None, vertices=vertices),
+        )
+        assert model.polygons.points[0].tolist() == [0.5, 0.5, 0]
+
+
+class TestFaults:
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"type": "CityJSONFeature"}, "without the CityJSON line"),
+            ({"type": "FeatureCollection"}, "not CityJSON"),
+            ({"version": "3.7"}, "of no version|CityJSON 3.7"),
+            ({"version": None}, "of no version"),
+            ({"transform": None}, "no transform"),
+            ({"transform": {"scale": [1, 2]}}, "malformed transform"),
+            ({"vertices": [[0, 0]]}, "malformed vertices"),
+            ({"vertices": [["a", 0, 0]]}, "malformed vertices"),
+            ({"CityObjects": []}, "no CityJSON object"),
+            ({"CityObjects": {}}, "no buildings"),
+            ({"CityObjects": {"a": 7}}, "object a is malformed"),
+        ],
+    )
+    def test_structure(self, tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+        with pytest.raises(CityModelError, match=message) as caught:
+            read(tmp_path, document({"a": building(surface([0, 1, 2]))}, **changes))
+        assert caught.value.hint
+
+    @pytest.mark.parametrize(
+        "geometry",
+        [
+            {"type": "Solid", "lod": "1", "boundaries": [[0, 1, 2]]},
+            {"type": "MultiSurface", "lod": "1", "boundaries": 5},
+            {"type": "MultiSurface", "lod": "1"},
+            {"lod": "1"},
+            7,
+            {"type": "GeometryInstance", "template": 3, "boundaries": [0]},
+            {"type": "GeometryInstance", "template": -1, "boundaries": [0]},
+        ],
+    )
+    def test_malformed_geometry_names_the_object(self, tmp_path: Path, geometry: Any) -> None:
+        with pytest.raises(CityModelError, match="geometry of Haus-1"):
+            read(tmp_path, document({"Haus-1": building(geometry)}))
+
+    @pytest.mark.parametrize(
+        "ring", [[0, 1, 4], [0, 1, -1], [0, 1, 2.5], [0, 1, "2"], [0, 1, None], [0, 1, True]]
+    )
+    def test_bad_index(self, tmp_path: Path, ring: list[Any]) -> None:
+        objects = {"Haus-1": building(surface([0, 1, 2]), surface(ring))}
+        with pytest.raises(CityModelError, match=r"Haus-1"):
+            read(tmp_path, document(objects))
+        try:
+            model = read(tmp_path, document(objects), is_strict=False)
+        except CityModelError:
+            assert any(not isinstance(index, int) for index in ring)
+        else:
+            assert codes(model) == {"LB210": 1}
+            assert len(model.polygons) == 1
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ('{"type": "CityJSON"', "not well-formed JSON"),
+            ('{"a": NaN}', "NaN is no JSON number"),
+            ('{"a": 1e999, "type": "CityJSON", "version": "1.1", "vertices": [[1e999,0,0]], "CityObjects": '
+             '{"a": {"type": "Building"}}}', "not finite"),
+            ("[" * 200_000, "nested too deeply|not well-formed"),
+            (b'{"a": "\xff"}', "not UTF-8"),
+            ("[1, 2]", "not CityJSON"),
+        ],
+    )  # fmt: skip
+    def test_json(self, tmp_path: Path, text: Any, message: str) -> None:
+        with pytest.raises(CityModelError, match=message):
+            read(tmp_path, text)
+
+    def test_fault_in_a_later_line_names_it(self, tmp_path: Path) -> None:
+        header = json.dumps(document({}))
+        with pytest.raises(CityModelError, match="line 3"):
+            read(tmp_path, header + "\n\n{oops\n")
+
+    def test_real_lone_feature(self, shared_data: Path) -> None:
+        with pytest.raises(CityModelError, match="without the CityJSON line"):
+            read_city_model(shared_data / "city/3dbag/503100000000296.city.jsonl")

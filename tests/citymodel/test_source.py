@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import gzip
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from lodbench.citymodel import read_city_model
+from lodbench.errors import CityModelError
+
+from .gml_text import box_city, box_rings, city, member, polygon, solid, surface_members, write
+from .twins import cityjson
+
+BOX = box_city().encode()
+
+
+def second_box() -> bytes:
+    rings = box_rings(x=500100.0)
+    return city(member(solid(surface_members(map(polygon, rings))), "b2")).encode()
+
+
+class TestGzip:
+    def test_reads(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "city.gml.gz", gzip.compress(BOX))
+        assert len(read_city_model(path).polygons) == 6
+
+    def test_by_content_whatever_its_name(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "city", gzip.compress(json.dumps(cityjson("2.0")).encode()))
+        assert read_city_model(path).format == "CityJSON"
+
+    def test_truncated(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "city.gml.gz", gzip.compress(BOX * 50)[:-40])
+        with pytest.raises(CityModelError, match=r"damaged or cut off|well-formed"):
+            read_city_model(path)
+
+    def test_damaged(self, tmp_path: Path) -> None:
+        data = bytearray(gzip.compress(BOX))
+        data[40:60] = bytes(20)
+        with pytest.raises(CityModelError, match=r"damaged|well-formed"):
+            read_city_model(write(tmp_path / "city.gml.gz", bytes(data)))
+
+    def test_bomb(self, tmp_path: Path) -> None:
+        text = BOX.replace(b"</core:CityModel>", b" " * (40 << 20) + b"</core:CityModel>")
+        with pytest.raises(CityModelError, match="expands more than"):
+            read_city_model(write(tmp_path / "city.gml.gz", gzip.compress(text)))
+
+
+class TestZip:
+    def archive(self, tmp_path: Path, members: dict[str, bytes]) -> Path:
+        path = tmp_path / "Stadt (1).zip"
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, data in members.items():
+                archive.writestr(name, data)
+        return path
+
+    def test_tiles_become_one_city(self, tmp_path: Path) -> None:
+        model = read_city_model(
+            self.archive(
+                tmp_path,
+                {"a/1.gml": BOX, "a/2.gml": second_box(), "readme.txt": b"x", "codelists/c.xml": b"<a/>"},
+            )
+        )
+        assert model.building_ids == ("b1", "b2")
+        assert model.polygons.points[:, 0].max() == 110
+
+    def test_a_shared_building_is_told(self, tmp_path: Path) -> None:
+        model = read_city_model(self.archive(tmp_path, {"1.gml": BOX, "2.gml": BOX}))
+        assert model.findings.counts() == {"LB205 DUPLICATE_ID": 1}
+
+    @pytest.mark.parametrize(
+        "name", ["../evil.gml", "/etc/evil.gml", "a/../../b.gml", "..\\evil.gml", "C:/x.gml"]
+    )
+    def test_unsafe_paths(self, tmp_path: Path, name: str) -> None:
+        with pytest.raises(CityModelError, match="unsafe path"):
+            read_city_model(self.archive(tmp_path, {name: BOX}))
+
+    def test_nothing_inside(self, tmp_path: Path) -> None:
+        with pytest.raises(CityModelError, match="no city file") as caught:
+            read_city_model(self.archive(tmp_path, {"inner.zip": b"PK"}))
+        assert "outer" in caught.value.hint
+
+    def test_bomb(self, tmp_path: Path) -> None:
+        text = BOX.replace(b"</core:CityModel>", b" " * (40 << 20) + b"</core:CityModel>")
+        with pytest.raises(CityModelError, match="expands more than"):
+            read_city_model(self.archive(tmp_path, {"a.gml": text}))
+
+    def test_truncated(self, tmp_path: Path) -> None:
+        path = self.archive(tmp_path, {"a.gml": BOX})
+        path.write_bytes(path.read_bytes()[:-30])
+        with pytest.raises(CityModelError, match="no readable zip"):
+            read_city_model(path)
+
+    def test_damaged_member(self, tmp_path: Path) -> None:
+        path = self.archive(tmp_path, {"a.gml": BOX})
+        data = bytearray(path.read_bytes())
+        data[60:90] = bytes(30)
+        path.write_bytes(bytes(data))
+        with pytest.raises(CityModelError, match=r"damaged|well-formed"):
+            read_city_model(path)
+
+
+class TestFolder:
+    def test_buildings_part_of_a_plateau_delivery(self, tmp_path: Path) -> None:
+        for name, data in {
+            "udx/bldg/1.gml": BOX,
+            "udx/bldg/2.gml": second_box(),
+            "udx/tran/3.gml": BOX,
+        }.items():
+            path = tmp_path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        assert read_city_model(tmp_path).building_ids == ("b1", "b2")
+
+    def test_other_files_are_passed_over_and_told(self, tmp_path: Path) -> None:
+        write(tmp_path / "1.gml", BOX)
+        write(tmp_path / "2.json", b'{"type": "FeatureCollection"}')
+        write(tmp_path / "3.xml", city("").encode())
+        write(tmp_path / "notes.txt", b"hello")
+        model = read_city_model(tmp_path)
+        assert model.findings.counts() == {"LB211 FILE_SKIPPED": 2}
+
+    def test_different_formats_and_levels_merge(self, tmp_path: Path) -> None:
+        write(tmp_path / "1.gml", BOX)
+        write(tmp_path / "2.json", json.dumps(cityjson("2.0")))
+        model = read_city_model(tmp_path)
+        assert model.lods == ("1", "3")
+        assert len(model.building_ids) == 4
+
+    def test_empty(self, tmp_path: Path) -> None:
+        with pytest.raises(CityModelError, match="holds no city file"):
+            read_city_model(tmp_path)
+
+    def test_only_others(self, tmp_path: Path) -> None:
+        write(tmp_path / "1.json", b'{"a": 1}')
+        with pytest.raises(CityModelError, match="not CityJSON"):
+            read_city_model(tmp_path)
