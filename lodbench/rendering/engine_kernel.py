@@ -103,7 +103,7 @@ def _camera_axes(px, py, pz, r, c):  # type: ignore[no-untyped-def]  # noqa: ANN
     return x, y, z
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _snap(x, y, z, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the snapped screen position of a point in camera axes, sub-pixels (raster rule 3)."""
     inverse = 1.0 / z
@@ -112,9 +112,13 @@ def _snap(x, y, z, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     return np.floor(u * 256.0 + 0.5), np.floor(v * 256.0 + 0.5)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _project(xs, ys, zs, rotation, center, f, u, v):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Projects a building's vertices into u, v; returns its nearest z and its bounds on the screen."""
+    """Projects a building's vertices into u, v; returns its nearest z and its bounds on the screen.
+
+    A vertex beside the camera, at z = 0, has no place on the screen; its infinities are never read,
+    for a building nearer than the near plane is drawn clipped.
+    """
     nearest = math.inf
     for i in range(xs.size):
         x, y, z = _camera_axes(xs[i], ys[i], zs[i], rotation, center)
@@ -148,7 +152,7 @@ def _add_outline(ends, sides, second_weight, facing, u, v, edges, height):  # ty
             count = add_edge(edges, count, height, u[i], v[i], u[j], v[j], weight)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _draw_clipped(scene, b, rotation, center, view, edges, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Draws a building triangle by triangle, clipped: slow, for the few at the edge of the view."""
     f = view.intrinsics
