@@ -1,0 +1,129 @@
+"""What must not change the engine's answer: threads, batches, the order and turn of triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hostile_scenes import KINDS, box, hostile_scenes, hostile_views, scene_of
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from lodbench.errors import RenderingError
+from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
+from lodbench.rendering.silhouette import SilhouetteRenderer
+
+CAMERA = Camera(129, 96, 90.0, 89.0, 64.0, 49.0)
+
+
+def town(count: int = 6):
+    rng = np.random.default_rng(5)
+    return scene_of(
+        *(
+            box([30 * i, 30 * j, 0], rng.uniform(8, 24, 3), floor=bool(rng.integers(2)))
+            for i in range(count)
+            for j in range(count)
+        )
+    )
+
+
+def swarm(count: int):
+    """Returns hypotheses over the town, some of which see nothing."""
+    rng = np.random.default_rng(6)
+    centers = rng.uniform([-60, -60, 5], [240, 240, 140], (count, 3))
+    return rotations_at_yaws(40.0, 1.0, rng.uniform(-180, 180, count)), centers
+
+
+@pytest.fixture(scope="module")
+def query():
+    return SilhouetteRenderer(town(), 1).render(
+        CAMERA, Pose.from_euler(EulerAngles(35, 1, 20), (80, 40, 110))
+    )
+
+
+def test_score_counts_the_pixels_of_render(query):
+    engine = SilhouetteRenderer(town(), 1)
+    rotations, centers = swarm(40)
+    counts = engine.score(CAMERA, rotations, centers, query)
+    for i, (rotation, center) in enumerate(zip(rotations, centers, strict=True)):
+        drawn = engine.render(CAMERA, Pose.from_center(rotation, center))
+        # from_center and back may move the centre's last bit; here it moves no pixel.
+        assert counts.intersection[i] == np.count_nonzero(drawn & query)
+        assert counts.union[i] == np.count_nonzero(drawn | query)
+    assert (counts.iou() > 0).any()
+    assert (counts.iou() == 0).any()
+
+
+@pytest.mark.parametrize("threads", [2, 3, 8])
+@pytest.mark.parametrize("count", [1, 2, 13, 14, 52, 101])
+def test_threads_change_nothing(query, threads, count):
+    rotations, centers = swarm(count)
+    one = SilhouetteRenderer(town(), 1).score(CAMERA, rotations, centers, query)
+    many = SilhouetteRenderer(town(), threads).score(CAMERA, rotations, centers, query)
+    np.testing.assert_array_equal(one.intersection, many.intersection)
+    np.testing.assert_array_equal(one.union, many.union)
+
+
+@given(st.lists(st.integers(1, 30), min_size=1, max_size=8))
+def test_batches_change_nothing(sizes):
+    engine = SilhouetteRenderer(town(3), 1)
+    rotations, centers = swarm(sum(sizes))
+    mask = engine.render(CAMERA, Pose.from_euler(EulerAngles(35, 1, 20), (40, 10, 110)))
+    whole = engine.score(CAMERA, rotations, centers, mask)
+    cuts = np.cumsum(sizes)[:-1]
+    parts = [
+        engine.score(CAMERA, r, c, mask)
+        for r, c in zip(np.split(rotations, cuts), np.split(centers, cuts), strict=True)
+    ]
+    np.testing.assert_array_equal(whole.intersection, np.concatenate([p.intersection for p in parts]))
+    np.testing.assert_array_equal(whole.union, np.concatenate([p.union for p in parts]))
+
+
+def test_no_hypotheses_give_no_counts(query):
+    counts = SilhouetteRenderer(town(), 2).score(CAMERA, np.zeros((0, 3, 3)), np.zeros((0, 3)), query)
+    assert counts.iou().shape == (0,)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(st.sampled_from(KINDS), st.integers(0, 2**32 - 1), hostile_views())
+def test_order_and_turn_of_triangles_change_nothing(kind, seed, view):
+    rng = np.random.default_rng(seed)
+    triangles = kind(rng).astype(np.float32)
+    if not (np.diff(triangles, axis=1) != 0).any(axis=2).all(axis=1).any():
+        return
+    shuffled = np.array([t[rng.permutation(3)] for t in triangles[rng.permutation(len(triangles))]])
+    first = SilhouetteRenderer(scene_of(triangles), 1).render(*view)
+    # Which corner the fan of a clipped triangle starts from moves its inner edges by rounding.
+    if np.count_nonzero(first ^ SilhouetteRenderer(scene_of(shuffled), 1).render(*view)):
+        assert reaches_behind(triangles, view[1])
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(hostile_scenes(), hostile_views())
+def test_one_building_per_triangle_is_the_same_picture(scene, view):
+    apart = scene_of(*(scene.vertices[t][None] for t in scene.triangles))
+    together = SilhouetteRenderer(scene, 1).render(*view)
+    np.testing.assert_array_equal(SilhouetteRenderer(apart, 1).render(*view), together)
+
+
+def reaches_behind(triangles, pose) -> bool:
+    """Tells whether any triangle is clipped, at the near plane or in the guard band."""
+    points = (triangles.reshape(-1, 3).astype(np.float64) - pose.center) @ pose.rotation.T
+    return bool((points[:, 2] < 0.1).any() or (np.abs(points[:, :2]) > 10 * points[:, 2:]).any())
+
+
+def test_a_mask_of_another_size_is_refused(query):
+    with pytest.raises(RenderingError, match="129 x 96"):
+        SilhouetteRenderer(town(2), 1).score(CAMERA.scaled(64, 48), *swarm(1), query)
+
+
+def test_a_distorted_camera_is_refused():
+    camera = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, (0.1, 0.0, 0.0, 0.0))
+    with pytest.raises(RenderingError, match="distortion"):
+        SilhouetteRenderer(town(2), 1).render(camera, Pose.from_euler(EulerAngles(0, 0, 0), (0, 0, 50)))
+
+
+def test_an_image_wider_than_the_guard_band_is_refused():
+    with pytest.raises(RenderingError, match="8192"):
+        SilhouetteRenderer(town(2), 1).render(
+            Camera(8193, 1, 50.0, 50.0, 32.0, 1.0), Pose.from_euler(EulerAngles(0, 0, 0), (0, 0, 50))
+        )

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import builtins
+
+import numpy as np
+import pytest
+from hostile_scenes import box, scene_of
+
+from lodbench.errors import ConfigError, RenderingError
+from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
+from lodbench.rendering import RENDERERS, IouCounts, make_renderer
+
+CAMERA = Camera(65, 40, 50.0, 50.0, 32.0, 20.0)
+SCENE = scene_of(box([-5, -5, 0], [10, 10, 10]), box([12, 0, 0], [4, 9, 20]))
+
+
+def test_an_unknown_renderer_names_the_nearest():
+    with pytest.raises(ConfigError, match="silhuette") as caught:
+        make_renderer("silhuette", SCENE)
+    assert "silhouette" in caught.value.hint
+
+
+def test_every_renderer_without_extras_scores_alike():
+    rng = np.random.default_rng(0)
+    rotations = rotations_at_yaws(30.0, 1.0, rng.uniform(-180, 180, 6))
+    centers = rng.uniform([-30, -30, 40], [30, 30, 60], (6, 3))
+    engine, reference = (make_renderer(name, SCENE, 1) for name in ("silhouette", "reference"))
+    mask = reference.render(CAMERA, Pose.from_euler(EulerAngles(30, 1, 5), (0, -20, 50)))
+    ours, expected = (r.score(CAMERA, rotations, centers, mask) for r in (engine, reference))
+    np.testing.assert_array_equal(ours.intersection, expected.intersection)
+    np.testing.assert_array_equal(ours.union, expected.union)
+    assert engine.name == "silhouette"
+    assert reference.name == "reference"
+
+
+def test_iou_of_an_empty_union_is_zero():
+    counts = IouCounts(np.array([0, 3, 0]), np.array([0, 4, 7]))
+    assert counts.iou().tolist() == [0.0, 0.75, 0.0]
+
+
+def test_without_pyrender_the_error_says_what_to_install(monkeypatch):
+    real_import = builtins.__import__
+
+    def absent(name, *args, **kwargs):
+        if name == "pyrender":
+            raise ImportError("No module named 'pyrender'")
+        return real_import(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    with pytest.raises(RenderingError) as caught:
+        make_renderer("pyrender", SCENE)
+    assert "lodbench[render]" in caught.value.hint
+
+
+def test_the_list_of_renderers_is_public():
+    assert {"silhouette", "reference", "pyrender"} <= set(RENDERERS)
