@@ -22,6 +22,7 @@ T = TypeVar("T")
 PATH_KEYS = frozenset(
     {"dataset.root", "dataset.city_model", "city", "poses", "intrinsics", "out", "data", "paths.runs"}
 )
+_SWEEP_FLAGS = ("-m", "--multirun")
 _is_registered = False
 
 
@@ -49,7 +50,9 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
             faults.append(fault)
 
     _register_config_sources()
-    words = [quote_path(word) for word in argv]
+    # Hydra's parser wants its flags before the overrides; people write them anywhere.
+    flags = [word for word in argv if word in _SWEEP_FLAGS]
+    words = flags + [quote_path(word) for word in argv if word not in _SWEEP_FLAGS]
     # Hydra would print the fault and exit by itself; with this it lets the exception through.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     saved, sys.argv = sys.argv, [f"lodbench {command}", *words]
@@ -60,7 +63,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         raise _explained(error, config_name) from error
     finally:
         sys.argv = saved
-    if len(faults) == 1 and not {"-m", "--multirun"} & set(words):
+    if len(faults) == 1 and not flags:
         raise faults[0]
     for fault in faults:
         report_fault(fault)

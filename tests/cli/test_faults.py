@@ -1,0 +1,136 @@
+"""A fault of the command or the dataset: one line, a hint, exit code 2, and nothing written."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.town import write_dataset
+
+
+def is_clear(done, *words: str) -> None:
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("lodbench: ")
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) <= 2
+    for word in words:
+        assert word in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["rum"], ["'rum'", "run"]),
+        (["run", "datset=demo"], ["datset", "dataset"]),
+        (["run", "dataset=dmo"], ["dmo", "demo"]),
+        (["run", "method=lodlocv3"], ["lodlocv3", "lodlocv2"]),
+        (["run", "method.bems=3"], ["method.bems", "beams"]),
+        (["run", "method.beams=abc"], ["method.beams", "abc"]),
+        (["run", "method.variant=ful"], ["ful", "full"]),
+        (["run", "tilt=true"], ["tilt", "truth"]),
+        (["run", "seed=x"], ["seed"]),
+        (["run", "foo"], ["key=value"]),
+        (["run", "dataset=folder"], ["dataset."]),
+        (["run", "dataset=folder", "dataset.root=nowhere", "dataset.city_model=x.obj"], ["nowhere"]),
+        (["render", "city=x.obj"], ["intrinsics"]),
+        (["city", "info", "nowhere.gml"], ["nowhere.gml"]),
+        (["compare", "nowhere"], ["nowhere"]),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_fault_of_the_command(lodbench, tmp_path, words, expected):
+    is_clear(lodbench(*words), *expected)
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.fixture
+def dataset(tmp_path) -> tuple[Path, Path]:
+    return write_dataset(tmp_path / "town")
+
+
+def run_words(root: Path, city: Path) -> list[str]:
+    return ["run", "dataset=folder", f"dataset.root={root}", f"dataset.city_model={city}"]
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "expected"),
+    [
+        ("GT_pose.txt", "a.png 1 0 0 0 0 0\n", ["GT_pose.txt", "line 1", "7"]),
+        ("GT_pose.txt", "# none\n", ["GT_pose.txt", "no poses"]),
+        ("GPS_pose.txt", "a.png 1 0 0 0 0 0 0\n\nb.png 1 0 0 0 0 0 nan\n", ["line 3", "not finite"]),
+        ("GPS_pose.txt", "a.png 2 0 0 0 0 0 0\n", ["line 1", "length 2"]),
+        ("GPS_pose.txt", "a.png 1 0 0 0 0 0 0\na.png 1 0 0 0 0 0 0\n", ["line 2", "twice"]),
+        ("intrinsic.txt", "a.png FISHY 10 10 1 1 1 1\n", ["line 1", "FISHY"]),
+        ("intrinsic.txt", "a.png PINHOLE 10 10 1 1 1\n", ["line 1", "4 parameters"]),
+    ],
+)
+def test_fault_of_the_dataset(lodbench, tmp_path, dataset, file, content, expected):
+    root, city = dataset
+    (root / file).write_text(content)
+    is_clear(lodbench(*run_words(root, city)), *expected)
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("file", ["GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"])
+def test_a_missing_file_is_named(lodbench, dataset, file):
+    root, city = dataset
+    (root / file).unlink()
+    is_clear(lodbench(*run_words(root, city)), file)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("a.gml", b"", []),
+        ("a.gml", b"<!DOCTYPE x [<!ENTITY e SYSTEM 'file:///etc/passwd'>]><x>&e;</x>", ["DOCTYPE"]),
+        ("a.gml", b"<CityModel xmlns='http://www.opengis.net/citygml/2.0'><a>", ["a.gml"]),
+        ("a.obj", b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", ["line 2"]),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", ["line 4"]),
+        ("a.txt", b"hello\n", ["a.txt"]),
+    ],
+)
+def test_fault_of_the_city(lodbench, tmp_path, dataset, name, content, expected):
+    root, _ = dataset
+    city = tmp_path / name
+    city.write_bytes(content)
+    is_clear(lodbench(*run_words(root, city)), *expected)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_level_of_detail_that_is_not_there(lodbench, tmp_path):
+    from lodbench.datasets.demo.citygml_writer import citygml_text
+    from lodbench.datasets.demo.town import grow_town
+
+    path = tmp_path / "town.gml"
+    path.write_text(citygml_text(grow_town(0)))
+    poses = tmp_path / "poses.txt"
+    poses.write_text("a.png 1 0 0 0 0 0 0\n")
+    cameras = tmp_path / "cameras.txt"
+    cameras.write_text("a.png PINHOLE 10 10 5 5 5 5\n")
+    done = lodbench("render", f"city={path}", f"poses={poses}", f"intrinsics={cameras}", "out=o", 'lod="4"')
+    is_clear(done, "4")
+    assert not (tmp_path / "o").exists()
+
+
+def test_paths_with_every_awkward_character_work(lodbench, tmp_path):
+    folder = tmp_path / "Städte, alt (1) = a'b & c"
+    root, city = write_dataset(folder, count=1)
+    odd = folder / "map {v2}, [final].obj"
+    shutil.move(city, odd)
+    done = lodbench(*run_words(root, odd), f"paths.runs={folder / 'my runs'}")
+    assert done.returncode == 0, done.stderr
+    assert list((folder / "my runs" / "folder" / "lodlocv2").glob("*/summary.json"))
+
+
+def test_a_closed_pipe_is_no_error(lodbench, tmp_path):
+    import subprocess
+    import sys
+
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {sys.executable} -m lodbench --help | head -n 1"],
+        capture_output=True,
+        text=True,
+    )
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,30 @@
+"""The real thermal query of UAVD4L, against its published LoD1 model."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+
+@pytest.mark.parametrize(("tilt", "within_m", "within_deg"), [("truth", 2.0, 0.5), ("prior", 5.0, 2.0)])
+def test_every_seed_finds_the_camera(lodbench, tmp_path, shared_data, tilt, within_m, within_deg):
+    folder = shared_data / "uavd4l"
+    done = lodbench(
+        "run",
+        "--multirun",
+        "dataset=folder",
+        f"dataset.root={folder / 'demo'}",
+        f"dataset.city_model={folder / 'UAVD4L-LoD1.obj'}",
+        "segmenter=masks",
+        f"tilt={tilt}",
+        "seed=0,1,2,3,4",
+    )
+    assert done.returncode == 0, done.stderr
+    tables = list((tmp_path / "runs" / "folder" / "lodlocv2").glob("*/queries.csv"))
+    assert len(tables) == 5
+    for table in tables:
+        (row,) = csv.DictReader(table.open())
+        assert float(row["prior_translation_error_m"]) == pytest.approx(21.1, abs=0.05)
+        assert float(row["translation_error_m"]) < within_m
+        assert float(row["rotation_error_deg"]) < within_deg

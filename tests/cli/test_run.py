@@ -1,0 +1,201 @@
+"""`lodbench run` on a small folder: artefacts, resume, determinism, faults of single queries."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lodbench.datasets.pose_text import read_poses
+from lodbench.evaluation import pose_error
+from tests.town import write_dataset
+
+STABLE = ["config.yaml", "poses.txt", "queries.csv", "summary.json"]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> tuple[Path, Path]:
+    return write_dataset(tmp_path_factory.mktemp("town"), count=3)
+
+
+def words(dataset: tuple[Path, Path], *more: str) -> list[str]:
+    return ["run", "dataset=folder", f"dataset.root={dataset[0]}", f"dataset.city_model={dataset[1]}", *more]
+
+
+def run_folder(tmp_path: Path, name: str = "runs") -> Path:
+    (folder,) = (tmp_path / name / "folder" / "lodlocv2").iterdir()
+    return folder
+
+
+def test_finds_the_poses_and_leaves_the_artefacts(lodbench, tmp_path, dataset):
+    done = lodbench(*words(dataset))
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert "100.00" in done.stdout
+    folder = run_folder(tmp_path)
+    truth = read_poses(dataset[0] / "GT_pose.txt")
+    for name, pose in read_poses(folder / "poses.txt").items():
+        assert pose_error(pose, truth[name]).translation_m < 1.5
+    summary = json.loads((folder / "summary.json").read_text())
+    split = summary["splits"]["data"]
+    assert split["num_queries"] == 3
+    assert split["recall"]["2m-2deg"] == 100.0
+    assert split["hypotheses_per_query"] == 504 + 1 + 40 * 48
+    assert summary["prior"]["data"]["recall"]["5m-5deg"] == 0.0
+    assert len(list((folder / "overlays").glob("*.png"))) == 3
+
+
+def test_the_rows_follow_from_the_stored_poses(lodbench, tmp_path, dataset):
+    lodbench(*words(dataset))
+    folder = run_folder(tmp_path)
+    truth, poses = read_poses(dataset[0] / "GT_pose.txt"), read_poses(folder / "poses.txt")
+    rows = list(csv.DictReader((folder / "queries.csv").open()))
+    assert [row["query"] for row in rows] == list(truth)
+    for row in rows:
+        error = pose_error(poses[row["query"]], truth[row["query"]])
+        assert math.isclose(float(row["translation_error_m"]), error.translation_m, abs_tol=1e-9)
+        assert math.isclose(float(row["rotation_error_deg"]), error.rotation_deg, abs_tol=1e-9)
+    median = json.loads((folder / "summary.json").read_text())["splits"]["data"]["median_translation_m"]
+    assert math.isclose(median, np.median([float(row["translation_error_m"]) for row in rows]))
+
+
+def test_same_bytes_whatever_the_threads_and_the_hash_seed(lodbench, tmp_path, dataset):
+    for threads in ("1", "2"):
+        more = [f"executor.threads={threads}", f"paths.runs=runs{threads}"]
+        assert lodbench(*words(dataset, *more), PYTHONHASHSEED=threads).returncode == 0
+    a, b = run_folder(tmp_path, "runs1"), run_folder(tmp_path, "runs2")
+    assert a.name == b.name
+    for name in STABLE:
+        assert (a / name).read_bytes() == (b / name).read_bytes(), name
+
+
+def test_a_killed_run_resumes_to_the_same_bytes(lodbench, tmp_path, dataset):
+    lodbench(*words(dataset))
+    folder = run_folder(tmp_path)
+    whole = {name: (folder / name).read_bytes() for name in STABLE}
+    ledger = folder / "ledger.jsonl"
+    lines = ledger.read_bytes().splitlines(keepends=True)
+    # As a kill leaves it: one query done, half a line of the next, none of the results.
+    ledger.write_bytes(lines[0] + lines[1][:40])
+    for name in STABLE:
+        (folder / name).unlink()
+    done = lodbench(*words(dataset))
+    assert "(1 queries were there already)" in done.stdout
+    assert {name: (folder / name).read_bytes() for name in STABLE} == whole
+
+
+def test_another_seed_or_tilt_is_another_run(lodbench, tmp_path, dataset):
+    done = lodbench(*words(dataset, "--multirun", "seed=0,1", "tilt=prior,truth", "limit=1"))
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 4
+    assert done.stdout.count("tilt=truth · ") == 2
+
+
+def test_changed_input_under_the_same_path_is_another_run(lodbench, tmp_path):
+    dataset = write_dataset(tmp_path / "town", count=1)
+    lodbench(*words(dataset))
+    poses = dataset[0] / "GPS_pose.txt"
+    poses.write_text(poses.read_text().replace("view_00.png 0.", "view_00.png 0.0", 0) + "# a remark\n")
+    lodbench(*words(dataset))
+    assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 1
+    (dataset[0] / "masks" / "view_00.png").unlink()
+    lodbench(*words(dataset))
+    assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 2
+
+
+def test_faults_of_single_queries_are_rows_with_reasons(lodbench, tmp_path):
+    import cv2
+
+    root, city = write_dataset(tmp_path / "town", count=7)
+    names = list(read_poses(root / "GT_pose.txt"))
+
+    def drop(file: str, name: str) -> None:
+        lines = (root / file).read_text().splitlines(keepends=True)
+        (root / file).write_text("".join(line for line in lines if not line.startswith(name)))
+
+    drop("GT_pose.txt", names[1])
+    drop("intrinsic.txt", names[2])
+    drop("GPS_pose.txt", names[3])
+    (root / "masks" / names[4]).unlink()
+    cv2.imwrite(str(root / "masks" / names[5]), np.zeros((240, 320), dtype=np.uint8))
+    drop("GPS_pose.txt", names[6])
+    with (root / "GPS_pose.txt").open("a") as stream:
+        stream.write(f"{names[6]} 0 1 0 0 90000 0 0\n")
+
+    done = lodbench("run", "dataset=folder", f"dataset.root={root}", f"dataset.city_model={city}")
+    assert done.returncode == 0, done.stderr
+    folder = run_folder(tmp_path)
+    failures = {row["query"]: row["failure"] for row in csv.DictReader((folder / "queries.csv").open())}
+    assert failures[names[0]] == ""
+    for name, word in zip(
+        names[1:], ["true pose", "camera", "prior", "mask", "no building", "far"], strict=True
+    ):
+        assert word in failures[name], (name, failures[name])
+        assert failures[name] in done.stdout
+    split = json.loads((folder / "summary.json").read_text())["splits"]["data"]
+    # The denominator is the truth list: six names, one of them answered.
+    assert (split["num_queries"], split["num_failed"]) == (6, 5)
+    assert split["recall"]["5m-5deg"] == pytest.approx(100 / 6)
+    assert split["median_translation_m"] is None
+
+
+def test_baseline_plugin_answers_the_prior(lodbench, tmp_path, dataset):
+    done = lodbench(*words(dataset, "method=prior_only"))
+    assert done.returncode == 0, done.stderr
+    (folder,) = (tmp_path / "runs" / "folder" / "prior_only").iterdir()
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["splits"]["data"]["recall"] == summary["prior"]["data"]["recall"]
+
+
+def test_compare_puts_runs_in_one_table(lodbench, tmp_path, dataset):
+    lodbench(*words(dataset, "--multirun", "method.variant=no_refine,full", "limit=1"))
+    folders = sorted(str(path) for path in (tmp_path / "runs" / "folder" / "lodlocv2").iterdir())
+    for style, word in (
+        ("text", "no refine"),
+        ("markdown", "| lodlocv2 full |"),
+        ("latex", r"\midrule"),
+        ("csv", "full"),
+    ):
+        assert word in lodbench("compare", *folders, "--format", style).stdout
+
+
+def test_render_draws_the_mask_the_pose_sees(lodbench, tmp_path, dataset):
+    import cv2
+
+    root, city = dataset
+    out = tmp_path / "out, (1)"
+    done = lodbench(
+        "render",
+        f"city={city}",
+        f"poses={root / 'GT_pose.txt'}",
+        f"intrinsics={root / 'intrinsic.txt'}",
+        f"out={out}",
+    )
+    assert done.returncode == 0, done.stderr
+    for path in (root / "masks").iterdir():
+        drawn, kept = cv2.imread(str(out / path.name), 0), cv2.imread(str(path), 0)
+        assert np.array_equal(drawn, kept)
+
+
+def test_help_teaches_and_is_quick_to_import(lodbench):
+    for command in ("run", "compare", "render", "city", "dataset", "bench"):
+        assert command in lodbench("--help").stdout
+    heavy = ["numpy", "numba", "hydra", "lxml", "cv2"]
+    probe = f"import sys, lodbench.cli; print([m for m in {heavy} if m in sys.modules])"
+    import subprocess
+    import sys
+
+    assert (
+        subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True).stdout.strip() == "[]"
+    )
+
+
+def test_city_info_for_machines(lodbench, dataset):
+    info = json.loads(lodbench("city", "info", str(dataset[1]), "--json").stdout)
+    assert info["format"] == "OBJ"
+    assert info["buildings"] == 7
+    assert {"version", "crs", "parts", "extent_m", "lods", "findings"} <= set(info)

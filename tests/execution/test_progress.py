@@ -1,0 +1,37 @@
+import io
+
+import pytest
+
+from lodbench.execution.progress import Progress, format_seconds
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+class TestProgress:
+    def test_is_silent_in_a_log(self):
+        log = io.StringIO()
+        with Progress("views", 3, log) as progress:
+            progress.advance(3)
+        assert log.getvalue() == ""
+
+    def test_shows_the_last_item_on_a_terminal_and_leaves_no_trace(self):
+        screen = Terminal()
+        with Progress("views", 3, screen) as progress:
+            progress.advance(3)
+        assert "views: 3 of 3" in screen.getvalue()
+        assert screen.getvalue().endswith("\r\x1b[K")
+
+    def test_time_left_follows_from_the_pace(self):
+        progress = Progress("views", 10, io.StringIO())
+        progress.advance(4)
+        assert progress.line(20.0) == "views: 4 of 10, 30 s left"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0, "0 s"), (59.6, "1 min 00 s"), (125, "2 min 05 s"), (4200, "1 h 10 min")]
+)
+def test_format_seconds(seconds, text):
+    assert format_seconds(seconds) == text
