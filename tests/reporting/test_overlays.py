@@ -16,9 +16,12 @@ def test_overlay_shows_outline_mask_and_caption(tmp_path):
     shown = OverlayInput(CAMERA, mask, None, prior_of(pose), pose, None, "a caption")
     picture = draw_overlay(shown, renderer)
     assert picture.shape == (CAMERA.height + 48, CAMERA.width, 3)
-    drawn = np.all(picture[: CAMERA.height] == ESTIMATE_COLOUR, axis=2)
+    # Lines are smoothed, so near the colour is enough.
+    distance = np.abs(picture[: CAMERA.height].astype(int) - ESTIMATE_COLOUR).max(axis=2)
+    drawn = distance < 60
     # The estimate's outline runs along the mask's edge.
-    edge = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)) > 0
+    padded = np.pad(mask.astype(np.uint8), 3)
+    edge = cv2.morphologyEx(padded, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8))[3:-3, 3:-3] > 0
     assert drawn.sum() > 100
     assert (drawn & edge).sum() > 0.95 * drawn.sum()
     write_picture(tmp_path / "a.png", picture)
