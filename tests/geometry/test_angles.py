@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from lodbench.geometry import (
+    EulerAngles,
+    euler_from_rotation,
+    rotation_from_euler,
+    rotations_at_yaws,
+    wrap_deg,
+)
+from lodbench.geometry.angles import blender_from_opencv, heading_from_yaw, osg_angles, rotation_from_dji
+
+S = np.diag([1.0, -1.0, -1.0])
+angles_deg = st.floats(-180, 180)
+rolls_deg = st.floats(-89, 89)
+
+
+def scipy_rotation(pitch: float, roll: float, yaw: float) -> np.ndarray:
+    """Returns cam_from_world of the datasets' angles, by SciPy's extrinsic xyz."""
+    return (Rotation.from_euler("xyz", [pitch, roll, yaw], degrees=True).as_matrix() @ S).T
+
+
+class TestWrap:
+    @pytest.mark.parametrize(
+        ("angle", "wrapped"),
+        [(0, 0), (180, -180), (-180, -180), (540, -180), (359, -1), (-190, 170), (720.5, 0.5)],
+    )
+    def test_values(self, angle, wrapped):
+        assert wrap_deg(angle) == wrapped
+
+    @given(st.floats(-1e5, 1e5), st.integers(-50, 50))
+    def test_range_and_period(self, angle, turns):
+        wrapped = wrap_deg(angle)
+        assert -180 <= wrapped < 180
+        # The seam at 180 may fall either way by rounding.
+        difference = abs(wrap_deg(angle + 360.0 * turns) - wrapped)
+        assert min(difference, 360 - difference) < 1e-9
+
+    def test_nan_stays_nan(self):
+        assert math.isnan(wrap_deg(math.nan))
+
+
+class TestDatasetAngles:
+    def test_looking_straight_down_with_north_up(self):
+        np.testing.assert_allclose(rotation_from_euler(EulerAngles(0, 0, 0)), S, atol=1e-15)
+
+    @pytest.mark.parametrize(
+        ("yaw", "looks_at"), [(0, (0, 1, 0)), (90, (-1, 0, 0)), (-90, (1, 0, 0)), (180, (0, -1, 0))]
+    )
+    def test_at_the_horizon_yaw_turns_counter_clockwise_from_north(self, yaw, looks_at):
+        rotation = rotation_from_euler(EulerAngles(90, 0, yaw))
+        np.testing.assert_allclose(rotation[2], looks_at, atol=1e-15)
+        np.testing.assert_allclose(rotation[1], (0, 0, -1), atol=1e-15)
+
+    @given(angles_deg, rolls_deg, angles_deg)
+    def test_against_scipy(self, pitch, roll, yaw):
+        rotation = rotation_from_euler(EulerAngles(pitch, roll, yaw))
+        np.testing.assert_allclose(rotation, scipy_rotation(pitch, roll, yaw), atol=1e-14)
+        expected = Rotation.from_matrix(rotation.T @ S).as_euler("xyz", degrees=True)
+        for found, wanted in zip(euler_from_rotation(rotation), expected, strict=True):
+            assert abs(wrap_deg(found - wanted)) < 1e-6
+
+    @given(angles_deg, rolls_deg, angles_deg)
+    def test_there_and_back(self, pitch, roll, yaw):
+        found = euler_from_rotation(rotation_from_euler(EulerAngles(pitch, roll, yaw)))
+        for value, wanted in zip(found, (pitch, roll, yaw), strict=True):
+            assert abs(wrap_deg(value - wanted)) < 1e-9
+
+    @given(angles_deg, rolls_deg, st.lists(angles_deg, min_size=1, max_size=5))
+    def test_many_yaws_of_one_tilt(self, pitch, roll, yaws):
+        rotations = rotations_at_yaws(pitch, roll, np.array(yaws))
+        assert rotations.shape == (len(yaws), 3, 3)
+        for rotation, yaw in zip(rotations, yaws, strict=True):
+            np.testing.assert_allclose(rotation, scipy_rotation(pitch, roll, yaw), atol=1e-14)
+
+    def test_no_yaws_give_no_rotations(self):
+        assert rotations_at_yaws(10.0, 0.0, np.zeros(0)).shape == (0, 3, 3)
+
+
+class TestDji:
+    def test_the_demo_gimbal_is_the_demo_prior(self):
+        found = euler_from_rotation(rotation_from_dji(-43.6, -45.3, 0.0))
+        np.testing.assert_allclose(found, (44.7, 0.0, 43.6), atol=1e-12)
+
+    def test_level_gimbal_to_the_north_looks_north(self):
+        rotation = rotation_from_dji(0, 0, 0)
+        np.testing.assert_allclose(rotation, [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-15)
+
+    def test_positive_yaw_is_clockwise(self):
+        np.testing.assert_allclose(rotation_from_dji(90, 0, 0)[2], (1, 0, 0), atol=1e-15)
+
+    @given(st.floats(-180, 180), st.floats(-120, 30), st.floats(-30, 30))
+    def test_against_scipy_turns_in_north_east_down(self, yaw, pitch, roll):
+        ned = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
+        right, down, forward = ned[:, 1], ned[:, 2], ned[:, 0]
+        enu = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+        expected = np.stack([enu @ right, enu @ down, enu @ forward])
+        np.testing.assert_allclose(rotation_from_dji(yaw, pitch, roll), expected, atol=1e-14)
+
+    @given(st.floats(-180, 180), st.floats(-89, 0), st.floats(-20, 20))
+    def test_roll_turns_about_the_optical_axis(self, yaw, pitch, roll):
+        level, rolled = rotation_from_dji(yaw, pitch, 0), rotation_from_dji(yaw, pitch, roll)
+        np.testing.assert_allclose(level[2], rolled[2], atol=1e-14)
+        assert level[0] @ rolled[0] == pytest.approx(math.cos(math.radians(roll)), abs=1e-12)
+
+    def test_convergence_turns_true_into_grid_north(self):
+        np.testing.assert_allclose(
+            rotation_from_dji(30, -40, 1, 0.5), rotation_from_dji(29.5, -40, 1), atol=1e-15
+        )
+
+
+class TestOtherConventions:
+    @given(angles_deg, rolls_deg, angles_deg, st.tuples(*[st.floats(-1e3, 1e3)] * 3))
+    def test_blender_keeps_x_and_the_centre_and_is_its_own_inverse(self, pitch, roll, yaw, center):
+        matrix = np.eye(4)
+        matrix[:3, :3] = scipy_rotation(pitch, roll, yaw).T
+        matrix[:3, 3] = center
+        blender = blender_from_opencv(matrix)
+        np.testing.assert_array_equal(blender[:, 0], matrix[:, 0])
+        np.testing.assert_array_equal(blender[:, 1:3], -matrix[:, 1:3])
+        np.testing.assert_array_equal(blender[:, 3], matrix[:, 3])
+        np.testing.assert_array_equal(blender_from_opencv(blender), matrix)
+        found = Rotation.from_matrix(blender[:3, :3]).as_euler("xyz", degrees=True)
+        for value, wanted in zip(found, (pitch, roll, yaw), strict=True):
+            assert abs(wrap_deg(value - wanted)) < 1e-6
+
+    @given(st.floats(1, 89), st.floats(-30, 30), angles_deg)
+    def test_osg_is_scipy_of_the_opencv_matrix_plus_half_a_turn(self, pitch, roll, yaw):
+        rotation = rotation_from_euler(EulerAngles(pitch, roll, yaw))
+        expected = Rotation.from_matrix(rotation.T).as_euler("xyz", degrees=True)
+        expected[0] += 180.0
+        for found, wanted in zip(osg_angles(rotation), expected, strict=True):
+            assert abs(wrap_deg(found - wanted)) < 1e-9
+
+    def test_osg_angles_of_a_tilted_camera_are_the_datasets(self):
+        found = osg_angles(rotation_from_euler(EulerAngles(45.0, 2.0, -65.0)))
+        np.testing.assert_allclose(found, (45.0, 2.0, -65.0), atol=1e-9)
+
+    @pytest.mark.parametrize(("yaw", "heading"), [(0, 0), (-90, 90), (90, 270), (180, 180), (-360, 0)])
+    def test_headings_run_clockwise(self, yaw, heading):
+        assert heading_from_yaw(yaw) == heading

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from lodbench.errors import LodbenchError
+from lodbench.geometry import EulerAngles, Pose, wrap_deg
+from lodbench.geometry.pose import quaternion_from_rotation, rotation_from_quaternion
+
+numbers = st.floats(-1e4, 1e4)
+points = st.tuples(numbers, numbers, numbers)
+
+
+@st.composite
+def quaternions(draw):
+    """Draws unit quaternions (w, x, y, z), half turns and near-zero parts included."""
+    parts = np.array(draw(st.tuples(*[st.sampled_from([0.0, 1.0, -1.0, 1e-9]) | st.floats(-1, 1)] * 4)))
+    norm = np.linalg.norm(parts)
+    return tuple(parts / norm) if norm > 1e-3 else (1.0, 0.0, 0.0, 0.0)
+
+
+class TestQuaternions:
+    @given(quaternions())
+    def test_to_rotation_against_scipy(self, q):
+        expected = Rotation.from_quat(np.roll(q, -1)).as_matrix()
+        np.testing.assert_allclose(rotation_from_quaternion(q), expected, atol=1e-14)
+
+    @given(quaternions())
+    def test_there_and_back_up_to_sign(self, q):
+        found = np.array(quaternion_from_rotation(rotation_from_quaternion(q)))
+        assert found[0] >= 0
+        assert np.linalg.norm(found) == pytest.approx(1.0, abs=1e-15)
+        assert min(np.abs(found - q).max(), np.abs(found + q).max()) < 1e-12
+
+    def test_a_slightly_long_quaternion_is_normalised(self):
+        rotation = rotation_from_quaternion([1.0005, 0, 0, 0])
+        np.testing.assert_array_equal(rotation, np.eye(3))
+
+    @pytest.mark.parametrize("q", [(1.01, 0, 0, 0), (0, 0, 0, 0), (math.nan, 0, 0, 1), (math.inf, 0, 0, 0)])
+    def test_another_length_is_refused(self, q):
+        with pytest.raises(LodbenchError, match="length"):
+            rotation_from_quaternion(q)
+
+
+class TestPose:
+    @given(quaternions(), points)
+    def test_matrices_are_each_others_inverse(self, q, t):
+        pose = Pose.from_quaternion(q, t)
+        np.testing.assert_allclose(pose.cam_from_world @ pose.world_from_cam, np.eye(4), atol=1e-9)
+        np.testing.assert_allclose(pose.world_from_cam[:3, 3], pose.center)
+
+    @given(quaternions(), points)
+    def test_the_centre_is_where_camera_coordinates_vanish(self, q, center):
+        pose = Pose.from_center(rotation_from_quaternion(q), center)
+        np.testing.assert_allclose(pose.rotation @ np.array(center) + pose.translation, 0, atol=1e-9)
+        np.testing.assert_allclose(pose.center, center, atol=1e-9)
+
+    @given(quaternions(), points)
+    def test_matrix_there_and_back(self, q, t):
+        pose = Pose.from_quaternion(q, t)
+        again = Pose.from_matrix(pose.cam_from_world)
+        np.testing.assert_array_equal(again.cam_from_world, pose.cam_from_world)
+        np.testing.assert_array_equal(Pose.from_matrix(pose.cam_from_world[:3]).rotation, pose.rotation)
+
+    @given(quaternions(), points, points)
+    def test_shifting_moves_the_centre_alone(self, q, t, offset):
+        pose = Pose.from_quaternion(q, t)
+        moved = pose.shifted(offset)
+        np.testing.assert_array_equal(moved.rotation, pose.rotation)
+        np.testing.assert_allclose(moved.center, pose.center + offset, atol=1e-8)
+
+    @given(st.floats(5, 85), st.floats(-20, 20), st.floats(-179, 179), st.floats(0, 90), st.floats(-20, 20))
+    def test_tilt_of_another_keeps_yaw_and_centre(self, pitch, roll, yaw, other_pitch, other_roll):
+        pose = Pose.from_euler(EulerAngles(pitch, roll, yaw), (1, 2, 3))
+        other = Pose.from_euler(EulerAngles(other_pitch, other_roll, 77.0), (9, 9, 9))
+        mixed = pose.with_tilt_of(other)
+        np.testing.assert_allclose(mixed.center, (1, 2, 3), atol=1e-12)
+        np.testing.assert_allclose(mixed.euler[:2], (other_pitch, other_roll), atol=1e-9)
+        assert abs(wrap_deg(mixed.euler.yaw_deg - yaw)) < 1e-9
+
+    def test_a_mirrored_matrix_is_refused(self):
+        with pytest.raises(LodbenchError, match="no rotation"):
+            Pose.from_matrix(np.diag([1.0, 1.0, -1.0, 1.0]))
+
+    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    def test_a_matrix_that_is_not_finite_is_refused(self, value):
+        matrix = np.eye(4)
+        matrix[0, 3] = value
+        with pytest.raises(LodbenchError, match="finite"):
+            Pose.from_matrix(matrix)
+
+    def test_a_scaled_matrix_is_refused(self):
+        with pytest.raises(LodbenchError, match="no rotation"):
+            Pose.from_matrix(np.diag([2.0, 2.0, 2.0, 1.0]))
