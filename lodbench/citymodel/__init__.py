@@ -14,18 +14,22 @@ if TYPE_CHECKING:
     from lodbench.citymodel.mesh import mesh_city as mesh_city
     from lodbench.citymodel.mesh import mesh_model as mesh_model
     from lodbench.citymodel.model import CityModel as CityModel
+    from lodbench.citymodel.options import ReadOptions as ReadOptions
     from lodbench.citymodel.read import open_scene as open_scene
+    from lodbench.citymodel.read import parse_city_model as parse_city_model
     from lodbench.citymodel.read import read_city_model as read_city_model
     from lodbench.citymodel.scene import Scene as Scene
 
 _HOMES = {
     "CityMesh": "mesh",
     "CityModel": "model",
+    "ReadOptions": "options",
     "Scene": "scene",
     "city_info": "info",
     "mesh_city": "mesh",
     "mesh_model": "mesh",
     "open_scene": "read",
+    "parse_city_model": "read",
     "read_city_model": "read",
 }
 

@@ -82,6 +82,13 @@ LOD_SUBSTITUTED = _code(
     402, "LOD_SUBSTITUTED", _I, "The level asked for is absent; a finer name of it is used."
 )
 BUILDING_EMPTY = _code(403, "BUILDING_EMPTY", _W, "A building has no polygon at any level of detail.")
+HEIGHT_MISSING = _code(405, "HEIGHT_MISSING", _E, "A footprint has no height above 0; it is dropped.")
+HEIGHT_DEFAULTED = _code(
+    406, "HEIGHT_DEFAULTED", _W, "A footprint has no height above 0; the default is used."
+)
+BASE_MOVED = _code(407, "BASE_MOVED", _I, "The bottoms of buildings were moved, as asked.")
+LOD_DERIVED = _code(408, "LOD_DERIVED", _I, "Level 1 was derived from a finer level.")
+LOD_UNDERIVABLE = _code(409, "LOD_UNDERIVABLE", _W, "A building has no footprint to derive level 1 from.")
 INTERIOR_SKIPPED = _code(404, "INTERIOR_SKIPPED", _I, "Rooms and furniture are left out of the mesh.")
 
 

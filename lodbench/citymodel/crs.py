@@ -107,6 +107,8 @@ def resolve_crs(name: str) -> KnownCrs | None:
         crs = CRS.from_user_input(label)
     except CRSError:
         return None
+    if not label.startswith("EPSG:") and crs.to_epsg() is not None:
+        label = f"EPSG:{crs.to_epsg()}"  # WKT, PROJJSON and the like have a short name, too
     vertical_code, vertical_to_m = None, 1.0
     horizontal = crs
     for part in crs.sub_crs_list:

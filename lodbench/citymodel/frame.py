@@ -21,6 +21,7 @@ from lodbench.citymodel.codes import (
     CRS_UNKNOWN,
 )
 from lodbench.citymodel.crs import KnownCrs, metric_crs, require_crs, resolve_crs
+from lodbench.citymodel.options import AxisOrder
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -41,7 +42,11 @@ class _Order:
 
 
 def to_metres(
-    points: NDArray[np.float64], srs_name: str | None, override: str | None, findings: Findings
+    points: NDArray[np.float64],
+    srs_name: str | None,
+    override: str | None,
+    findings: Findings,
+    axis_order: AxisOrder = "auto",
 ) -> tuple[NDArray[np.float64], str | None]:
     """Returns points as east, north, up in metres, and the label of their reference system.
 
@@ -50,6 +55,7 @@ def to_metres(
         srs_name: What the file declares, or None.
         override: What the user says instead, or None.
         findings: Receives every decision that the declaration alone does not settle.
+        axis_order: What is known of the order of the columns.
 
     Returns:
         points: (P, 3) float64, metres.
@@ -70,7 +76,12 @@ def to_metres(
     if len(points) == 0:
         return points, known.label
     points = _strip_zone_prefix(points, known, findings)
-    order = _settle_order(points, known, findings)
+    if axis_order == "auto":
+        order = _settle_order(points, known, findings)
+    else:
+        order = _try_order(np.median(points[:, :2], axis=0), known, axis_order == "north_first")
+        if not order.is_plausible:
+            findings.add(CRS_IMPLAUSIBLE, "", f"{known.label}, {axis_order}")
     first, second = (1, 0) if order.is_north_first else (0, 1)
     east_north_up = np.stack([points[:, first], points[:, second], points[:, 2]], axis=1)
     if known.horizontal.is_projected and known.horizontal.axis_info[0].unit_conversion_factor == 1.0:

@@ -34,17 +34,37 @@ def choose_lod(present: Sequence[str], wanted: str | None, findings: Findings) -
         raise CityModelError("The city model has no geometry at any level of detail.")
     if wanted is None:
         return next((name for name in names if not name.startswith("0")), names[0])
-    wanted = wanted.strip().lower().removeprefix("lod")
+    wanted = _plain(wanted)
     if wanted in names:
         return wanted
-    candidates = [name for name in names if name.partition(".")[0] == wanted or name == ""]
-    if wanted == "3" and "4" in names:
-        candidates.append("4")
+    candidates = _candidates(names, wanted)
     if not candidates:
-        listed = ", ".join(name or "(unnamed)" for name in names)
+        hint = f"Ask for lod={names[-1]}."
+        if wanted == "1" and names[-1] >= "2":
+            hint = f"Ask for lod={names[-1]}, or derive it: roof_height=median (or max, p70, eave)."
         raise CityModelError(
-            f"No building has a level of detail {wanted}; the file has: {listed}.",
-            f"Ask for lod={names[-1]}." if names[-1] else "Leave lod out.",
+            f"No building has a level of detail {wanted}; the file has: {', '.join(names)}.", hint
         )
     findings.add(LOD_SUBSTITUTED, "", f"{wanted} asked for, {candidates[0] or 'unnamed level'} taken")
     return candidates[0]
+
+
+def has_lod(present: Sequence[str], wanted: str) -> bool:
+    """Tells whether ``choose_lod`` would find a level.
+
+    Example:
+        >>> has_lod(["0", "2.2"], "2"), has_lod(["0", "2.2"], "1")
+        (True, False)
+    """
+    return bool(_candidates(sorted(present), _plain(wanted)))
+
+
+def _plain(wanted: str) -> str:
+    return wanted.strip().lower().removeprefix("lod")
+
+
+def _candidates(names: list[str], wanted: str) -> list[str]:
+    found = [name for name in names if name.partition(".")[0] == wanted or name in (wanted, "")]
+    if wanted == "3" and "4" in names:
+        found.append("4")
+    return found

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lodbench.citymodel.codes import INTERIOR_SKIPPED, LOD_ABSENT
-from lodbench.citymodel.lods import choose_lod
+from lodbench.citymodel.derive import derive_lod1
+from lodbench.citymodel.lods import choose_lod, has_lod
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.citymodel.triangulate import Triangulation, select_polygons, triangulate
@@ -37,17 +38,23 @@ class CityMesh:
     findings: Findings
 
 
-def mesh_model(model: CityModel, lod: str | None = None) -> CityMesh:
+def mesh_model(model: CityModel, lod: str | None = None, *, roof_height: str | None = None) -> CityMesh:
     """Returns the mesh of one level of detail, with its areas and findings.
 
     Args:
         model: The city as read.
         lod: Level name, or None for the lowest that has walls (see ``choose_lod``).
+        roof_height: Rule by which level 1 is derived where it is asked for and absent; None makes
+            that an error.
 
     Raises:
         CityModelError: The level is absent, or holds no surface.
     """
     findings = Findings()
+    if roof_height is not None and lod is not None and not has_lod(model.lods, lod):
+        if lod.lower().removeprefix("lod") == "1":
+            blocks = derive_lod1(model, roof_height, findings)
+            model = replace(model, lods=("1",), polygons=blocks, polygons_read=(len(blocks),))
     name = choose_lod(model.lods, lod, findings)
     polygons = model.polygons
     at_level = polygons.lod == model.lods.index(name)
@@ -81,14 +88,15 @@ def mesh_model(model: CityModel, lod: str | None = None) -> CityMesh:
     )
 
 
-def mesh_city(model: CityModel, lod: str | None = None) -> Scene:
+def mesh_city(model: CityModel, lod: str | None = None, *, roof_height: str | None = None) -> Scene:
     """Returns one level of detail of a city as a scene; see ``mesh_model`` for the account of it.
 
     Args:
         model: The city as read.
         lod: Level name (``"1"``, ``"2.2"``), or None for the lowest that has walls.
+        roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
 
     Raises:
         CityModelError: The level is absent, or holds no surface.
     """
-    return mesh_model(model, lod).scene
+    return mesh_model(model, lod, roof_height=roof_height).scene

@@ -5,34 +5,39 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.bases import move_bases
 from lodbench.citymodel.codes import CRS_MIXED, DUPLICATE_POINTS, RING_NOT_CLOSED, RING_TOO_SHORT
+from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.frame import to_metres
 from lodbench.citymodel.model import CityModel, Polygons
+from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity, starts_of, take_segments
 from lodbench.errors import CityModelError
 from lodbench.findings import FindingCode, Findings
 
 
-def finish_model(
-    raw: RawCity, *, crs: str | None = None, origin: NDArray[np.float64] | None = None
-) -> CityModel:
+def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     """Returns a raw city as a model: metres, local frame, clean rings, levels in ascending order.
 
     Args:
         raw: What a reader found.
-        crs: Reference system to use instead of the declared one.
-        origin: (3,) to subtract; by default whole metres at the south-west corner, height 0.
+        options: Reference system, axis order and origin where the user names them. By default the
+            origin is in whole metres at the south-west corner, its height 0.
 
     Raises:
         CityModelError: Coordinates are not finite, or their reference system cannot be settled.
     """
     if not np.isfinite(raw.points).all():
         raise CityModelError(f"{raw.source} has coordinates that are not finite numbers.")
-    points, label = _in_metres(raw, crs)
-    if origin is None:
-        origin = np.zeros(3)
-        if len(points) and (label is not None or np.abs(points[:, :2]).max() > 1e4):
-            origin[:2] = np.floor(points[:, :2].min(axis=0))
+    options = options or ReadOptions()
+    points, label = _in_metres(raw, options)
+    points = move_bases(points, raw, label, options)
+    origin = np.zeros(3) if options.origin is None else np.asarray(options.origin, np.float64)
+    if options.origin is None and len(points) and (label is not None or np.abs(points).max() > 1e4):
+        origin[:2] = np.floor(points[:, :2].min(axis=0))
+    if raw.srs_names or options.origin is None:
+        points = points - origin
+    # Else the format has a frame of its own, and the origin is where the user says that frame lies.
     order = sorted(range(len(raw.lods)), key=lambda i: raw.lods[i])
     rank = np.argsort(np.asarray(order, np.int64)) if order else np.zeros(0, np.int64)
     return CityModel(
@@ -40,31 +45,35 @@ def finish_model(
         format=raw.format,
         version=raw.version,
         crs=label,
-        origin=np.asarray(origin, np.float64),
+        origin=origin,
         building_ids=raw.building_ids,
         num_parts=raw.num_parts,
         lods=tuple(raw.lods[i] for i in order),
-        polygons=_clean(raw, points - origin, rank),
+        polygons=_clean(raw, points, rank),
         polygons_read=tuple(np.bincount(raw.lod, minlength=len(order))[order].tolist()),
         findings=raw.findings,
     )
 
 
-def _in_metres(raw: RawCity, override: str | None) -> tuple[NDArray[np.float64], str | None]:
+def _in_metres(raw: RawCity, options: ReadOptions) -> tuple[NDArray[np.float64], str | None]:
     """Returns all points in metres of one reference system: that of the first polygon."""
+    override = options.crs
+    if not raw.srs_names and options.origin is not None:
+        return raw.points, None if override is None else require_crs(override).label
+    order = options.axis_order if options.axis_order != "auto" else raw.axis_order
     if not raw.srs_names and override is None:
         return raw.points, None  # a format that cannot name a reference system
     used = np.unique(raw.srs)
     if len(used) <= 1 or override is not None:
         name = raw.srs_names[used[0]] if len(used) and raw.srs_names else None
-        return to_metres(raw.points, name, override, raw.findings)
+        return to_metres(raw.points, name, override, raw.findings, order)
     ring_srs = np.repeat(raw.srs, np.diff(raw.polygon_starts))
     point_srs = np.repeat(ring_srs, np.diff(raw.ring_starts))
     points = np.zeros_like(raw.points)
     first_label: str | None = None
     for rank, srs in enumerate([int(raw.srs[0]), *(int(s) for s in used if s != raw.srs[0])]):
         chosen = point_srs == srs
-        points[chosen], label = to_metres(raw.points[chosen], raw.srs_names[srs], None, raw.findings)
+        points[chosen], label = to_metres(raw.points[chosen], raw.srs_names[srs], None, raw.findings, order)
         if rank == 0:
             first_label = label
         elif label is not None and first_label is not None and label != first_label:
@@ -75,8 +84,6 @@ def _in_metres(raw: RawCity, override: str | None) -> tuple[NDArray[np.float64],
 
 def _reproject(points: NDArray[np.float64], label: str, target: str) -> NDArray[np.float64]:
     from pyproj import Transformer
-
-    from lodbench.citymodel.crs import require_crs
 
     source_crs, target_crs = require_crs(label).horizontal, require_crs(target).horizontal
     if source_crs == target_crs:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import DUPLICATE_ID
+from lodbench.citymodel.options import AxisOrder
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -39,6 +40,7 @@ class RawCity:
         srs: (N,) int16 index into ``srs_names``.
         has_closing_points: Rings end with their first point again, as GML asks.
         findings: What was met while reading.
+        axis_order: Which of the first two columns is the easting, where the format settles it.
     """
 
     source: str
@@ -57,6 +59,7 @@ class RawCity:
     srs: NDArray[np.int16]
     has_closing_points: bool
     findings: Findings
+    axis_order: AxisOrder = "auto"
 
 
 def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
@@ -94,6 +97,7 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         srs=np.concatenate([_renamed(c.srs, c.srs_names or (None,), srs_names) for c in cities]),
         has_closing_points=all(city.has_closing_points for city in cities),
         findings=findings,
+        axis_order=first.axis_order,
     )
 
 

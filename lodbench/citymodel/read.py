@@ -2,65 +2,94 @@
 
 from __future__ import annotations
 
+import io
+from dataclasses import replace
 from pathlib import Path, PurePath
 
 from lodbench.citymodel.codes import FILE_SKIPPED
 from lodbench.citymodel.mesh import mesh_city
 from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity, RawCity, merge_cities
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.source import Source, open_sources
+from lodbench.citymodel.source import MESH_SUFFIXES, Source, open_sources
 from lodbench.findings import Findings
 
 _SUPPORTED = (
-    "Supported: CityGML (.gml, .xml, .citygml), CityJSON (.json, .jsonl), Wavefront OBJ (.obj), "
-    "these as .gz or in a .zip, and folders of them."
+    "Supported: CityGML (.gml, .xml, .citygml), CityJSON (.json, .jsonl), meshes (.obj, .ply, .stl, .glb), "
+    "footprints (.gpkg, .shp, .geojson, .fgb, .parquet), these as .gz or in a .zip, and folders of them."
 )
 
 
-def read_city_model(path: str | Path, *, crs: str | None = None, is_strict: bool = True) -> CityModel:
+def read_city_model(
+    path: str | Path, *, crs: str | None = None, options: ReadOptions | None = None
+) -> CityModel:
     """Returns a city model in metres, in a local frame.
 
     Args:
         path: A file, a ``.gz``, a ``.zip``, or a folder of tiles, which become one model.
         crs: Reference system of its coordinates, instead of the one it declares.
-        is_strict: Whether a coordinate that is no finite number is an error; if not, its polygon
-            is dropped with a finding.
+        options: All else that the source does not say itself; ``crs`` goes before its ``crs``.
 
     Raises:
         CityModelError: The file is missing, unreadable, empty, damaged or of an unknown kind, or
             has no building.
     """
+    options = options or ReadOptions()
+    if crs is not None:
+        options = replace(options, crs=crs)
     sources = open_sources(Path(path))
-    if len(sources) == 1:
-        raw = _read_raw(sources[0], is_strict)
-    else:
-        raw = _read_tiles(str(path), sources, is_strict)
-    return finish_model(raw, crs=crs)
+    raw = _read_raw(sources[0], options) if len(sources) == 1 else _read_tiles(str(path), sources, options)
+    return finish_model(raw, options)
 
 
-def open_scene(path: str | Path, *, lod: str | None = None, crs: str | None = None) -> Scene:
+def open_scene(
+    path: str | Path,
+    *,
+    lod: str | None = None,
+    crs: str | None = None,
+    options: ReadOptions | None = None,
+    roof_height: str | None = None,
+) -> Scene:
     """Returns one level of detail of a city file as a scene: ``read_city_model`` and ``mesh_city``.
 
     Args:
         path: The file.
         lod: Level name (``"1"``), or None for the lowest that has walls.
         crs: Reference system of its coordinates, instead of the one it declares.
+        options: All else that the source does not say itself.
+        roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
 
     Raises:
         CityModelError: The file cannot be read, or has no building at that level.
     """
-    return mesh_city(read_city_model(path, crs=crs), lod)
+    return mesh_city(read_city_model(path, crs=crs, options=options), lod, roof_height=roof_height)
 
 
-def _read_tiles(name: str, sources: tuple[Source, ...], is_strict: bool) -> RawCity:
+def parse_city_model(data: bytes, name: str = "city", options: ReadOptions | None = None) -> CityModel:
+    """Returns a city model from bytes in memory: CityGML, CityJSON, OBJ or a mesh.
+
+    Args:
+        data: The content of a file.
+        name: What to call it; its ending decides where the content does not.
+        options: All that the source does not say itself.
+
+    Raises:
+        CityModelError: The bytes are no city model.
+    """
+    options = options or ReadOptions()
+    source = Source(name, lambda: io.BytesIO(data), Path(name))
+    return finish_model(_read_raw(source, options), options)
+
+
+def _read_tiles(name: str, sources: tuple[Source, ...], options: ReadOptions) -> RawCity:
     """Returns the tiles of a folder or archive as one city; files without a building are told of."""
     tiles: list[RawCity] = []
     skipped = Findings()
     for source in sources:
         try:
-            tiles.append(_read_raw(source, is_strict))
+            tiles.append(_read_raw(source, options))
         except NotACity as error:
             if source is sources[-1] and not tiles:
                 raise
@@ -70,20 +99,30 @@ def _read_tiles(name: str, sources: tuple[Source, ...], is_strict: bool) -> RawC
     return city
 
 
-def _read_raw(source: Source, is_strict: bool) -> RawCity:
+def _read_raw(source: Source, options: ReadOptions) -> RawCity:
+    """Returns what the reader for a file's content, or failing that its ending, makes of it."""
+    if source.vector_path is not None:
+        from lodbench.citymodel.footprints import read_footprints
+
+        return read_footprints(source.vector_path, source.name, options)
     head = source.head()
     text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n\t")
-    suffixes = [suffix.lower() for suffix in PurePath(source.name).suffixes[-2:]]
+    suffix = PurePath(source.name.removesuffix(".gz")).suffix.lower()
+    if suffix in MESH_SUFFIXES:
+        from lodbench.citymodel.meshes import read_mesh
+
+        with source.open() as stream:
+            return read_mesh(stream, source.name, suffix, options)
     if text.startswith(b"<"):
         from lodbench.citymodel.citygml import read_citygml
 
-        return read_citygml(source.open, source.name, is_strict=is_strict)
+        return read_citygml(source.open, source.name, is_strict=options.is_strict)
     if text.startswith((b"{", b"[")):
         from lodbench.citymodel.cityjson import read_cityjson
 
-        return read_cityjson(source.open, source.name, is_strict=is_strict)
+        return read_cityjson(source.open, source.name, is_strict=options.is_strict)
     first_words = {line.split(None, 1)[0] for line in text.splitlines() if line.strip()}
-    if ".obj" in suffixes or first_words & {b"v", b"f", b"o", b"mtllib"}:
+    if suffix == ".obj" or first_words & {b"v", b"f", b"o", b"mtllib"}:
         from lodbench.citymodel.obj import read_obj
 
         with source.open() as stream:

@@ -18,7 +18,10 @@ from typing import BinaryIO
 from lodbench.errors import CityModelError
 
 HEAD_BYTES = 4096
-_CITY_SUFFIXES = (".gml", ".xml", ".citygml", ".json", ".jsonl", ".obj")
+MESH_SUFFIXES = (".ply", ".stl", ".glb", ".gltf")
+_CITY_SUFFIXES = (".gml", ".xml", ".citygml", ".json", ".jsonl", ".obj", *MESH_SUFFIXES)
+# Read by GDAL from a path, never from a stream of ours.
+_VECTOR_SUFFIXES = (".gpkg", ".shp", ".geojson", ".fgb", ".gdb", ".parquet", ".geoparquet")
 _ARCHIVE_SUFFIXES = (".gz", ".zip")
 # Beside the tiles, PLATEAU and others deliver these; none holds a building.
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
@@ -36,11 +39,13 @@ class Source:
         name: For messages: the path, with the member of an archive after an exclamation mark.
         open: Opens a fresh stream of its bytes; the caller closes it.
         path: The file on disk that holds it.
+        vector_path: What GDAL opens, for a vector file; None for all others.
     """
 
     name: str
     open: Callable[[], BinaryIO]
     path: Path
+    vector_path: str | None = None
 
     def head(self) -> bytes:
         """Returns the first bytes.
@@ -115,6 +120,8 @@ def open_sources(path: Path) -> tuple[Source, ...]:
     Raises:
         CityModelError: Nothing is there, it cannot be read, or it holds no city file.
     """
+    if path.suffix.lower() in _VECTOR_SUFFIXES and path.exists():
+        return (Source(str(path), lambda: path.open("rb"), path, str(path)),)
     if path.is_dir():
         return _folder_sources(path)
     try:
@@ -132,7 +139,7 @@ def open_sources(path: Path) -> tuple[Source, ...]:
 
 
 def _folder_sources(folder: Path) -> tuple[Source, ...]:
-    suffixes = _CITY_SUFFIXES + _ARCHIVE_SUFFIXES
+    suffixes = _CITY_SUFFIXES + _VECTOR_SUFFIXES + _ARCHIVE_SUFFIXES
     files = [
         file
         for file in sorted(folder.rglob("*"))
@@ -187,11 +194,19 @@ def _zip_members(path: Path, members: list[zipfile.ZipInfo]) -> Iterator[Source]
             raise CityModelError(
                 f"{path} has a member with the unsafe path {member.filename!r}.", "Do not trust this file."
             )
-        if not member.is_dir() and name.suffix.lower() in _CITY_SUFFIXES and _may_hold_buildings(name):
+        if (
+            not member.is_dir()
+            and name.suffix.lower() in _CITY_SUFFIXES + _VECTOR_SUFFIXES
+            and _may_hold_buildings(name)
+        ):
             chosen.append((name, member))
     buildings_only = [pair for pair in chosen if "bldg" in pair[0].parts]
     for _, member in sorted(buildings_only or chosen, key=lambda pair: str(pair[0])):
-        yield _zip_source(path, member)
+        if member.filename.lower().endswith(_VECTOR_SUFFIXES):
+            inside = f"/vsizip/{path}/{member.filename}"
+            yield Source(f"{path}!{member.filename}", lambda: path.open("rb"), path, inside)
+        else:
+            yield _zip_source(path, member)
 
 
 def _zip_source(path: Path, member: zipfile.ZipInfo) -> Source:

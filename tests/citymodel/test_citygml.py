@@ -7,6 +7,7 @@ import pytest
 
 from lodbench.citymodel import city_info, mesh_city, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
 
 from .gml_text import (
@@ -312,7 +313,7 @@ class TestRings:
         with pytest.raises(CityModelError, match=f"Haus-ä.*{message}") as caught:
             self.ring_model(tmp_path, ring)
         assert caught.value.hint
-        model = self.ring_model(tmp_path, ring, is_strict=False)
+        model = self.ring_model(tmp_path, ring, options=ReadOptions(is_strict=False))
         assert codes(model)[code] == 1
         assert len(model.polygons) == 1
 

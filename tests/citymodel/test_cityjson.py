@@ -9,6 +9,7 @@ import pytest
 
 from lodbench.citymodel import mesh_model, read_city_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
 
 from .gml_text import write
@@ -173,7 +174,7 @@ class TestFaults:
         with pytest.raises(CityModelError, match=r"Haus-1"):
             read(tmp_path, document(objects))
         try:
-            model = read(tmp_path, document(objects), is_strict=False)
+            model = read(tmp_path, document(objects), options=ReadOptions(is_strict=False))
         except CityModelError:
             assert any(not isinstance(index, int) for index in ring)
         else:

@@ -1,0 +1,52 @@
+"""Where buildings stand: models with a zero base set on the ground, walls drawn into it cut short."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import BASE_MOVED
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.raw import RawCity
+from lodbench.citymodel.terrain import ground_under
+
+
+def move_bases(
+    points: NDArray[np.float64], raw: RawCity, label: str | None, options: ReadOptions
+) -> NDArray[np.float64]:
+    """Returns the points with the bottoms of buildings moved as ``options.base`` asks.
+
+    ``ground`` adds the terrain height under each building's middle (or ``ground_m``) to all its
+    heights: for sources such as Open City Model whose buildings all stand at 0. ``sunk`` lifts
+    everything within ``sunk_m`` of a building's lowest point to that height: for sources such as
+    swissBUILDINGS3D whose walls reach below the terrain.
+
+    Args:
+        points: (P, 3) metres, not yet in the local frame.
+        raw: Which building each point belongs to.
+        label: Reference system of ``points``.
+        options: What to do.
+    """
+    if options.base == "as_given" or len(points) == 0:
+        return points
+    building = np.repeat(np.repeat(raw.building, np.diff(raw.polygon_starts)), np.diff(raw.ring_starts))
+    count = len(raw.building_ids)
+    points = points.copy()
+    if options.base == "sunk":
+        lowest = np.full(count, np.inf)
+        np.minimum.at(lowest, building, points[:, 2])
+        points[:, 2] = np.maximum(points[:, 2], lowest[building] + options.sunk_m)
+        detail = f"walls cut {options.sunk_m:g} m above their lowest point"
+    else:
+        heights = np.full(count, options.ground_m)
+        if options.terrain is not None and label is not None:
+            sizes = np.maximum(np.bincount(building, minlength=count), 1)
+            middles = np.stack(
+                [np.bincount(building, points[:, k], minlength=count) / sizes for k in (0, 1)], axis=1
+            )
+            found = ground_under(middles, label, options)
+            heights = np.where(np.isfinite(found), found, options.ground_m)
+        points[:, 2] += heights[building]
+        detail = f"set on {options.terrain or f'{options.ground_m:g} m'}"
+    raw.findings.add(BASE_MOVED, "", detail)
+    return points

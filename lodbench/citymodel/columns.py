@@ -1,0 +1,111 @@
+"""Columns of vector files: which one holds heights, storeys or the ground, whatever it is called."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.options import ReadOptions
+from lodbench.errors import CityModelError, nearest_names
+
+# Best first. Names are compared in lower case without separators; Shapefile cuts them at ten letters.
+_HEIGHTS = (
+    "height", "hgt", "buildingheight", "bldgheight", "bldheight", "measuredheight", "heightmedian",
+    "heightmean", "heightmea", "heightmax", "meanheight", "hoehe", "hauteur", "altura", "h", "elevation",
+)  # fmt: skip
+_ROOFS = ("b3hdak70p", "b3hdak50p", "b3hdakmax", "hdak70p", "hdak50p", "roof", "rooftop", "zroof", "hroof")
+_GROUNDS = ("b3hmaaiveld", "hmaaiveld", "ground", "groundheight", "groundz", "groundelev", "base", "zground")
+_STOREYS = (
+    "storeys", "stories", "floors", "floor", "numfloors", "nfloors", "levels", "buildinglevels",
+    "storeysaboveground", "nbetages",
+)  # fmt: skip
+_IDS = ("gmlid", "identificatie", "buildingid", "bldgid", "ubid", "uuid", "osmid", "id", "fid", "objectid")
+
+
+def find_column(names: Sequence[str], asked: str | None, known: Sequence[str]) -> str | None:
+    """Returns the column asked for, or the best of the known names that is there, or None.
+
+    Raises:
+        CityModelError: The column asked for is not there.
+
+    Example:
+        >>> find_column(["ID", "Bldg_Height"], None, ("height", "bldgheight"))
+        'Bldg_Height'
+    """
+    if asked is not None:
+        if asked not in names:
+            raise CityModelError(f"There is no column {asked!r}.", nearest_names(asked, names))
+        return asked
+    plain = {re.sub(r"[^a-z0-9]", "", name.lower()): name for name in reversed(names)}
+    return next((plain[name] for name in known if name in plain), None)
+
+
+class Columns:
+    """The attribute columns of a vector file.
+
+    Args:
+        table: Column name to values, one per footprint.
+        count: Number of footprints.
+    """
+
+    def __init__(self, table: dict[str, NDArray[np.generic]], count: int) -> None:
+        self._table = table
+        self._count = count
+
+    def heights(self, options: ReadOptions) -> tuple[NDArray[np.float64], str]:
+        """Returns (N,) heights above ground in metres, NaN where there is none, and where from.
+
+        Raises:
+            CityModelError: A column asked for is not there, or none holds heights or storeys.
+        """
+        names = list(self._table)
+        if options.height_column is None and options.storeys_column is None:
+            roof, ground = (find_column(names, None, known) for known in (_ROOFS, _GROUNDS))
+            if roof is not None and ground is not None:
+                return self._numbers(roof) - self._numbers(ground), f"{roof} - {ground}"
+        height = None
+        if options.height_column is not None or options.storeys_column is None:
+            height = find_column(names, options.height_column, _HEIGHTS)
+        storeys = find_column(names, options.storeys_column, _STOREYS)
+        if height is None and storeys is None:
+            if options.default_height_m is not None:
+                return np.full(self._count, np.nan), "default_height_m"
+            raise CityModelError(
+                f"No column of heights or storeys among: {', '.join(names) or 'no columns at all'}.",
+                "Name it: height_column=..., storeys_column=... or default_height_m=...",
+            )
+        values = self._numbers(height) if height is not None else np.full(self._count, np.nan)
+        if storeys is not None:
+            from_storeys = self._numbers(storeys) * options.storey_height_m
+            values = np.where(np.isfinite(values) & (values > 0), values, from_storeys)
+        return values, " or ".join(name for name in (height, storeys) if name is not None)
+
+    def ground(self, options: ReadOptions) -> NDArray[np.float64] | None:
+        """Returns (N,) ground heights in metres, or None where no column has them."""
+        name = find_column(list(self._table), options.ground_column, _GROUNDS)
+        return None if name is None else self._numbers(name)
+
+    def ids(self) -> list[str]:
+        """Returns one id per footprint: the id column where it is one, else numbers from 1."""
+        name = find_column(list(self._table), None, _IDS)
+        if name is not None:
+            values = [str(value) for value in self._table[name].tolist()]
+            if len(set(values)) == len(values):
+                return values
+        width = len(str(self._count))
+        return [f"footprint-{i + 1:0{width}d}" for i in range(self._count)]
+
+    def _numbers(self, name: str) -> NDArray[np.float64]:
+        values = self._table[name]
+        if values.dtype.kind in "iufb":
+            return values.astype(np.float64)
+        return np.asarray([_number(value) for value in values.tolist()], np.float64)
+
+
+def _number(value: object) -> float:
+    """Returns a number written as text (``"12,5 m"``), NaN for anything else."""
+    match = re.fullmatch(r"\s*(-?\d+(?:[.,]\d+)?)\s*m?\s*", str(value))
+    return float(match[1].replace(",", ".")) if match else float("nan")

@@ -1,0 +1,157 @@
+"""Writing cities: OBJ, PLY and glTF for viewers, CityJSON for GIS, a scene folder for lodbench itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene_file import write_scene
+from lodbench.errors import CityModelError
+from lodbench.storage import write_bytes
+
+_SURFACE_NAMES = {
+    SurfaceKind.WALL: "WallSurface",
+    SurfaceKind.ROOF: "RoofSurface",
+    SurfaceKind.GROUND: "GroundSurface",
+    SurfaceKind.CLOSURE: "ClosureSurface",
+    SurfaceKind.OPENING: "Window",
+    SurfaceKind.FLOOR: "OuterFloorSurface",
+    SurfaceKind.INTERIOR: "InteriorWallSurface",
+}
+_MILLIMETRE = 0.001
+
+
+def convert_city(
+    model: CityModel, target: Path, *, lod: str | None = None, roof_height: str | None = None
+) -> None:
+    """Writes a city in the format the target's ending names; a file is written whole or not at all.
+
+    ``.obj``, ``.ply``, ``.glb`` and ``.scene`` hold one level of detail, in the local frame (the
+    origin is written beside it where the format has room). ``.json`` is CityJSON 2.0 with all
+    levels, in the model's reference system, to the millimetre.
+
+    Args:
+        model: The city as read.
+        target: Where to write.
+        lod: Level for the mesh formats, as in ``mesh_city``.
+        roof_height: As in ``mesh_city``.
+
+    Raises:
+        CityModelError: The ending is unknown, the level absent, or the folder not writable.
+    """
+    suffix = target.suffix.lower()
+    meshed: dict[str, Callable[[Scene], bytes]] = {".obj": _obj, ".ply": _ply, ".glb": _glb}
+    try:
+        if suffix == ".json":
+            write_bytes(target, _cityjson(model))
+        elif suffix == ".scene":
+            write_scene(mesh_model(model, lod, roof_height=roof_height).scene, target)
+        elif suffix in meshed:
+            write_bytes(target, meshed[suffix](mesh_model(model, lod, roof_height=roof_height).scene))
+        else:
+            raise CityModelError(
+                f"No format is known by the ending of {target}.", "Known: .obj, .ply, .glb, .json, .scene."
+            )
+    except OSError as error:
+        raise CityModelError(f"{target} cannot be written: {error.strerror}.") from None
+
+
+def _obj(scene: Scene) -> bytes:
+    lines = [f"# origin {' '.join(map(repr, scene.origin.tolist()))}", f"# crs {scene.crs or 'unknown'}"]
+    vertices = scene.vertices.astype(np.float64).tolist()
+    triangles = (scene.triangles + 1).tolist()
+    for b, building_id in enumerate(scene.building_ids):
+        lines.append(f"o {' '.join(building_id.split())}")
+        own = vertices[scene.vertex_starts[b] : scene.vertex_starts[b + 1]]
+        lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in own]
+        faces = triangles[scene.triangle_starts[b] : scene.triangle_starts[b + 1]]
+        lines += [f"f {i} {j} {k}" for i, j, k in faces]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _ply(scene: Scene) -> bytes:
+    import trimesh
+
+    mesh = trimesh.Trimesh(scene.vertices, scene.triangles, process=False)
+    return bytes(mesh.export(file_type="ply"))
+
+
+def _glb(scene: Scene) -> bytes:
+    """Returns binary glTF with one node per building; glTF looks along -z with y up."""
+    import trimesh
+
+    points = np.stack([scene.vertices[:, 0], scene.vertices[:, 2], -scene.vertices[:, 1]], axis=1)
+    graph = trimesh.Scene()
+    for b, building_id in enumerate(scene.building_ids):
+        first, last = scene.vertex_starts[b], scene.vertex_starts[b + 1]
+        triangles = scene.triangles[scene.triangle_starts[b] : scene.triangle_starts[b + 1]] - first
+        if len(triangles):
+            mesh = trimesh.Trimesh(points[first:last], triangles, process=False)
+            graph.add_geometry(mesh, node_name=building_id, geom_name=building_id)
+    return bytes(graph.export(file_type="glb"))
+
+
+def _cityjson(model: CityModel) -> bytes:
+    polygons = model.polygons
+    low = polygons.points.min(axis=0) if len(polygons.points) else np.zeros(3)
+    whole = np.rint((polygons.points - low) / _MILLIMETRE).astype(np.int64)
+    vertices, inverse = np.unique(whole, axis=0, return_inverse=True)
+    indices = inverse.reshape(-1)
+    objects: dict[str, Any] = {
+        building_id: {"type": "Building", "geometry": []} for building_id in model.building_ids
+    }
+    order = np.lexsort((polygons.lod, polygons.building))
+    key = polygons.building[order].astype(np.int64) * len(model.lods) + polygons.lod[order]
+    for group in np.split(order, np.flatnonzero(np.diff(key)) + 1):
+        if len(group):
+            building_id = model.building_ids[polygons.building[group[0]]]
+            objects[building_id]["geometry"].append(_multi_surface(model, group, indices))
+    document: dict[str, Any] = {
+        "type": "CityJSON",
+        "version": "2.0",
+        "transform": {"scale": [_MILLIMETRE] * 3, "translate": (low + model.origin).tolist()},
+        "CityObjects": objects,
+        "vertices": vertices.tolist(),
+    }
+    name = _reference_system(model.crs)
+    if name is not None:
+        document["metadata"] = {"referenceSystem": name}
+    return json.dumps(document, separators=(",", ":")).encode()
+
+
+def _multi_surface(
+    model: CityModel, group: np.ndarray[Any, Any], indices: np.ndarray[Any, Any]
+) -> dict[str, Any]:
+    polygons = model.polygons
+    boundaries = []
+    for n in group.tolist():
+        rings = range(polygons.polygon_starts[n], polygons.polygon_starts[n + 1])
+        bounds = [(polygons.ring_starts[r], polygons.ring_starts[r + 1]) for r in rings]
+        boundaries.append([indices[first:last].tolist() for first, last in bounds])
+    kinds = [_SURFACE_NAMES.get(SurfaceKind(kind)) for kind in polygons.kind[group].tolist()]
+    names = sorted({kind for kind in kinds if kind is not None})
+    geometry: dict[str, Any] = {
+        "type": "MultiSurface",
+        "lod": model.lods[polygons.lod[group[0]]] or "1",
+        "boundaries": boundaries,
+    }
+    if names:
+        geometry["semantics"] = {
+            "surfaces": [{"type": name} for name in names],
+            "values": [names.index(kind) if kind is not None else None for kind in kinds],
+        }
+    return geometry
+
+
+def _reference_system(crs: str | None) -> str | None:
+    """Returns the name in CityJSON's form, which has one code; a compound of two keeps its plane."""
+    if crs is None or not crs.startswith("EPSG:"):
+        return None
+    return f"https://www.opengis.net/def/crs/EPSG/0/{crs[5:].partition('+')[0]}"

@@ -1,0 +1,137 @@
+"""LoD1 from LoD2: the footprint of each building drawn up to one height, by a rule."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import LOD_DERIVED, LOD_UNDERIVABLE
+from lodbench.citymodel.extrude import extrude
+from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
+from lodbench.citymodel.raw import starts_of
+from lodbench.citymodel.triangulate import newell, select_polygons, triangulate
+from lodbench.errors import CityModelError, ConfigError
+from lodbench.findings import Findings
+
+RoofHeight = Literal["median", "max", "p70", "eave"]
+ROOF_HEIGHTS: dict[str, float] = {"median": 0.5, "max": 1.0, "p70": 0.7, "eave": 0.0}
+
+# Faces flatter than this against the vertical (cosine) are roofs or floors, the others walls.
+_MIN_SLOPE = 0.1
+# Corners of a regular subdivision of a triangle: heights of a roof are spread as its area is.
+_SAMPLES = np.array([(i + 1 / 3, j + 1 / 3) for i in range(4) for j in range(4 - i)]) / 4.0
+
+
+def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polygons:
+    """Returns block polygons of level 1 for every building of the lowest finer level.
+
+    The footprint is the building's ground surfaces; where it has none, the faces that look down;
+    where there are none either, its roofs seen from above. Everything stands on the building's
+    lowest point and reaches one height, taken over the area of its roofs: ``max`` the highest
+    point, ``median`` and ``p70`` the height that half and 70 % of the roof area stay below,
+    ``eave`` the lowest point of the roofs.
+
+    Args:
+        model: A city with a level finer than 1.
+        roof_height: The rule.
+        findings: Receives what was derived, and buildings that gave nothing.
+
+    Returns:
+        Polygons whose ``lod`` is 0: the only level of a model with ``lods=("1",)``.
+
+    Raises:
+        ConfigError: The rule is unknown.
+        CityModelError: The model has no finer level, or no building gives a block.
+    """
+    if roof_height not in ROOF_HEIGHTS:
+        raise ConfigError(f"roof_height={roof_height} is unknown.", f"Known: {', '.join(ROOF_HEIGHTS)}.")
+    finer = [name for name in model.lods if name and name[0] in "234"]
+    if not finer:
+        raise CityModelError("There is no level of detail 2 or finer to derive level 1 from.")
+    at_level = model.polygons.lod == model.lods.index(finer[0])
+    is_outside = model.polygons.kind != SurfaceKind.INTERIOR
+    source = select_polygons(model.polygons, np.flatnonzero(at_level & is_outside))
+    count = len(model.building_ids)
+    bottom = np.full(count, np.inf)
+    np.minimum.at(bottom, np.repeat(source.building, _point_counts(source)), source.points[:, 2])
+    normals, areas = newell(source)
+    slope = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+    top = _roof_heights(source, slope, count, ROOF_HEIGHTS[roof_height])
+    chosen = _footprints(source, slope, areas, count)
+    for building in np.setdiff1d(np.arange(count), source.building[chosen]):
+        findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer[0]}")
+    chosen = chosen[np.isfinite(top)[source.building[chosen]]]
+    if len(chosen) == 0:
+        raise CityModelError("No building has a footprint and a roof to derive level 1 from.")
+    findings.add(LOD_DERIVED, "", f"from LoD{finer[0]}, roof_height={roof_height}")
+    plans = select_polygons(source, chosen)
+    owner = plans.building
+    blocks = extrude(plans.points[:, :2], plans.ring_starts, plans.polygon_starts, bottom[owner], top[owner])
+    return Polygons(
+        points=blocks.points,
+        ring_starts=starts_of(blocks.ring_lengths),
+        polygon_starts=starts_of(blocks.ring_counts),
+        building=owner[blocks.footprint],
+        lod=np.zeros(len(blocks.kind), np.int16),
+        kind=blocks.kind,
+    )
+
+
+def _point_counts(polygons: Polygons) -> NDArray[np.int64]:
+    return np.diff(polygons.ring_starts[polygons.polygon_starts])
+
+
+def _roof_heights(
+    polygons: Polygons, slope: NDArray[np.float64], count: int, share: float
+) -> NDArray[np.float64]:
+    """Returns (count,) the height below which a share of each building's roof area lies, or NaN."""
+    is_roof = polygons.kind == SurfaceKind.ROOF
+    has_roof = np.bincount(polygons.building[is_roof], minlength=count) > 0
+    # Without semantics a roof is what looks up.
+    is_roof |= ~has_roof[polygons.building] & (slope > _MIN_SLOPE)
+    roofs = select_polygons(polygons, np.flatnonzero(is_roof))
+    mesh = triangulate(roofs, tuple("" for _ in range(count)), Findings())
+    building = roofs.building[mesh.polygon]
+    corners = roofs.points[mesh.triangles]
+    vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if share in (0.0, 1.0):
+        heights, weights, owner = (
+            corners[..., 2].reshape(-1),
+            np.ones(corners.size // 3),
+            np.repeat(building, 3),
+        )
+    else:
+        z = corners[..., 2]
+        spread = z[:, :1] + (z[:, 1:] - z[:, :1]) @ _SAMPLES.T
+        heights, owner = spread.reshape(-1), np.repeat(building, len(_SAMPLES))
+        weights = np.repeat(np.abs(vectors[:, 2]), len(_SAMPLES))
+    order = np.lexsort((heights, owner))
+    heights, weights, owner = heights[order], weights[order], owner[order]
+    bounds = np.searchsorted(owner, np.arange(count + 1))
+    result = np.full(count, np.nan)
+    for b in np.flatnonzero(np.diff(bounds)):
+        part = slice(bounds[b], bounds[b + 1])
+        total = np.cumsum(weights[part])
+        place = np.searchsorted(total, share * total[-1]) if total[-1] > 0 else 0
+        result[b] = heights[part][min(int(place), len(total) - 1)]
+    return result
+
+
+def _footprints(
+    polygons: Polygons, slope: NDArray[np.float64], areas: NDArray[np.float64], count: int
+) -> NDArray[np.int64]:
+    """Returns the polygons that make each building's footprint, by the best source it has."""
+    is_open = np.ones(count, np.bool_)
+    chosen = np.zeros(len(polygons), np.bool_)
+    has_plan_area = (np.abs(slope) > _MIN_SLOPE) & (areas > 0)
+    for is_candidate in (
+        polygons.kind == SurfaceKind.GROUND,
+        (slope < -_MIN_SLOPE) & (polygons.kind == SurfaceKind.UNKNOWN),
+        (polygons.kind == SurfaceKind.ROOF) | (slope > _MIN_SLOPE),
+    ):
+        fits = is_candidate & has_plan_area & is_open[polygons.building]
+        chosen |= fits
+        is_open[polygons.building[fits]] = False
+    return np.flatnonzero(chosen)

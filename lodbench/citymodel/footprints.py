@@ -1,0 +1,179 @@
+"""Footprints with heights: GeoPackage, Shapefile, GeoJSON, FlatGeobuf, FileGDB, GeoParquet to LoD1 blocks."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import (
+    DUPLICATE_POINTS,
+    GEOMETRY_EMPTY,
+    GEOMETRY_UNSUPPORTED,
+    HEIGHT_DEFAULTED,
+    HEIGHT_MISSING,
+    RING_TOO_SHORT,
+)
+from lodbench.citymodel.columns import Columns
+from lodbench.citymodel.extrude import clean_rings, extrude
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.raw import RawCity, starts_of, take_segments
+from lodbench.citymodel.wkb import WkbPolygons
+from lodbench.errors import CityModelError
+from lodbench.findings import Findings
+
+_EXTRA_HINT = "Install it: pip install 'lodbench[vector]'."
+
+
+def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
+    """Returns blocks of level 1 over the footprints of a vector file.
+
+    Ground heights come from a column, else from ``options.terrain``, else ``options.ground_m``.
+
+    Args:
+        path: What GDAL opens, ``/vsizip/`` paths included.
+        source: Name for messages.
+        options: Columns, storey height, ground, reference system.
+
+    Raises:
+        CityModelError: pyogrio is not installed, the file cannot be read, has no reference system
+            or no heights.
+    """
+    findings = Findings()
+    crs, geometries, table = _read_table(path, source, options)
+    if options.crs is None and crs is None:
+        raise CityModelError(
+            f"{source} names no reference system (a Shapefile needs its .prj).", "Name it: crs=EPSG:4326."
+        )
+    polygons = WkbPolygons()
+    for i, data in enumerate(geometries):
+        if data is None:
+            continue
+        try:
+            polygons.add(data, i)
+        except ValueError as error:
+            raise CityModelError(f"{source}: footprint {i + 1} is malformed: {error}.") from None
+    columns = Columns(table, len(geometries))
+    ids = columns.ids()
+    for kind in sorted(polygons.ignored):
+        findings.add(GEOMETRY_UNSUPPORTED, source, f"geometry type {kind} has no area")
+    heights = _heights(columns, options, ids, findings)
+    ground = columns.ground(options)
+    if ground is None:
+        ground = np.full(len(ids), options.ground_m)
+    rings, ring_starts, polygon_starts, owner = _kept_polygons(polygons, heights, ids, findings)
+    if len(owner) == 0:
+        raise CityModelError(f"{source} has no footprint with a height.", "See `lodbench city check FILE`.")
+    if not np.isfinite(rings).all():
+        raise CityModelError(f"{source} has coordinates that are not finite numbers.")
+    if options.terrain is not None:
+        from lodbench.citymodel.terrain import ground_under
+
+        outlines = ring_starts[polygon_starts[:-1]]
+        ground[owner] = ground_under(rings[outlines], options.crs or str(crs), options)
+    ground = np.where(np.isfinite(ground), ground, options.ground_m)
+    blocks = extrude(rings, ring_starts, polygon_starts, ground[owner], (ground + heights)[owner])
+    used, building = np.unique(owner[blocks.footprint], return_inverse=True)
+    return RawCity(
+        source=source,
+        format="footprints",
+        version=None,
+        srs_names=(crs,),
+        building_ids=tuple(ids[i] for i in used),
+        num_parts=0,
+        lods=("1",),
+        points=blocks.points,
+        ring_starts=starts_of(blocks.ring_lengths),
+        polygon_starts=starts_of(blocks.ring_counts),
+        building=building.reshape(-1).astype(np.int32),
+        lod=np.zeros(len(building), np.int16),
+        kind=blocks.kind,
+        srs=np.zeros(len(building), np.int16),
+        has_closing_points=False,
+        findings=findings,
+        # Vector files keep longitude or easting first whatever their reference system declares.
+        axis_order="east_first",
+    )
+
+
+def _heights(
+    columns: Columns, options: ReadOptions, ids: list[str], findings: Findings
+) -> NDArray[np.float64]:
+    heights, where = columns.heights(options)
+    is_missing = ~(np.isfinite(heights) & (heights > 0))
+    for i in np.flatnonzero(is_missing):
+        if options.default_height_m is None:
+            findings.add(HEIGHT_MISSING, ids[i], f"{where} is {heights[i]:g}")
+        else:
+            findings.add(HEIGHT_DEFAULTED, ids[i], f"{where} is {heights[i]:g}")
+    default = np.nan if options.default_height_m is None else options.default_height_m
+    return np.where(is_missing, default, heights)
+
+
+def _kept_polygons(
+    polygons: WkbPolygons, heights: NDArray[np.float64], ids: list[str], findings: Findings
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Returns points, ring and polygon starts and owners of the polygons that can be extruded."""
+    owner = np.asarray(polygons.owner, np.int64)
+    for i in np.setdiff1d(np.arange(len(ids)), owner):
+        findings.add(GEOMETRY_EMPTY, ids[i])
+    points, ring_starts, repeats = clean_rings(polygons.rings)
+    ring_counts = np.asarray(polygons.ring_counts, np.int64)
+    ring_polygon = np.repeat(np.arange(len(owner)), ring_counts)
+    for ring in np.flatnonzero(repeats > 0):
+        findings.add(DUPLICATE_POINTS, ids[owner[ring_polygon[ring]]])
+    is_short = np.diff(ring_starts) < 3
+    for ring in np.flatnonzero(is_short):
+        findings.add(RING_TOO_SHORT, ids[owner[ring_polygon[ring]]])
+    is_lost = is_short[starts_of(ring_counts)[:-1]] | ~np.isfinite(heights[owner])
+    ring_kept = ~is_short & ~is_lost[ring_polygon]
+    items, new_starts = take_segments(ring_starts, np.flatnonzero(ring_kept))
+    counts = np.bincount(ring_polygon[ring_kept], minlength=len(owner))[~is_lost]
+    return points[items], new_starts, starts_of(counts), owner[~is_lost]
+
+
+def _read_table(
+    path: str, source: str, options: ReadOptions
+) -> tuple[str | None, list[bytes | None], dict[str, NDArray[np.generic]]]:
+    if path.lower().endswith((".parquet", ".geoparquet")):
+        return _read_parquet(path, source)
+    try:
+        import pyogrio
+    except ImportError:
+        raise CityModelError(f"Reading {source} needs pyogrio.", _EXTRA_HINT) from None
+    try:
+        meta, _, geometries, values = pyogrio.raw.read(path, layer=options.layer)
+    except Exception as error:  # pyogrio has a dozen kinds, and GDAL's messages are the useful part
+        raise CityModelError(f"{source} cannot be read as a vector file: {error}.") from None
+    table = {str(name): np.asarray(column) for name, column in zip(meta["fields"], values, strict=True)}
+    return meta["crs"], list(geometries), table
+
+
+def _read_parquet(
+    path: str, source: str
+) -> tuple[str | None, list[bytes | None], dict[str, NDArray[np.generic]]]:
+    """Reads GeoParquet through pyarrow, since the GDAL inside pyogrio has no Parquet driver."""
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise CityModelError(f"Reading {source} needs pyarrow.", _EXTRA_HINT) from None
+    try:
+        content = parquet.read_table(Path(path))
+        geo: dict[str, Any] = json.loads((content.schema.metadata or {})[b"geo"])
+        primary = geo["primary_column"]
+        column = geo["columns"][primary]
+        geometries = content.column(primary).to_pylist()
+    except KeyError:
+        raise CityModelError(f"{source} is Parquet, but not GeoParquet: it has no geo metadata.") from None
+    except (OSError, ValueError, TypeError) as error:
+        raise CityModelError(f"{source} cannot be read as GeoParquet: {error}.") from None
+    if str(column.get("encoding", "WKB")).upper() != "WKB":
+        raise CityModelError(f"{source} stores geometry as {column['encoding']}.", "Only WKB is read.")
+    # GeoParquet: a crs left out is longitude and latitude; null is unknown.
+    crs = column.get("crs", "OGC:CRS84")
+    names = [name for name in content.column_names if name != primary]
+    table = {name: np.asarray(content.column(name).to_pylist()) for name in names}
+    return (json.dumps(crs) if isinstance(crs, dict) else crs), geometries, table

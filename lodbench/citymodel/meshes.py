@@ -1,0 +1,83 @@
+"""Triangle meshes through trimesh: PLY, STL and glTF as LoD-less cities."""
+
+from __future__ import annotations
+
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.identity import connected_components, number_rows, point_bits
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.raw import RawCity
+from lodbench.errors import CityModelError
+from lodbench.findings import Findings
+
+MESH_FORMATS = {".ply": "PLY", ".stl": "STL", ".glb": "glTF", ".gltf": "glTF"}
+
+
+def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) -> RawCity:
+    """Returns a mesh as a city: a node is a building, and in a single mesh what hangs together is.
+
+    Args:
+        stream: The file's bytes. Files it refers to are not opened.
+        source: Its name, for messages.
+        suffix: ``.ply``, ``.stl``, ``.glb`` or ``.gltf``.
+        options: ``up_axis``.
+
+    Raises:
+        CityModelError: The mesh cannot be read, is not finite, or has no triangles.
+    """
+    import trimesh
+
+    try:
+        loaded = trimesh.load_scene(stream, file_type=suffix[1:], process=False)
+        parts = [part for part in loaded.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+    except Exception as error:  # trimesh lets the errors of every parser it uses through
+        raise CityModelError(
+            f"{source} cannot be read as a {MESH_FORMATS[suffix]} mesh ({error}).",
+            "A .gltf that refers to other files must be one .glb.",
+        ) from None
+    if not parts:
+        raise CityModelError(f"{source} has no triangles.", "Point clouds and lines are no city model.")
+    corners = np.concatenate([np.asarray(part.vertices, np.float64)[part.faces] for part in parts])
+    points = corners.reshape(-1, 3)
+    if not np.isfinite(points).all():
+        raise CityModelError(f"{source} has coordinates that are not finite numbers.")
+    if options.up_axis == "y" or (options.up_axis == "auto" and MESH_FORMATS[suffix] == "glTF"):
+        points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
+    if len(parts) > 1:
+        building = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
+        ids = [str(part.metadata.get("name") or f"mesh-{i + 1}") for i, part in enumerate(parts)]
+    else:
+        building = _components(points)
+        ids = [f"component-{i + 1}" for i in range(int(building.max()) + 1)]
+    count = len(building)
+    return RawCity(
+        source=source,
+        format=MESH_FORMATS[suffix],
+        version=None,
+        srs_names=(),
+        building_ids=tuple(ids),
+        num_parts=0,
+        lods=("",),
+        points=points,
+        ring_starts=np.arange(count + 1) * 3,
+        polygon_starts=np.arange(count + 1),
+        building=building.astype(np.int32),
+        lod=np.zeros(count, np.int16),
+        kind=np.full(count, SurfaceKind.UNKNOWN, np.uint8),
+        srs=np.zeros(count, np.int16),
+        has_closing_points=False,
+        findings=Findings(),
+    )
+
+
+def _components(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Returns the component of each triangle, by shared positions."""
+    node = number_rows(point_bits(points))[0].reshape(-1, 3)
+    first = np.concatenate([node[:, 0], node[:, 1]])
+    second = np.concatenate([node[:, 1], node[:, 2]])
+    root = connected_components(int(node.max()) + 1, first, second)
+    return np.unique(root[node[:, 0]], return_inverse=True)[1].reshape(-1)

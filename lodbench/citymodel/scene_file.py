@@ -1,0 +1,110 @@
+"""Scenes on disk: a folder of plain arrays that are mapped into memory, never copied or unpickled."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.spatial import SpatialIndex, index_scene
+from lodbench.errors import CityModelError
+
+# Raise it whenever the arrays or their meaning change: older folders are then read no more.
+FORMAT_VERSION = 1
+_ARRAYS = ("vertices", "triangles", "vertex_starts", "triangle_starts")
+_INDEX_ARRAYS = ("boxes", "grid", "cell_starts", "cell_buildings")
+_META = "scene.json"
+
+
+def write_scene(scene: Scene, folder: Path, extra: dict[str, Any] | None = None) -> None:
+    """Writes a scene and its spatial index as a folder, which appears whole or not at all.
+
+    Args:
+        scene: What to write.
+        folder: Where; a scene already there is replaced.
+        extra: Plain values to keep with it.
+
+    Raises:
+        OSError: The parent folder is missing or not writable.
+    """
+    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        for name in _ARRAYS:
+            np.save(partial / f"{name}.npy", getattr(scene, name), allow_pickle=False)
+        index = index_scene(scene)
+        for name in _INDEX_ARRAYS:
+            np.save(partial / f"{name}.npy", getattr(index, name), allow_pickle=False)
+        meta = {
+            "version": FORMAT_VERSION,
+            "building_ids": scene.building_ids,
+            "lod": scene.lod,
+            "crs": scene.crs,
+            "origin": scene.origin.tolist(),
+            "digest": scene.digest(),
+            "extra": extra or {},
+        }
+        (partial / _META).write_text(json.dumps(meta), encoding="utf-8")
+        partial.chmod(0o755)
+        if folder.exists():
+            shutil.rmtree(folder)
+        partial.rename(folder)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def read_scene(folder: Path) -> Scene:
+    """Returns a scene whose arrays are mapped from disk, read only.
+
+    Raises:
+        CityModelError: The folder holds no scene, one of another version, or a damaged one.
+    """
+    meta = _read_meta(folder)
+    arrays = {name: _load(folder, name) for name in _ARRAYS}
+    try:
+        return Scene(
+            **arrays,
+            building_ids=tuple(str(name) for name in meta["building_ids"]),
+            lod=str(meta["lod"]),
+            crs=meta["crs"],
+            origin=np.asarray(meta["origin"], np.float64).reshape(3),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise CityModelError(f"The scene in {folder} is damaged ({error}).", "Delete the folder.") from None
+
+
+def read_extra(folder: Path) -> dict[str, Any]:
+    """Returns the plain values kept with a scene."""
+    extra: dict[str, Any] = _read_meta(folder).get("extra", {})
+    return extra
+
+
+def read_index(folder: Path) -> SpatialIndex:
+    """Returns the spatial index of a scene on disk, mapped as its arrays are.
+
+    Raises:
+        CityModelError: There is none.
+    """
+    return SpatialIndex(**{name: _load(folder, name) for name in _INDEX_ARRAYS})
+
+
+def _read_meta(folder: Path) -> dict[str, Any]:
+    try:
+        meta = json.loads((folder / _META).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise CityModelError(f"There is no scene in {folder} ({error}).") from None
+    if not isinstance(meta, dict) or meta.get("version") != FORMAT_VERSION:
+        raise CityModelError(f"The scene in {folder} was written by another version.", "Delete the folder.")
+    return meta
+
+
+def _load(folder: Path, name: str) -> Any:
+    try:
+        return np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise CityModelError(f"The scene in {folder} is damaged ({error}).", "Delete the folder.") from None
