@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import pytest
+
+from lodbench.datasets.folder import FolderParams, open_folder, select_splits
+from lodbench.errors import ConfigError, DatasetError
+
+POSE = "1 0 0 0 1 2 3"
+CAMERA = "PINHOLE 640 512 9 9 3 2"
+
+
+def write_split(folder, truth=("a.jpg",), priors=("a.jpg",), cameras=("a.jpg",)):
+    """Writes the three text files of a split."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, names, values in (
+        ("GT_pose.txt", truth, POSE),
+        ("GPS_pose.txt", priors, POSE),
+        ("intrinsic.txt", cameras, CAMERA),
+    ):
+        (folder / file).write_text("".join(f"{name} {values}\n" for name in names))
+    return folder
+
+
+@pytest.fixture
+def city(tmp_path):
+    path = tmp_path / "city.obj"
+    path.write_text("v 0 0 0\n")
+    return path
+
+
+def open_at(root, city):
+    return open_folder(FolderParams(root=str(root), city_model=str(city)))
+
+
+class TestOneFolder:
+    def test_is_one_split_named_after_it(self, tmp_path, city):
+        dataset = open_at(write_split(tmp_path / "flight"), city)
+        assert dataset.splits == ("flight",)
+        assert [entry.key for entry in dataset.entries] == ["flight/a.jpg"]
+        assert set(dataset.truth) == {"flight/a.jpg"}
+        assert dataset.notes == ()
+
+    def test_the_real_demo(self, shared_data):
+        demo = shared_data / "uavd4l"
+        dataset = open_at(demo / "demo", demo / "UAVD4L-LoD1.obj")
+        (entry,) = dataset.entries
+        assert entry.image.is_file()
+        assert entry.mask.is_file()
+        assert entry.key in dataset.truth
+
+    def test_an_entry_holds_no_truth(self, tmp_path, city):
+        (entry,) = open_at(write_split(tmp_path / "flight"), city).entries
+        assert not hasattr(entry, "truth")
+
+    def test_what_is_missing_is_none_and_every_name_stays(self, tmp_path, city):
+        root = write_split(
+            tmp_path / "d", truth=["a.jpg", "b.jpg"], priors=["b.jpg", "c.jpg"], cameras=["z.jpg"]
+        )
+        dataset = open_at(root, city)
+        assert [e.name for e in dataset.entries] == ["a.jpg", "b.jpg", "c.jpg"]
+        assert [e.prior is None for e in dataset.entries] == [True, False, False]
+        assert all(e.camera is None and e.image is None and e.mask is None for e in dataset.entries)
+        assert set(dataset.truth) == {"d/a.jpg", "d/b.jpg"}
+        assert dataset.notes == ("d: z.jpg has a camera but no pose",)
+
+    def test_a_mask_has_the_photos_name_or_its_stem(self, tmp_path, city):
+        root = write_split(tmp_path / "d", truth=["a.jpg", "b.jpg"], priors=["a.jpg", "b.jpg"])
+        (root / "masks").mkdir()
+        for name in ("a.jpg", "a.png", "b.png"):
+            (root / "masks" / name).touch()
+        assert [e.mask.name for e in open_at(root, city).entries] == ["a.jpg", "b.png"]
+
+
+class TestSplits:
+    def test_sub_folders_in_order(self, tmp_path, city):
+        root = tmp_path / "data"
+        for name in ("out_of_place", "in_place"):
+            write_split(root / name)
+        (root / "notes").mkdir()
+        dataset = open_at(root, city)
+        assert dataset.splits == ("in_place", "out_of_place")
+        # One name in two splits is two queries.
+        assert [e.key for e in dataset.entries] == ["in_place/a.jpg", "out_of_place/a.jpg"]
+
+    def test_selection_keeps_the_datasets_order(self, tmp_path, city):
+        root = tmp_path / "data"
+        for name in ("a", "b", "c"):
+            write_split(root / name)
+        dataset = open_at(root, city)
+        assert select_splits(dataset, ["c", "a"]) == ("a", "c")
+        assert select_splits(dataset, []) == ("a", "b", "c")
+        with pytest.raises(ConfigError, match="no split 'd'"):
+            select_splits(dataset, ["d"])
+
+
+class TestPaths:
+    @pytest.mark.parametrize("name", ["with space", "Zürich (Süd)", "a,b=c", "[1] 'quoted'", "100%"])
+    def test_any_name_of_a_folder_works(self, tmp_path, name):
+        root = write_split(tmp_path / name)
+        (root / "masks").mkdir()
+        (root / "masks" / "a.png").touch()
+        city = root / f"{name}.obj"
+        city.touch()
+        dataset = open_at(root, city)
+        assert dataset.splits == (name,)
+        assert dataset.entries[0].mask == root / "masks" / "a.png"
+
+    def test_the_home_folder_is_expanded(self, tmp_path, city, monkeypatch):
+        monkeypatch.setenv("HOME", str(tmp_path))
+        write_split(tmp_path / "d")
+        assert open_at("~/d", city).root == tmp_path / "d"
+
+
+class TestFaults:
+    def test_no_such_folder(self, tmp_path, city):
+        with pytest.raises(DatasetError, match="nowhere is not a folder") as caught:
+            open_at(tmp_path / "nowhere", city)
+        assert "dataset.root" in caught.value.hint
+
+    def test_no_such_city(self, tmp_path):
+        with pytest.raises(DatasetError, match=r"none\.obj does not exist"):
+            open_at(write_split(tmp_path / "d"), tmp_path / "none.obj")
+
+    def test_a_folder_without_poses(self, tmp_path, city):
+        (tmp_path / "empty").mkdir()
+        with pytest.raises(DatasetError, match=r"holds no GT_pose\.txt"):
+            open_at(tmp_path / "empty", city)
+
+    @pytest.mark.parametrize("file", ["GPS_pose.txt", "intrinsic.txt"])
+    def test_a_missing_file_is_named(self, tmp_path, city, file):
+        root = write_split(tmp_path / "d")
+        (root / file).unlink()
+        with pytest.raises(DatasetError, match=file.replace(".", r"\.")):
+            open_at(root, city)
+
+    def test_a_truth_file_without_lines(self, tmp_path, city):
+        with pytest.raises(DatasetError, match="holds no poses"):
+            open_at(write_split(tmp_path / "d", truth=()), city)
+
+    @pytest.mark.parametrize("file", ["GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"])
+    def test_a_malformed_line_is_named(self, tmp_path, city, file):
+        root = write_split(tmp_path / "d")
+        with (root / file).open("a") as stream:
+            stream.write("b.jpg 1 2\n")
+        with pytest.raises(DatasetError, match=rf"{file.replace('.', chr(92) + '.')}, line 2"):
+            open_at(root, city)
