@@ -55,6 +55,8 @@ class AccuracyOptions:
             raise ConfigError(f"num_views is at least 1, not {self.num_views}.")
         if not 0 < self.mask_iou <= 1:
             raise ConfigError(f"mask_iou lies in (0, 1], not {self.mask_iou}.")
+        if not 0 <= self.tilt_deg <= 30:
+            raise ConfigError(f"tilt_deg lies within 0 and 30, not {self.tilt_deg}.")
 
     def prior(self) -> UniformPrior:
         """Returns the errors of the priors: the paper's, with this tilt."""
