@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -77,15 +78,16 @@ def _obj(scene: Scene) -> bytes:
 
 
 def _ply(scene: Scene) -> bytes:
-    import trimesh
+    trimesh: Any = import_module("trimesh")  # half typed, which is worse than not at all
 
     mesh = trimesh.Trimesh(scene.vertices, scene.triangles, process=False)
-    return bytes(mesh.export(file_type="ply"))
+    content: bytes = mesh.export(file_type="ply")
+    return content
 
 
 def _glb(scene: Scene) -> bytes:
     """Returns binary glTF with one node per building; glTF looks along -z with y up."""
-    import trimesh
+    trimesh: Any = import_module("trimesh")  # half typed, which is worse than not at all
 
     points = np.stack([scene.vertices[:, 0], scene.vertices[:, 2], -scene.vertices[:, 1]], axis=1)
     graph = trimesh.Scene()
@@ -95,7 +97,8 @@ def _glb(scene: Scene) -> bytes:
         if len(triangles):
             mesh = trimesh.Trimesh(points[first:last], triangles, process=False)
             graph.add_geometry(mesh, node_name=building_id, geom_name=building_id)
-    return bytes(graph.export(file_type="glb"))
+    content: bytes = graph.export(file_type="glb")
+    return content
 
 
 def _cityjson(model: CityModel) -> bytes:

@@ -20,8 +20,10 @@ ROOF_HEIGHTS: dict[str, float] = {"median": 0.5, "max": 1.0, "p70": 0.7, "eave":
 
 # Faces flatter than this against the vertical (cosine) are roofs or floors, the others walls.
 _MIN_SLOPE = 0.1
-# Corners of a regular subdivision of a triangle: heights of a roof are spread as its area is.
-_SAMPLES = np.array([(i + 1 / 3, j + 1 / 3) for i in range(4) for j in range(4 - i)]) / 4.0
+# Middles of the 16 equal parts of a triangle: heights of a roof are spread as its area is.
+_SAMPLES = np.array(
+    [(i + t, j + t) for t in (1 / 3, 2 / 3) for i in range(4) for j in range(4) if i + j + 2 * t < 4.0]
+) / np.array(4.0)
 
 
 def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polygons:

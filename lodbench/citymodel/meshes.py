@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import BinaryIO
+import io
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,9 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
     import trimesh
 
     try:
-        loaded = trimesh.load_scene(stream, file_type=suffix[1:], process=False)
-        parts = [part for part in loaded.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+        # From memory, so that trimesh knows no folder to look for other files in.
+        loaded = trimesh.load_scene(io.BytesIO(stream.read()), file_type=suffix[1:], process=False)
+        parts = _parts_in_order(loaded)
     except Exception as error:  # trimesh lets the errors of every parser it uses through
         raise CityModelError(
             f"{source} cannot be read as a {MESH_FORMATS[suffix]} mesh ({error}).",
@@ -72,6 +74,22 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
         has_closing_points=False,
         findings=Findings(),
     )
+
+
+def _parts_in_order(loaded: Any) -> list[Any]:
+    """Returns the meshes of a trimesh scene, set in place, in the order of the file."""
+    rank = {name: i for i, name in enumerate(loaded.geometry)}
+    nodes = [(rank[loaded.graph[node][1]], node) for node in loaded.graph.nodes_geometry]
+    parts = []
+    for _, node in sorted(nodes):
+        matrix, name = loaded.graph[node]
+        part = loaded.geometry[name]
+        if len(getattr(part, "faces", ())):
+            part = part.copy()
+            part.apply_transform(matrix)
+            part.metadata["name"] = node
+            parts.append(part)
+    return parts
 
 
 def _components(points: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """Polygons to triangles: vectorised for three and four corners, earcut for the rest, area checked.
 
-Every polygon is seen along the main axis of its Newell normal, from an origin of its own, in
+Every polygon is seen along its Newell normal, from an origin of its own, in
 float64. The areas of its triangles must add up to its Newell area; where they do not, the polygon
 is not planar or crosses itself, and a finding gives both areas.
 """
@@ -21,9 +21,6 @@ PLANAR_TOLERANCE_M = 0.01  # what surveys promise for a planar face; 3D city val
 AREA_TOLERANCE = 1e-4  # relative
 # Below this a surface is invisible at any distance a drone keeps, and relative areas mean nothing.
 _MIN_AREA_M2 = 1e-6
-
-# For a normal whose largest component is x, y or z: the two columns that keep its orientation.
-_PLANE_COLUMNS = np.array([[1, 2], [2, 0], [0, 1]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +59,11 @@ def triangulate(polygons: Polygons, building_ids: tuple[str, ...], findings: Fin
     """
     normals, areas = newell(polygons)
     local = _local_points(polygons)
-    axis = np.argmax(np.abs(normals), axis=1)
+    unit = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
     point_counts = _points_per_polygon(polygons)
     has_holes = np.diff(polygons.polygon_starts) > 1
     is_flat = areas < _MIN_AREA_M2
-    plane = _project(polygons, local, normals, axis, point_counts)
+    plane = _project(local, unit, point_counts)
 
     simple = ~has_holes & ~is_flat
     threes = np.flatnonzero(simple & (point_counts == 3))
@@ -81,7 +78,6 @@ def triangulate(polygons: Polygons, building_ids: tuple[str, ...], findings: Fin
     owner = np.concatenate([threes, np.repeat(fours[~is_crossed], 2), np.repeat(np.sort(rest), ear_counts)])
     order = np.argsort(owner, kind="stable")
     triangles, owner = triangles[order], owner[order]
-    unit = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
     vectors = _triangle_vectors(local, triangles)
     covered = np.abs(np.einsum("ij,ij->i", vectors, unit[owner]))
     result = Triangulation(
@@ -127,17 +123,19 @@ def _local_points(polygons: Polygons) -> NDArray[np.float64]:
 
 
 def _project(
-    polygons: Polygons,
-    local: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    axis: NDArray[np.int64],
-    point_counts: NDArray[np.int64],
+    local: NDArray[np.float64], unit: NDArray[np.float64], point_counts: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Returns (P, 2) points along each polygon's main axis, outlines counter-clockwise."""
-    columns = _PLANE_COLUMNS[axis]
-    is_negative = np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] < 0
-    columns[is_negative] = columns[is_negative][:, ::-1]
-    return np.take_along_axis(local, np.repeat(columns, point_counts, axis=0), axis=1)
+    """Returns (P, 2) points seen against each polygon's normal, outlines counter-clockwise.
+
+    The exact normal matters: seen along the nearest axis instead, a narrow polygon that is bent by
+    a millimetre can fold over itself.
+    """
+    helper = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
+    across = np.cross(helper, unit)
+    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
+    frames = np.stack([across, np.cross(unit, across)], axis=2)
+    plane: NDArray[np.float64] = np.einsum("pi,pij->pj", local, np.repeat(frames, point_counts, axis=0))
+    return plane
 
 
 def _turn(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:

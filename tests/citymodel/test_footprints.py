@@ -1,0 +1,249 @@
+from __future__ import annotations
+
+import json
+import struct
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
+from lodbench.citymodel.columns import find_column
+from lodbench.citymodel.extrude import clean_rings, extrude
+from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.terrain import read_terrain
+from lodbench.citymodel.wkb import WkbPolygons
+from lodbench.errors import CityModelError, ConfigError
+
+from .gml_text import write
+
+LON, LAT, STEP = 116.40, 39.90, 0.0001
+
+
+def square(i: int = 0, size: float = STEP) -> list[list[float]]:
+    x, y = LON + 3 * i * STEP, LAT
+    return [[x, y], [x + size, y], [x + size, y + size], [x, y + size], [x, y]]
+
+
+def geojson(features: list[tuple[Any, dict[str, Any]]], **more: Any) -> str:
+    rows = []
+    for geometry, properties in features:
+        if isinstance(geometry, list):
+            geometry = {"type": "Polygon", "coordinates": geometry}
+        rows.append({"type": "Feature", "geometry": geometry, "properties": properties})
+    return json.dumps({"type": "FeatureCollection", "features": rows, **more})
+
+
+def codes(model: CityModel) -> dict[str, int]:
+    return {key.split()[0]: count for key, count in model.findings.counts().items()}
+
+
+class TestReading:
+    @pytest.fixture(autouse=True)
+    def _needs_pyogrio(self) -> None:
+        pytest.importorskip("pyogrio")
+
+    def read(self, tmp_path: Path, text: str, **options: Any) -> CityModel:
+        return read_city_model(write(tmp_path / "f.geojson", text), options=ReadOptions(**options))
+
+    def test_block(self, tmp_path: Path) -> None:
+        model = self.read(tmp_path, geojson([([square()], {"Height": 12.5, "ground": 40.0})]))
+        assert (model.format, model.crs, model.lods) == ("footprints", "EPSG:32650", ("1",))
+        mesh = mesh_model(model, "1")
+        low, high = mesh.scene.extent_m
+        assert (low[2], high[2]) == (40.0, 52.5)
+        assert high[0] - low[0] == pytest.approx(8.54, abs=0.2)
+        assert mesh.scene.triangles.shape == (12, 3)
+
+    def test_faces_look_outward_whatever_the_source_winds(self, tmp_path: Path) -> None:
+        hole = [[x, y] for x, y in square(size=STEP / 2)]
+        hole = [[x + STEP / 4, y + STEP / 4] for x, y in hole]
+        for outline in (square(), square()[::-1]):
+            for inner in (hole, hole[::-1]):
+                scene = open_scene(write(tmp_path / "f.geojson", geojson([([outline, inner], {"h": 5})])))
+                corners = scene.vertices.astype(np.float64)[scene.triangles]
+                volume = (
+                    np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+                )
+                plan = (
+                    abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]).sum()
+                    / 4
+                )
+                assert volume == pytest.approx(plan * 5, rel=1e-3)
+
+    def test_multipolygon_is_one_building(self, tmp_path: Path) -> None:
+        shape = {"type": "MultiPolygon", "coordinates": [[square()], [square(1)]]}
+        model = self.read(tmp_path, geojson([(shape, {"height": 3, "osm_id": "w17"})]))
+        assert model.building_ids == ("w17",)
+        assert len(model.polygons) == 12
+
+    @pytest.mark.parametrize(
+        ("properties", "height"),
+        [
+            ({"HGT": 7.0}, 7.0),
+            ({"Floor": 4}, 12.0),
+            ({"height": None, "floors": 2}, 6.0),
+            ({"height": "7,5 m"}, 7.5),
+            ({"height_mea": 9.0, "elevation": 50.0}, 9.0),
+            ({"b3_h_dak_70p": 10.0, "b3_h_maaiveld": -1.0}, 11.0),
+        ],
+    )
+    def test_heights_are_found(self, tmp_path: Path, properties: dict[str, Any], height: float) -> None:
+        model = self.read(tmp_path, geojson([([square()], properties)]))
+        assert np.ptp(model.polygons.points[:, 2]) == pytest.approx(height)
+
+    def test_named_columns(self, tmp_path: Path) -> None:
+        text = geojson([([square()], {"a": 5, "b": 2, "z": 100, "height": 1})])
+        model = self.read(tmp_path, text, height_column="a", ground_column="z")
+        assert sorted(set(model.polygons.points[:, 2])) == [100, 105]
+        model = self.read(tmp_path, text, storeys_column="b", storey_height_m=3.5)
+        assert np.ptp(model.polygons.points[:, 2]) == 7
+
+    def test_missing_heights(self, tmp_path: Path) -> None:
+        rows = [([square(i)], {"height": h}) for i, h in enumerate([5.0, None, 0.0, -2.0])]
+        model = self.read(tmp_path, geojson(rows))
+        assert len(model.building_ids) == 1
+        assert codes(model)["LB405"] == 3
+        model = self.read(tmp_path, geojson(rows), default_height_m=8.0)
+        assert len(model.building_ids) == 4
+        assert codes(model)["LB406"] == 3
+
+    def test_odd_geometries(self, tmp_path: Path) -> None:
+        x, y = LON, LAT
+        rows: list[tuple[Any, dict[str, Any]]] = [
+            ([square()], {"height": 5}),
+            (None, {"height": 5}),
+            ({"type": "Point", "coordinates": [x, y]}, {"height": 5}),
+            ([[[x, y], [x, y], [x + STEP, y], [x, y]]], {"height": 5}),
+        ]
+        model = self.read(tmp_path, geojson(rows))
+        assert len(model.building_ids) == 1
+        assert codes(model).items() >= {"LB101": 1, "LB206": 1, "LB207": 2}.items()
+
+    def test_terrain(self, tmp_path: Path) -> None:
+        corner = f"xllcorner {LON - 1}\nyllcorner {LAT - 1}\n"
+        grid = f"ncols 2\nnrows 1\n{corner}cellsize 2\nnodata_value -9\n31.5 -9\n"
+        terrain = write(tmp_path / "dtm.asc", grid)
+        model = self.read(tmp_path, geojson([([square()], {"height": 5})]), terrain=str(terrain))
+        assert model.polygons.points[:, 2].min() == 31.5
+
+    def test_override_and_projected_coordinates(self, tmp_path: Path) -> None:
+        ring = [[500000, 4400000], [500010, 4400000], [500010, 4400010], [500000, 4400000]]
+        text = geojson([([ring], {"height": 5})])
+        model = self.read(tmp_path, text, crs="EPSG:32650")
+        assert model.origin.tolist() == [500000, 4400000, 0]
+
+    def test_faults(self, tmp_path: Path) -> None:
+        with pytest.raises(CityModelError, match="No column of heights"):
+            self.read(tmp_path, geojson([([square()], {"name": "x"})]))
+        with pytest.raises(CityModelError, match="no column 'hight'") as caught:
+            self.read(tmp_path, geojson([([square()], {"height": 3})]), height_column="hight")
+        assert "height" in caught.value.hint
+        with pytest.raises(CityModelError, match="no footprint with a height"):
+            self.read(tmp_path, geojson([([square()], {"height": 0})]))
+        with pytest.raises(CityModelError, match="cannot be read as a vector file"):
+            self.read(tmp_path, "not json at all")
+        with pytest.raises(CityModelError, match="no terrain model"):
+            self.read(tmp_path, geojson([([square()], {"height": 3})]), terrain="nowhere.asc")
+
+    def test_shapefile_needs_its_prj(self, tmp_path: Path, shared_data: Path) -> None:
+        folder = shared_data / "city/footprints_height/delft_dev_shp"
+        for file in folder.iterdir():
+            if file.suffix != ".prj":
+                write(tmp_path / file.name, file.read_bytes())
+        with pytest.raises(CityModelError, match=r"\.prj"):
+            read_city_model(tmp_path / "buildings.shp")
+        assert len(read_city_model(tmp_path / "buildings.shp", crs="EPSG:4326").building_ids) == 443
+
+    @pytest.mark.parametrize("name", ["delft_dev.gpkg", "delft_dev_shp/buildings.shp"])
+    def test_real_footprints_against_the_block_model(self, shared_data: Path, name: str) -> None:
+        scene = open_scene(shared_data / "city/footprints_height" / name, lod="1")
+        assert scene.num_buildings == 443
+        low, high = scene.extent_m
+        assert (high - low)[:2] == pytest.approx([314.8, 323.9], abs=8)
+
+    def test_zipped_shapefile(self, tmp_path: Path, shared_data: Path) -> None:
+        folder = shared_data / "city/footprints_height/delft_dev_shp"
+        with zipfile.ZipFile(tmp_path / "city.zip", "w") as archive:
+            for file in folder.iterdir():
+                archive.write(file, f"inner/{file.name}")
+        assert len(read_city_model(tmp_path / "city.zip").building_ids) == 443
+
+    def test_geoparquet(self, tmp_path: Path) -> None:
+        pa = pytest.importorskip("pyarrow")
+        parquet = pytest.importorskip("pyarrow.parquet")
+        ring = np.array(square())
+        wkb = struct.pack("<BIII", 1, 3, 1, len(ring)) + ring.astype("<f8").tobytes()
+        table = pa.table({"geometry": [wkb], "height": [6.0]})
+        geo = {"version": "1.0.0", "primary_column": "geometry", "columns": {"geometry": {"encoding": "WKB"}}}
+        path = tmp_path / "f.parquet"
+        parquet.write_table(table.replace_schema_metadata({"geo": json.dumps(geo)}), path)
+        model = read_city_model(path)
+        assert model.crs == "EPSG:32650"
+        assert np.ptp(model.polygons.points[:, 2]) == 6
+        parquet.write_table(table, path)
+        with pytest.raises(CityModelError, match="not GeoParquet"):
+            read_city_model(path)
+
+
+class TestWkb:
+    ring = np.array([[0, 0, 1], [4, 0, 2], [4, 4, 3], [0, 0, 1]], np.float64)
+
+    @pytest.mark.parametrize(
+        ("order", "code", "width", "extra"),
+        [("<", 3, 2, b""), (">", 3, 2, b""), ("<", 1003, 3, b""), ("<", 0x80000003, 3, b""),
+         ("<", 0xA0000003, 3, struct.pack("<I", 4326))],
+    )  # fmt: skip
+    def test_dialects(self, order: str, code: int, width: int, extra: bytes) -> None:
+        head = struct.pack(order + "BI", order == "<", code) + extra + struct.pack(order + "II", 1, 4)
+        polygons = WkbPolygons()
+        polygons.add(head + self.ring[:, :width].astype(order + "f8").tobytes(), 7)
+        assert polygons.owner == [7]
+        assert polygons.rings[0][:, :width].tolist() == self.ring[:, :width].tolist()
+
+    @pytest.mark.parametrize("cut", [3, 8, 20, 60])
+    def test_cut_off(self, cut: int) -> None:
+        data = struct.pack("<BIII", 1, 3, 1, 4) + self.ring[:, :2].astype("<f8").tobytes()
+        with pytest.raises(ValueError, match="cut off"):
+            WkbPolygons().add(data[:cut], 0)
+
+    def test_nesting_ends(self) -> None:
+        with pytest.raises(ValueError, match="nested"):
+            WkbPolygons().add(struct.pack("<BII", 1, 7, 1) * 50, 0)
+
+
+class TestParts:
+    def test_clean_rings(self) -> None:
+        ring = np.array([[0, 0, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0]], np.float64)
+        points, starts, repeats = clean_rings([ring, ring[:0], ring[2:3]])
+        assert points.tolist() == [[0, 0], [1, 0], [1, 1]]
+        assert starts.tolist() == [0, 3, 3, 3]
+        assert repeats.tolist() == [1, 0, 0]
+
+    def test_extrude_counts(self) -> None:
+        points = np.array([[0, 0], [1, 0], [0, 1]], np.float64)
+        blocks = extrude(points, np.array([0, 3]), np.array([0, 1]), np.array([2.0]), np.array([5.0]))
+        assert blocks.ring_lengths.tolist() == [3, 3, 4, 4, 4]
+        assert blocks.kind.tolist() == [3, 2, 1, 1, 1]
+
+    def test_find_column(self) -> None:
+        assert find_column(["ID", "Bldg_Height"], None, ("height", "bldgheight")) == "Bldg_Height"
+        assert find_column(["a"], None, ("height",)) is None
+
+    @pytest.mark.parametrize(
+        "text", ["", "ncols 2\nnrows x\n", "ncols 2\nnrows 2\n1 2 3\n", "ncols 0\nnrows 9\n"]
+    )
+    def test_malformed_terrain(self, tmp_path: Path, text: str) -> None:
+        with pytest.raises(CityModelError, match="no ASCII grid"):
+            read_terrain(str(write(tmp_path / "t.asc", text)))
+
+    @pytest.mark.parametrize(
+        "options",
+        [{"storey_height_m": 0.0}, {"base": "flying"}, {"sunk_m": -1.0}],
+        ids=lambda o: next(iter(o)),
+    )
+    def test_options_out_of_range(self, options: dict[str, Any]) -> None:
+        with pytest.raises(ConfigError):
+            ReadOptions(**options)

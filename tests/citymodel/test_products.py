@@ -1,0 +1,291 @@
+"""What is made of a city: derived levels, reports, other formats, the cache."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, open_scene, read_city_model
+from lodbench.citymodel.cache import open_cached_scene
+from lodbench.citymodel.check import check_city, format_report
+from lodbench.citymodel.convert import convert_city
+from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene_file import read_extra, read_index, read_scene, write_scene
+from lodbench.citymodel.spatial import index_scene
+from lodbench.errors import CityModelError, ConfigError
+
+from .gml_text import (
+    bounded_by,
+    box_city,
+    city,
+    member,
+    multi_surface,
+    polygon,
+    solid,
+    surface_members,
+    write,
+)
+from .twins import documents
+
+E0, N0 = 500000.0, 5600000.0
+GABLE = {
+    "GroundSurface": [[(0, 0, 10), (0, 8, 10), (10, 8, 10), (10, 0, 10)]],
+    "RoofSurface": [
+        [(0, 0, 14), (10, 0, 14), (10, 4, 18), (0, 4, 18)],
+        [(0, 4, 18), (10, 4, 18), (10, 8, 14), (0, 8, 14)],
+    ],
+    "WallSurface": [
+        [(0, 0, 10), (10, 0, 10), (10, 0, 14), (0, 0, 14)],
+        [(10, 8, 10), (0, 8, 10), (0, 8, 14), (10, 8, 14)],
+        [(10, 0, 10), (10, 8, 10), (10, 8, 14), (10, 4, 18), (10, 0, 14)],
+        [(0, 8, 10), (0, 0, 10), (0, 0, 14), (0, 4, 18), (0, 8, 14)],
+    ],
+}
+
+
+def gable(*, kinds: tuple[str, ...] = tuple(GABLE), is_solid: bool = False) -> str:
+    content = ""
+    for name in kinds:
+        rings = [[(x + E0, y + N0, float(z)) for x, y, z in ring] for ring in GABLE[name]]
+        members = surface_members(map(polygon, rings))
+        content += members if is_solid else bounded_by(name, multi_surface(members))
+    return city(member(solid(content, 2) if is_solid else content))
+
+
+class TestDerivedLevel:
+    @pytest.mark.parametrize(("rule", "top"), [("eave", 14), ("median", 16), ("p70", 16.8), ("max", 18)])
+    @pytest.mark.parametrize("is_solid", [False, True])
+    def test_rules(self, tmp_path: Path, rule: str, top: float, is_solid: bool) -> None:
+        path = write(tmp_path / "a.gml", gable(is_solid=is_solid))
+        scene = open_scene(path, lod="1", roof_height=rule)
+        low, high = scene.extent_m
+        assert (low[2], scene.lod) == (10, "1")
+        assert high[2] == pytest.approx(top, abs=0.25)
+        assert scene.triangles.shape == (12, 3)
+
+    def test_footprint_from_roofs_where_there_is_no_ground(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", gable(kinds=("RoofSurface", "WallSurface")))
+        mesh = mesh_model(read_city_model(path), "1", roof_height="max")
+        assert (mesh.scene.extent_m[1] - mesh.scene.extent_m[0]).tolist() == [10, 8, 8]
+        assert mesh.findings.counts() == {"LB408 LOD_DERIVED": 1}
+
+    def test_a_level_that_is_there_is_taken(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", box_city())
+        assert open_scene(path, lod="1", roof_height="max").digest() == open_scene(path, lod="1").digest()
+
+    def test_only_walls(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", gable(kinds=("WallSurface",)))
+        with pytest.raises(CityModelError, match="No building has a footprint"):
+            open_scene(path, lod="1", roof_height="max")
+
+    def test_without_a_rule_the_hint_names_it(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", gable())
+        with pytest.raises(CityModelError, match="level of detail 1") as caught:
+            open_scene(path, lod="1")
+        assert "roof_height=" in caught.value.hint
+        with pytest.raises(ConfigError, match="roof_height=middle"):
+            open_scene(path, lod="1", roof_height="middle")
+
+    def test_real_tile_stands_where_it_stood(self, shared_data: Path) -> None:
+        path = shared_data / "city/germany_lod2/LoD2_32_280_5657_1_NW.gml"
+        model = read_city_model(path)
+        fine, coarse = mesh_city(model), mesh_city(model, "1", roof_height="median")
+        assert np.allclose(fine.extent_m[0], coarse.extent_m[0], atol=0.01)
+        # One wall of the source sticks out of its own house by three metres; a block has no such wall.
+        assert np.allclose(fine.extent_m[1][:2], coarse.extent_m[1][:2], atol=3.5)
+
+
+class TestBases:
+    def test_sunk_walls_are_cut(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", gable())
+        options = ReadOptions(base="sunk", sunk_m=3.0)
+        model = read_city_model(path, options=options)
+        assert model.polygons.points[:, 2].min() == 13
+        assert model.polygons.points[:, 2].max() == 18
+        assert model.findings.counts() == {"LB407 BASE_MOVED": 1}
+
+    def test_zero_base_is_set_on_the_ground(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", box_city(z=0.0))
+        grid = f"ncols 1\nnrows 1\nxllcorner {E0}\nyllcorner {N0}\ncellsize 20\n123.5\n"
+        terrain = str(write(tmp_path / "t.asc", grid))
+        for options in (
+            ReadOptions(base="ground", ground_m=123.5),
+            ReadOptions(base="ground", terrain=terrain),
+        ):
+            assert read_city_model(path, options=options).polygons.points[:, 2].min() == 123.5
+
+
+class TestReport:
+    def test_clean(self, tmp_path: Path) -> None:
+        report = check_city(read_city_model(write(tmp_path / "a.gml", box_city())))
+        assert not report.has_errors
+        assert format_report(report).splitlines()[1:] == [
+            "no findings",
+            "LoD1: 440.00 m2 in, 440.00 m2 meshed, 0.00 m2 lost",
+        ]
+
+    def test_rows_are_sorted_and_carry_buildings(self, tmp_path: Path) -> None:
+        bad = polygon("<gml:posList>0 0 0 1 0 NaN 1 1 0 0 0 0</gml:posList>")
+        bow = polygon([(E0, N0, 0.0), (E0 + 4, N0 + 4, 0.0), (E0 + 4, N0, 0.0), (E0, N0 + 3, 0.0)])
+        text = city(member(multi_surface(surface_members([bad, bow]))) + member("", "b2"))
+        model = read_city_model(write(tmp_path / "a.gml", text), options=ReadOptions(is_strict=False))
+        report = check_city(model)
+        assert report.has_errors
+        assert [row.code.code for row in report.rows] == ["LB106", "LB107", "LB401", "LB403"]
+        assert report.rows[1].objects == ("b1",)
+        text = format_report(report)
+        assert "LB107  BAD_COORDINATE" in text
+        assert "e.g. b1, 0 0 0 1 0 NaN" in text
+        parsed = json.loads(json.dumps(report.to_json()))
+        assert parsed["findings"][0]["severity"] == "error"
+        assert parsed["areas"][0]["lost_m2"] == 0.0
+
+
+class TestConvert:
+    @pytest.mark.parametrize("suffix", ["obj", "ply", "glb"])
+    def test_meshes_come_back(self, tmp_path: Path, suffix: str) -> None:
+        model = read_city_model(write(tmp_path / "a.gml", documents()["v2.gml"]))
+        scene = mesh_city(model)
+        target = tmp_path / f"Köln (1).{suffix}"
+        convert_city(model, target)
+        options = ReadOptions(crs="EPSG:25832", origin=tuple(model.origin.tolist()))  # type: ignore[arg-type]
+        again = open_scene(target, options=options)
+        assert again.crs == scene.crs
+        assert np.array_equal(again.origin, scene.origin)
+        assert np.allclose(again.extent_m, scene.extent_m, atol=1e-4)
+        assert sorted(np.rint(again.vertices * 1000).tolist()) == sorted(
+            np.rint(scene.vertices * 1000).tolist()
+        )
+        if suffix == "glb":
+            assert again.building_ids == scene.building_ids
+
+    def test_cityjson_comes_back(self, tmp_path: Path) -> None:
+        model = read_city_model(write(tmp_path / "a.gml", documents()["v3.gml"]))
+        convert_city(model, tmp_path / "a.json")
+        again = read_city_model(tmp_path / "a.json")
+        assert (again.crs, again.lods, again.building_ids) == (model.crs, model.lods, model.building_ids)
+        assert np.array_equal(again.polygons.kind, model.polygons.kind)
+        assert np.allclose(again.polygons.points, model.polygons.points, atol=6e-4)
+
+    def test_refusals(self, tmp_path: Path) -> None:
+        model = read_city_model(write(tmp_path / "a.gml", box_city()))
+        with pytest.raises(CityModelError, match="No format"):
+            convert_city(model, tmp_path / "a.dwg")
+        with pytest.raises(CityModelError, match="cannot be written"):
+            convert_city(model, tmp_path / "nowhere" / "a.obj")
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gml"]
+
+
+def same(first: Scene, second: Scene) -> bool:
+    return (
+        first.digest() == second.digest()
+        and first.building_ids == second.building_ids
+        and (first.lod, first.crs) == (second.lod, second.crs)
+        and np.array_equal(first.origin, second.origin)
+    )
+
+
+class TestSceneFile:
+    def test_comes_back_mapped(self, tmp_path: Path) -> None:
+        scene = open_scene(write(tmp_path / "a.gml", documents()["v2.gml"]))
+        write_scene(scene, tmp_path / "a.scene", {"note": "x"})
+        again = read_scene(tmp_path / "a.scene")
+        assert same(scene, again)
+        assert isinstance(again.vertices, np.memmap)
+        assert read_extra(tmp_path / "a.scene") == {"note": "x"}
+        assert np.array_equal(read_index(tmp_path / "a.scene").boxes, index_scene(scene).boxes)
+
+    def test_damage_is_told(self, tmp_path: Path) -> None:
+        scene = open_scene(write(tmp_path / "a.gml", box_city()))
+        folder = tmp_path / "a.scene"
+        write_scene(scene, folder)
+        (folder / "triangles.npy").write_bytes(b"\x93NUMPY")
+        with pytest.raises(CityModelError, match="damaged"):
+            read_scene(folder)
+        (folder / "scene.json").write_text('{"version": 0}')
+        with pytest.raises(CityModelError, match="another version"):
+            read_scene(folder)
+        with pytest.raises(CityModelError, match="no scene"):
+            read_scene(tmp_path)
+
+
+class TestCache:
+    @pytest.fixture(autouse=True)
+    def _own_cache(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
+
+    def test_second_time_is_mapped(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", box_city())
+        first, second = open_cached_scene(path), open_cached_scene(path)
+        assert same(first, second)
+        assert isinstance(second.vertices, np.memmap)
+        copy = write(tmp_path / "copy.gml", box_city())
+        assert isinstance(open_cached_scene(copy).vertices, np.memmap)
+
+    def test_key_follows_content_and_options(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", gable())
+        heights = {open_cached_scene(path, lod="1", roof_height=r).extent_m[1][2] for r in ("eave", "max")}
+        assert heights == {14, 18}
+        sunk = open_cached_scene(path, options=ReadOptions(base="sunk"))
+        assert sunk.extent_m[0][2] == 13
+        write(path, box_city())
+        assert open_cached_scene(path).lod == "1"
+
+    def test_damaged_entry_is_made_anew(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", box_city())
+        open_cached_scene(path)
+        for file in (tmp_path / "cache").rglob("vertices.npy"):
+            file.write_bytes(b"")
+        assert open_cached_scene(path).num_buildings == 1
+
+    def test_unwritable_cache_is_no_fault(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("LODBENCH_CACHE", str(write(tmp_path / "file", "x")))
+        assert open_cached_scene(write(tmp_path / "a.gml", box_city())).num_buildings == 1
+
+
+def test_spatial_index_against_all_boxes(shared_data: Path) -> None:
+    scene = open_scene(shared_data / "uavd4l" / "UAVD4L-LoD1.obj")
+    index = index_scene(scene)
+    rng = np.random.default_rng(7)
+    low, high = scene.extent_m
+    for _ in range(50):
+        corner = rng.uniform(low[:2] - 50, high[:2])
+        west, south, east, north = *corner, *(corner + rng.uniform(1, 400, 2))
+        box = index.boxes
+        expected = (box[:, 0] <= east) & (box[:, 3] >= west) & (box[:, 1] <= north) & (box[:, 4] >= south)
+        assert index.within(west, south, east, north).tolist() == np.flatnonzero(expected).tolist()
+
+
+class TestMeshes:
+    def test_a_mesh_needs_nothing_but_triangles(self, tmp_path: Path) -> None:
+        corners = "vertex 0 0 1\nvertex 2 0 1\nvertex 0 2 1"
+        text = f"solid a\nfacet normal 0 0 1\nouter loop\n{corners}\nendloop\nendfacet\nendsolid a\n"
+        path = write(tmp_path / "a.stl", text)
+        model = read_city_model(path, options=ReadOptions(up_axis="y"))
+        assert model.format == "STL"
+        assert model.polygons.points.tolist() == [[0, -1, 0], [2, -1, 0], [0, -1, 2]]
+
+    @pytest.mark.parametrize("name", ["a.ply", "a.glb", "a.stl", "a.gltf"])
+    @pytest.mark.parametrize(
+        "content", [b"ply\nformat ascii 1.0\nend_header\n", b"glTF\x02\0\0\0", b"solid\n", b"{}"]
+    )
+    def test_damage(self, tmp_path: Path, name: str, content: bytes) -> None:
+        with pytest.raises(CityModelError):
+            read_city_model(write(tmp_path / name, content))
+
+    def test_external_files_are_not_opened(self, tmp_path: Path) -> None:
+        write(tmp_path / "b.bin", bytes(36))
+        document = {
+            "asset": {"version": "2.0"},
+            "buffers": [{"uri": "b.bin", "byteLength": 36}],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}],
+            "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+            "nodes": [{"mesh": 0}],
+            "scenes": [{"nodes": [0]}],
+        }
+        with pytest.raises(CityModelError, match="glTF"):
+            read_city_model(write(tmp_path / "a.gltf", json.dumps(document)))
