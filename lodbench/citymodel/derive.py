@@ -116,8 +116,8 @@ def _roof_heights(
     for b in np.flatnonzero(np.diff(bounds)):
         part = slice(bounds[b], bounds[b + 1])
         total = np.cumsum(weights[part])
-        place = np.searchsorted(total, share * total[-1]) if total[-1] > 0 else 0
-        result[b] = heights[part][min(int(place), len(total) - 1)]
+        # Each sample stands at the middle of its share of the area.
+        result[b] = np.interp(share * total[-1], total - 0.5 * weights[part], heights[part])
     return result
 
 
