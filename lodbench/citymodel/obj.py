@@ -106,10 +106,13 @@ def _read_faces(
     """Returns the point index of every corner, face after face, and the corners of each face."""
     texts = [lines[i][2:] for i in faces]
     if any("/" in text for text in texts):
-        texts = _TEXTURE_PART.sub("", RING_SEPARATOR.join(texts)).split(RING_SEPARATOR)
+        # A separator in the text would shift the lines; as "?" it is a fault of its own line.
+        joined = RING_SEPARATOR.join(text.replace(RING_SEPARATOR, "?") for text in texts)
+        texts = _TEXTURE_PART.sub("", joined).split(RING_SEPARATOR)
     values, counts, is_bad = parse_rings(texts)
     face = np.repeat(np.arange(len(counts)), counts)
-    indices = np.nan_to_num(values).astype(np.int64)
+    # Larger than any index, smaller than an overflow: such a number fails the range check below.
+    indices = np.clip(np.nan_to_num(values), -1e15, 1e15).astype(np.int64)
     # A negative index counts back from the last point above the face.
     above = np.searchsorted(positions, np.asarray(faces))
     corners = np.where(indices < 0, above[face] + indices, indices - 1)

@@ -16,6 +16,10 @@ from lodbench.errors import CityModelError
 from lodbench.findings import FindingCode, Findings
 
 
+# Far more than any false easting; float32 and projections stay sound below it.
+_MAX_COORDINATE_M = 1e9
+
+
 def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     """Returns a raw city as a model: metres, local frame, clean rings, levels in ascending order.
 
@@ -32,6 +36,8 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     options = options or ReadOptions()
     points, label = _in_metres(raw, options)
     points = move_bases(points, raw, label, options)
+    if len(points) and np.abs(points).max() > _MAX_COORDINATE_M:
+        raise CityModelError(f"{raw.source} has coordinates that lie nowhere on Earth, in metres.")
     origin = np.zeros(3) if options.origin is None else np.asarray(options.origin, np.float64)
     if options.origin is None and len(points) and (label is not None or np.abs(points).max() > 1e4):
         origin[:2] = np.floor(points[:, :2].min(axis=0))
