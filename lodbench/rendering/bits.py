@@ -43,22 +43,6 @@ def unpack_mask(words: Words, width: int) -> NDArray[np.bool_]:
     return np.unpackbits(octets, axis=1, bitorder="little")[:, :width].astype(np.bool_)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def fill_span(words, row, start, stop):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Sets the bits of columns start <= i < stop in one row (start < stop, both within the row)."""
-    ones = np.uint64(0xFFFFFFFFFFFFFFFF)
-    first, last = start >> 6, (stop - 1) >> 6
-    head = ones << np.uint64(start & 63)
-    tail = ones >> np.uint64(63 - ((stop - 1) & 63))
-    if first == last:
-        words[row, first] |= head & tail
-    else:
-        words[row, first] |= head
-        for word in range(first + 1, last):
-            words[row, word] = ones
-        words[row, last] |= tail
-
-
 @njit(cache=True, nogil=True)
 def count_bits(words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the number of set bits in an array of words."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.rendering.bits import intersect_and_clear
 from lodbench.rendering.clipping import MAX_CORNERS, clip_polygon
-from lodbench.rendering.contours import EdgeList, add_edge, fill_edges, first_row_at
+from lodbench.rendering.coverage import MAX_LAYERS, Coverage, expect_marks, mark_edge, sweep
 from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
 
 # A building whose snapped corners all stay this far inside the guard band needs no clipping.
@@ -69,14 +68,16 @@ class Scratch(NamedTuple):
     Attributes:
         u: (V,) float64 snapped columns, sub-pixels.
         v: (V,) float64 snapped rows, sub-pixels.
+        depth: (V,) float64 distances along the optical axis, metres.
         facing: (T,) int32, which way each triangle turns on the screen.
-        edges: The edges of one building.
+        coverage: The view's marks.
     """
 
     u: Floats
     v: Floats
+    depth: Floats
     facing: Indices
-    edges: EdgeList
+    coverage: Coverage
 
 
 @njit(cache=True, nogil=True)
@@ -113,52 +114,60 @@ def _snap(x, y, z, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _project(xs, ys, zs, rotation, center, f, u, v):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Projects a building's vertices into u, v; returns its nearest z and its bounds on the screen.
+def _project(xs, ys, zs, rotation, center, f, u, v, depth):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Projects vertices to snapped u, v and to depth; those beside the camera, at depth 0, to infinity.
 
-    A vertex beside the camera, at z = 0, has no place on the screen; its infinities are never read,
-    for a building nearer than the near plane is drawn clipped.
+    Kept free of anything but arithmetic, so that the compiler can do several vertices at a time.
     """
-    nearest = math.inf
     for i in range(xs.size):
         x, y, z = _camera_axes(xs[i], ys[i], zs[i], rotation, center)
-        nearest = min(nearest, z)
         u[i], v[i] = _snap(x, y, z, f)
-    left = top = math.inf
-    right = bottom = -math.inf
-    for i in range(xs.size):
-        left, right = min(left, u[i]), max(right, u[i])
-        top, bottom = min(top, v[i]), max(bottom, v[i])
-    return nearest, left, right, top, bottom
+        depth[i] = z
+
+
+# The flags let the compiler reorder minima, which changes none of them; there is no NaN to find,
+# because screen positions are read only when every depth is positive.
+@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
+def _bounds(values):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns the least and the greatest of (N,) float64 values, N >= 1."""
+    low = high = values[0]
+    for i in range(values.size):
+        low, high = min(low, values[i]), max(high, values[i])
+    return low, high
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _side(ua, va, ub, vb, uc, vc):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns +1, -1 or 0: which way a snapped triangle turns on the screen."""
+    area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
+    return np.int32(area > 0.0) - np.int32(area < 0.0)
 
 
 @njit(cache=True, nogil=True)
-def _face(triangles, u, v, facing):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Writes +1, -1 or 0 for each triangle: which way it turns on the screen."""
+def _draw_building(scene, b, view, scratch, marks):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Marks the edges of a building whose two triangles do not cancel out."""
+    u, v, facing = scratch.u, scratch.v, scratch.facing
+    triangles = scene.triangles[scene.starts[b, 1] : scene.starts[b + 1, 1]]
     for t in range(triangles.shape[0]):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        area = (u[j] - u[i]) * (v[k] - v[i]) - (u[k] - u[i]) * (v[j] - v[i])
-        facing[t] = np.int32(area > 0.0) - np.int32(area < 0.0)
-
-
-@njit(cache=True, nogil=True)
-def _add_outline(ends, sides, second_weight, facing, u, v, edges, height):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Adds a building's edges whose two triangles do not cancel out."""
-    count = 0
+        facing[t] = _side(u[i], v[i], u[j], v[j], u[k], v[k])
+    e0, e1 = scene.starts[b, 2], scene.starts[b + 1, 2]
+    ends, sides, second_weight = scene.ends[e0:e1], scene.sides[e0:e1], scene.second_weight[e0:e1]
     for e in range(ends.shape[0]):
         weight = facing[sides[e, 0]] + second_weight[e] * facing[sides[e, 1]]
         if weight != 0:
             i, j = ends[e, 0], ends[e, 1]
-            count = add_edge(edges, count, height, u[i], v[i], u[j], v[j], weight)
+            mark_edge(marks, view.width, view.height, u[i], v[i], u[j], v[j], weight)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _draw_clipped(scene, b, rotation, center, view, edges, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@njit(cache=True, nogil=True)
+def _draw_clipped(scene, b, rotation, center, view, coverage, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Draws a building triangle by triangle, clipped: slow, for the few at the edge of the view."""
     f = view.intrinsics
     polygon, scratch = np.zeros((MAX_CORNERS, 3)), np.zeros((MAX_CORNERS, 3))
     u, v = np.zeros(3), np.zeros(3)
     v0 = scene.starts[b, 0]
+    layers = 0
     for t in range(scene.starts[b, 1], scene.starts[b + 1, 1]):
         for i in range(3):
             k = v0 + scene.triangles[t, i]
@@ -169,13 +178,18 @@ def _draw_clipped(scene, b, rotation, center, view, edges, words):  # type: igno
         for i in range(1, count - 1):
             for k, m in enumerate((0, i, i + 1)):
                 u[k], v[k] = _snap(polygon[m, 0], polygon[m, 1], polygon[m, 2], f)
-            number = 0
+            side = _side(u[0], v[0], u[1], v[1], u[2], v[2])
+            bounds = (u.min(), u.max(), v.min(), v.max())
+            if side == 0 or not expect_marks(coverage, *bounds, view.width, view.height):
+                continue
             for k in range(3):
                 n = k + 1 if k < 2 else 0
-                number = add_edge(edges, number, view.height, u[k], v[k], u[n], v[n], 1)
-            first = max(np.int64(0), first_row_at(min(v[0], v[1], v[2])))
-            stop = min(np.int64(view.height), first_row_at(max(v[0], v[1], v[2])))
-            fill_edges(edges, first, stop, view.width, words)
+                mark_edge(coverage.marks, view.width, view.height, u[k], v[k], u[n], v[n], side)
+            layers += 1
+            if layers == MAX_LAYERS:
+                sweep(coverage, view.height, words)
+                layers = 0
+    sweep(coverage, view.height, words)
 
 
 @njit(cache=True, nogil=True)
@@ -190,35 +204,31 @@ def draw_view(scene, rotation, center, view, scratch, words):  # type: ignore[no
         scratch: Scratch.
         words: (H, ceil(W / 64)) uint64.
     """
-    u, v, facing, edges = scratch.u, scratch.v, scratch.facing, scratch.edges
+    u, v, depth, coverage = scratch.u, scratch.v, scratch.depth, scratch.coverage
+    layers = 0
     for b in range(scene.spheres.shape[0]):
         if _is_outside(scene.spheres[b], rotation, center, view.planes):
             continue
-        v0, t0, e0 = scene.starts[b, 0], scene.starts[b, 1], scene.starts[b, 2]
-        v1, t1, e1 = scene.starts[b + 1, 0], scene.starts[b + 1, 1], scene.starts[b + 1, 2]
-        nearest, left, right, top, bottom = _project(
-            scene.x[v0:v1], scene.y[v0:v1], scene.z[v0:v1], rotation, center, view.intrinsics, u, v
+        v0, v1 = scene.starts[b, 0], scene.starts[b + 1, 0]
+        n = v1 - v0
+        _project(
+            scene.x[v0:v1], scene.y[v0:v1], scene.z[v0:v1], rotation, center, view.intrinsics, u, v, depth
         )
-        safe = min(left, top) > -_SAFE_SUBPIXELS and max(right, bottom) < _SAFE_SUBPIXELS
-        if nearest < NEAR_M or not safe:
-            _draw_clipped(scene, b, rotation, center, view, edges, words)
-            continue
-        first = max(np.int64(0), first_row_at(top))
-        stop = min(np.int64(view.height), first_row_at(bottom))
-        if first >= stop or right < 128.0 or left > 256.0 * view.width:
-            continue
-        _face(scene.triangles[t0:t1], u, v, facing)
-        _add_outline(
-            scene.ends[e0:e1],
-            scene.sides[e0:e1],
-            scene.second_weight[e0:e1],
-            facing,
-            u,
-            v,
-            edges,
-            view.height,
-        )
-        fill_edges(edges, first, stop, view.width, words)
+        needs_clipping = _bounds(depth[:n])[0] < NEAR_M
+        if not needs_clipping:
+            left, right = _bounds(u[:n])
+            top, bottom = _bounds(v[:n])
+            needs_clipping = min(left, top) < -_SAFE_SUBPIXELS or max(right, bottom) > _SAFE_SUBPIXELS
+        triangles = scene.starts[b + 1, 1] - scene.starts[b, 1]
+        if layers + triangles > MAX_LAYERS or needs_clipping:
+            sweep(coverage, view.height, words)
+            layers = 0
+        if needs_clipping or triangles > MAX_LAYERS:
+            _draw_clipped(scene, b, rotation, center, view, coverage, words)
+        elif expect_marks(coverage, left, right, top, bottom, view.width, view.height):
+            _draw_building(scene, b, view, scratch, coverage.marks)
+            layers += triangles
+    sweep(coverage, view.height, words)
 
 
 @njit(cache=True, nogil=True)

@@ -6,9 +6,9 @@
    the five planes (near, left, right, top, bottom), in that order, and fanned from its first
    corner. Each remaining piece is a triangle of its own.
 3. A corner is projected as ``u = (fx * x) * (1 / z) + cx`` and snapped: ``floor(u * 256 + 0.5)``.
-4. Pixel (column i, row j) has its centre at ``(256 i + 128, 256 j + 128)``. An edge meets row j if
-   one end is at or above the row's centre and the other below it (half-open). A pixel is inside a
-   triangle if an odd number of edges meet its row at or left of its centre.
+4. Pixel (column i, row j) has its centre at ``(256 i + 128, 256 j + 128)``. An edge meets column i
+   if one end is at or left of the column's centre and the other right of it (half-open). A pixel
+   is inside a triangle if an odd number of edges meet its column at or above its centre.
 5. The silhouette is the union of all triangles: front or back, open mesh or closed.
 """
 

@@ -73,7 +73,7 @@ def _snap(points: Points, camera: Camera) -> NDArray[np.int64]:
 
 
 def _fill(mask: NDArray[np.bool_], corners: NDArray[np.int64]) -> None:
-    """Sets the pixels whose centre an odd number of edges pass at or left of: rule 4."""
+    """Sets the pixels whose centre an odd number of edges pass at or above: rule 4."""
     low = np.maximum(corners.min(axis=0) // SUBPIXELS, 0)
     high = np.minimum(corners.max(axis=0) // SUBPIXELS + 1, [mask.shape[1], mask.shape[0]])
     if (low >= high).any():
@@ -83,9 +83,9 @@ def _fill(mask: NDArray[np.bool_], corners: NDArray[np.int64]) -> None:
     y = np.arange(low[1], high[1])[:, None] * SUBPIXELS + half
     inside = np.zeros((len(y), x.shape[1]), dtype=np.bool_)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        if y0 > y1:
+        if x0 > x1:
             x0, y0, x1, y1 = x1, y1, x0, y0
-        meets_row = (y0 <= y) & (y < y1)
-        at_or_left = (x0 - x) * (y1 - y0) + (y - y0) * (x1 - x0) <= 0
-        inside ^= meets_row & at_or_left
+        meets_column = (x0 <= x) & (x < x1)
+        at_or_above = (y0 - y) * (x1 - x0) + (x - x0) * (y1 - y0) <= 0
+        inside ^= meets_column & at_or_above
     mask[low[1] : high[1], low[0] : high[0]] |= inside

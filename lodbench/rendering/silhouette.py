@@ -13,7 +13,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
-from lodbench.rendering.contours import edge_list
+from lodbench.rendering.coverage import blank_coverage
 from lodbench.rendering.engine_kernel import SceneArrays, Scratch, View, draw_view, score_views
 from lodbench.rendering.protocol import IouCounts
 from lodbench.rendering.raster_rule import GUARD_PX
@@ -106,12 +106,13 @@ class SilhouetteRenderer:
         return IouCounts(shared, area + count_bits(query) - shared)
 
     def _scratch(self, camera: Camera) -> Scratch:
-        vertices, triangles, edges = (int(n) for n in self._largest)
+        vertices, triangles, _ = (int(n) for n in self._largest)
         return Scratch(
             np.zeros(vertices),
             np.zeros(vertices),
+            np.zeros(vertices),
             np.zeros(triangles, dtype=np.int32),
-            edge_list(camera.height, max(3, edges)),
+            blank_coverage(camera.width, camera.height),
         )
 
 

@@ -8,7 +8,6 @@ from hypothesis.extra import numpy as npst
 
 from lodbench.rendering.bits import (
     count_bits,
-    fill_span,
     intersect_and_clear,
     pack_mask,
     unpack_mask,
@@ -50,15 +49,3 @@ def test_intersection_and_area_against_numpy(mask, seed):
         np.count_nonzero(mask),
     )
     assert not words.any()
-
-
-@given(st.data(), st.integers(1, 300))
-def test_filling_a_span_sets_its_columns_only(data, width):
-    start = data.draw(st.integers(0, width - 1))
-    stop = data.draw(st.integers(start + 1, width))
-    words = np.zeros((3, words_per_row(width)), dtype=np.uint64)
-    fill_span(words, 1, start, stop)
-    expected = np.zeros((3, width), dtype=bool)
-    expected[1, start:stop] = True
-    np.testing.assert_array_equal(unpack_mask(words, width), expected)
-    assert count_bits(words) == stop - start
