@@ -100,3 +100,26 @@ def test_real_quarters(real_quarter):
         rotation = rotation_from_euler(EulerAngles(pitch, 0.7, yaw))
         pose = Pose.from_center(rotation, place - distance * rotation[2])
         assert assert_same(scene, camera, pose).any()
+
+
+@pytest.mark.parametrize("copies", [32_768, 65_536])
+@pytest.mark.parametrize("num_buildings", [1, 8])
+@pytest.mark.parametrize("height_m", [20.0, 0.5])
+def test_more_layers_than_a_short_counter_holds(copies, num_buildings, height_m):
+    # A counter of 16 bits would be back at zero; at half a metre every copy is clipped as well.
+    sheet = np.array([[[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [0.0, 9.0, 0.4]]])
+    stack = np.repeat(sheet, copies // num_buildings, axis=0)
+    scene = scene_of(*[stack] * num_buildings)
+    camera = Camera(64, 48, 40.0, 40.0, 32.0, 24.0)
+    once = ReferenceRenderer(scene_of(sheet)).render(camera, straight_down(height_m))
+    assert once.any()
+    np.testing.assert_array_equal(SilhouetteRenderer(scene, 1).render(camera, straight_down(height_m)), once)
+
+
+def test_buildings_that_lost_all_their_triangles():
+    # A building of one needle has no area in float32: it stays in the list, with nothing to draw.
+    needle = np.array([[[5.0, 5.0, 5.0], [5.0, 5.0, 5.0], [6.0, 5.0, 5.0]]])
+    scene = scene_of(needle, box([-3, -3, -3], [6, 6, 6]), needle)
+    assert (np.diff(scene.triangle_starts) == 0).sum() == 2
+    for height in (30.0, 3.0):
+        assert assert_same(scene, Camera(64, 48, 40.0, 40.0, 32.0, 24.0), straight_down(height)).any()
