@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -37,7 +39,7 @@ def read_cityjson(open_stream: Callable[[], BinaryIO], source: str, *, is_strict
             the object.
     """
     reader = _Reader(source, is_strict)
-    with open_stream() as stream:
+    with _paused_collector(), open_stream() as stream:
         documents = _documents(stream, source)
         header = next(documents)
         reader.read_header(header)
@@ -177,6 +179,18 @@ class _Reader:
         return self._collector.finish(
             source=self._source, format=format, version=self._version, srs_names=(self._srs_name,)
         )
+
+
+@contextmanager
+def _paused_collector() -> Iterator[None]:
+    """Keeps Python from looking for cycles: JSON has a million lists and none, and it doubles the time."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _is_building(kind: str) -> bool:

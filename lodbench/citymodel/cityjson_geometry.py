@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,14 @@ class GeometryReader:
         self._vertices = vertices
         self._templates = templates
         self._is_strict = is_strict
-        self._indices: list[int] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        """Starts a run of polygons whose indices are checked and looked up together."""
+        self._indices: list[Any] = []
+        self._first_polygon = len(self._collector.ring_counts)
+        self._first_ring = len(self._collector.ring_lengths)
+        self._objects: list[tuple[int, str]] = []  # first polygon of each geometry, and whose it is
 
     def read(self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool) -> None:
         """Adds one geometry of an object."""
@@ -54,10 +62,48 @@ class GeometryReader:
             findings.add(GEOMETRY_UNSUPPORTED, object_id, str(kind))
 
     def finish(self) -> None:
-        """Turns the indices gathered so far into points."""
+        """Turns the indices gathered so far into points.
+
+        Raises:
+            CityModelError: An index is out of range and the reader is strict.
+        """
         if self._indices:
-            self._collector.point_blocks.append(self._vertices[np.asarray(self._indices, np.int64)])
-            self._indices = []
+            if not self._is_sound(self._indices):
+                self._drop_bad_polygons()
+            indices = np.asarray(self._indices, np.int64)
+            self._collector.point_blocks.append(self._vertices[indices])
+        self._begin()
+
+    def _is_sound(self, indices: list[Any]) -> bool:
+        # Python would take -1 for the last vertex, and true for 1.
+        return not indices or (
+            set(map(type, indices)) == {int} and 0 <= min(indices) and max(indices) < len(self._vertices)
+        )
+
+    def _drop_bad_polygons(self) -> None:
+        """Leaves out of the current run every polygon with a bad index, telling whose it is."""
+        collector = self._collector
+        counts = collector.ring_counts[self._first_polygon :]
+        lengths = collector.ring_lengths[self._first_ring :]
+        owners = collector.owners[self._first_polygon :]
+        del collector.ring_counts[self._first_polygon :], collector.owners[self._first_polygon :]
+        del collector.ring_lengths[self._first_ring :]
+        starts = [polygon for polygon, _ in self._objects]
+        kept: list[Any] = []
+        ring = position = 0
+        for polygon, count in enumerate(counts):
+            own_lengths = lengths[ring : ring + count]
+            indices = self._indices[position : position + sum(own_lengths)]
+            ring, position = ring + count, position + len(indices)
+            if self._is_sound(indices):
+                kept += indices
+                collector.ring_lengths += own_lengths
+                collector.ring_counts.append(count)
+                collector.owners.append(owners[polygon])
+            else:
+                geometry = bisect.bisect_right(starts, self._first_polygon + polygon) - 1
+                self._report_index(indices, self._objects[geometry][1])
+        self._indices = kept
 
     def _read_surfaces(
         self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool
@@ -67,26 +113,17 @@ class GeometryReader:
         lod = collector.lod_index(lod_name(geometry.get("lod", "")))
         surfaces = _flatten(geometry["boundaries"], _DEPTHS[geometry["type"]])
         kinds = surface_kinds(geometry, len(surfaces), is_interior)
-        num_vertices = len(self._vertices)
-        ring_lengths, ring_counts, owners = collector.ring_lengths, collector.ring_counts, collector.owners
-        for surface, kind in zip(surfaces, kinds, strict=True):
+        self._objects.append((len(collector.ring_counts), object_id))
+        collector.owners += [(building, lod, kind) for kind in kinds]
+        for surface in surfaces:
             for ring in surface:
-                # Python would take -1 for the last vertex, so both ends are checked.
-                if ring and not (
-                    0 <= min(ring) and max(ring) < num_vertices and set(map(type, ring)) == {int}
-                ):
-                    self._report_index(ring, object_id)
-                    break
-            else:
-                for ring in surface:
-                    indices.extend(ring)
-                    ring_lengths.append(len(ring))
-                ring_counts.append(len(surface))
-                owners.append((building, lod, kind))
+                indices += ring
+            collector.ring_lengths += map(len, surface)
+            collector.ring_counts.append(len(surface))
         return len(surfaces)
 
-    def _report_index(self, ring: list[Any], object_id: str) -> None:
-        detail = f"a ring with the indices {str(ring)[:60]}, of {len(self._vertices)} vertices"
+    def _report_index(self, indices: list[Any], object_id: str) -> None:
+        detail = f"a polygon with the indices {str(indices)[:60]}, of {len(self._vertices)} vertices"
         if self._is_strict:
             raise CityModelError(
                 f"{object_id} has {detail}.",
@@ -115,6 +152,7 @@ class GeometryReader:
         inner = GeometryReader(self._collector, placed, {}, self._is_strict)
         inner.read(template, building, object_id, is_interior)
         inner.finish()
+        self._begin()
 
 
 def lod_name(value: Any) -> str:

@@ -48,7 +48,11 @@ def convert_city(
         CityModelError: The ending is unknown, the level absent, or the folder not writable.
     """
     suffix = target.suffix.lower()
-    meshed: dict[str, Callable[[Scene], bytes]] = {".obj": _obj, ".ply": _ply, ".glb": _glb}
+    meshed: dict[str, Callable[[Scene], bytes]] = {
+        ".obj": lambda scene: obj_text(scene).encode(),
+        ".ply": _ply,
+        ".glb": _glb,
+    }
     try:
         if suffix == ".json":
             write_bytes(target, _cityjson(model))
@@ -64,7 +68,8 @@ def convert_city(
         raise CityModelError(f"{target} cannot be written: {error.strerror}.") from None
 
 
-def _obj(scene: Scene) -> bytes:
+def obj_text(scene: Scene) -> str:
+    """Returns a scene as Wavefront OBJ, one object per building, in the local frame."""
     lines = [f"# origin {' '.join(map(repr, scene.origin.tolist()))}", f"# crs {scene.crs or 'unknown'}"]
     vertices = scene.vertices.astype(np.float64).tolist()
     triangles = (scene.triangles + 1).tolist()
@@ -74,7 +79,7 @@ def _obj(scene: Scene) -> bytes:
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in own]
         faces = triangles[scene.triangle_starts[b] : scene.triangle_starts[b + 1]]
         lines += [f"f {i} {j} {k}" for i, j, k in faces]
-    return ("\n".join(lines) + "\n").encode()
+    return "\n".join(lines) + "\n"
 
 
 def _ply(scene: Scene) -> bytes:

@@ -15,7 +15,6 @@ from lodbench.citymodel.raw import RawCity, starts_of, take_segments
 from lodbench.errors import CityModelError
 from lodbench.findings import FindingCode, Findings
 
-
 # Far more than any false easting; float32 and projections stay sound below it.
 _MAX_COORDINATE_M = 1e9
 

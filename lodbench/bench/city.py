@@ -1,0 +1,212 @@
+"""How fast, and in how little memory, cities are read, beside the naive way and other readers.
+
+Each job is timed several times in one run and the fastest counts, for peers as for us. The memory
+of a large file is that of a process of its own, above what the same process needs for a small one.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lodbench.bench.city_peers import naive_mesh, time_cjio
+from lodbench.bench.figures import Figure, Progress, format_columns, no_progress
+from lodbench.citymodel import mesh_model, open_scene, read_city_model
+from lodbench.citymodel.convert import obj_text
+from lodbench.citymodel.model import CityModel
+from lodbench.errors import CityModelError, ConfigError
+
+_MEGABYTE = 1e6
+_MEMORY_SCRIPT = """
+import json, resource, sys
+from lodbench.citymodel import open_scene
+small, large, lod = sys.argv[1:]
+open_scene(small, lod=lod)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+scene = open_scene(large, lod=lod)
+after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+arrays = sum(a.nbytes for a in (scene.vertices, scene.triangles, scene.vertex_starts, scene.triangle_starts))
+print(json.dumps({"before": before, "after": after, "arrays": arrays, "buildings": scene.num_buildings}))
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class CityOptions:
+    """What to measure.
+
+    Attributes:
+        lod: Level of detail for the reading figures; None for the lowest with walls.
+        repeats: Passes; the fastest counts.
+        large_mb: Size of the file made for the memory figure by repeating the city; 0 leaves it out.
+    """
+
+    lod: str | None = None
+    repeats: int = 5
+    large_mb: int = 137
+
+    def __post_init__(self) -> None:
+        if self.repeats < 1 or self.large_mb < 0:
+            raise ConfigError("repeats is at least 1 and large_mb at least 0.")
+
+
+@dataclass(frozen=True, slots=True)
+class CityBench:
+    """Figures of one city file.
+
+    Attributes:
+        city: Its name.
+        rows: The figures, in order.
+    """
+
+    city: str
+    rows: tuple[Figure, ...]
+
+    def figures(self) -> list[Figure]:
+        """Returns the figures."""
+        return list(self.rows)
+
+    def to_text(self) -> str:
+        """Returns the figures as a table."""
+        table = [[self.city, "value", "unit", "peer", "peer's value", "ratio"]]
+        for row in self.rows:
+            peer = "" if row.peer_value is None else f"{row.peer_value:.4g}"
+            ratio = "" if row.ratio is None else f"{row.ratio:.1f}x"
+            table.append([row.figure, f"{row.value:.4g}", row.unit, row.peer, peer, ratio])
+        return format_columns(table)
+
+
+def measure_city(
+    city: Path, options: CityOptions | None = None, progress: Progress = no_progress
+) -> CityBench:
+    """Returns the figures of a city file.
+
+    CityGML stands beside the naive way, at the same level of detail; CityJSON beside cjio's export
+    to OBJ, all levels, where cjio is installed.
+
+    Args:
+        city: A CityGML, CityJSON or OBJ file.
+        options: What to measure.
+        progress: Called with steps done and their total.
+
+    Raises:
+        CityModelError: The file cannot be read.
+    """
+    options = options or CityOptions()
+    progress(0, 4)
+    model = read_city_model(city)
+    mesh = mesh_model(model, options.lod)
+    lod = mesh.scene.lod
+    size_mb = city.stat().st_size / _MEGABYTE
+    seconds = _best(lambda: open_scene(city, lod=options.lod), options.repeats)
+    progress(1, 4)
+    rows = [_beside_naive(city, model, lod, seconds, options.repeats)]
+    rows.append(Figure("read and mesh, data rate", size_mb / seconds, "MB/s"))
+    rows.append(Figure("triangles", len(mesh.scene.triangles), ""))
+    rows.append(Figure("area lost", mesh.lost_m2, "m2"))
+    progress(2, 4)
+    if model.format == "CityJSON":
+        rows += _beside_cjio(city, options.repeats)
+    progress(3, 4)
+    if options.large_mb and model.format == "CityGML":
+        rows += _memory(city, lod, options.large_mb)
+    progress(4, 4)
+    return CityBench(city.name, tuple(rows))
+
+
+def _best(job: Callable[[], object], repeats: int) -> float:
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        job()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def _beside_naive(city: Path, model: CityModel, lod: str, seconds: float, repeats: int) -> Figure:
+    title = f"read and mesh LoD{lod}" if lod else "read and mesh"
+    if model.format != "CityGML":
+        return Figure(title, seconds * 1e3, "ms")
+    try:
+        peer = _best(lambda: naive_mesh(city, lod), min(repeats, 3))
+    except CityModelError as error:
+        return Figure(title, seconds * 1e3, "ms", f"naive ({error.message})")
+    return Figure(title, seconds * 1e3, "ms", "naive DOM, earcut per polygon", peer * 1e3, peer / seconds)
+
+
+def _beside_cjio(city: Path, repeats: int) -> list[Figure]:
+    def export() -> float:
+        model = read_city_model(city)
+        meshes = [mesh_model(model, lod) for lod in model.lods]
+        for mesh in meshes:
+            obj_text(mesh.scene)
+        return sum(mesh.area_m2 for mesh in meshes)
+
+    area = export()
+    seconds = _best(export, repeats)
+    title = "read, mesh and write OBJ, all LoDs"
+    peer = time_cjio(city)
+    if isinstance(peer, str):
+        return [Figure(title, seconds, "s", peer)]
+    peer_seconds, peer_area = peer
+    return [
+        Figure(title, seconds, "s", "cjio export obj", peer_seconds, peer_seconds / seconds),
+        Figure("area meshed, all LoDs", area, "m2", "cjio export obj", peer_area),
+    ]
+
+
+def _memory(city: Path, lod: str, large_mb: int) -> list[Figure]:
+    with tempfile.TemporaryDirectory() as folder:
+        large = Path(folder) / "large.gml"
+        repeat_members(city, large, int(large_mb * _MEGABYTE))
+        result = _run_memory(city, large, lod)
+        size_mb = large.stat().st_size / _MEGABYTE
+    above = (result["after"] - result["before"]) * 1024 - result["arrays"]
+    title = f"{size_mb:.0f} MB file, {result['buildings']:,} buildings: peak memory"
+    return [
+        Figure(f"{title} above its {result['arrays'] / _MEGABYTE:.0f} MB of arrays", above / _MEGABYTE, "MB")
+    ]
+
+
+def _run_memory(small: Path, large: Path, lod: str) -> dict[str, Any]:
+    done = subprocess.run(  # noqa: S603 - this interpreter, with a script of ours
+        [sys.executable, "-c", _MEMORY_SCRIPT, str(small), str(large), lod],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode != 0:
+        raise CityModelError(f"The memory measurement failed: {done.stderr.strip()[-300:]}.")
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
+def repeat_members(source: Path, target: Path, num_bytes: int) -> None:
+    """Writes a large CityGML file: the members of a small one, over and over.
+
+    Args:
+        source: A CityGML file without compression.
+        target: Where to write.
+        num_bytes: Size to reach.
+
+    Raises:
+        CityModelError: The source has no members.
+    """
+    content = source.read_bytes()
+    first = re.search(rb"<(?:\w+:)?cityObjectMember\b", content)
+    ends = list(re.finditer(rb"</(?:\w+:)?cityObjectMember>", content))
+    if first is None or not ends:
+        raise CityModelError(f"{source} has no cityObjectMember to repeat.")
+    start, end = first.start(), ends[-1].end()
+    with target.open("wb") as stream:
+        stream.write(content[:start])
+        for _ in range(max(1, round((num_bytes - len(content)) / (end - start)) + 1)):
+            stream.write(content[start:end])
+        stream.write(content[end:])
