@@ -11,10 +11,9 @@ from pathlib import Path
 
 import mapbox_earcut
 import numpy as np
-from lxml import etree
 from numpy.typing import NDArray
 
-from lodbench.citymodel.xml import Element, local_name
+from lodbench.citymodel.xml import Element, local_name, parse_document
 from lodbench.errors import CityModelError
 
 _GML = ("{http://www.opengis.net/gml}", "{http://www.opengis.net/gml/3.2}")
@@ -38,10 +37,7 @@ def naive_mesh(path: Path, lod: str) -> tuple[NDArray[np.float64], NDArray[np.in
     Raises:
         CityModelError: The file is no XML, or has no polygon of that level.
     """
-    try:
-        tree = etree.parse(str(path), etree.XMLParser(resolve_entities=False, no_network=True))
-    except (OSError, etree.XMLSyntaxError) as error:
-        raise CityModelError(f"The naive reader cannot parse {path}: {error}.") from None
+    tree = parse_document(path)
     points: list[NDArray[np.float64]] = []
     triangles: list[NDArray[np.int64]] = []
     count = 0

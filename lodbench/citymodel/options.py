@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, nearest_names
 
 AxisOrder = Literal["auto", "east_first", "north_first"]
 BASES = ("as_given", "ground", "sunk")
@@ -51,6 +52,29 @@ class ReadOptions:
     default_height_m: float | None = None
     base: Literal["as_given", "ground", "sunk"] = "as_given"
     sunk_m: float = 3.0
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> ReadOptions:
+        """Returns options from names and values, as a source profile in YAML gives them.
+
+        Raises:
+            ConfigError: A name is unknown, or a value of the wrong type or out of range.
+
+        Example:
+            >>> ReadOptions.from_mapping({"base": "sunk", "sunk_m": 3}).sunk_m
+            3.0
+        """
+        known = {item.name: item.default for item in fields(cls)}
+        given: dict[str, Any] = {}
+        for name, value in values.items():
+            if name not in known:
+                raise ConfigError(f"A source has no option {name!r}.", nearest_names(name, known))
+            if isinstance(known[name], float) and isinstance(value, int) and not isinstance(value, bool):
+                value = float(value)
+            if known[name] is not None and type(value) is not type(known[name]):
+                raise ConfigError(f"The option {name}={value!r} of a source has the wrong type.")
+            given[name] = tuple(float(v) for v in value) if name == "origin" and value is not None else value
+        return cls(**given)
 
     def __post_init__(self) -> None:
         """Checks ranges.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import BinaryIO, cast
 
 from lxml import etree
@@ -173,6 +174,24 @@ class XmlMembers:
         if "encoding" in message.lower():
             hint = "The bytes are not in the encoding the first line of the file names."
         return CityModelError(f"{self._source} is not well-formed XML ({where}): {message.strip()}.", hint)
+
+
+def parse_document(path: Path) -> Element:
+    """Returns the root of a whole document in memory, for the comparison with reading it in a stream.
+
+    Raises:
+        CityModelError: The file cannot be read, is not well-formed, or has a DOCTYPE.
+    """
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, dtd_validation=False, huge_tree=True
+    )
+    try:
+        tree = etree.parse(str(path), parser)
+    except (OSError, etree.XMLSyntaxError) as error:
+        raise CityModelError(f"{path} cannot be parsed as a whole: {error}.") from None
+    if tree.docinfo.internalDTD is not None:
+        raise CityModelError(f"{path}: the XML has a DOCTYPE declaration, which is refused.")
+    return tree.getroot()
 
 
 def _release(element: Element) -> None:
