@@ -55,6 +55,7 @@ class SilhouetteReport:
         hypotheses: The engine's hypotheses per view.
         rejections: Draws of a view thrown away: too few or too many buildings, or among them.
         cores: Cores of the machine.
+        load: What else the machine was doing: its load average before the start, None if unknown.
         timings: One per renderer, thread count and size.
         absent: Peers that could not run, and why.
     """
@@ -64,6 +65,7 @@ class SilhouetteReport:
     hypotheses: int
     rejections: int
     cores: int
+    load: float | None
     timings: tuple[Timing, ...]
     absent: dict[str, str] = field(default_factory=dict)
 
@@ -110,9 +112,11 @@ class SilhouetteReport:
 
     def _small_print(self) -> list[str]:
         num_views = len(self.timings[0].microseconds)
+        load = "unknown" if self.load is None else f"{self.load:.1f}"
         lines = [
             f"{self.city}, {self.num_triangles:,} triangles, {num_views} views ({self.rejections} draws "
-            f"rejected), {self.hypotheses:,} hypotheses around each, {self.cores} cores; best pass per view."
+            f"rejected), {self.hypotheses:,} hypotheses around each; best pass per view.",
+            f"{self.cores} cores, load {load} before the start: a busy machine slows renderers unequally.",
         ]
         lines += [
             f"{t.renderer} at {t.size_text}: {t.different:.2%} of pixels differ from the engine's."

@@ -2,7 +2,8 @@
 
 Hypotheses lie uniformly around each seeded view, within the ranges of the published priors, and
 keep the view's tilt, as a localisation method's do. Every renderer draws the same views and counts
-the overlap with the same mask; of several passes over a view the fastest counts.
+the overlap with the same mask. Renderers take turns at every view, so that a machine that is busy
+for a while is busy for all of them; of several passes over a view the fastest counts.
 """
 
 from __future__ import annotations
@@ -83,6 +84,21 @@ class Swarm:
     centers: Floats
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Contender:
+    """A renderer to time.
+
+    Attributes:
+        scorer: The renderer.
+        threads: The engine's threads; None for a peer.
+        count: Hypotheses it scores around each view.
+    """
+
+    scorer: Scorer
+    threads: int | None
+    count: int
+
+
 def measure_silhouettes(
     city: Path, options: SilhouetteOptions | None = None, progress: Progress = no_progress
 ) -> SilhouetteReport:
@@ -91,40 +107,34 @@ def measure_silhouettes(
     Args:
         city: City model file.
         options: What to measure.
-        progress: Called after each view of each renderer and size.
+        progress: Called after each view at each size.
 
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
     options = options or SilhouetteOptions()
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     scene = open_scene(city)
     engine = make_renderer(ENGINE, scene, 1)
     swarms, rejections = make_swarms(scene, engine, options)
-    steps = (len(options.thread_counts()) + len(options.peers)) * len(options.sizes) * len(swarms)
+    contenders, absent = _contenders(scene, options)
     done = 0
 
     def step() -> None:
         nonlocal done
         done += 1
-        progress(done, steps)
+        progress(done, len(options.sizes) * len(swarms))
 
-    timings = []
-    for threads in options.thread_counts():
-        scorer = make_renderer(ENGINE, scene, threads)
-        timings += _time_sizes(scorer, engine, threads, swarms, options.hypotheses, options, step)
-    absent: dict[str, str] = {}
-    for name in options.peers:
-        try:
-            peer = make_renderer(name, scene)
-            timings += _time_sizes(peer, engine, None, swarms, options.peer_hypotheses, options, step)
-        except RenderingError as error:
-            absent[name] = error.message
+    timings: list[Timing] = []
+    for size in options.sizes:
+        timings += _time_size(contenders, swarms, RGB_CAMERA.scaled(*size), options.repeats, step)
     return SilhouetteReport(
         city=Path(city).name,
         num_triangles=len(scene.triangles),
         hypotheses=options.hypotheses,
         rejections=rejections,
         cores=os.cpu_count() or 1,
+        load=load,
         timings=tuple(timings),
         absent=absent,
     )
@@ -148,37 +158,56 @@ def _swarm(pose: Pose, index: int, options: SilhouetteOptions) -> Swarm:
     return Swarm(pose, rotations, pose.center + offsets[:, :3])
 
 
-def _time_sizes(
-    scorer: Scorer,
-    engine: Scorer,
-    threads: int | None,
+def _contenders(scene: Scene, options: SilhouetteOptions) -> tuple[list[Contender], dict[str, str]]:
+    """Returns the engine at each thread count and the peers there are; and why others are absent."""
+    contenders = [
+        Contender(make_renderer(ENGINE, scene, threads), threads, options.hypotheses)
+        for threads in options.thread_counts()
+    ]
+    absent: dict[str, str] = {}
+    for name in options.peers:
+        try:
+            peer = make_renderer(name, scene)
+            # A missing driver shows with the first picture, not before.
+            peer.render(RGB_CAMERA.scaled(*options.sizes[0]), Pose(np.eye(3), np.zeros(3)))
+        except RenderingError as error:
+            absent[name] = error.message
+        else:
+            contenders.append(Contender(peer, None, options.peer_hypotheses))
+    return contenders, absent
+
+
+def _time_size(
+    contenders: list[Contender],
     swarms: list[Swarm],
-    count: int,
-    options: SilhouetteOptions,
+    camera: Camera,
+    repeats: int,
     step: Callable[[], None],
 ) -> list[Timing]:
-    """Times one renderer on every size; ``engine`` makes the masks to compare with."""
-    timings = []
-    for size in options.sizes:
-        camera = RGB_CAMERA.scaled(*size)
-        microseconds, different = [], []
-        for swarm in swarms:
-            mask = engine.render(camera, swarm.pose)
-            different.append(float((scorer.render(camera, swarm.pose) != mask).mean()))
-            microseconds.append(_best_pass(scorer, camera, swarm, count, mask, options.repeats))
-            step()
-        timings.append(Timing(scorer.name, threads, size, tuple(microseconds), float(np.mean(different))))
-    return timings
+    """Times every contender on every view at one size; the first one makes the masks."""
+    microseconds: list[list[float]] = [[] for _ in contenders]
+    different: list[list[float]] = [[] for _ in contenders]
+    for swarm in swarms:
+        mask = contenders[0].scorer.render(camera, swarm.pose)
+        for i, contender in enumerate(contenders):
+            different[i].append(float((contender.scorer.render(camera, swarm.pose) != mask).mean()))
+            microseconds[i].append(_best_pass(contender, camera, swarm, mask, repeats))
+        step()
+    size = (camera.width, camera.height)
+    return [
+        Timing(c.scorer.name, c.threads, size, tuple(times), float(np.mean(unlike)))
+        for c, times, unlike in zip(contenders, microseconds, different, strict=True)
+    ]
 
 
 def _best_pass(
-    scorer: Scorer, camera: Camera, swarm: Swarm, count: int, mask: NDArray[np.bool_], repeats: int
+    contender: Contender, camera: Camera, swarm: Swarm, mask: NDArray[np.bool_], repeats: int
 ) -> float:
     """Returns microseconds per hypothesis of the fastest pass over a view's first hypotheses."""
-    rotations, centers = swarm.rotations[:count], swarm.centers[:count]
+    rotations, centers = swarm.rotations[: contender.count], swarm.centers[: contender.count]
     seconds = []
     for _ in range(repeats):
         started = time.perf_counter()
-        scorer.score(camera, rotations, centers, mask)
+        contender.scorer.score(camera, rotations, centers, mask)
         seconds.append(time.perf_counter() - started)
     return min(seconds) / len(centers) * 1e6

@@ -34,13 +34,13 @@ class TestMeasure:
         report = measure_silhouettes(city, QUICK, lambda *step: steps.append(step))
         assert [(t.threads, t.size) for t in report.timings] == [
             (1, (602, 448)),
-            (1, (301, 224)),
             (2, (602, 448)),
+            (1, (301, 224)),
             (2, (301, 224)),
         ]
         assert all(len(t.microseconds) == 2 and min(t.microseconds) > 0 for t in report.timings)
         assert all(t.different == 0 for t in report.timings)
-        assert steps[-1] == (8, 8)
+        assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
     def test_a_peer_stands_beside(self, city):
         # The reference shares no code with the engine and needs no library.
@@ -83,6 +83,7 @@ class TestReport:
         2000,
         4,
         2,
+        1.5,
         (
             Timing("silhouette", 1, SIZE, (100.0, 300.0), 0.0),
             Timing("pyrender", None, SIZE, (8000.0, 12000.0), 0.005),
@@ -112,6 +113,7 @@ class TestReport:
         assert "50.0" in text
         assert "45,774 triangles" in text
         assert "0.50% of pixels differ" in text
+        assert "2 cores, load 1.5" in text
 
 
 @pytest.mark.parametrize(
