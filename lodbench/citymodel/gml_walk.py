@@ -6,27 +6,24 @@ from collections.abc import Sequence
 from typing import Any
 
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
+from lodbench.citymodel.gml_context import is_in_ring, plain_numbers, surface_kind
 from lodbench.citymodel.gml_implicit import read_placement
 from lodbench.citymodel.gml_names import (
     CURVE,
     GEOMETRY_PROPERTIES,
     GML_IDS,
-    INTERIOR_NAMES,
     NUMBERS,
     ORIENTABLE,
-    OUTER_NAMES,
     POLYGON,
     POLYGONS,
     REFERENCE,
     RING,
-    SURFACE_KINDS,
     TUPLES,
     XLINK_HREF,
     NodeTable,
     property_lod,
 )
 from lodbench.citymodel.gml_polygons import NameTable, PolygonBatch, Reference
-from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element, local_name
 from lodbench.findings import Findings
 
@@ -173,7 +170,7 @@ class GeometryWalk:
             elif node == ORIENTABLE:
                 self._note_orientation(element)
             elif node == CURVE:
-                is_in_polygon = is_in_polygon and _is_in_ring(element)
+                is_in_polygon = is_in_polygon and is_in_ring(element)
         self._turned.clear()
 
     def _read_attributes(
@@ -206,49 +203,3 @@ class GeometryWalk:
         """Marks what stands below an ``OrientableSurface`` of orientation "-"; twice is not at all."""
         if element.get("orientation", "+").strip() == "-":
             self._turned ^= set(element.iter(*POLYGONS, "{*}baseSurface"))
-
-
-def plain_numbers(element: Element) -> str:
-    """Returns the numbers of a GML2 ``coordinates`` element separated by blanks.
-
-    The element may name its own separators: ``cs`` between coordinates, ``ts`` between tuples,
-    ``decimal`` as the decimal sign.
-    """
-    text = element.text or ""
-    decimal = element.get("decimal", ".")
-    for separator in (element.get("cs", ","), element.get("ts", " ")):
-        if separator.strip() and separator != decimal:
-            text = text.replace(separator, " ")
-    return text if decimal == "." else text.replace(decimal, ".")
-
-
-def surface_kind(prop: Element, building: Element) -> int:
-    """Returns the ``SurfaceKind`` of a geometry property, from the elements around it."""
-    node = prop.getparent()
-    if node is None or node is building:
-        return SurfaceKind.UNKNOWN
-    name = local_name(node.tag)
-    if name in OUTER_NAMES:
-        return SURFACE_KINDS[name]
-    kind = SurfaceKind.UNKNOWN
-    while node is not None and node is not building:
-        name = local_name(node.tag)
-        if name in INTERIOR_NAMES:
-            return SurfaceKind.INTERIOR
-        if kind == SurfaceKind.UNKNOWN:
-            kind = SURFACE_KINDS.get(name, SurfaceKind.UNKNOWN)
-        node = node.getparent()
-    return kind
-
-
-def _is_in_ring(element: Element) -> bool:
-    """Tells whether a curve is a piece of a ring (``Ring/curveMember/LineString``)."""
-    node = element.getparent()
-    while node is not None:
-        name = local_name(node.tag)
-        if name == "Ring":
-            return True
-        if name in ("MultiGeometry", "MultiCurve", "Polygon"):
-            return False
-        node = node.getparent()
-    return False

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.bases import move_bases
 from lodbench.citymodel.codes import CRS_MIXED, DUPLICATE_POINTS, RING_NOT_CLOSED, RING_TOO_SHORT
 from lodbench.citymodel.crs import require_crs
+from lodbench.citymodel.duplicates import drop_repeated_solids
 from lodbench.citymodel.frame import to_metres
 from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.options import ReadOptions
@@ -54,7 +55,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         building_ids=raw.building_ids,
         num_parts=raw.num_parts,
         lods=tuple(raw.lods[i] for i in order),
-        polygons=_clean(raw, points, rank),
+        polygons=drop_repeated_solids(_clean(raw, points, rank), raw.building_ids, raw.findings),
         polygons_read=tuple(np.bincount(raw.lod, minlength=len(order))[order].tolist()),
         findings=raw.findings,
     )

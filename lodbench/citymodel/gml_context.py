@@ -1,0 +1,53 @@
+"""What stands around an element of CityGML, and how old notations write numbers."""
+
+from __future__ import annotations
+
+from lodbench.citymodel.gml_names import INTERIOR_NAMES, OUTER_NAMES, SURFACE_KINDS
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.xml import Element, local_name
+
+
+def plain_numbers(element: Element) -> str:
+    """Returns the numbers of a GML2 ``coordinates`` element separated by blanks.
+
+    The element may name its own separators: ``cs`` between coordinates, ``ts`` between tuples,
+    ``decimal`` as the decimal sign.
+    """
+    text = element.text or ""
+    decimal = element.get("decimal", ".")
+    for separator in (element.get("cs", ","), element.get("ts", " ")):
+        if separator.strip() and separator != decimal:
+            text = text.replace(separator, " ")
+    return text if decimal == "." else text.replace(decimal, ".")
+
+
+def surface_kind(prop: Element, building: Element) -> int:
+    """Returns the ``SurfaceKind`` of a geometry property, from the elements around it."""
+    node = prop.getparent()
+    if node is None or node is building:
+        return SurfaceKind.UNKNOWN
+    name = local_name(node.tag)
+    if name in OUTER_NAMES:
+        return SURFACE_KINDS[name]
+    kind = SurfaceKind.UNKNOWN
+    while node is not None and node is not building:
+        name = local_name(node.tag)
+        if name in INTERIOR_NAMES:
+            return SurfaceKind.INTERIOR
+        if kind == SurfaceKind.UNKNOWN:
+            kind = SURFACE_KINDS.get(name, SurfaceKind.UNKNOWN)
+        node = node.getparent()
+    return kind
+
+
+def is_in_ring(element: Element) -> bool:
+    """Tells whether a curve is a piece of a ring (``Ring/curveMember/LineString``)."""
+    node = element.getparent()
+    while node is not None:
+        name = local_name(node.tag)
+        if name == "Ring":
+            return True
+        if name in ("MultiGeometry", "MultiCurve", "Polygon"):
+            return False
+        node = node.getparent()
+    return False
