@@ -12,7 +12,7 @@ MAX_CORNERS = 20
 NUM_PLANES = 5
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def plane_distance(plane, x, y, z, intrinsics):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns a signed distance (any scale) to a plane, inside >= 0; intrinsics are (fx, fy, cx, cy)."""
     if plane == 0:
@@ -28,7 +28,7 @@ def plane_distance(plane, x, y, z, intrinsics):  # type: ignore[no-untyped-def] 
     return GUARD_PX * z - v
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def clip_polygon(polygon, count, scratch, intrinsics):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Clips a convex polygon in place (Sutherland-Hodgman); returns how many corners are left.
 

@@ -32,7 +32,8 @@ class Coverage(NamedTuple):
     """Marks of one view, in strips of 64 columns.
 
     Attributes:
-        marks: (S, H + 1, 64) int16, how much the sum changes at each pixel; row H takes what lies below.
+        marks: (S * (H + 1) * 64,) int16, strip by strip, row by row: how much the sum changes at each
+            pixel. Row H takes what lies below the view.
         sums: (64,) int16, the sweep's running sums.
         low: (S,) int64, first marked row of each strip.
         high: (S,) int64, last marked row of each strip, -1 for none.
@@ -48,20 +49,20 @@ def blank_coverage(width: int, height: int) -> Coverage:
     """Returns the coverage of an empty view."""
     strips = words_per_row(width)
     return Coverage(
-        np.zeros((strips, height + 1, _STRIP), dtype=np.int16),
+        np.zeros(strips * (height + 1) * _STRIP, dtype=np.int16),
         np.zeros(_STRIP, dtype=np.int16),
         np.full(strips, height, dtype=np.int64),
         np.full(strips, -1, dtype=np.int64),
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def first_centre_at(position):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the first row or column whose centre is at or after a position in sub-pixels."""
     return np.int64(np.ceil((position - 128.0) * (1.0 / 256.0)))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def expect_marks(coverage, left, right, top, bottom, width, height):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Notes that marks may follow within bounds in sub-pixels; tells whether the view sees any of them."""
     first_column = max(np.int64(0), first_centre_at(left))
@@ -76,31 +77,65 @@ def expect_marks(coverage, left, right, top, bottom, width, height):  # type: ig
     return True
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def mark_edge(marks, width, height, ua, va, ub, vb, weight):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Marks where an edge, from snapped corner a to b, meets each column's centre.
+class EdgeLines(NamedTuple):
+    """Edges of a view, ready to be marked.
 
-    The first row at or below the crossing is ``ceil(n / d)`` for integers n, d below 2**53.
-    ``floor((n + d - 0.5) * (1 / d))`` equals it: the half keeps the real value at least 0.5 / d
-    (2**-32) from a whole number, and two float64 roundings of a value below 2**15 err by less.
+    Attributes:
+        span: (E, 3) int32: first column met, first column no longer met, weight.
+        line: (E, 3) float64: numerator at the first column, its step per column, 1 / denominator.
     """
-    if ua > ub:
-        ua, va, ub, vb = ub, vb, ua, va
-        weight = -weight
-    first = max(np.int64(0), first_centre_at(ua))
-    stop = min(np.int64(width), first_centre_at(ub))
-    if first >= stop:
-        return
-    du, dv = ub - ua, vb - va
+
+    span: NDArray[np.int32]
+    line: NDArray[np.float64]
+
+
+def edge_lines(max_edges: int) -> EdgeLines:
+    """Returns room for ``max_edges`` edges."""
+    return EdgeLines(np.zeros((max_edges, 3), dtype=np.int32), np.zeros((max_edges, 3)))
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def add_line(lines, count, width, height, ua, va, ub, vb, weight):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Adds an edge, from snapped corner a to b, as number ``count``; returns the new number of edges.
+
+    An edge that meets no column's centre, or lies wholly below the view, is not counted in.
+
+    The first row at or below where an edge crosses a column is ``ceil(n / d)`` for integers n, d
+    below 2**53. ``floor((n + d - 0.5) * (1 / d))`` equals it: the half keeps the real value at least
+    0.5 / d (2**-32) from a whole number, and two float64 roundings of a value below 2**15 err by
+    less. From column to column n changes by an integer, so stepping is exact too.
+    """
+    is_leftward = ua > ub
+    left, right = (ub, ua) if is_leftward else (ua, ub)
+    v_left, v_right = (vb, va) if is_leftward else (va, vb)
+    first = max(0.0, np.ceil((left - 128.0) * (1.0 / 256.0)))
+    stop = min(float(width), np.ceil((right - 128.0) * (1.0 / 256.0)))
+    du, dv = right - left, v_right - v_left
     d = 256.0 * du
-    inverse = 1.0 / d
-    step = 256.0 * dv
-    n = (va - 128.0) * du + (256.0 * first + 128.0 - ua) * dv + d - 0.5
+    lines.span[count, 0] = np.int32(first)
+    lines.span[count, 1] = np.int32(stop)
+    lines.span[count, 2] = -weight if is_leftward else weight
+    lines.line[count, 0] = (v_left - 128.0) * du + (256.0 * first + 128.0 - left) * dv + d - 0.5
+    lines.line[count, 1] = 256.0 * dv
+    lines.line[count, 2] = 1.0 / d
+    below = 256.0 * height
+    return count + np.int64((first < stop) & ((va < below) | (vb < below)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mark_lines(lines, count, height, marks):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Marks the first ``count`` edges in every column they meet."""
     lowest = float(height)
-    change = np.int16(weight)
-    for column in range(first, stop):
-        row = np.int64(min(max(np.floor((n + float(column - first) * step) * inverse), 0.0), lowest))
-        marks[column >> 6, row, column & 63] += change
+    # Unsigned, so that no index needs a look at its sign.
+    strip_size = np.uint64((height + 1) * _STRIP)
+    for i in range(count):
+        weight = np.int16(lines.span[i, 2])
+        n, step, inverse = lines.line[i, 0], lines.line[i, 1], lines.line[i, 2]
+        for column in range(np.uint64(lines.span[i, 0]), np.uint64(lines.span[i, 1])):
+            row = np.uint64(np.int32(min(max(np.floor(n * inverse), 0.0), lowest)))
+            n += step
+            place = (column >> np.uint64(6)) * strip_size + row * np.uint64(_STRIP)
+            marks[place + (column & np.uint64(63))] += weight
 
 
 @intrinsic
@@ -128,11 +163,11 @@ def _sweep_row(_context: Any, marks: Any, index: Any, sums: Any) -> tuple[Signat
     return types.uint64(marks, types.int64, sums), generate
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sweep(coverage, height, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Sets the bits of ``words``, (H, S) uint64, where the sums are not zero, and clears all marks."""
     marks = coverage.marks
-    for strip in range(marks.shape[0]):
+    for strip in range(coverage.low.shape[0]):
         low, high = coverage.low[strip], coverage.high[strip]
         if high < 0:
             continue
@@ -140,6 +175,6 @@ def sweep(coverage, height, words):  # type: ignore[no-untyped-def]  # noqa: ANN
         start = strip * (height + 1) * _STRIP
         for row in range(low, min(high, height - 1) + 1):
             words[row, strip] |= _sweep_row(marks, start + row * _STRIP, coverage.sums)  # type: ignore[call-arg]
-        marks[strip, height, :] = 0
+        marks[start + height * _STRIP : start + (height + 1) * _STRIP] = 0
         coverage.low[strip] = height
         coverage.high[strip] = -1

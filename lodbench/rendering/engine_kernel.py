@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from lodbench.rendering.bits import intersect_and_clear
 from lodbench.rendering.clipping import MAX_CORNERS, clip_polygon
-from lodbench.rendering.coverage import MAX_LAYERS, Coverage, expect_marks, mark_edge, sweep
+from lodbench.rendering.coverage import (
+    MAX_LAYERS,
+    Coverage,
+    EdgeLines,
+    add_line,
+    expect_marks,
+    mark_lines,
+    sweep,
+)
 from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
 
 # A building whose snapped corners all stay this far inside the guard band needs no clipping.
@@ -70,6 +78,7 @@ class Scratch(NamedTuple):
         v: (V,) float64 snapped rows, sub-pixels.
         depth: (V,) float64 distances along the optical axis, metres.
         facing: (T,) int32, which way each triangle turns on the screen.
+        lines: The edges of one building.
         coverage: The view's marks.
     """
 
@@ -77,24 +86,25 @@ class Scratch(NamedTuple):
     v: Floats
     depth: Floats
     facing: Indices
+    lines: EdgeLines
     coverage: Coverage
 
 
-@njit(cache=True, nogil=True)
-def _is_outside(sphere, rotation, center, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Tells whether a bounding sphere lies wholly outside one of the view's planes."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_outside(sphere, slack, rotation, center, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Tells whether a bounding sphere, made wider by ``slack``, lies wholly outside one of the planes."""
     r = rotation
     dx, dy, dz = sphere[0] - center[0], sphere[1] - center[1], sphere[2] - center[2]
     x = r[0, 0] * dx + r[0, 1] * dy + r[0, 2] * dz
     y = r[1, 0] * dx + r[1, 1] * dy + r[1, 2] * dz
     z = r[2, 0] * dx + r[2, 1] * dy + r[2, 2] * dz
     for i in range(planes.shape[0]):
-        if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z < -sphere[3]:
+        if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z < -sphere[3] - slack:
             return True
     return False
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _camera_axes(px, py, pz, r, c):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns a local point in camera axes, metres (raster rule 1)."""
     dx, dy, dz = np.float64(px) - c[0], np.float64(py) - c[1], np.float64(pz) - c[2]
@@ -136,35 +146,37 @@ def _bounds(values):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     return low, high
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _side(ua, va, ub, vb, uc, vc):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns +1, -1 or 0: which way a snapped triangle turns on the screen."""
     area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
     return np.int32(area > 0.0) - np.int32(area < 0.0)
 
 
-@njit(cache=True, nogil=True)
-def _draw_building(scene, b, view, scratch, marks):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_building(scene, b, view, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Marks the edges of a building whose two triangles do not cancel out."""
-    u, v, facing = scratch.u, scratch.v, scratch.facing
+    u, v, facing, lines = scratch.u, scratch.v, scratch.facing, scratch.lines
     triangles = scene.triangles[scene.starts[b, 1] : scene.starts[b + 1, 1]]
     for t in range(triangles.shape[0]):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         facing[t] = _side(u[i], v[i], u[j], v[j], u[k], v[k])
     e0, e1 = scene.starts[b, 2], scene.starts[b + 1, 2]
     ends, sides, second_weight = scene.ends[e0:e1], scene.sides[e0:e1], scene.second_weight[e0:e1]
+    count = 0
     for e in range(ends.shape[0]):
         weight = facing[sides[e, 0]] + second_weight[e] * facing[sides[e, 1]]
         if weight != 0:
             i, j = ends[e, 0], ends[e, 1]
-            mark_edge(marks, view.width, view.height, u[i], v[i], u[j], v[j], weight)
+            count = add_line(lines, count, view.width, view.height, u[i], v[i], u[j], v[j], weight)
+    mark_lines(lines, count, view.height, scratch.coverage.marks)
 
 
-@njit(cache=True, nogil=True)
-def _draw_clipped(scene, b, rotation, center, view, coverage, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_clipped(scene, b, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Draws a building triangle by triangle, clipped: slow, for the few at the edge of the view."""
-    f = view.intrinsics
-    polygon, scratch = np.zeros((MAX_CORNERS, 3)), np.zeros((MAX_CORNERS, 3))
+    f, coverage, lines = view.intrinsics, scratch.coverage, scratch.lines
+    polygon, clipped = np.zeros((MAX_CORNERS, 3)), np.zeros((MAX_CORNERS, 3))
     u, v = np.zeros(3), np.zeros(3)
     v0 = scene.starts[b, 0]
     layers = 0
@@ -174,17 +186,19 @@ def _draw_clipped(scene, b, rotation, center, view, coverage, words):  # type: i
             polygon[i, 0], polygon[i, 1], polygon[i, 2] = _camera_axes(
                 scene.x[k], scene.y[k], scene.z[k], rotation, center
             )
-        count = clip_polygon(polygon, 3, scratch, f)
-        for i in range(1, count - 1):
+        corners = clip_polygon(polygon, 3, clipped, f)
+        for i in range(1, corners - 1):
             for k, m in enumerate((0, i, i + 1)):
                 u[k], v[k] = _snap(polygon[m, 0], polygon[m, 1], polygon[m, 2], f)
             side = _side(u[0], v[0], u[1], v[1], u[2], v[2])
             bounds = (u.min(), u.max(), v.min(), v.max())
             if side == 0 or not expect_marks(coverage, *bounds, view.width, view.height):
                 continue
+            count = 0
             for k in range(3):
                 n = k + 1 if k < 2 else 0
-                mark_edge(coverage.marks, view.width, view.height, u[k], v[k], u[n], v[n], side)
+                count = add_line(lines, count, view.width, view.height, u[k], v[k], u[n], v[n], side)
+            mark_lines(lines, count, view.height, coverage.marks)
             layers += 1
             if layers == MAX_LAYERS:
                 sweep(coverage, view.height, words)
@@ -192,12 +206,44 @@ def _draw_clipped(scene, b, rotation, center, view, coverage, words):  # type: i
     sweep(coverage, view.height, words)
 
 
-@njit(cache=True, nogil=True)
-def draw_view(scene, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Draws the silhouette of a scene into ``words``, which must be clear.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _candidates(scene, rotations, centers, planes, chosen):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Writes the buildings that any of N nearby views may see; returns how many.
+
+    Seen from the first view, a point at distance s moves by at most ``d + 2 sin(a / 2) (s + d)`` for
+    a view that is d away and turned by the angle a: so much wider is each sphere made.
+    """
+    away, turned = 0.0, 0.0
+    for i in range(1, rotations.shape[0]):
+        square, chord = 0.0, 0.0
+        for k in range(3):
+            square += (centers[i, k] - centers[0, k]) ** 2
+            for m in range(3):
+                # The squared Frobenius distance of two rotations is 8 sin(a / 2) ** 2.
+                chord += (rotations[i, k, m] - rotations[0, k, m]) ** 2
+        away = max(away, np.sqrt(square))
+        turned = max(turned, np.sqrt(chord * 0.5))
+    count = 0
+    for b in range(scene.spheres.shape[0]):
+        sphere = scene.spheres[b]
+        distance = np.sqrt(
+            (sphere[0] - centers[0, 0]) ** 2
+            + (sphere[1] - centers[0, 1]) ** 2
+            + (sphere[2] - centers[0, 2]) ** 2
+        )
+        slack = away + turned * (distance + away) + 1e-6 * distance
+        chosen[count] = b
+        count += not _is_outside(sphere, slack, rotations[0], centers[0], planes)
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_view(scene, buildings, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Draws the silhouette of some buildings into ``words``, which must be clear.
 
     Args:
         scene: SceneArrays.
+        buildings: (N,) indices of the buildings to draw.
         rotation: (3, 3) float64 cam_from_world.
         center: (3,) float64 camera centre, local metres.
         view: View.
@@ -206,8 +252,8 @@ def draw_view(scene, rotation, center, view, scratch, words):  # type: ignore[no
     """
     u, v, depth, coverage = scratch.u, scratch.v, scratch.depth, scratch.coverage
     layers = 0
-    for b in range(scene.spheres.shape[0]):
-        if _is_outside(scene.spheres[b], rotation, center, view.planes):
+    for b in buildings:
+        if _is_outside(scene.spheres[b], 0.0, rotation, center, view.planes):
             continue
         v0, v1 = scene.starts[b, 0], scene.starts[b + 1, 0]
         n = v1 - v0
@@ -224,16 +270,28 @@ def draw_view(scene, rotation, center, view, scratch, words):  # type: ignore[no
             sweep(coverage, view.height, words)
             layers = 0
         if needs_clipping or triangles > MAX_LAYERS:
-            _draw_clipped(scene, b, rotation, center, view, coverage, words)
+            _draw_clipped(scene, b, rotation, center, view, scratch, words)
         elif expect_marks(coverage, left, right, top, bottom, view.width, view.height):
-            _draw_building(scene, b, view, scratch, coverage.marks)
+            _draw_building(scene, b, view, scratch)
             layers += triangles
     sweep(coverage, view.height, words)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def draw_view(scene, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Draws the silhouette of a scene into ``words``, (H, ceil(W / 64)) uint64, which must be clear."""
+    everything = np.arange(scene.spheres.shape[0])
+    _draw_view(scene, everything, rotation, center, view, scratch, words)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def score_views(scene, rotations, centers, view, scratch, words, query, intersections, areas):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Draws N views and counts, for each, the pixels it shares with the query and its own pixels."""
+    """Draws N views and counts, for each, the pixels it shares with the query and its own pixels.
+
+    The views should lie close together: they share one selection of buildings.
+    """
+    chosen = np.empty(scene.spheres.shape[0] + 1, dtype=np.int64)
+    count = _candidates(scene, rotations, centers, view.planes, chosen)
     for i in range(rotations.shape[0]):
-        draw_view(scene, rotations[i], centers[i], view, scratch, words)
+        _draw_view(scene, chosen[:count], rotations[i], centers[i], view, scratch, words)
         intersections[i], areas[i] = intersect_and_clear(words, query)

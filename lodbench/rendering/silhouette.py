@@ -13,7 +13,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
-from lodbench.rendering.coverage import blank_coverage
+from lodbench.rendering.coverage import blank_coverage, edge_lines
 from lodbench.rendering.engine_kernel import SceneArrays, Scratch, View, draw_view, score_views
 from lodbench.rendering.protocol import IouCounts
 from lodbench.rendering.raster_rule import GUARD_PX
@@ -99,19 +99,22 @@ class SilhouetteRenderer:
                 area[part],
             )
 
+        parts = _chunks(len(centers), self.threads)
         if self._pool is None:
-            work(slice(0, len(centers)))
+            for part in parts:
+                work(part)
         else:
-            list(self._pool.map(work, _chunks(len(centers), self.threads)))
+            list(self._pool.map(work, parts))
         return IouCounts(shared, area + count_bits(query) - shared)
 
     def _scratch(self, camera: Camera) -> Scratch:
-        vertices, triangles, _ = (int(n) for n in self._largest)
+        vertices, triangles, edges = (int(n) for n in self._largest)
         return Scratch(
             np.zeros(vertices),
             np.zeros(vertices),
             np.zeros(vertices),
             np.zeros(triangles, dtype=np.int32),
+            edge_lines(max(3, edges) + 1),
             blank_coverage(camera.width, camera.height),
         )
 

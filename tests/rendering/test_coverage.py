@@ -25,7 +25,7 @@ def test_sweep_is_a_cumulative_sum_and_clears_up(width, height, seed):
     coverage = blank_coverage(width, height)
     assert expect_marks(coverage, 0.0, width * 256.0, 0.0, height * 256.0, width, height)
     for row, column in np.argwhere(changes):
-        coverage.marks[column // 64, row, column % 64] = changes[row, column]
+        coverage.marks.reshape(-1, height + 1, 64)[column // 64, row, column % 64] = changes[row, column]
     words = np.zeros((height, words_per_row(width)), dtype=np.uint64)
     sweep(coverage, height, words)
     np.testing.assert_array_equal(unpack_mask(words, width), np.cumsum(changes, axis=0) != 0)
