@@ -21,6 +21,8 @@ from lodbench.citymodel.columns import Columns
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity, starts_of, take_segments
+from lodbench.citymodel.terrain import ground_under
+from lodbench.citymodel.vector_surfaces import surfaces_as_read
 from lodbench.citymodel.wkb import WkbPolygons
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
@@ -31,7 +33,9 @@ _EXTRA_HINT = "Install it: pip install 'lodbench[vector]'."
 def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     """Returns blocks of level 1 over the footprints of a vector file.
 
-    Ground heights come from a column, else from ``options.terrain``, else ``options.ground_m``.
+    A file whose polygons stand upright (the MultiPatches of a FileGDB) holds the buildings' surfaces
+    themselves; they come back as they are, as level 2. Ground heights come from a column, else from
+    ``options.terrain``, else ``options.ground_m``.
 
     Args:
         path: What GDAL opens, ``/vsizip/`` paths included.
@@ -42,12 +46,19 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
         CityModelError: pyogrio is not installed, the file cannot be read, has no reference system
             or no heights.
     """
-    findings = Findings()
     crs, geometries, table = _read_table(path, source, options)
     if options.crs is None and crs is None:
         raise CityModelError(
             f"{source} names no reference system (a Shapefile needs its .prj).", "Name it: crs=EPSG:4326."
         )
+    polygons = _parse(geometries, source)
+    columns = Columns(table, len(geometries))
+    if polygons.has_z and polygons.has_upright_rings():
+        return surfaces_as_read(polygons, columns.ids(), source, crs)
+    return _blocks(polygons, columns, source, crs, options)
+
+
+def _parse(geometries: list[bytes | None], source: str) -> WkbPolygons:
     polygons = WkbPolygons()
     for i, data in enumerate(geometries):
         if data is None:
@@ -56,26 +67,26 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
             polygons.add(data, i)
         except ValueError as error:
             raise CityModelError(f"{source}: footprint {i + 1} is malformed: {error}.") from None
-    columns = Columns(table, len(geometries))
+    return polygons
+
+
+def _blocks(
+    polygons: WkbPolygons, columns: Columns, source: str, crs: str | None, options: ReadOptions
+) -> RawCity:
+    """Returns the footprints drawn up from the ground to their heights."""
+    findings = Findings()
     ids = columns.ids()
     for kind in sorted(polygons.ignored):
         findings.add(GEOMETRY_UNSUPPORTED, source, f"geometry type {kind} has no area")
     heights = _heights(columns, options, ids, findings)
-    ground = columns.ground(options)
-    if ground is None:
-        ground = np.full(len(ids), options.ground_m)
     rings, ring_starts, polygon_starts, owner = _kept_polygons(polygons, heights, ids, findings)
     if len(owner) == 0:
         raise CityModelError(f"{source} has no footprint with a height.", "See `lodbench city check FILE`.")
     if not np.isfinite(rings).all():
         raise CityModelError(f"{source} has coordinates that are not finite numbers.")
-    if options.terrain is not None:
-        from lodbench.citymodel.terrain import ground_under
-
-        outlines = ring_starts[polygon_starts[:-1]]
-        ground[owner] = ground_under(rings[outlines], options.crs or str(crs), options)
-    ground = np.where(np.isfinite(ground), ground, options.ground_m)
-    blocks = extrude(rings, ring_starts, polygon_starts, ground[owner], (ground + heights)[owner])
+    corners = rings[ring_starts[polygon_starts[:-1]]]
+    ground = _ground(columns, corners, owner, options.crs or str(crs), options)
+    blocks = extrude(rings, ring_starts, polygon_starts, ground, ground + heights[owner])
     used, building = np.unique(owner[blocks.footprint], return_inverse=True)
     return RawCity(
         source=source,
@@ -97,6 +108,23 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
         # Vector files keep longitude or easting first whatever their reference system declares.
         axis_order="east_first",
     )
+
+
+def _ground(
+    columns: Columns,
+    corners: NDArray[np.float64],
+    owner: NDArray[np.int64],
+    crs: str,
+    options: ReadOptions,
+) -> NDArray[np.float64]:
+    """Returns the ground height of each polygon: from a column, else the terrain, else the constant."""
+    ground = np.full(len(owner), np.nan)
+    column = columns.ground(options)
+    if column is not None:
+        ground = column[owner]
+    elif options.terrain is not None:
+        ground = ground_under(corners, crs, options)
+    return np.where(np.isfinite(ground), ground, options.ground_m)
 
 
 def _heights(

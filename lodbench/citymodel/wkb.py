@@ -13,6 +13,8 @@ _POLYGON, _TRIANGLE = 3, 17
 _COLLECTIONS = frozenset({6, 7, 12, 15, 16})
 _Z_FLAG, _M_FLAG, _SRID_FLAG = 0x80000000, 0x40000000, 0x20000000
 _MAX_DEPTH = 16
+# Footprints draped over the ground by rounding stay footprints.
+_LEVEL_TOLERANCE_M = 0.01
 
 
 @dataclass(slots=True)
@@ -32,6 +34,10 @@ class WkbPolygons:
     owner: list[int] = field(default_factory=list)
     has_z: bool = False
     ignored: set[int] = field(default_factory=set)
+
+    def has_upright_rings(self) -> bool:
+        """Tells whether some ring leaves the horizontal: the polygons are surfaces, no footprints."""
+        return any(len(ring) and np.ptp(ring[:, 2]) > _LEVEL_TOLERANCE_M for ring in self.rings)
 
     def add(self, data: bytes, owner: int) -> None:
         """Adds the polygons of one geometry.

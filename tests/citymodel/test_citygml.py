@@ -230,6 +230,28 @@ class TestLinks:
         assert codes(model) == {"LB205": 1}
 
 
+class TestSurfacesWrittenTwice:
+    def test_inline_in_solid_and_walls(self, tmp_path: Path) -> None:
+        turned = [[*ring[2:], *ring[:2]] for ring in BOX]
+        walls = bounded_by("WallSurface", multi_surface(surface_members(map(polygon, turned))))
+        model = model_of(tmp_path, city(member(solid(surface_members(map(polygon, BOX)), 2) + walls)))
+        assert codes(model) == {"LB109": 6}
+        assert set(model.polygons.kind) == {SurfaceKind.WALL}
+        assert mesh_model(model).meshed_m2 == pytest.approx(box_area())
+
+    def test_walls_that_parts_share_stay(self, tmp_path: Path) -> None:
+        wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2])])))
+        model = model_of(tmp_path, city(member(wall + wall + solid(surface_members([polygon(BOX[0])]), 2))))
+        assert len(model.polygons) == 3
+        assert model.findings.counts() == {}
+
+    def test_other_buildings_and_levels_are_apart(self, tmp_path: Path) -> None:
+        wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2])])))
+        lone = solid(surface_members([polygon(BOX[2])]), 1)
+        text = city(member(wall + lone) + member(solid(surface_members([polygon(BOX[2])]), 2), "b2"))
+        assert len(model_of(tmp_path, text).polygons) == 3
+
+
 class TestImplicitGeometry:
     shape = (
         "<gml:MultiSurface>"

@@ -1,13 +1,18 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pyproj import Transformer
 
+from lodbench.citymodel import read_city_model
 from lodbench.citymodel.crs import crs_label, require_crs, resolve_crs
 from lodbench.citymodel.frame import to_metres
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+
+from .gml_text import box_rings, city, member, polygon, solid, surface_members, write
 
 
 def points(*rows: tuple[float, float, float]) -> np.ndarray:
@@ -140,6 +145,21 @@ class TestDegrees:
     def test_metres_declared_as_degrees(self) -> None:
         with pytest.raises(CityModelError, match="no degrees"):
             convert(points((690953, 5335962, 500)), "EPSG:4326")
+
+
+def test_two_systems_in_one_file_meet(tmp_path: Path) -> None:
+    to_next = Transformer.from_crs("EPSG:25832", "EPSG:25833", always_xy=True)
+    rings = [[(*to_next.transform(x, y), z) for x, y, z in ring] for ring in box_rings(x=712000.0)]
+    envelope = '<gml:boundedBy><gml:Envelope srsName="EPSG:25833"/></gml:boundedBy>'
+    text = city(
+        member(solid(surface_members(map(polygon, box_rings(x=712000.0)))))
+        + member(envelope + solid(surface_members(map(polygon, rings))), "b2")
+    )
+    model = read_city_model(write(tmp_path / "a.gml", text))
+    assert model.crs == "EPSG:25832"
+    assert [item.code.code for item in model.findings.items] == ["LB307"]
+    first, second = np.split(model.polygons.points, 2)
+    assert np.allclose(first, second, atol=1e-3)
 
 
 class TestOthers:

@@ -135,6 +135,16 @@ class TestReading:
         model = self.read(tmp_path, text, crs="EPSG:32650")
         assert model.origin.tolist() == [500000, 4400000, 0]
 
+    def test_upright_polygons_are_surfaces(self, tmp_path: Path) -> None:
+        x, y = 500000.0, 4400000.0
+        wall = [[x, y, 1], [x + 9, y, 1], [x + 9, y, 6], [x, y, 6], [x, y, 1]]
+        roof = [[x, y, 6], [x + 9, y, 6], [x + 9, y + 9, 6], [x, y, 6]]
+        shape = {"type": "MultiPolygon", "coordinates": [[wall], [roof]]}
+        model = self.read(tmp_path, geojson([(shape, {"id": "a"})]), crs="EPSG:32650")
+        assert (model.format, model.lods, model.building_ids) == ("surfaces", ("2",), ("a",))
+        assert mesh_model(model).meshed_m2 == pytest.approx(45 + 40.5)
+        assert model.findings.counts() == {}
+
     def test_faults(self, tmp_path: Path) -> None:
         with pytest.raises(CityModelError, match="No column of heights"):
             self.read(tmp_path, geojson([([square()], {"name": "x"})]))

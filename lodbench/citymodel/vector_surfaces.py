@@ -1,0 +1,42 @@
+"""Vector files that hold the surfaces of buildings themselves, not footprints to be drawn up."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.citymodel.wkb import WkbPolygons
+from lodbench.findings import Findings
+
+
+def surfaces_as_read(polygons: WkbPolygons, ids: list[str], source: str, crs: str | None) -> RawCity:
+    """Returns polygons with heights as surfaces of level 2, one building per geometry.
+
+    Args:
+        polygons: With at least one ring.
+        ids: One per geometry; those without a polygon are no buildings.
+        source: Name of the file.
+        crs: Its reference system.
+    """
+    used, building = np.unique(np.asarray(polygons.owner, np.int64), return_inverse=True)
+    count = len(building)
+    return RawCity(
+        source=source,
+        format="surfaces",
+        version=None,
+        srs_names=(crs,),
+        building_ids=tuple(ids[i] for i in used),
+        num_parts=0,
+        lods=("2",),
+        points=np.concatenate(polygons.rings),
+        ring_starts=starts_of(np.asarray([len(ring) for ring in polygons.rings], np.int64)),
+        polygon_starts=starts_of(np.asarray(polygons.ring_counts, np.int64)),
+        building=building.reshape(-1).astype(np.int32),
+        lod=np.zeros(count, np.int16),
+        kind=np.full(count, SurfaceKind.UNKNOWN, np.uint8),
+        srs=np.zeros(count, np.int16),
+        has_closing_points=True,
+        findings=Findings(),
+        axis_order="east_first",
+    )
