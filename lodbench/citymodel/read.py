@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PurePath
 
@@ -13,7 +14,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity, RawCity, merge_cities
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.source import MESH_SUFFIXES, Source, open_sources
+from lodbench.citymodel.source import MESH_SUFFIXES, Source, count_bytes, open_sources
 from lodbench.findings import Findings
 
 _SUPPORTED = (
@@ -23,7 +24,11 @@ _SUPPORTED = (
 
 
 def read_city_model(
-    path: str | Path, *, crs: str | None = None, options: ReadOptions | None = None
+    path: str | Path,
+    *,
+    crs: str | None = None,
+    options: ReadOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> CityModel:
     """Returns a city model in metres, in a local frame.
 
@@ -31,6 +36,7 @@ def read_city_model(
         path: A file, a ``.gz``, a ``.zip``, or a folder of tiles, which become one model.
         crs: Reference system of its coordinates, instead of the one it declares.
         options: All else that the source does not say itself; ``crs`` goes before its ``crs``.
+        progress: Called with bytes read and their total, 0 where compression hides the total.
 
     Raises:
         CityModelError: The file is missing, unreadable, empty, damaged or of an unknown kind, or
@@ -40,6 +46,8 @@ def read_city_model(
     if crs is not None:
         options = replace(options, crs=crs)
     sources = open_sources(Path(path))
+    if progress is not None:
+        sources = count_bytes(sources, progress)
     raw = _read_raw(sources[0], options) if len(sources) == 1 else _read_tiles(str(path), sources, options)
     return finish_model(raw, options)
 

@@ -7,14 +7,13 @@ a path in an archive nor a bomb of zeros can do harm.
 from __future__ import annotations
 
 import gzip
-import io
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
+from lodbench.citymodel.streams import BoundedStream, CountedStream
 from lodbench.errors import CityModelError
 
 HEAD_BYTES = 4096
@@ -26,9 +25,6 @@ _ARCHIVE_SUFFIXES = (".gz", ".zip")
 # Beside the tiles, PLATEAU and others deliver these; none holds a building.
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
 _MAX_MEMBERS = 100_000
-# City models compress 8 to 30 times. Beyond this ratio a stream is taken for a bomb.
-_MAX_RATIO = 250
-_RATIO_STARTS_AT_BYTES = 1 << 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,54 +56,30 @@ class Source:
         return head
 
 
-class BoundedStream(io.RawIOBase):
-    """A decompressed stream that stops at a bomb and speaks of damage in words.
+def count_bytes(sources: tuple[Source, ...], progress: Callable[[int, int], None]) -> tuple[Source, ...]:
+    """Returns the sources with every read counted towards one progress.
 
     Args:
-        stream: Decompressed bytes.
-        name: For messages.
-        packed_bytes: Size of the compressed data, to tell a bomb by its ratio.
+        sources: What will be read.
+        progress: Called with the bytes read and their total, 0 where compression hides it.
     """
+    is_packed = any("!" in source.name or source.name.endswith(".gz") for source in sources)
+    paths = {source.path for source in sources if source.path.is_file()}
+    total = 0 if is_packed else sum(path.stat().st_size for path in paths)
+    done = 0
 
-    def __init__(self, stream: BinaryIO, name: str, packed_bytes: int) -> None:
-        super().__init__()
-        self._stream = stream
-        self._name = name
-        self._limit = max(_RATIO_STARTS_AT_BYTES, packed_bytes * _MAX_RATIO)
-        self._done = 0
+    def report(num_bytes: int) -> None:
+        nonlocal done
+        done += num_bytes
+        progress(min(done, total) if total else done, total)
 
-    def readable(self) -> bool:
-        """Tells that the stream can be read."""
-        return True
+    def counted(source: Source) -> Source:
+        def open_stream() -> BinaryIO:
+            return CountedStream(source.open(), report)  # type: ignore[return-value]
 
-    def read(self, size: int = -1) -> bytes:
-        """Returns up to ``size`` bytes, all that is left where it is negative.
+        return replace(source, open=open_stream)
 
-        Raises:
-            CityModelError: The data is damaged or cut off, or expands beyond all reason.
-        """
-        wanted = self._limit + 1 - self._done if size < 0 else size
-        try:
-            data = self._stream.read(wanted)
-        except (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile, OSError) as error:
-            raise CityModelError(
-                f"{self._name} is damaged or cut off ({error}).", "Download the file again."
-            ) from None
-        except (RuntimeError, NotImplementedError) as error:
-            raise CityModelError(f"{self._name} cannot be unpacked: {error}.") from None
-        self._done += len(data)
-        if self._done > self._limit:
-            raise CityModelError(
-                f"{self._name} expands more than {_MAX_RATIO} times, which no city model does.",
-                "If you trust it, unpack it yourself and name the result.",
-            )
-        return data
-
-    def close(self) -> None:
-        """Closes the stream below."""
-        if not self.closed:
-            self._stream.close()
-        super().close()
+    return tuple(counted(source) for source in sources)
 
 
 def open_sources(path: Path) -> tuple[Source, ...]:

@@ -11,7 +11,7 @@ from lodbench.citymodel import read_city_model
 from lodbench.errors import CityModelError
 
 from .gml_text import box_city, box_rings, city, member, polygon, solid, surface_members, write
-from .twins import cityjson
+from .twins import cityjson, cityjsonseq
 
 BOX = box_city().encode()
 
@@ -45,6 +45,24 @@ class TestGzip:
         text = BOX.replace(b"</core:CityModel>", b" " * (40 << 20) + b"</core:CityModel>")
         with pytest.raises(CityModelError, match="expands more than"):
             read_city_model(write(tmp_path / "city.gml.gz", gzip.compress(text)))
+
+
+@pytest.mark.parametrize("name", ["a.gml", "a.json", "a.obj", "a.gml.gz"])
+def test_progress_reaches_the_end(tmp_path: Path, name: str) -> None:
+    content = {
+        "a.gml": BOX,
+        "a.json": cityjsonseq().encode(),
+        "a.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+        "a.gml.gz": gzip.compress(BOX),
+    }[name]
+    steps: list[tuple[int, int]] = []
+    read_city_model(write(tmp_path / name, content), progress=lambda done, total: steps.append((done, total)))
+    assert [done for done, _ in steps] == sorted(done for done, _ in steps)
+    if name.endswith("gz"):
+        assert steps[-1][0] >= len(BOX)
+        assert steps[-1][1] == 0
+    else:
+        assert steps[-1] == (len(content), len(content))
 
 
 class TestZip:
