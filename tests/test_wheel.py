@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import venv
@@ -23,7 +24,11 @@ def call(*words: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.xdist_group("wheel")
 def test_wheel_runs_the_demo_away_from_the_checkout(tmp_path):
-    call(sys.executable, "-m", "build", "--wheel", "--outdir", tmp_path / "dist", ROOT, cwd=tmp_path)
+    # From a copy: setuptools would take along what an earlier build left in the checkout.
+    shutil.copytree(
+        ROOT, tmp_path / "source", ignore=shutil.ignore_patterns(".*", "build", "runs", "*.egg-info")
+    )
+    call(sys.executable, "-m", "build", "--wheel", "--outdir", tmp_path / "dist", "source", cwd=tmp_path)
     (wheel,) = (tmp_path / "dist").glob("*.whl")
     venv.create(tmp_path / "env", with_pip=True)
     python = tmp_path / "env" / "bin" / "python"

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lodbench.evaluation.errors import PoseError
-from lodbench.storage import random_stream
 
-_RESAMPLES = 2000
+# Two-sided 95 % quantile of the normal distribution.
+_Z = 1.959963984540054
 
 
 class Threshold(NamedTuple):
@@ -38,7 +38,7 @@ class SplitSummary:
         num_queries: Length of the truth list: the denominator.
         num_failed: Queries without an answer.
         recall: Percent by threshold label.
-        interval: 95 % bootstrap interval of each recall, percent.
+        interval: 95 % interval of each recall, percent (Wilson).
         median_translation_m: Median over all queries.
         median_rotation_deg: Median over all queries.
         hypotheses_per_query: Mean over answered queries; NaN if there is none.
@@ -83,24 +83,28 @@ def summarize(
         num_queries=len(table),
         num_failed=int(np.isinf(table[:, 0]).sum()),
         recall={label: _percent(hit) for label, hit in found.items()},
-        interval={label: bootstrap_interval(hit) for label, hit in found.items()},
+        interval={label: wilson_interval(hit) for label, hit in found.items()},
         median_translation_m=float(np.median(table[:, 0])) if len(table) else math.nan,
         median_rotation_deg=float(np.median(table[:, 1])) if len(table) else math.nan,
         hypotheses_per_query=float(np.mean(hypotheses)) if len(hypotheses) else math.nan,
     )
 
 
-def bootstrap_interval(hits: np.typing.NDArray[np.bool_]) -> tuple[float, float]:
-    """Returns the 95 % percentile interval of the mean of (N,) hits, percent, resampled by query.
+def wilson_interval(hits: np.typing.NDArray[np.bool_]) -> tuple[float, float]:
+    """Returns the 95 % Wilson score interval of the mean of (N,) hits, percent; NaN for none.
 
-    A sum of N draws with replacement is binomial, so resampling needs no loop; the draws come from
-    a fixed seed, so that the same hits give the same interval.
+    Unlike a bootstrap it does not collapse to a point when all queries, or none, are found.
     """
-    if len(hits) == 0:
+    n = len(hits)
+    if n == 0:
         return math.nan, math.nan
-    draws = random_stream(0, "bootstrap", len(hits)).binomial(len(hits), hits.mean(), _RESAMPLES)
-    low, high = np.percentile(draws / len(hits) * 100.0, [2.5, 97.5])
-    return float(low), float(high)
+    share = float(hits.mean())
+    middle = share + _Z * _Z / (2 * n)
+    spread = _Z * math.sqrt(share * (1 - share) / n + _Z * _Z / (4 * n * n))
+    scale = 100.0 / (1 + _Z * _Z / n)
+    # At 0 and 100 % an end of the interval is the share itself, but for rounding.
+    low = min(max(0.0, scale * (middle - spread)), 100.0 * share)
+    return low, max(min(100.0, scale * (middle + spread)), 100.0 * share)
 
 
 def _percent(hits: np.typing.NDArray[np.bool_]) -> float:

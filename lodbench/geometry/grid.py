@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ class AxisRange:
     count: int
 
     def __post_init__(self) -> None:
-        if self.count < 1 or not self.width >= 0:
+        if self.count < 1 or not 0 <= self.width < math.inf:
             raise LodbenchError(
                 f"A grid axis needs a width >= 0 and a count >= 1, not {self.width} and {self.count}."
             )

@@ -96,7 +96,10 @@ class Pose:
         Raises:
             LodbenchError: A value is not finite, or the quaternion is not of unit length.
         """
-        return cls(rotation_from_quaternion(quat_wxyz), np.array(translation, dtype=np.float64))
+        offset = np.array(translation, dtype=np.float64)
+        if not np.isfinite(offset).all():
+            raise LodbenchError("A value of a translation is not finite.")
+        return cls(rotation_from_quaternion(quat_wxyz), offset)
 
     def shifted(self, offset_m: Sequence[float] | Matrix) -> Pose:
         """Returns the pose with its centre moved by (3,) world metres."""
@@ -116,7 +119,9 @@ def rotation_from_quaternion(quat_wxyz: Sequence[float]) -> Matrix:
         LodbenchError: A value is not finite, or the length differs from 1 by more than 1e-3.
     """
     norm = math.sqrt(sum(float(v) * float(v) for v in quat_wxyz))
-    if not math.isfinite(norm) or abs(norm - 1.0) > UNIT_TOLERANCE:
+    if not math.isfinite(norm):
+        raise LodbenchError("A value of a quaternion is not finite.")
+    if abs(norm - 1.0) > UNIT_TOLERANCE:
         raise LodbenchError(f"A quaternion has length {norm:.6g} instead of 1.", "The order is qw qx qy qz.")
     w, x, y, z = (float(v) / norm for v in quat_wxyz)
     return np.array(

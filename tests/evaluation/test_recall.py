@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import binomtest
 
 from lodbench.evaluation import DEFAULT_THRESHOLDS, PoseError, Threshold, summarize
 from lodbench.evaluation.errors import FAILED
-from lodbench.evaluation.recall import bootstrap_interval
+from lodbench.evaluation.recall import wilson_interval
 
 errors = st.lists(
     st.builds(PoseError, st.floats(0, 20), st.floats(0, 20)) | st.just(FAILED), min_size=1, max_size=40
@@ -94,22 +95,27 @@ class TestNothing:
 class TestInterval:
     @pytest.mark.parametrize(("hits", "count"), [(5, 20), (100, 200), (190, 200), (30, 40)])
     def test_is_close_to_the_normal_approximation(self, hits, count):
-        low, high = bootstrap_interval(np.arange(count) < hits)
+        low, high = wilson_interval(np.arange(count) < hits)
         share = hits / count
         half = 196 * math.sqrt(share * (1 - share) / count)
-        assert low == pytest.approx(100 * share - half, abs=0.3 * half + 100 / count)
-        assert high == pytest.approx(100 * share + half, abs=0.3 * half + 100 / count)
+        assert low == pytest.approx(100 * share - half, abs=0.3 * half + 200 / count)
+        assert high == pytest.approx(100 * share + half, abs=0.3 * half + 200 / count)
 
     @given(st.lists(st.booleans(), min_size=1, max_size=60), st.randoms(use_true_random=False))
     def test_holds_the_mean_and_is_the_same_every_time(self, hits, random):
         values = np.array(hits)
-        low, high = bootstrap_interval(values)
+        low, high = wilson_interval(values)
         assert 0 <= low <= 100 * values.mean() <= high <= 100
-        assert bootstrap_interval(np.array(random.sample(hits, len(hits)))) == (low, high)
+        assert wilson_interval(np.array(random.sample(hits, len(hits)))) == (low, high)
+
+    @pytest.mark.parametrize(("hits", "count"), [(200, 200), (0, 10), (15, 148), (1, 1), (73, 200)])
+    def test_against_scipy(self, hits, count):
+        low, high = binomtest(hits, count).proportion_ci(method="wilson")
+        assert wilson_interval(np.arange(count) < hits) == pytest.approx((100 * low, 100 * high))
 
     def test_more_queries_narrow_it(self):
-        widths = [np.diff(bootstrap_interval(np.arange(n) < n * 0.75))[0] for n in (20, 200, 2000)]
+        widths = [np.diff(wilson_interval(np.arange(n) < n * 0.75))[0] for n in (20, 200, 2000)]
         assert widths[0] > widths[1] > widths[2]
 
     def test_of_nothing(self):
-        assert all(math.isnan(v) for v in bootstrap_interval(np.zeros(0, dtype=bool)))
+        assert all(math.isnan(v) for v in wilson_interval(np.zeros(0, dtype=bool)))

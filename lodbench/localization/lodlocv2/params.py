@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from lodbench.errors import ConfigError, nearest_names
@@ -76,9 +77,11 @@ class Params:
                 f"method.candidates={self.candidates} is not beams x kept x (1 + whole children).",
                 f"With {self.beams} beams and {self.kept} kept, use a multiple of {self.beams * self.kept}.",
             )
-        if self.sigma_m < 0 or self.spread_yaw_deg < 0 or not 0 <= self.gamma <= 1:
+        if not (
+            0 <= self.sigma_m < math.inf and 0 <= self.spread_yaw_deg < math.inf and 0 <= self.gamma <= 1
+        ):
             raise ConfigError(
-                "method.sigma_m and method.spread_yaw_deg are >= 0, method.gamma is within 0 and 1."
+                "method.sigma_m and method.spread_yaw_deg are finite and >= 0, method.gamma lies in [0, 1]."
             )
         self.grid()
 
