@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
+import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PurePath
 
 from lodbench.citymodel.codes import FILE_SKIPPED
-from lodbench.citymodel.mesh import mesh_city
+from lodbench.citymodel.mesh import mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
@@ -17,6 +18,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import MESH_SUFFIXES, Source, count_bytes, open_sources
 from lodbench.findings import Findings
 
+_LOGGER = logging.getLogger(__name__)
 _SUPPORTED = (
     "Supported: CityGML (.gml, .xml, .citygml), CityJSON (.json, .jsonl), meshes (.obj, .ply, .stl, .glb), "
     "footprints (.gpkg, .shp, .geojson, .fgb, .parquet), these as .gz or in a .zip, and folders of them."
@@ -62,6 +64,8 @@ def open_scene(
 ) -> Scene:
     """Returns one level of detail of a city file as a scene: ``read_city_model`` and ``mesh_city``.
 
+    Findings go to the log; take the two steps yourself to have them as data.
+
     Args:
         path: The file.
         lod: Level name (``"1"``), or None for the lowest that has walls.
@@ -72,7 +76,12 @@ def open_scene(
     Raises:
         CityModelError: The file cannot be read, or has no building at that level.
     """
-    return mesh_city(read_city_model(path, crs=crs, options=options), lod, roof_height=roof_height)
+    model = read_city_model(path, crs=crs, options=options)
+    mesh = mesh_model(model, lod, roof_height=roof_height)
+    for found in (model.findings.counts(), mesh.findings.counts()):
+        for code, count in found.items():
+            _LOGGER.info("%s: %s, %d times", path, code, count)
+    return mesh.scene
 
 
 def parse_city_model(data: bytes, name: str = "city", options: ReadOptions | None = None) -> CityModel:
