@@ -72,7 +72,8 @@ class _Reader:
                 "Without its transform the coordinates mean nothing: put the header line before it.",
             )
         if kind != "CityJSON":
-            raise NotACity(f"{self._source} is JSON, but not CityJSON (type {kind!r}).", _HINT)
+            hint = "Name GeoJSON footprints .geojson." if kind == "FeatureCollection" else _HINT
+            raise NotACity(f"{self._source} is JSON, but not CityJSON (type {kind!r}).", hint)
         version = str(document.get("version", ""))
         if version.partition(".")[0] not in ("1", "2"):
             raise CityModelError(
