@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
+from numba.core import cgutils
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
@@ -34,13 +35,11 @@ class Coverage(NamedTuple):
     Attributes:
         marks: (S * (H + 1) * 64,) int16, strip by strip, row by row: how much the sum changes at each
             pixel. Row H takes what lies below the view.
-        sums: (64,) int16, the sweep's running sums.
         low: (S,) int64, first marked row of each strip.
         high: (S,) int64, last marked row of each strip, -1 for none.
     """
 
     marks: NDArray[np.int16]
-    sums: NDArray[np.int16]
     low: NDArray[np.int64]
     high: NDArray[np.int64]
 
@@ -50,7 +49,6 @@ def blank_coverage(width: int, height: int) -> Coverage:
     strips = words_per_row(width)
     return Coverage(
         np.zeros(strips * (height + 1) * _STRIP, dtype=np.int16),
-        np.zeros(_STRIP, dtype=np.int16),
         np.full(strips, height, dtype=np.int64),
         np.full(strips, -1, dtype=np.int64),
     )
@@ -139,42 +137,49 @@ def mark_lines(lines, count, height, marks):  # type: ignore[no-untyped-def]  # 
 
 
 @intrinsic
-def _sweep_row(_context: Any, marks: Any, index: Any, sums: Any) -> tuple[Signature, Any]:
-    """Adds 64 marks to the running sums, clears them, and returns a bit per sum that is not zero.
+def _sweep_strip(
+    _context: Any, marks: Any, start: Any, rows: Any, words: Any, place: Any, stride: Any
+) -> tuple[Signature, Any]:
+    """Adds up ``rows`` rows of 64 marks each, clears them, and sets a bit per sum that is not zero.
 
-    Written for LLVM directly, because it turns this comparison of a whole vector into a bit mask in
-    a few instructions, and finds no such thing in a loop.
+    Written for LLVM directly: it keeps the 64 sums in registers and turns their comparison with zero
+    into a bit mask in a few instructions; out of a loop it makes neither.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        marks_data, words_data = (
+            make_array(signature.args[i])(context, builder, args[i]).data  # type: ignore[no-untyped-call]
+            for i in (0, 3)
+        )
         vector = ir.VectorType(ir.IntType(16), _STRIP)
         zero = ir.Constant(vector, [0] * _STRIP)
-        marks_array, sums_array = (
-            make_array(signature.args[i])(context, builder, args[i])  # type: ignore[no-untyped-call]
-            for i in (0, 2)
-        )
-        here = builder.bitcast(builder.gep(marks_array.data, [args[1]]), vector.as_pointer())
-        total = builder.bitcast(sums_array.data, vector.as_pointer())
-        result = builder.add(builder.load(total, align=2), builder.load(here, align=2))
-        builder.store(result, total, align=2)
-        builder.store(zero, here, align=2)
-        return builder.bitcast(builder.icmp_signed("!=", result, zero), ir.IntType(64))
+        sums = cgutils.alloca_once_value(builder, zero)  # type: ignore[no-untyped-call]
+        with cgutils.for_range(builder, args[2]) as loop:  # type: ignore[no-untyped-call]
+            offset = builder.add(args[1], builder.mul(loop.index, ir.Constant(loop.index.type, _STRIP)))
+            here = builder.bitcast(builder.gep(marks_data, [offset]), vector.as_pointer())
+            total = builder.add(builder.load(sums), builder.load(here, align=2))
+            builder.store(total, sums)
+            builder.store(zero, here, align=2)
+            bits = builder.bitcast(builder.icmp_signed("!=", total, zero), ir.IntType(64))
+            word = builder.gep(words_data, [builder.add(args[4], builder.mul(loop.index, args[5]))])
+            builder.store(builder.or_(builder.load(word), bits), word)
+        return context.get_dummy_value()
 
-    return types.uint64(marks, types.int64, sums), generate
+    return types.void(marks, types.int64, types.int64, words, types.int64, types.int64), generate
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def sweep(coverage, height, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Sets the bits of ``words``, (H, S) uint64, where the sums are not zero, and clears all marks."""
-    marks = coverage.marks
-    for strip in range(coverage.low.shape[0]):
+    strips = coverage.low.shape[0]
+    for strip in range(strips):
         low, high = coverage.low[strip], coverage.high[strip]
         if high < 0:
             continue
-        coverage.sums[:] = 0
         start = strip * (height + 1) * _STRIP
-        for row in range(low, min(high, height - 1) + 1):
-            words[row, strip] |= _sweep_row(marks, start + row * _STRIP, coverage.sums)  # type: ignore[call-arg]
-        marks[start + height * _STRIP : start + (height + 1) * _STRIP] = 0
+        # The row below the view takes marks but is not looked at.
+        rows = min(high, height - 1) + 1 - low
+        _sweep_strip(coverage.marks, start + low * _STRIP, rows, words, low * strips + strip, strips)
+        coverage.marks[start + height * _STRIP : start + (height + 1) * _STRIP] = 0
         coverage.low[strip] = height
         coverage.high[strip] = -1

@@ -25,19 +25,25 @@ from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
 _SAFE_SUBPIXELS = (GUARD_PX - 2.0) * 256.0
 
 Floats = NDArray[np.float64]
-Indices = NDArray[np.int32]
+Indices = NDArray[np.uint32]
 
 
 class SceneArrays(NamedTuple):
     """A scene laid out for the kernel; indices count within their building.
 
+    Indices are unsigned: a signed one costs a look at its sign each time it is used.
+
     Attributes:
         x: (V,) float32 vertex coordinates, local metres; likewise y and z.
         y: See x.
         z: See x.
-        triangles: (T, 3) int32 vertices of each triangle.
-        ends: (E, 2) int32 vertices of each edge, in the direction its first triangle runs it.
-        sides: (E, 2) int32 triangles on either side of each edge.
+        corner_a: (T,) uint32 first vertex of each triangle; likewise corner_b and corner_c.
+        corner_b: See corner_a.
+        corner_c: See corner_a.
+        tail: (E,) uint32 vertex each edge starts from, as its first triangle runs it.
+        head: (E,) uint32 vertex each edge runs to.
+        side_a: (E,) uint32 first triangle beside each edge.
+        side_b: (E,) uint32 second triangle beside each edge.
         second_weight: (E,) int32, +1, -1 or 0, see ``EdgeTable``.
         starts: (B + 1, 3) int64 offsets of each building's vertices, triangles and edges.
         spheres: (B, 4) float64 bounding spheres (x, y, z, radius).
@@ -46,10 +52,14 @@ class SceneArrays(NamedTuple):
     x: NDArray[np.float32]
     y: NDArray[np.float32]
     z: NDArray[np.float32]
-    triangles: Indices
-    ends: Indices
-    sides: Indices
-    second_weight: Indices
+    corner_a: Indices
+    corner_b: Indices
+    corner_c: Indices
+    tail: Indices
+    head: Indices
+    side_a: Indices
+    side_b: Indices
+    second_weight: NDArray[np.int32]
     starts: NDArray[np.int64]
     spheres: Floats
 
@@ -78,6 +88,8 @@ class Scratch(NamedTuple):
         v: (V,) float64 snapped rows, sub-pixels.
         depth: (V,) float64 distances along the optical axis, metres.
         facing: (T,) int32, which way each triangle turns on the screen.
+        weights: (E,) int32 of each edge.
+        outline: (E + 1,) uint32 edges whose weight is not zero.
         lines: The edges of one building.
         coverage: The view's marks.
     """
@@ -85,7 +97,9 @@ class Scratch(NamedTuple):
     u: Floats
     v: Floats
     depth: Floats
-    facing: Indices
+    facing: NDArray[np.int32]
+    weights: NDArray[np.int32]
+    outline: Indices
     lines: EdgeLines
     coverage: Coverage
 
@@ -124,13 +138,15 @@ def _snap(x, y, z, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _project(xs, ys, zs, rotation, center, f, u, v, depth):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _project(scene, first, stop, r, c, f, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Projects vertices to snapped u, v and to depth; those beside the camera, at depth 0, to infinity.
 
     Kept free of anything but arithmetic, so that the compiler can do several vertices at a time.
     """
-    for i in range(xs.size):
-        x, y, z = _camera_axes(xs[i], ys[i], zs[i], rotation, center)
+    xs, ys, zs, u, v, depth = scene.x, scene.y, scene.z, scratch.u, scratch.v, scratch.depth
+    for i in range(np.uint64(stop - first)):
+        k = i + np.uint64(first)
+        x, y, z = _camera_axes(xs[k], ys[k], zs[k], r, c)
         u[i], v[i] = _snap(x, y, z, f)
         depth[i] = z
 
@@ -138,10 +154,10 @@ def _project(xs, ys, zs, rotation, center, f, u, v, depth):  # type: ignore[no-u
 # The flags let the compiler reorder minima, which changes none of them; there is no NaN to find,
 # because screen positions are read only when every depth is positive.
 @njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
-def _bounds(values):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns the least and the greatest of (N,) float64 values, N >= 1."""
+def _bounds(values, count):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns the least and the greatest of the first ``count`` float64 values, count >= 1."""
     low = high = values[0]
-    for i in range(values.size):
+    for i in range(np.uint64(count)):
         low, high = min(low, values[i]), max(high, values[i])
     return low, high
 
@@ -154,21 +170,44 @@ def _side(ua, va, ub, vb, uc, vc):  # type: ignore[no-untyped-def]  # noqa: ANN0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _face(scene, b, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Writes which way each triangle of a building turns on the screen."""
+    u, v, facing = scratch.u, scratch.v, scratch.facing
+    first, stop = np.uint64(scene.starts[b, 1]), np.uint64(scene.starts[b + 1, 1])
+    for t in range(stop - first):
+        i, j, k = scene.corner_a[first + t], scene.corner_b[first + t], scene.corner_c[first + t]
+        facing[t] = _side(u[i], v[i], u[j], v[j], u[k], v[k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _find_outline(scene, b, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Writes the weight of each edge of a building, and which are not zero; returns how many."""
+    facing, weights, outline = scratch.facing, scratch.weights, scratch.outline
+    first, stop = np.uint64(scene.starts[b, 2]), np.uint64(scene.starts[b + 1, 2])
+    for e in range(stop - first):
+        one, other = facing[scene.side_a[first + e]], facing[scene.side_b[first + e]]
+        weights[e] = one + scene.second_weight[first + e] * other
+    count = np.uint64(0)
+    # Written at every turn and kept by the count: no branch to guess wrong.
+    for e in range(stop - first):
+        outline[count] = e
+        count += np.uint64(weights[e] != 0)
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _draw_building(scene, b, view, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Marks the edges of a building whose two triangles do not cancel out."""
-    u, v, facing, lines = scratch.u, scratch.v, scratch.facing, scratch.lines
-    triangles = scene.triangles[scene.starts[b, 1] : scene.starts[b + 1, 1]]
-    for t in range(triangles.shape[0]):
-        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        facing[t] = _side(u[i], v[i], u[j], v[j], u[k], v[k])
-    e0, e1 = scene.starts[b, 2], scene.starts[b + 1, 2]
-    ends, sides, second_weight = scene.ends[e0:e1], scene.sides[e0:e1], scene.second_weight[e0:e1]
+    u, v, lines = scratch.u, scratch.v, scratch.lines
+    _face(scene, b, scratch)
+    found = _find_outline(scene, b, scratch)
+    first = np.uint64(scene.starts[b, 2])
     count = 0
-    for e in range(ends.shape[0]):
-        weight = facing[sides[e, 0]] + second_weight[e] * facing[sides[e, 1]]
-        if weight != 0:
-            i, j = ends[e, 0], ends[e, 1]
-            count = add_line(lines, count, view.width, view.height, u[i], v[i], u[j], v[j], weight)
+    for n in range(found):
+        e = scratch.outline[n]
+        i, j = scene.tail[first + e], scene.head[first + e]
+        weight = scratch.weights[e]
+        count = add_line(lines, count, view.width, view.height, u[i], v[i], u[j], v[j], weight)
     mark_lines(lines, count, view.height, scratch.coverage.marks)
 
 
@@ -181,13 +220,14 @@ def _draw_clipped(scene, b, rotation, center, view, scratch, words):  # type: ig
     v0 = scene.starts[b, 0]
     layers = 0
     for t in range(scene.starts[b, 1], scene.starts[b + 1, 1]):
+        corners = (scene.corner_a[t], scene.corner_b[t], scene.corner_c[t])
         for i in range(3):
-            k = v0 + scene.triangles[t, i]
+            k = v0 + np.int64(corners[i])
             polygon[i, 0], polygon[i, 1], polygon[i, 2] = _camera_axes(
                 scene.x[k], scene.y[k], scene.z[k], rotation, center
             )
-        corners = clip_polygon(polygon, 3, clipped, f)
-        for i in range(1, corners - 1):
+        kept = clip_polygon(polygon, 3, clipped, f)
+        for i in range(1, kept - 1):
             for k, m in enumerate((0, i, i + 1)):
                 u[k], v[k] = _snap(polygon[m, 0], polygon[m, 1], polygon[m, 2], f)
             side = _side(u[0], v[0], u[1], v[1], u[2], v[2])
@@ -257,13 +297,11 @@ def _draw_view(scene, buildings, rotation, center, view, scratch, words):  # typ
             continue
         v0, v1 = scene.starts[b, 0], scene.starts[b + 1, 0]
         n = v1 - v0
-        _project(
-            scene.x[v0:v1], scene.y[v0:v1], scene.z[v0:v1], rotation, center, view.intrinsics, u, v, depth
-        )
-        needs_clipping = _bounds(depth[:n])[0] < NEAR_M
+        _project(scene, v0, v1, rotation, center, view.intrinsics, scratch)
+        needs_clipping = _bounds(depth, n)[0] < NEAR_M
         if not needs_clipping:
-            left, right = _bounds(u[:n])
-            top, bottom = _bounds(v[:n])
+            left, right = _bounds(u, n)
+            top, bottom = _bounds(v, n)
             needs_clipping = min(left, top) < -_SAFE_SUBPIXELS or max(right, bottom) > _SAFE_SUBPIXELS
         triangles = scene.starts[b + 1, 1] - scene.starts[b, 1]
         if layers + triangles > MAX_LAYERS or needs_clipping:

@@ -114,6 +114,8 @@ class SilhouetteRenderer:
             np.zeros(vertices),
             np.zeros(vertices),
             np.zeros(triangles, dtype=np.int32),
+            np.zeros(edges, dtype=np.int32),
+            np.zeros(edges + 1, dtype=np.uint32),
             edge_lines(max(3, edges) + 1),
             blank_coverage(camera.width, camera.height),
         )
@@ -129,13 +131,18 @@ def _scene_arrays(scene: Scene) -> SceneArrays:
         x,
         y,
         z,
-        (scene.triangles - starts[of_triangle, :1]).astype(np.int32),
-        (edges.corners - starts[of_edge, :1]).astype(np.int32),
-        (edges.sides - starts[of_edge, 1:2]).astype(np.int32),
+        *_columns(scene.triangles - starts[of_triangle, :1]),
+        *_columns(edges.corners - starts[of_edge, :1]),
+        *_columns(edges.sides - starts[of_edge, 1:2]),
         edges.second_weight,
         starts,
         bounding_spheres(scene),
     )
+
+
+def _columns(table: NDArray[np.int64]) -> list[NDArray[np.uint32]]:
+    """Returns the columns of an (N, K) table of indices as K contiguous uint32 arrays."""
+    return [np.ascontiguousarray(column, dtype=np.uint32) for column in table.T]
 
 
 def _view(camera: Camera) -> View:
