@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -29,8 +30,9 @@ _CHUNK = 13
 class SilhouetteRenderer:
     """Renders the union of a scene's projected faces, and counts its overlap with a query mask.
 
-    The scene is prepared once (edges, bounding spheres); rendering holds no other state, and the
-    result does not depend on the number of threads or on how hypotheses are batched.
+    The scene is prepared once (edges, bounding spheres); rendering holds no state of its own, and the
+    result does not depend on the number of threads or on how hypotheses are batched. Each thread keeps
+    its working memory, which every view leaves cleared.
 
     Args:
         scene: The city, local metric frame.
@@ -45,6 +47,7 @@ class SilhouetteRenderer:
         self._arrays = _scene_arrays(scene)
         self._largest = np.diff(self._arrays.starts, axis=0).max(axis=0)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._of_thread = threading.local()
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose.
@@ -59,7 +62,7 @@ class SilhouetteRenderer:
         """Returns the silhouette as (H, ceil(W / 64)) bit-packed words."""
         view, words = _view(camera), _blank(camera)
         rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
-        draw_view(self._arrays, rotation, center, view, self._scratch(camera), words)
+        draw_view(self._arrays, rotation, center, view, self._working_memory(camera)[0], words)
         return words
 
     def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
@@ -87,17 +90,9 @@ class SilhouetteRenderer:
         area = np.zeros(len(centers), dtype=np.int64)
 
         def work(part: slice) -> None:
-            score_views(
-                self._arrays,
-                rotations[part],
-                centers[part],
-                view,
-                self._scratch(camera),
-                _blank(camera),
-                query,
-                shared[part],
-                area[part],
-            )
+            memory, words = self._working_memory(camera)
+            poses = rotations[part], centers[part]
+            score_views(self._arrays, *poses, view, memory, words, query, shared[part], area[part])
 
         parts = _chunks(len(centers), self.threads)
         if self._pool is None:
@@ -107,18 +102,24 @@ class SilhouetteRenderer:
             list(self._pool.map(work, parts))
         return IouCounts(shared, area + count_bits(query) - shared)
 
-    def _scratch(self, camera: Camera) -> Scratch:
-        vertices, triangles, edges = (int(n) for n in self._largest)
-        return Scratch(
-            np.zeros(vertices),
-            np.zeros(vertices),
-            np.zeros(vertices),
-            np.zeros(triangles, dtype=np.int32),
-            np.zeros(edges, dtype=np.int32),
-            np.zeros(edges + 1, dtype=np.uint32),
-            edge_lines(max(3, edges) + 1),
-            blank_coverage(camera.width, camera.height),
-        )
+    def _working_memory(self, camera: Camera) -> tuple[Scratch, Words]:
+        """Returns this thread's scratch and blank words for a size of image, made on first use."""
+        size = camera.width, camera.height
+        if getattr(self._of_thread, "size", None) != size:
+            vertices, triangles, edges = (int(n) for n in self._largest)
+            scratch = Scratch(
+                np.zeros(vertices),
+                np.zeros(vertices),
+                np.zeros(vertices),
+                np.zeros(triangles, dtype=np.int32),
+                np.zeros(edges, dtype=np.int32),
+                np.zeros(edges + 1, dtype=np.uint32),
+                edge_lines(max(3, edges) + 1),
+                blank_coverage(*size),
+            )
+            self._of_thread.size, self._of_thread.memory = size, (scratch, _blank(camera))
+        memory: tuple[Scratch, Words] = self._of_thread.memory
+        return memory
 
 
 def _scene_arrays(scene: Scene) -> SceneArrays:
@@ -127,16 +128,23 @@ def _scene_arrays(scene: Scene) -> SceneArrays:
     of_triangle = np.repeat(np.arange(scene.num_buildings), np.diff(scene.triangle_starts))
     of_edge = np.repeat(np.arange(scene.num_buildings), np.diff(edges.starts))
     x, y, z = (np.ascontiguousarray(scene.vertices[:, axis]) for axis in range(3))
+    corner_a, corner_b, corner_c = _columns(scene.triangles - starts[of_triangle, :1])
+    tail, head = _columns(edges.corners - starts[of_edge, :1])
+    side_a, side_b = _columns(edges.sides - starts[of_edge, 1:2])
     return SceneArrays(
-        x,
-        y,
-        z,
-        *_columns(scene.triangles - starts[of_triangle, :1]),
-        *_columns(edges.corners - starts[of_edge, :1]),
-        *_columns(edges.sides - starts[of_edge, 1:2]),
-        edges.second_weight,
-        starts,
-        bounding_spheres(scene),
+        x=x,
+        y=y,
+        z=z,
+        corner_a=corner_a,
+        corner_b=corner_b,
+        corner_c=corner_c,
+        tail=tail,
+        head=head,
+        side_a=side_a,
+        side_b=side_b,
+        second_weight=edges.second_weight,
+        starts=starts,
+        spheres=bounding_spheres(scene),
     )
 
 
