@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lodbench.bench.figures import Figure, format_columns
+from lodbench.bench.figures import Figure
 from lodbench.evaluation import DEFAULT_THRESHOLDS, PoseError, SplitSummary, summarize
+from lodbench.reporting.columns import format_columns
 
 # The two blocks: pitch and roll of the prior true, or drawn with an error.
 TILTS = ("truth", "prior")

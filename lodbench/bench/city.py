@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench.city_peers import naive_mesh, time_cjio
-from lodbench.bench.figures import Figure, Progress, format_columns, no_progress
+from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.convert import obj_text
 from lodbench.citymodel.model import CityModel
 from lodbench.errors import CityModelError, ConfigError
+from lodbench.reporting.columns import format_columns
 
 _MEGABYTE = 1e6
 _MEMORY_SCRIPT = """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 # Called with the steps done and their total.
@@ -40,17 +40,6 @@ class Figure:
             "peer_value": _finite(self.peer_value),
             "ratio": _finite(self.ratio),
         }
-
-
-def format_columns(rows: Sequence[Sequence[str]]) -> str:
-    """Returns rows of cells as lines of text: first column flush left, the others flush right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = []
-    for row in rows:
-        cells = [row[0].ljust(widths[0])]
-        cells += [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)
 
 
 def no_progress(done: int, total: int) -> None:

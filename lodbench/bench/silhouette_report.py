@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lodbench.bench.figures import Figure, format_columns
+from lodbench.bench.figures import Figure
+from lodbench.reporting.columns import format_columns
 
 
 @dataclass(frozen=True, slots=True)

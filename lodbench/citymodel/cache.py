@@ -3,20 +3,94 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
-from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.mesh import CityMesh, mesh_model
+from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import read_city_model
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.scene_file import FORMAT_VERSION, read_scene, write_scene
+from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_extra, read_scene, write_scene
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import CityModelError
 from lodbench.storage import digest_of, file_digest
 from lodbench.storage.paths import cache_root
 
 _LOGGER = logging.getLogger(__name__)
+# What decides the numbers besides our own code.
+_LIBRARIES = ("mapbox_earcut", "numpy", "pyproj")
+
+
+@dataclass(frozen=True, slots=True)
+class OpenCity:
+    """A scene, and what was met on the way to it; the same whether it was read or came from the cache.
+
+    Attributes:
+        scene: The triangles.
+        findings: Code and name to count, of reading and of meshing.
+        area_m2: Newell area of the polygons meshed.
+        lost_m2: Area no triangle covers.
+    """
+
+    scene: Scene
+    findings: dict[str, int]
+    area_m2: float
+    lost_m2: float
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns what a reader of results must know of the city: its findings, and any area lost."""
+        counts = ", ".join(f"{count} x {name}" for name, count in self.findings.items())
+        lines = [f"city model: {counts} (see lodbench city check)"] if counts else []
+        if self.lost_m2 > 0.005:
+            lines.append(f"city model: {self.lost_m2:.2f} of {self.area_m2:.2f} m2 could not be meshed")
+        return tuple(lines)
+
+
+def open_cached_city(
+    path: str | Path,
+    *,
+    lod: str | None = None,
+    options: ReadOptions | None = None,
+    roof_height: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> OpenCity:
+    """Returns one level of detail of a city, from the cache where it is there.
+
+    The key is made of the content of every file, the options and the code that reads, so a file that
+    changes is read again and a copy under another name is not. A cache that cannot be written costs
+    nothing but the time.
+
+    Args:
+        path: As for ``read_city_model``; or a scene that ``lodbench city convert`` wrote.
+        lod: As for ``mesh_city``.
+        options: As for ``read_city_model``.
+        roof_height: As for ``mesh_city``.
+        progress: As for ``read_city_model``; never called where the cache has the scene.
+
+    Raises:
+        CityModelError: The file cannot be read, or has no building at that level.
+    """
+    path, options = Path(path), options or ReadOptions()
+    if is_scene(path):
+        return _open_scene_folder(path, lod)
+    folder = cache_root() / "scenes" / scene_key(path, lod, options, roof_height)
+    try:
+        return _load(folder)
+    except CityModelError:
+        pass  # not there, damaged, or of another version: made anew
+    model = read_city_model(path, options=options, progress=progress)
+    city = open_city(model, mesh_model(model, lod, roof_height=roof_height))
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        store_city(city, folder)
+    except OSError as error:
+        _LOGGER.info("The scene cache %s cannot be written: %s", folder.parent, error)
+    return city
 
 
 def open_cached_scene(
@@ -26,34 +100,30 @@ def open_cached_scene(
     options: ReadOptions | None = None,
     roof_height: str | None = None,
 ) -> Scene:
-    """Returns the scene of ``open_scene``, from the cache where it is there.
+    """Returns the scene of ``open_scene``, from the cache where it is there; see ``open_cached_city``."""
+    return open_cached_city(path, lod=lod, options=options, roof_height=roof_height).scene
 
-    The key is made of the content of every file, the options and the version of the cache, so a
-    file that changes is read again and a copy under another name is not. A cache that cannot be
-    written costs nothing but the time.
+
+def open_city(model: CityModel, mesh: CityMesh) -> OpenCity:
+    """Returns a mesh of a model with the findings of both.
 
     Args:
-        path: As for ``read_city_model``.
-        lod: As for ``mesh_city``.
-        options: As for ``read_city_model``.
-        roof_height: As for ``mesh_city``.
+        model: The city as read.
+        mesh: One level of it.
+    """
+    counts = Counter(model.findings.counts())
+    counts.update(mesh.findings.counts())
+    return OpenCity(mesh.scene, dict(sorted(counts.items())), mesh.area_m2, mesh.lost_m2)
+
+
+def store_city(city: OpenCity, folder: Path) -> None:
+    """Writes a city as a scene folder that remembers its findings.
 
     Raises:
-        CityModelError: The file cannot be read, or has no building at that level.
+        OSError: As for ``write_scene``.
     """
-    options = options or ReadOptions()
-    folder = cache_root() / "scenes" / scene_key(Path(path), lod, options, roof_height)
-    try:
-        return read_scene(folder)
-    except CityModelError:
-        pass  # not there, damaged, or of another version: made anew
-    mesh = mesh_model(read_city_model(path, options=options), lod, roof_height=roof_height)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        write_scene(mesh.scene, folder)
-    except OSError as error:
-        _LOGGER.info("The scene cache %s cannot be written: %s", folder.parent, error)
-    return mesh.scene
+    extra = {"findings": city.findings, "area_m2": city.area_m2, "lost_m2": city.lost_m2}
+    write_scene(city.scene, folder, extra)
 
 
 def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: str | None) -> str:
@@ -68,10 +138,35 @@ def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: st
     try:
         digests = [_digest(file) for file in files]
     except OSError as error:
-        raise CityModelError(f"{path} cannot be read: {error.strerror}.") from None
-    return digest_of(
-        [FORMAT_VERSION, digests, lod, {**asdict(options), "terrain": None}, roof_height], length=24
-    )
+        raise CityModelError(f"{error.filename or path} cannot be read: {error.strerror}.") from None
+    settings = [lod, {**asdict(options), "terrain": None}, roof_height]
+    return digest_of([FORMAT_VERSION, _code_digest(), digests, *settings], length=24)
+
+
+def _open_scene_folder(folder: Path, lod: str | None) -> OpenCity:
+    city = _load(folder)
+    if lod is not None and lod != city.scene.lod:
+        raise CityModelError(
+            f"{folder} holds level of detail {city.scene.lod or 'none'}, not {lod}.",
+            "Convert the file it was made from again.",
+        )
+    return city
+
+
+def _load(folder: Path) -> OpenCity:
+    scene, extra = read_scene(folder), read_extra(folder)
+    try:
+        findings = {str(name): int(count) for name, count in extra["findings"].items()}
+        return OpenCity(scene, findings, float(extra["area_m2"]), float(extra["lost_m2"]))
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise CityModelError(f"The scene in {folder} is damaged ({error}).", "Delete the folder.") from None
+
+
+@cache
+def _code_digest() -> str:
+    """Returns a digest of the code that makes scenes: no version number has to be remembered."""
+    modules = [file_digest(file) for file in sorted(Path(__file__).parent.glob("*.py"))]
+    return digest_of([modules, [version(name) for name in _LIBRARIES]])
 
 
 def _digest(path: Path) -> list[str]:

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.cache import open_city, store_city
+from lodbench.citymodel.mesh import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.scene_file import write_scene
 from lodbench.errors import CityModelError
 from lodbench.storage import write_bytes
 
@@ -29,9 +29,23 @@ _SURFACE_NAMES = {
 _MILLIMETRE = 0.001
 
 
+def check_target(target: Path) -> None:
+    """Refuses a target whose ending names no format, before a long read is spent on it.
+
+    Raises:
+        CityModelError: The ending is unknown, or the folder missing.
+    """
+    if target.suffix.lower() not in FORMATS:
+        raise CityModelError(
+            f"No format is known by the ending of {target}.", f"Known: {', '.join(FORMATS)}."
+        )
+    if not target.parent.is_dir():
+        raise CityModelError(f"{target} cannot be written: {target.parent} is no folder.", "Make it first.")
+
+
 def convert_city(
     model: CityModel, target: Path, *, lod: str | None = None, roof_height: str | None = None
-) -> None:
+) -> CityMesh | None:
     """Writes a city in the format the target's ending names; a file is written whole or not at all.
 
     ``.obj``, ``.ply``, ``.glb`` and ``.scene`` hold one level of detail, in the local frame (the
@@ -44,28 +58,25 @@ def convert_city(
         lod: Level for the mesh formats, as in ``mesh_city``.
         roof_height: As in ``mesh_city``.
 
+    Returns:
+        The mesh written, with its account of area; None for CityJSON, which has the polygons.
+
     Raises:
         CityModelError: The ending is unknown, the level absent, or the folder not writable.
     """
+    check_target(target)
     suffix = target.suffix.lower()
-    meshed: dict[str, Callable[[Scene], bytes]] = {
-        ".obj": lambda scene: obj_text(scene).encode(),
-        ".ply": _ply,
-        ".glb": _glb,
-    }
+    mesh = None if suffix == ".json" else mesh_model(model, lod, roof_height=roof_height)
     try:
-        if suffix == ".json":
+        if mesh is None:
             write_bytes(target, _cityjson(model))
         elif suffix == ".scene":
-            write_scene(mesh_model(model, lod, roof_height=roof_height).scene, target)
-        elif suffix in meshed:
-            write_bytes(target, meshed[suffix](mesh_model(model, lod, roof_height=roof_height).scene))
+            store_city(open_city(model, mesh), target)
         else:
-            raise CityModelError(
-                f"No format is known by the ending of {target}.", "Known: .obj, .ply, .glb, .json, .scene."
-            )
+            write_bytes(target, _MESH_WRITERS[suffix](mesh.scene))
     except OSError as error:
         raise CityModelError(f"{target} cannot be written: {error.strerror}.") from None
+    return mesh
 
 
 def obj_text(scene: Scene) -> str:
@@ -163,3 +174,11 @@ def _reference_system(crs: str | None) -> str | None:
     if crs is None or not crs.startswith("EPSG:"):
         return None
     return f"https://www.opengis.net/def/crs/EPSG/0/{crs[5:].partition('+')[0]}"
+
+
+_MESH_WRITERS: dict[str, Callable[[Scene], bytes]] = {
+    ".obj": lambda scene: obj_text(scene).encode(),
+    ".ply": _ply,
+    ".glb": _glb,
+}
+FORMATS = (*_MESH_WRITERS, ".json", ".scene")

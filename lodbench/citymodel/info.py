@@ -19,9 +19,10 @@ def city_info(model: CityModel) -> dict[str, Any]:
         model: The city as read.
 
     Returns:
-        ``format, version, crs, buildings, parts, extent_m`` (x, y, z lengths), ``lods``: level name
-        to ``polygons`` (as in the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2``
-        and ``lost_m2``; and ``findings``: code and name to count, meshing included.
+        ``format, version, crs, center_lat_lon`` (degrees, or None without a reference system),
+        ``buildings, parts, extent_m`` (x, y, z lengths), ``lods``: level name to ``polygons`` (as in
+        the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2`` and ``lost_m2``; and
+        ``findings``: code and name to count, meshing included.
     """
     points = model.polygons.points
     extent = np.ptp(points, axis=0) if len(points) else np.zeros(3)
@@ -44,9 +45,26 @@ def city_info(model: CityModel) -> dict[str, Any]:
         "format": model.format,
         "version": model.version,
         "crs": model.crs,
+        "center_lat_lon": _center_lat_lon(model),
         "buildings": len(model.building_ids),
         "parts": model.num_parts,
         "extent_m": [round(float(length), 3) for length in extent],
         "lods": lods,
         "findings": dict(sorted(counts.items())),
     }
+
+
+def _center_lat_lon(model: CityModel) -> list[float] | None:
+    """Returns where on Earth the middle of the city is, to a decimetre: the quickest test of a place."""
+    points = model.polygons.points
+    if model.crs is None or len(points) == 0:
+        return None
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    x, y = 0.5 * (points[:, :2].min(axis=0) + points[:, :2].max(axis=0)) + model.origin[:2]
+    try:
+        lon, lat = Transformer.from_crs(model.crs, "EPSG:4326", always_xy=True).transform(x, y)
+    except ProjError:
+        return None
+    return [round(lat, 6), round(lon, 6)] if np.isfinite([lat, lon]).all() else None

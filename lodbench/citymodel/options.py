@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal
+from dataclasses import dataclass
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from lodbench.errors import ConfigError, nearest_names
 
 AxisOrder = Literal["auto", "east_first", "north_first"]
-BASES = ("as_given", "ground", "sunk")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,29 +65,55 @@ class ReadOptions:
             >>> ReadOptions.from_mapping({"base": "sunk", "sunk_m": 3}).sunk_m
             3.0
         """
-        known = {item.name: item.default for item in fields(cls)}
-        given: dict[str, Any] = {}
-        for name, value in values.items():
-            if name not in known:
-                raise ConfigError(f"A source has no option {name!r}.", nearest_names(name, known))
-            if isinstance(known[name], float) and isinstance(value, int) and not isinstance(value, bool):
-                value = float(value)
-            if known[name] is not None and type(value) is not type(known[name]):
-                raise ConfigError(f"The option {name}={value!r} of a source has the wrong type.")
-            given[name] = tuple(float(v) for v in value) if name == "origin" and value is not None else value
-        return cls(**given)
+        hints = get_type_hints(cls)
+        for name in values:
+            if name not in hints:
+                raise ConfigError(f"A source has no option {name!r}.", nearest_names(name, hints))
+        return cls(**{name: _fitting(name, value, hints[name]) for name, value in values.items()})
 
     def __post_init__(self) -> None:
-        """Checks ranges.
+        """Checks words and ranges.
 
         Raises:
-            ConfigError: A value is out of range; the message names the key.
+            ConfigError: A value is unknown or out of range; the message names the key.
         """
+        for name, words in _WORDS.items():
+            word = getattr(self, name)
+            if word not in words:
+                raise ConfigError(f"{name}={word} is unknown.", nearest_names(str(word), words))
         if not 1.0 <= self.storey_height_m <= 20.0:
             raise ConfigError(
                 f"storey_height_m={self.storey_height_m} is no height of a storey.", "Usual is 3."
             )
-        if self.base not in BASES:
-            raise ConfigError(f"base={self.base} is unknown.", f"Known: {', '.join(BASES)}.")
         if self.sunk_m < 0.0:
             raise ConfigError(f"sunk_m={self.sunk_m} is negative.")
+
+
+def _fitting(name: str, value: Any, hint: Any) -> Any:
+    """Returns a value as the type its option has: whole numbers become what is asked for.
+
+    Raises:
+        ConfigError: It has another type, is not finite, or is none of the known words.
+    """
+    kinds = [kind for kind in get_args(hint) if kind is not NoneType] or [hint]
+    if get_origin(hint) is Literal:
+        return value  # the options check their words themselves
+    if value is None and NoneType in get_args(hint):
+        return None
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if float in kinds and is_number and math.isfinite(value):
+        return float(value)
+    if str in kinds and (isinstance(value, str) or is_number):
+        return str(value)  # a column may be called 2020
+    if hint is bool and isinstance(value, bool):
+        return value
+    if name == "origin" and isinstance(value, list | tuple) and len(value) == 3:
+        return tuple(_fitting(name, number, float) for number in value)
+    wanted = "three numbers: east, north, up" if name == "origin" else _TYPE_NAMES[kinds[0]]
+    raise ConfigError(f"The option {name}={value!r} of a source has the wrong type.", f"It takes {wanted}.")
+
+
+_TYPE_NAMES = {float: "a number", str: "text", bool: "true or false"}
+_WORDS = {
+    name: get_args(hint) for name, hint in get_type_hints(ReadOptions).items() if get_origin(hint) is Literal
+}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 import tempfile
@@ -15,7 +16,7 @@ from lodbench.citymodel.spatial import SpatialIndex, index_scene
 from lodbench.errors import CityModelError
 
 # Raise it whenever the arrays or their meaning change: older folders are then read no more.
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _ARRAYS = ("vertices", "triangles", "vertex_starts", "triangle_starts")
 _INDEX_ARRAYS = ("boxes", "grid", "cell_starts", "cell_buildings")
 _META = "scene.json"
@@ -26,12 +27,14 @@ def write_scene(scene: Scene, folder: Path, extra: dict[str, Any] | None = None)
 
     Args:
         scene: What to write.
-        folder: Where; a scene already there is replaced.
+        folder: Where; a scene already there is replaced, anything else is left alone.
         extra: Plain values to keep with it.
 
     Raises:
-        OSError: The parent folder is missing or not writable.
+        OSError: The parent folder is missing or not writable, or something else is there already.
     """
+    if folder.exists() and not _is_ours(folder):
+        raise FileExistsError(errno.EEXIST, "something else is there already")
     partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         for name in _ARRAYS:
@@ -56,6 +59,17 @@ def write_scene(scene: Scene, folder: Path, extra: dict[str, Any] | None = None)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
+
+
+def is_scene(path: Path) -> bool:
+    """Tells whether a path is a folder that ``write_scene`` wrote."""
+    return (path / _META).is_file()
+
+
+def _is_ours(folder: Path) -> bool:
+    """Tells whether a folder holds nothing but parts of a scene, so that it may be replaced."""
+    known = {_META, *(f"{name}.npy" for name in (*_ARRAYS, *_INDEX_ARRAYS))}
+    return folder.is_dir() and {path.name for path in folder.iterdir()} <= known
 
 
 def read_scene(folder: Path) -> Scene:

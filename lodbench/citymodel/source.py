@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
+from lodbench.citymodel.scene_file import is_scene
 from lodbench.citymodel.streams import BoundedStream, CountedStream
 from lodbench.errors import CityModelError
 
@@ -122,6 +123,11 @@ def _folder_sources(folder: Path) -> tuple[Source, ...]:
     buildings_only = [file for file in files if "bldg" in file.relative_to(folder).parts]
     sources = tuple(source for file in buildings_only or files for source in open_sources(file))
     if not sources:
+        if is_scene(folder):
+            raise CityModelError(
+                f"{folder} is a scene, which holds triangles only.",
+                "run and render take it; look into the file it was made from.",
+            )
         raise CityModelError(
             f"The folder {folder} holds no city file.",
             f"Looked for {', '.join(suffixes)}, in all its folders.",

@@ -1,46 +1,124 @@
-"""`lodbench city info|check FILE`: look into a city model."""
+"""`lodbench city info|check|convert FILE`: look into a city model, and write it in another format."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from lodbench.citymodel.options import ReadOptions
+from lodbench.cli.sources import load_profile
+from lodbench.errors import CityModelError
+from lodbench.execution import ProgressCallback
+
+if TYPE_CHECKING:
+    from lodbench.citymodel import CityModel
+
+_EXAMPLES = """\
+FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet) or a mesh
+(.obj, .ply, .stl, .glb); a .gz or .zip of these, or a folder of tiles.
+
+examples:
+  lodbench city info 53394525_bldg_6697_op.gml
+  lodbench city check LoD2_32_280_5657_1_NW.gml --json
+  lodbench city info zurich.xml --crs EPSG:21781             the file says "CH1903", which is degrees
+  lodbench city info Massachusetts-25-000.zip --source open_city_model --option ground_m=12
+  lodbench city check houses.shp --option height_column=HOEHE --option ground_m=430
+  lodbench city convert tile.city.json town.glb --lod 2.2
+  lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
+
+options, as --option KEY=VALUE (their meaning: lodbench.ReadOptions):
+  axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
+  height_column=NAME  storeys_column=NAME  storey_height_m=3  default_height_m=9
+  ground_column=NAME  ground_m=0  terrain=FILE  base=as_given|ground|sunk  sunk_m=3
+"""
 
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if `check` finds an error."""
-    parser = argparse.ArgumentParser("lodbench city", description="Look into a city model.")
-    actions = parser.add_subparsers(dest="action", required=True)
+    asked = _parser().parse_args(argv)
+    profile = load_profile(asked.source, asked.option, asked.crs)
+    if asked.action == "info":
+        return _info(asked, profile.options)
+    if asked.action == "check":
+        return _check(asked, profile.options)
+    return _convert(asked, profile.options, asked.lod or profile.lod)
+
+
+def _parser() -> argparse.ArgumentParser:
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(
+        "lodbench city", description="Look into a city model.", epilog=_EXAMPLES, formatter_class=raw
+    )
+    actions = parser.add_subparsers(dest="action", required=True, metavar="info|check|convert")
     for name, help_ in (
-        ("info", "format, CRS, levels of detail, counts, findings"),
-        ("check", "the findings, exit code 1 if any lost data"),
+        ("info", "format, place, levels of detail, counts, areas, findings"),
+        ("check", "every defect with its building, and where the area went; exit code 1 if data was lost"),
+        ("convert", "write it as .glb, .ply, .obj, CityJSON (.json) or a scene for lodbench (.scene)"),
     ):
-        action = actions.add_parser(name, help=help_)
-        action.add_argument("file", type=Path)
+        action = actions.add_parser(
+            name, help=help_, description=help_, epilog=_EXAMPLES, formatter_class=raw
+        )
+        action.add_argument("file", type=Path, metavar="FILE", help="city model: file, archive or folder")
+        if name == "convert":
+            action.add_argument("out", type=Path, metavar="OUT", help="its ending names the format")
+            action.add_argument("--lod", help="level of detail for meshes and scenes (lowest with walls)")
+            action.add_argument(
+                "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
+            )
         action.add_argument("--crs", help="CRS of the coordinates, where the file says none or a wrong one")
+        action.add_argument(
+            "--source", default="folder", metavar="PROFILE", help="publisher, as in run source=PROFILE"
+        )
+        action.add_argument(
+            "--option", action="append", default=[], metavar="KEY=VALUE", help="see below; may be repeated"
+        )
         action.add_argument("--json", action="store_true", help="for machines")
-    options = parser.parse_args(argv)
+    return parser
 
-    from lodbench.citymodel import city_info, read_city_model
 
-    model = read_city_model(options.file, crs=options.crs)
-    info = city_info(model)
-    if options.action == "check":
-        info = {"findings": info["findings"]}
-    text = json.dumps(info, indent=2, ensure_ascii=False) if options.json else "\n".join(_lines(info))
+def _info(asked: argparse.Namespace, options: ReadOptions) -> int:
+    from lodbench.citymodel import city_info
+    from lodbench.cli.city_text import format_info
+
+    info = city_info(_read(asked.file, replace(options, is_strict=False)))
+    _write(asked, info, lambda: format_info(str(asked.file), info))
+    return 0
+
+
+def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
+    from lodbench.citymodel.check import check_city, format_report
+
+    report = check_city(_read(asked.file, replace(options, is_strict=False)))
+    _write(asked, report.to_json(), lambda: format_report(report))
+    return 1 if report.has_errors else 0
+
+
+def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -> int:
+    from lodbench.citymodel.convert import check_target, convert_city
+    from lodbench.cli.city_text import conversion_summary, format_conversion
+
+    check_target(asked.out)
+    if asked.out.resolve() == asked.file.resolve():
+        raise CityModelError(f"{asked.out} is the city itself.", "Choose another name to write to.")
+    model = _read(asked.file, options)
+    mesh = convert_city(model, asked.out, lod=lod, roof_height=asked.roof_height)
+    summary = conversion_summary(str(asked.out), model, mesh)
+    _write(asked, summary, lambda: format_conversion(summary))
+    return 0
+
+
+def _write(asked: argparse.Namespace, values: dict[str, Any], as_text: Callable[[], str]) -> None:
+    text = json.dumps(values, indent=2, ensure_ascii=False) if asked.json else as_text()
     sys.stdout.write(text + "\n")
-    return 1 if options.action == "check" and model.findings.has_errors() else 0
 
 
-def _lines(value: dict[str, Any], indent: str = "") -> list[str]:
-    """Returns nested values as indented `name: value` lines."""
-    lines = []
-    for key, item in value.items():
-        if isinstance(item, dict):
-            lines += [f"{indent}{key}:" + ("" if item else " none"), *_lines(item, indent + "  ")]
-        else:
-            lines.append(f"{indent}{key}: {item}")
-    return lines
+def _read(file: Path, options: ReadOptions) -> CityModel:
+    from lodbench.citymodel import read_city_model
+
+    with ProgressCallback(f"reading {file.name}", "MB", 1_000_000) as progress:
+        return read_city_model(file, options=options, progress=progress)

@@ -20,8 +20,20 @@ T = TypeVar("T")
 
 # Keys whose value is a path: quoted for Hydra, whose grammar gives commas, brackets and = a meaning.
 PATH_KEYS = frozenset(
-    {"dataset.root", "dataset.city_model", "city", "poses", "intrinsics", "out", "data", "paths.runs"}
+    {
+        "dataset.root",
+        "dataset.city_model",
+        "source.options.terrain",
+        "city",
+        "poses",
+        "intrinsics",
+        "out",
+        "data",
+        "paths.runs",
+    }
 )
+# Below these any key may be set: ReadOptions checks them, profiles name only those they change.
+_FREE_KEYS = ("source.options.",)
 _SWEEP_FLAGS = ("-m", "--multirun")
 _is_registered = False
 
@@ -52,7 +64,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
     _register_config_sources()
     # Hydra's parser wants its flags before the overrides; people write them anywhere.
     flags = [word for word in argv if word in _SWEEP_FLAGS]
-    words = flags + [quote_path(word) for word in argv if word not in _SWEEP_FLAGS]
+    words = flags + [free_option(quote_path(word)) for word in argv if word not in _SWEEP_FLAGS]
     # Hydra would print the fault and exit by itself; with this it lets the exception through.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     saved, sys.argv = sys.argv, [f"lodbench {command}", *words]
@@ -77,6 +89,11 @@ def quote_path(word: str) -> str:
         return word
     escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("${", "\\${")
     return f'{key}="{escaped}"'
+
+
+def free_option(word: str) -> str:
+    """Returns an override of a source's option marked for Hydra as one that the profile need not name."""
+    return f"++{word}" if word.startswith(_FREE_KEYS) else word
 
 
 def plain(config: DictConfig) -> dict[str, Any]:
@@ -160,7 +177,7 @@ def _explained(error: Exception, config_name: str) -> ConfigError:
 def _nearest_key(key: str, config_name: str) -> str:
     from hydra import compose, initialize_config_module
 
-    choice = re.compile(r"(method|dataset|segmenter|executor)=\w+")
+    choice = re.compile(r"(method|dataset|segmenter|executor|source)=\w+")
     overrides = [word for word in sys.argv[1:] if choice.fullmatch(word)]
     with initialize_config_module("lodbench.conf", version_base="1.3"):
         config = compose(config_name, overrides=overrides)

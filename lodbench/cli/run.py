@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, to_params
+from lodbench.cli.sources import profile_of
 from lodbench.datasets.query import Dataset
 from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
@@ -21,6 +22,7 @@ from lodbench.reporting.tables import format_text, tables_of
 # Settings that never change a result, or are named by content instead: they do not name the run folder.
 _NOT_IN_DIGEST = {"paths", "executor"}
 _PATHS_IN_DATASET = {"root", "city_model"}
+_PATHS_IN_OPTIONS = {"terrain"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +65,7 @@ def run_config(values: dict[str, Any]) -> Run:
     segmenter_type = load_plugin("segmenters", values["segmenter"]["name"])
     segmenter = segmenter_type(to_params(values["segmenter"], segmenter_type.params_type, "segmenter"))
     options = to_params({f.name: values[f.name] for f in fields(RunOptions)}, RunOptions, "run")
-    dataset = _open_dataset(values["dataset"])
+    dataset = _with_source(_open_dataset(values["dataset"]), values["source"])
     config = identity_of(values)
     settings = RunSettings(
         runs_root=Path(values["paths"]["runs"]).expanduser(),
@@ -85,6 +87,11 @@ def identity_of(values: dict[str, Any]) -> dict[str, Any]:
     """Returns the settings that define a result: what names the run folder, with the inputs' content."""
     kept = {key: value for key, value in values.items() if key not in _NOT_IN_DIGEST}
     kept["dataset"] = {k: v for k, v in values["dataset"].items() if k not in _PATHS_IN_DATASET}
+    options = values["source"]["options"] or {}
+    kept["source"] = {
+        **values["source"],
+        "options": {k: v for k, v in options.items() if k not in _PATHS_IN_OPTIONS},
+    }
     return kept
 
 
@@ -116,3 +123,10 @@ def _open_dataset(values: dict[str, Any]) -> Dataset:
     (parameter,) = signature(opener, eval_str=True).parameters.values()
     dataset: Dataset = opener(to_params(values, parameter.annotation, "dataset"))
     return dataset
+
+
+def _with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
+    """Returns a dataset whose city is read as the source says; the dataset's own words go before it."""
+    source = profile_of(values, dataset.city_options.crs)
+    lod = source.lod if dataset.lod is None else dataset.lod
+    return replace(dataset, lod=lod, city_options=source.options)

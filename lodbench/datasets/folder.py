@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError, nearest_names
@@ -33,9 +34,10 @@ class FolderParams:
 
     Attributes:
         root: The folder.
-        city_model: File of the city model.
+        city_model: City model: a file, an archive, or a folder of tiles.
         lod: Level of detail to localise against; None for the lowest.
         crs: CRS of the city model, where its file says none or a wrong one.
+        roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
         name: Name to report.
     """
 
@@ -43,6 +45,7 @@ class FolderParams:
     city_model: str
     lod: str | None = None
     crs: str | None = None
+    roof_height: str | None = None
     name: str = "folder"
 
 
@@ -55,7 +58,7 @@ def open_folder(params: FolderParams) -> Dataset:
     root, city = Path(params.root).expanduser(), Path(params.city_model).expanduser()
     if not root.is_dir():
         raise DatasetError(f"{root} is not a folder.", "Set dataset.root=FOLDER.")
-    if not city.is_file():
+    if not city.exists():
         raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
     folders = [root] if (root / TRUTH_FILE).is_file() else _split_folders(root)
     names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]
@@ -66,11 +69,12 @@ def open_folder(params: FolderParams) -> Dataset:
         root=root,
         city_model=city,
         lod=params.lod,
-        crs=params.crs,
         splits=tuple(names),
         entries=tuple(entry for entries, _, _ in parts for entry in entries),
         truth={key: pose for _, truth, _ in parts for key, pose in truth.items()},
         notes=tuple(note for _, _, notes in parts for note in notes),
+        city_options=ReadOptions(crs=params.crs),
+        roof_height=params.roof_height,
     )
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.options import ReadOptions
 from lodbench.geometry import Camera, Pose
 
 
@@ -68,11 +69,12 @@ class Dataset:
         root: Folder the data lives in.
         city_model: File of the city model.
         lod: Level of detail to localise against, or None for the lowest there is.
-        crs: CRS override for the city model, or None.
         splits: Names of the splits, in the order to report them.
         entries: All queries, in file order by split.
         truth: True pose by ``Entry.key``, in the dataset's frame; never handed to a method.
         notes: What the reader should know, for example names that occur in one file only.
+        city_options: How to read the city model.
+        roof_height: Rule by which an absent level 1 is derived, or None.
     """
 
     name: str
@@ -80,8 +82,9 @@ class Dataset:
     root: Path
     city_model: Path
     lod: str | None
-    crs: str | None
     splits: tuple[str, ...]
     entries: tuple[Entry, ...]
     truth: dict[str, Pose]
     notes: tuple[str, ...] = ()
+    city_options: ReadOptions = field(default_factory=ReadOptions)
+    roof_height: str | None = None

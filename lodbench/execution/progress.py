@@ -16,14 +16,15 @@ class Progress:
 
     Args:
         label: What is being done.
-        total: Number of items.
+        total: Number of items; None where nobody knows it.
         stream: Where to draw, standard error by default; nothing is drawn unless it is a terminal.
+        unit: What the items are, where the label does not say it: ``MB``.
     """
 
-    def __init__(self, label: str, total: int, stream: TextIO | None = None) -> None:
-        self._label, self._total = label, total
+    def __init__(self, label: str, total: int | None, stream: TextIO | None = None, unit: str = "") -> None:
+        self._label, self._total, self._unit = label, total, f" {unit}" if unit else ""
         self._stream = stream if stream is not None else sys.stderr
-        self._is_shown = self._stream.isatty() and total > 0
+        self._is_shown = self._stream.isatty() and total != 0
         self._done = 0
         self._started = self._drawn = time.monotonic()
 
@@ -41,15 +42,56 @@ class Progress:
         """Marks ``count`` more items as finished."""
         self._done += count
         now = time.monotonic()
-        if self._is_shown and (now - self._drawn >= _REDRAW_S or self._done >= self._total):
+        if self._is_shown and (now - self._drawn >= _REDRAW_S or self._done == self._total):
             self._drawn = now
             self._stream.write(f"\r\x1b[K{self.line(now - self._started)}")
             self._stream.flush()
 
     def line(self, elapsed_s: float) -> str:
         """Returns the line to draw after ``elapsed_s`` seconds of work."""
+        if self._total is None:
+            return f"{self._label}: {self._done}{self._unit}"
         left_s = elapsed_s / self._done * (self._total - self._done) if self._done else 0.0
-        return f"{self._label}: {self._done} of {self._total}, {format_seconds(left_s)} left"
+        return f"{self._label}: {self._done} of {self._total}{self._unit}, {format_seconds(left_s)} left"
+
+
+class ProgressCallback:
+    """Draws progress for work that calls back with what is done and its total.
+
+    Args:
+        label: What is being done.
+        unit: What is drawn, ``MB``; nothing for plain steps.
+        per_unit: How many of the counts called with make one unit.
+        stream: As for ``Progress``.
+
+    Example:
+        >>> with ProgressCallback("city.gml", unit="MB", per_unit=10**6) as progress:
+        ...     progress(1_500_000, 3_000_000)
+    """
+
+    def __init__(self, label: str, unit: str = "", per_unit: int = 1, stream: TextIO | None = None) -> None:
+        self._label, self._unit, self._per_unit, self._stream = label, unit, per_unit, stream
+        self._progress: Progress | None = None
+        self._done = 0
+
+    def __enter__(self) -> ProgressCallback:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._progress is not None:
+            self._progress.__exit__(kind, value, traceback)
+
+    def __call__(self, done: int, total: int) -> None:
+        """Tells of progress; ``total`` is 0 where nobody knows it."""
+        if self._progress is None:
+            units = -(-total // self._per_unit) if total else None
+            self._progress = Progress(self._label, units, self._stream, self._unit)
+        units_done = done // self._per_unit
+        if units_done > self._done:
+            self._progress.advance(units_done - self._done)
+            self._done = units_done
 
 
 def format_seconds(seconds: float) -> str:

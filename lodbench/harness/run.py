@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lodbench.citymodel import open_scene
+from lodbench.citymodel.cache import open_cached_city
+from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation.errors import FAILED, pose_error
 from lodbench.evaluation.rows import QueryRow
-from lodbench.execution import Ledger, Progress
+from lodbench.execution import Ledger, Progress, ProgressCallback
 from lodbench.geometry import Pose
 from lodbench.harness.prepare import Preparation
 from lodbench.localization import Method
@@ -88,11 +89,12 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         raise ConfigError(f"limit={settings.limit} is not a number of queries.")
     splits = select_splits(dataset, settings.splits)
     entries = _chosen(dataset, splits, settings.limit)
-    scene = open_scene(dataset.city_model, lod=dataset.lod, crs=dataset.crs)
+    scene, dataset = _open_city(dataset)
     preparation = Preparation(dataset, scene, segmenter, settings.tilt)
     scorer = make_renderer(settings.renderer, scene, settings.threads)
     inputs = {
-        "scene": scene.digest(),
+        # The same houses elsewhere are another city.
+        "scene": digest_of([scene.digest(), scene.origin.tolist()]),
         "queries": _fingerprint(dataset, entries),
         "masks": segmenter.fingerprint(entries),
     }
@@ -109,6 +111,19 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
             progress.advance()
     rows = tuple(_row(entry, ledger[entry.key], preparation) for entry in entries)
     return Run(folder, settings.config, dataset, preparation, scorer, splits, rows, resumed, inputs)
+
+
+def _open_city(dataset: Dataset) -> tuple[Scene, Dataset]:
+    """Returns a dataset's scene, and the dataset with what was met in its city added to the notes."""
+    with ProgressCallback(f"reading {dataset.city_model.name}", "MB", 1_000_000) as progress:
+        city = open_cached_city(
+            dataset.city_model,
+            lod=dataset.lod,
+            options=dataset.city_options,
+            roof_height=dataset.roof_height,
+            progress=progress,
+        )
+    return city.scene, replace(dataset, notes=dataset.notes + city.notes())
 
 
 def _chosen(dataset: Dataset, splits: tuple[str, ...], limit: int | None) -> tuple[Entry, ...]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +49,27 @@ class TestFromMapping:
             ReadOptions.from_mapping({"heigth_column": "h"})
         assert "height_column" in caught.value.hint
 
-    @pytest.mark.parametrize("values", [{"sunk_m": "3"}, {"is_strict": 1}, {"base": None}])
+    @pytest.mark.parametrize(
+        "values",
+        [
+            {"sunk_m": "3"},
+            {"is_strict": 1},
+            {"origin": [1, 2]},
+            {"origin": ["a", 1, 2]},
+            {"ground_m": math.nan},
+        ],
+    )
     def test_wrong_types(self, values: dict[str, Any]) -> None:
         with pytest.raises(ConfigError, match="wrong type"):
             ReadOptions.from_mapping(values)
+
+    def test_unknown_words(self) -> None:
+        with pytest.raises(ConfigError, match="axis_order=east is unknown") as caught:
+            ReadOptions.from_mapping({"axis_order": "east"})
+        assert "east_first" in caught.value.hint
+
+    def test_a_column_may_be_called_by_a_number(self) -> None:
+        assert ReadOptions.from_mapping({"height_column": 2020}).height_column == "2020"
 
     def test_values(self) -> None:
         options = ReadOptions.from_mapping({"origin": [1, 2, 3], "ground_m": 4, "terrain": "a.asc"})

@@ -2,7 +2,7 @@ import io
 
 import pytest
 
-from lodbench.execution.progress import Progress, format_seconds
+from lodbench.execution.progress import Progress, ProgressCallback, format_seconds
 
 
 class Terminal(io.StringIO):
@@ -28,6 +28,27 @@ class TestProgress:
         progress = Progress("views", 10, io.StringIO())
         progress.advance(4)
         assert progress.line(20.0) == "views: 4 of 10, 30 s left"
+
+    def test_an_unknown_total_is_not_made_up(self):
+        progress = Progress("city.zip", None, io.StringIO(), "MB")
+        progress.advance(45)
+        assert progress.line(20.0) == "city.zip: 45 MB"
+
+
+class TestProgressCallback:
+    def test_counts_in_units(self):
+        screen = Terminal()
+        with ProgressCallback("city.gml", "MB", 10, screen) as progress:
+            for done in (4, 9, 25):
+                progress(done, 25)
+            progress(30, 25)
+        assert "city.gml: 3 of 3 MB" in screen.getvalue()
+
+    def test_draws_nothing_without_a_call(self):
+        screen = Terminal()
+        with ProgressCallback("city.gml", stream=screen):
+            pass
+        assert screen.getvalue() == ""
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,114 @@
+"""City models in words: what `lodbench city info` and `convert` print for people."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lodbench.citymodel.cache import open_city
+from lodbench.citymodel.codes import finding_catalogue
+from lodbench.citymodel.mesh import CityMesh
+from lodbench.citymodel.model import CityModel
+from lodbench.reporting.columns import format_columns
+
+_MEANINGS = {str(code): code for code in finding_catalogue()}
+
+
+def format_info(name: str, info: dict[str, Any]) -> str:
+    """Returns the data of ``city_info`` as lines of text.
+
+    Args:
+        name: The file.
+        info: What ``city_info`` returned.
+    """
+    x, y, z = info["extent_m"]
+    place = info["center_lat_lon"]
+    parts = f", {info['parts']:,} parts" if info["parts"] else ""
+    lines = [
+        name,
+        f"format     {info['format']} {info['version'] or ''}".rstrip(),
+        f"CRS        {crs_in_words(info['crs'])}",
+        *([] if place is None else [f"centre     latitude {place[0]:.5f}, longitude {place[1]:.5f}"]),
+        f"extent     {x:,.1f} m x {y:,.1f} m, {z:,.1f} m high",
+        f"buildings  {info['buildings']:,}{parts}",
+        "",
+        *_level_lines(info["lods"]),
+        "",
+        *_finding_lines(info["findings"]),
+    ]
+    return "\n".join(lines)
+
+
+def crs_in_words(crs: str | None) -> str:
+    """Returns a reference system with its name: ``EPSG:28992 (Amersfoort / RD New)``."""
+    if crs is None:
+        return "none: local coordinates, taken as metres"
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        return f"{crs} ({CRS.from_user_input(crs).name})"
+    except CRSError:
+        return crs
+
+
+def conversion_summary(target: str, model: CityModel, mesh: CityMesh | None) -> dict[str, Any]:
+    """Returns what was written as plain values.
+
+    Args:
+        target: Where it was written.
+        model: The city as read.
+        mesh: What ``convert_city`` returned.
+    """
+    summary: dict[str, Any] = {"written": target, "buildings": len(model.building_ids), "crs": model.crs}
+    if mesh is None:
+        return (
+            summary
+            | {"lods": list(model.lods), "polygons": len(model.polygons)}
+            | {"findings": model.findings.counts()}
+        )
+    return summary | {
+        "lod": mesh.scene.lod,
+        "origin": mesh.scene.origin.tolist(),
+        "triangles": len(mesh.scene.triangles),
+        "area_m2": round(mesh.area_m2, 3),
+        "meshed_m2": round(mesh.meshed_m2, 3),
+        "lost_m2": round(mesh.lost_m2, 3),
+        "findings": open_city(model, mesh).findings,
+    }
+
+
+def format_conversion(summary: dict[str, Any]) -> str:
+    """Returns what was written as lines of text."""
+    if "lods" in summary:
+        lods = ", ".join(filter(None, summary["lods"])) or "unnamed"
+        what = f"LoD {lods}, {summary['buildings']:,} buildings, {summary['polygons']:,} polygons"
+        lines = [f"{summary['written']}: {what}"]
+    else:
+        lod = f"LoD{summary['lod']}, " if summary["lod"] else ""
+        what = f"{lod}{summary['buildings']:,} buildings, {summary['triangles']:,} triangles"
+        origin = " ".join(f"{value:.3f}" for value in summary["origin"])
+        areas = "{area_m2:,.2f} m2 in, {meshed_m2:,.2f} m2 meshed, {lost_m2:,.2f} m2 lost".format(**summary)
+        lines = [
+            f"{summary['written']}: {what}",
+            areas,
+            f"origin {origin} in {crs_in_words(summary['crs'])}",
+        ]
+    return "\n".join([*lines, *_finding_lines(summary["findings"])])
+
+
+def _level_lines(lods: dict[str, dict[str, float]]) -> list[str]:
+    rows = [["LoD", "polygons", "triangles", "area m2", "meshed m2", "lost m2"]]
+    for name, row in lods.items():
+        areas = [f"{row.get(key, 0.0):,.2f}" for key in ("area_m2", "meshed_m2", "lost_m2")]
+        rows.append([name or "none", f"{row['polygons']:,}", f"{row['triangles']:,}", *areas])
+    return format_columns(rows).splitlines()
+
+
+def _finding_lines(findings: dict[str, int]) -> list[str]:
+    if not findings:
+        return ["findings   none"]
+    rows = [f"findings   {sum(findings.values()):,}; with the buildings: lodbench city check FILE"]
+    width = max(map(len, findings))
+    for name, count in findings.items():
+        rows.append(f"  {name.ljust(width)}  {count:>6,}  {_MEANINGS[name].meaning}")
+    return rows

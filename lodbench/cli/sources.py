@@ -1,0 +1,96 @@
+"""Source profiles: what is known of a publisher's files, and how a user adds to it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import entry_points
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from typing import Any, cast
+
+from lodbench.citymodel.options import ReadOptions
+from lodbench.errors import ConfigError, nearest_names
+
+
+@dataclass(frozen=True, slots=True)
+class SourceProfile:
+    """How to read the files of one publisher; the YAML files are in ``conf/source/``.
+
+    Attributes:
+        name: Its name, as in ``source=plateau``.
+        lod: Level of detail to take unless another is asked for.
+        options: How to read.
+    """
+
+    name: str
+    lod: str | None
+    options: ReadOptions
+
+
+def profile_of(values: Mapping[str, Any], crs: str | None = None) -> SourceProfile:
+    """Returns the profile a configuration describes.
+
+    Args:
+        values: ``name``, ``lod`` and ``options``.
+        crs: A reference system that goes before the profile's.
+
+    Raises:
+        ConfigError: A key or option is unknown or of the wrong type.
+    """
+    for key in values:
+        if key not in ("name", "lod", "options"):
+            raise ConfigError(f"source.{key} is not a setting.", f"Options are source.options.{key}=VALUE.")
+    options = ReadOptions.from_mapping(values["options"] or {})
+    lod = values["lod"]
+    return SourceProfile(
+        name=str(values["name"]),
+        lod=None if lod is None else str(lod),
+        options=options if crs is None else replace(options, crs=crs),
+    )
+
+
+def load_profile(name: str, words: Sequence[str] = (), crs: str | None = None) -> SourceProfile:
+    """Returns a profile by its name, with options a user added.
+
+    Args:
+        name: Name of a file in ``conf/source/``, of lodbench or of an installed plug-in.
+        words: Options as ``key=value``; they go before the profile's own.
+        crs: A reference system that goes before both.
+
+    Raises:
+        ConfigError: There is no such profile, or an option is malformed, unknown or of the wrong type.
+    """
+    from omegaconf import OmegaConf
+
+    known = _profiles()
+    if name not in known:
+        raise ConfigError(f"There is no source {name!r}.", nearest_names(name, known))
+    loaded = OmegaConf.to_container(OmegaConf.create(known[name].read_text(encoding="utf-8")))
+    values = cast(dict[str, Any], loaded)
+    return profile_of({**values, "options": {**(values["options"] or {}), **dict(map(_pair, words))}}, crs)
+
+
+def _pair(word: str) -> tuple[str, Any]:
+    """Returns the key and value of ``key=value``: a number, list, true, false or null; else text."""
+    key, equals, text = word.partition("=")
+    if not equals:
+        raise ConfigError(f"The option {word!r} has no value.", "Options are key=value.")
+    try:
+        return key, json.loads(text)
+    except ValueError:
+        return key, text
+
+
+def _profiles() -> dict[str, Traversable]:
+    """Returns the YAML file of every profile by name; lodbench's own go before those of plug-ins."""
+    found: dict[str, Traversable] = {}
+    points = entry_points(group="lodbench.config_sources")
+    for point in sorted(points, key=lambda point: (point.value != "lodbench.conf", point.name)):
+        folder = files(point.value) / "source"
+        if folder.is_dir():
+            for file in folder.iterdir():
+                if file.name.endswith(".yaml"):
+                    found.setdefault(file.name.removesuffix(".yaml"), file)
+    return found
