@@ -154,7 +154,7 @@ def _sweep_strip(
         vector = ir.VectorType(ir.IntType(16), _STRIP)
         zero = ir.Constant(vector, [0] * _STRIP)
         sums = cgutils.alloca_once_value(builder, zero)  # type: ignore[no-untyped-call]
-        with cgutils.for_range(builder, args[2]) as loop:  # type: ignore[no-untyped-call]
+        with cgutils.for_range(builder, args[2]) as loop:
             offset = builder.add(args[1], builder.mul(loop.index, ir.Constant(loop.index.type, _STRIP)))
             here = builder.bitcast(builder.gep(marks_data, [offset]), vector.as_pointer())
             total = builder.add(builder.load(sums), builder.load(here, align=2))
@@ -179,7 +179,7 @@ def sweep(coverage, height, words):  # type: ignore[no-untyped-def]  # noqa: ANN
         start = strip * (height + 1) * _STRIP
         # The row below the view takes marks but is not looked at.
         rows = min(high, height - 1) + 1 - low
-        _sweep_strip(coverage.marks, start + low * _STRIP, rows, words, low * strips + strip, strips)
+        _sweep_strip(coverage.marks, start + low * _STRIP, rows, words, low * strips + strip, strips)  # type: ignore[call-arg]
         coverage.marks[start + height * _STRIP : start + (height + 1) * _STRIP] = 0
         coverage.low[strip] = height
         coverage.high[strip] = -1
