@@ -1,6 +1,25 @@
 """Renderers: the silhouette engine, its numpy reference, and back ends behind one protocol."""
 
-from lodbench.rendering.protocol import IouCounts, Renderer, Scorer
-from lodbench.rendering.registry import RENDERERS, make_renderer
+from lodbench.rendering.layers import Layers
+from lodbench.rendering.protocol import DepthRenderer, IouCounts, LayerRenderer, Renderer, Scorer
+from lodbench.rendering.registry import (
+    DEPTH_RENDERERS,
+    LAYER_RENDERERS,
+    RENDERERS,
+    make_renderer,
+    open_renderer,
+)
 
-__all__ = ["RENDERERS", "IouCounts", "Renderer", "Scorer", "make_renderer"]
+__all__ = [
+    "DEPTH_RENDERERS",
+    "LAYER_RENDERERS",
+    "RENDERERS",
+    "DepthRenderer",
+    "IouCounts",
+    "LayerRenderer",
+    "Layers",
+    "Renderer",
+    "Scorer",
+    "make_renderer",
+    "open_renderer",
+]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
+from lodbench.rendering.layers import Layers
 
 Floats = NDArray[np.float64]
 
@@ -43,6 +44,22 @@ class Renderer(Protocol):
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose."""
+        ...
+
+
+class DepthRenderer(Renderer, Protocol):
+    """A renderer that also says how far away each pixel is."""
+
+    def depth(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
+        """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing."""
+        ...
+
+
+class LayerRenderer(DepthRenderer, Protocol):
+    """A renderer that also says what each pixel shows."""
+
+    def draw(self, camera: Camera, pose: Pose) -> Layers:
+        """Returns every layer of the view from a pose."""
         ...
 
 

@@ -12,12 +12,21 @@ from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
+from lodbench.rendering.projection import require_pinhole, view_planes, visible_buildings
+from lodbench.rendering.raster_rule import NEAR_M
+from lodbench.rendering.silhouette import bounding_spheres
+from lodbench.rendering.system_libraries import import_fault
 
-_NEAR_M, _FAR_M = 1.0, 20_000.0
+# The one GL context of the process, once it is open, and its samples per pixel. Contexts share EGL's
+# display, and closing one would take the display from under the others.
+_open_targets: list[tuple[Any, int]] = []
 
-# The one GL context of the process, once it is open. Contexts share EGL's display, and closing one
-# would take the display from under the others.
-_open_targets: list[Any] = []
+# What pyrender asks for by itself.
+_SAMPLES = 4
+
+# The depth buffer has 24 bits, finest at the near end. A range that ends further out than this many
+# times its start is drawn in two slices, or the far end is off by more than 1e-4 of its distance.
+_SLICE = 1000.0
 
 
 class PyrenderRenderer:
@@ -25,14 +34,21 @@ class PyrenderRenderer:
 
     All renderers of a process share one context, so taking turns between scenes uploads anew.
 
+    Args:
+        scene: The city, local metric frame.
+        samples: Samples per pixel of a silhouette, 4 as pyrender ships; none of them is the pixel's
+            centre. With 1 it is, and edges are the raster rule's but for rounding.
+
     Raises:
         RenderingError: pyrender or an EGL driver is absent.
     """
 
     name = "pyrender"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, samples: int = _SAMPLES) -> None:
         self.scene = scene
+        self._samples = samples
+        self._spheres = bounding_spheres(scene)
         self._library = _import_pyrender()
         mesh = self._library.Mesh(
             [
@@ -50,44 +66,86 @@ class PyrenderRenderer:
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose."""
-        return np.asarray(self.depth(camera, pose) > 0)
+        near, far = self._depth_range(camera, pose)
+        return np.asarray(self._draw(camera, pose, near, far, self._samples) > 0)
 
     def depth(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
-        """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing."""
-        target = self._prepare(camera)
-        self._gl_scene.set_pose(self._camera_node, blender_from_opencv(pose.world_from_cam))
-        flags = self._library.RenderFlags.DEPTH_ONLY | self._library.RenderFlags.SKIP_CULL_FACES
-        return np.asarray(target.render(self._gl_scene, flags=flags))
+        """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing.
 
-    def _prepare(self, camera: Camera) -> Any:
-        """Returns the process's render target, set to the camera's size."""
+        It is asked of pixel centres, so of one sample per pixel, whatever silhouettes take.
+        """
+        near, far = self._depth_range(camera, pose)
+        if far < _SLICE * near:
+            return self._draw(camera, pose, near, far, 1)
+        middle = float(np.sqrt(near * far))
+        front = self._draw(camera, pose, near, middle, 1)
+        return np.where(front > 0, front, self._draw(camera, pose, middle, far, 1))
+
+    def _draw(self, camera: Camera, pose: Pose, near: float, far: float, samples: int) -> NDArray[np.float32]:
+        """Returns (H, W) depth of what lies between two distances, metres."""
+        require_pinhole(camera)
         if self._camera_node is not None:
             self._gl_scene.remove_node(self._camera_node)
         intrinsics = self._library.IntrinsicsCamera(
-            camera.fx, camera.fy, camera.cx, camera.cy, znear=_NEAR_M, zfar=_FAR_M
+            camera.fx, camera.fy, camera.cx, camera.cy, znear=near, zfar=far
         )
         self._camera_node = self._gl_scene.add(intrinsics)
-        target = _target(self._library, camera)
+        self._gl_scene.set_pose(self._camera_node, blender_from_opencv(pose.world_from_cam))
+        target = _target(self._library, camera, samples)
         target.viewport_width, target.viewport_height = camera.width, camera.height
-        return target
+        return np.asarray(target.render(self._gl_scene, flags=self._library.RenderFlags.DEPTH_ONLY))
+
+    def _depth_range(self, camera: Camera, pose: Pose) -> tuple[float, float]:
+        """Returns the distances, metres, between which the buildings in view lie."""
+        planes = view_planes(camera, 0, camera.width)
+        rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
+        spheres = self._spheres[visible_buildings(self._spheres, rotation, center, planes)]
+        if not len(spheres):
+            return NEAR_M, 1.0
+        along = (spheres[:, :3] - center) @ rotation[2]
+        near = max(NEAR_M, float((along - spheres[:, 3]).min()))
+        return near, max(2.0 * near, float((along + spheres[:, 3]).max()))
 
 
 def close_context() -> None:
     """Releases the process's GL context, if there is one; a later render opens another."""
     while _open_targets:
-        _open_targets.pop().delete()
+        _open_targets.pop()[0].delete()
 
 
-def _target(library: Any, camera: Camera) -> Any:
+def _target(library: Any, camera: Camera, samples: int) -> Any:
+    if _open_targets and _open_targets[0][1] != samples:
+        close_context()
     if not _open_targets:
+        _adjust(samples)
         try:
-            _open_targets.append(library.OffscreenRenderer(camera.width, camera.height))
+            _open_targets.append((library.OffscreenRenderer(camera.width, camera.height), samples))
         except Exception as error:  # PyOpenGL raises many kinds when a driver is missing
             raise RenderingError(
                 f"pyrender could not open an EGL context ({type(error).__name__}).",
                 "On Debian: apt-get install libegl1 libgl1-mesa-dri libgles2.",
             ) from error
-    return _open_targets[0]
+    return _open_targets[0][0]
+
+
+def _adjust(samples: int) -> None:
+    """Gives pyrender's next framebuffer so many samples per pixel, and keeps back faces in depth.
+
+    It has no setting for either: drawing depth alone, it culls whatever its flags say.
+    """
+    import pyrender.renderer
+    from OpenGL import GL
+
+    def allocate(target: int, _samples: int, layout: int, width: int, height: int) -> None:
+        # For OpenGL no multisampling is 0 samples.
+        GL.glRenderbufferStorageMultisample(target, samples if samples > 1 else 0, layout, width, height)
+
+    def enable(capability: int) -> None:
+        if capability != GL.GL_CULL_FACE:
+            GL.glEnable(capability)
+
+    pyrender.renderer.glRenderbufferStorageMultisample = allocate
+    pyrender.renderer.glEnable = enable
 
 
 def _import_pyrender() -> Any:
@@ -98,8 +156,5 @@ def _import_pyrender() -> Any:
     try:
         import pyrender
     except ImportError as error:
-        raise RenderingError(
-            f"The pyrender back end cannot be imported ({error}).",
-            "pip install 'lodbench[render]'; Debian: apt-get install libegl1 libgl1-mesa-dri libgles2.",
-        ) from error
+        raise import_fault("pyrender", error) from error
     return pyrender

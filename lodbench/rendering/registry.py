@@ -26,6 +26,18 @@ def _reference(scene: Scene, threads: int | None) -> Renderer:
     return ReferenceRenderer(scene)
 
 
+def _raster(scene: Scene, threads: int | None) -> Renderer:
+    from lodbench.rendering.raster import RasterRenderer
+
+    return RasterRenderer(scene, threads)
+
+
+def _open3d(scene: Scene, threads: int | None) -> Renderer:
+    from lodbench.rendering.open3d_backend import Open3dRenderer
+
+    return Open3dRenderer(scene, threads)
+
+
 def _pyrender(scene: Scene, threads: int | None) -> Renderer:
     from lodbench.rendering.pyrender_backend import PyrenderRenderer
 
@@ -35,17 +47,23 @@ def _pyrender(scene: Scene, threads: int | None) -> Renderer:
 RENDERERS: dict[str, Callable[[Scene, int | None], Renderer]] = {
     "silhouette": _silhouette,
     "reference": _reference,
+    "raster": _raster,
     "pyrender": _pyrender,
+    "open3d": _open3d,
 }
 
+# Renderers that also have ``depth``, and those that have ``draw``: see the protocols.
+DEPTH_RENDERERS = ("raster", "open3d", "pyrender")
+LAYER_RENDERERS = ("raster",)
 
-def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer:
-    """Returns the renderer of a name, ready to score hypotheses.
+
+def open_renderer(name: str, scene: Scene, threads: int | None = None) -> Renderer:
+    """Returns the renderer of a name, with all it can do.
 
     Args:
         name: One of ``RENDERERS``.
         scene: The city.
-        threads: Worker threads of the engine, None for one per core; other renderers use their own.
+        threads: Worker threads, None for one per core; pyrender and the reference use their own.
 
     Raises:
         ConfigError: The name is unknown.
@@ -53,7 +71,17 @@ def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer
     """
     if name not in RENDERERS:
         raise ConfigError(f"Renderer {name!r} is not known.", nearest_names(name, RENDERERS))
-    renderer = RENDERERS[name](scene, threads)
+    return RENDERERS[name](scene, threads)
+
+
+def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer:
+    """Returns the renderer of a name, ready to score hypotheses; arguments as for ``open_renderer``.
+
+    Raises:
+        ConfigError: The name is unknown.
+        RenderingError: A library the renderer needs is absent.
+    """
+    renderer = open_renderer(name, scene, threads)
     return cast(Scorer, renderer) if hasattr(renderer, "score") else RenderAndCompare(renderer)
 
 

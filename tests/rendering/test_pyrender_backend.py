@@ -8,6 +8,7 @@ from hostile_scenes import box, scene_of, straight_down
 
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
+from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
 CAMERA = Camera(602, 448, 430.8, 426.6, 303.7, 217.4)
@@ -65,3 +66,35 @@ def test_two_scenes_take_turns_and_survive_a_new_context(open_renderer):
         for scene, peer in zip(scenes, renderers, strict=True):
             ours = SilhouetteRenderer(scene, 1).render(CAMERA, straight_down(60.0))
             assert np.count_nonzero(ours != peer.render(CAMERA, straight_down(60.0))) < 0.01 * ours.size
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_back_faces_are_seen(open_renderer, samples):
+    # Under a box without a floor everything in view is the inside of a wall or of the roof.
+    scene = scene_of(box([0, 0, 0], [10, 10, 10], floor=False))
+    pose = Pose.from_euler(EulerAngles(180, 2, 15), (5, 5, -8))
+    ours = SilhouetteRenderer(scene, 1).render(CAMERA, pose)
+    assert ours.mean() > 0.2
+    assert np.mean(ours != open_renderer(scene, samples).render(CAMERA, pose)) < 0.01
+
+
+def test_one_sample_at_the_centre_covers_the_engines_pixels(open_renderer):
+    scene = scene_of(*[box([4 * x, 4 * y, 0], [2.3, 2.7, 5]) for x in range(-5, 5) for y in range(-5, 5)])
+    pose = Pose.from_euler(EulerAngles(25, 1, 33), (0, -10, 60))
+    ours = SilhouetteRenderer(scene, 1).render(CAMERA, pose)
+    shares = [np.mean(ours != open_renderer(scene, samples).render(CAMERA, pose)) for samples in (4, 1, 4)]
+    assert shares[1] < 0.002 < shares[0]
+    assert shares[0] == shares[2]
+
+
+def test_depth_from_a_hand_to_the_horizon(open_renderer):
+    # 24 bits between 0.2 m and 3 km: one slice would be centimetres off at 200 m.
+    scene = scene_of(box([0.2, -0.02, -0.02], [0.1, 0.04, 0.04]), box([200, -150, -50], [3000, 9, 90]))
+    pose = Pose.from_euler(EulerAngles(90, 0, -90), (0, 0, 0))
+    depth = open_renderer(scene).depth(CAMERA, pose)
+    expected = RasterRenderer(scene, 1).depth(CAMERA, pose)
+    both = (depth > 0) & (expected > 0)
+    assert expected[both].min() < 0.3
+    assert expected[both].max() > 190
+    off = np.abs(depth - expected)[both] > 1e-3 + 1e-4 * expected[both]
+    assert off.mean() < 0.005

@@ -8,7 +8,14 @@ from hostile_scenes import box, scene_of
 
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
-from lodbench.rendering import RENDERERS, IouCounts, make_renderer
+from lodbench.rendering import (
+    DEPTH_RENDERERS,
+    LAYER_RENDERERS,
+    RENDERERS,
+    IouCounts,
+    make_renderer,
+    open_renderer,
+)
 
 CAMERA = Camera(65, 40, 50.0, 50.0, 32.0, 20.0)
 SCENE = scene_of(box([-5, -5, 0], [10, 10, 10]), box([12, 0, 0], [4, 9, 20]))
@@ -24,11 +31,15 @@ def test_every_renderer_without_extras_scores_alike():
     rng = np.random.default_rng(0)
     rotations = rotations_at_yaws(30.0, 1.0, rng.uniform(-180, 180, 6))
     centers = rng.uniform([-30, -30, 40], [30, 30, 60], (6, 3))
-    engine, reference = (make_renderer(name, SCENE, 1) for name in ("silhouette", "reference"))
+    engine, reference, raster = (
+        make_renderer(name, SCENE, 1) for name in ("silhouette", "reference", "raster")
+    )
     mask = reference.render(CAMERA, Pose.from_euler(EulerAngles(30, 1, 5), (0, -20, 50)))
-    ours, expected = (r.score(CAMERA, rotations, centers, mask) for r in (engine, reference))
-    np.testing.assert_array_equal(ours.intersection, expected.intersection)
-    np.testing.assert_array_equal(ours.union, expected.union)
+    expected = reference.score(CAMERA, rotations, centers, mask)
+    for renderer in (engine, raster):
+        ours = renderer.score(CAMERA, rotations, centers, mask)
+        np.testing.assert_array_equal(ours.intersection, expected.intersection)
+        np.testing.assert_array_equal(ours.union, expected.union)
     assert engine.name == "silhouette"
     assert reference.name == "reference"
 
@@ -53,4 +64,11 @@ def test_without_pyrender_the_error_says_what_to_install(monkeypatch):
 
 
 def test_the_list_of_renderers_is_public():
-    assert {"silhouette", "reference", "pyrender"} <= set(RENDERERS)
+    assert {"silhouette", "reference", "raster", "pyrender", "open3d"} <= set(RENDERERS)
+
+
+def test_what_a_renderer_is_said_to_have_it_has():
+    for name in ("silhouette", "reference", "raster"):
+        renderer = open_renderer(name, SCENE, 1)
+        assert hasattr(renderer, "depth") == (name in DEPTH_RENDERERS)
+        assert hasattr(renderer, "draw") == (name in LAYER_RENDERERS)

@@ -1,0 +1,86 @@
+"""From world to screen, as the raster rule has it: camera axes, snapping, and what a view cannot see."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lodbench.errors import RenderingError
+from lodbench.geometry import Camera
+from lodbench.rendering.raster_rule import GUARD_PX
+
+Floats = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def camera_axes(px, py, pz, r, c):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns a local point in camera axes, metres (raster rule 1)."""
+    dx, dy, dz = np.float64(px) - c[0], np.float64(py) - c[1], np.float64(pz) - c[2]
+    x = (r[0, 0] * dx + r[0, 1] * dy) + r[0, 2] * dz
+    y = (r[1, 0] * dx + r[1, 1] * dy) + r[1, 2] * dz
+    z = (r[2, 0] * dx + r[2, 1] * dy) + r[2, 2] * dz
+    return x, y, z
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def snap(x, y, z, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the snapped screen position of a point in camera axes, sub-pixels (raster rule 3)."""
+    inverse = 1.0 / z
+    u = (f[0] * x) * inverse + f[2]
+    v = (f[1] * y) * inverse + f[3]
+    return np.floor(u * 256.0 + 0.5), np.floor(v * 256.0 + 0.5)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_outside(sphere, rotation, center, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Tells whether a bounding sphere (x, y, z, radius) lies wholly outside one of the planes."""
+    x, y, z = camera_axes(sphere[0], sphere[1], sphere[2], rotation, center)
+    for i in range(planes.shape[0]):
+        if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z < -sphere[3]:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def visible_buildings(spheres, rotation, center, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the indices, ascending, of the buildings whose bounding sphere is not outside."""
+    chosen = np.empty(spheres.shape[0], dtype=np.int64)
+    count = 0
+    for b in range(spheres.shape[0]):
+        if not is_outside(spheres[b], rotation, center, planes):
+            chosen[count] = b
+            count += 1
+    return chosen[:count]
+
+
+def require_pinhole(camera: Camera) -> None:
+    """Makes sure that a camera can be rendered.
+
+    Raises:
+        RenderingError: The camera has lens distortion or is wider or higher than 8192 pixels.
+    """
+    if camera.distortion:
+        raise RenderingError(
+            "A city is rendered with a pinhole; this camera has lens distortion.",
+            "Undistort the image and mask first, and give the pinhole's intrinsics.",
+        )
+    if max(camera.width, camera.height) > GUARD_PX:
+        raise RenderingError(f"An image side is longer than {GUARD_PX:.0f} pixels.", "Scale the camera.")
+
+
+def view_planes(camera: Camera, first: int, stop: int) -> Floats:
+    """Returns (5, 3) inward unit normals, through the camera centre, of what columns first to stop see."""
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    # One pixel wider on every side, so that rounding never culls a covered pixel.
+    left, right, top, bottom = first - 1.0, stop + 1.0, -1.0, camera.height + 1.0
+    normals = np.array(
+        [
+            [0.0, 0.0, 1.0],
+            [fx, 0.0, cx - left],
+            [-fx, 0.0, right - cx],
+            [0.0, fy, cy - top],
+            [0.0, -fy, bottom - cy],
+        ]
+    )
+    return np.asarray(normals / np.sqrt((normals * normals).sum(axis=1, keepdims=True)))

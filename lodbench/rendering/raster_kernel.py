@@ -1,0 +1,212 @@
+"""The z-buffer's hot loop: one band of columns of one view, on one core.
+
+Columns lie along memory, because the raster rule gives each triangle one run of rows per column.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lodbench.rendering.clipping import MAX_CORNERS, clip_polygon
+from lodbench.rendering.projection import camera_axes, is_outside, snap
+from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
+
+# A triangle whose snapped corners all stay this far inside the guard band needs no clipping.
+_SAFE_SUBPIXELS = (GUARD_PX - 2.0) * 256.0
+
+# Inverse depths closer than this, relative, are one depth: rounding differs between two copies of a
+# face that start at different corners, and the first copy is to win everywhere.
+_NEARER = 1.0 + 1e-9
+
+Floats = NDArray[np.float64]
+
+
+class Mesh(NamedTuple):
+    """A scene for the kernel, see ``Scene``.
+
+    Attributes:
+        vertices: (V, 3) float32, local metres.
+        triangles: (T, 3) int32.
+        vertex_starts: (B + 1,) int64.
+        triangle_starts: (B + 1,) int64.
+        spheres: (B, 4) float64 bounding spheres.
+    """
+
+    vertices: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    vertex_starts: NDArray[np.int64]
+    triangle_starts: NDArray[np.int64]
+    spheres: Floats
+
+
+class Band(NamedTuple):
+    """Columns of a view.
+
+    Attributes:
+        first: First column.
+        stop: One past the last.
+        height: Rows of the view.
+        intrinsics: (4,) float64 fx, fy, cx, cy, pixels.
+        planes: (5, 3) float64 what the band sees, see ``view_planes``.
+    """
+
+    first: int
+    stop: int
+    height: int
+    intrinsics: Floats
+    planes: Floats
+
+
+class Buffer(NamedTuple):
+    """What the columns of a band show; row c of an array is column ``first + c``.
+
+    Attributes:
+        inverse: (C, H) float64, 1 / metres along the optical axis, 0 where there is nothing.
+        winner: (C, H) int32 nearest triangle, -1 where there is nothing.
+    """
+
+    inverse: Floats
+    winner: NDArray[np.int32]
+
+
+def blank_buffer(columns: int, height: int) -> Buffer:
+    """Returns an empty buffer."""
+    return Buffer(np.zeros((columns, height)), np.full((columns, height), -1, dtype=np.int32))
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _depth_plane(a, b, c, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns (p, q, s) with 1 / z = p * column + q * row + s over the plane of three corners.
+
+    The corners are not snapped: depth is where the ray through the pixel's centre meets the plane.
+    Seen edge-on there is no such place, and s is infinite: the fill then takes the nearest corner.
+    """
+    e0, e1, e2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    g0, g1, g2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    nx, ny, nz = e1 * g2 - e2 * g1, e2 * g0 - e0 * g2, e0 * g1 - e1 * g0
+    scale = 1.0 / (nx * a[0] + ny * a[1] + nz * a[2])
+    p, q = nx * scale / f[0], ny * scale / f[1]
+    s = nz * scale - p * f[2] - q * f[3]
+    if np.isfinite(p) and np.isfinite(q) and np.isfinite(s):
+        return p, q, s
+    return 0.0, 0.0, np.inf
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _first_row(x, ua, va, ub, vb):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns the first row whose centre is at or below where an edge, ua < ub, crosses column centre x.
+
+    It is ``ceil(n / d)`` of integers, found exactly: see ``coverage.add_line``.
+    """
+    du = ub - ua
+    d = 256.0 * du
+    n = (va - 128.0) * du + (x - ua) * (vb - va)
+    return np.int64(np.floor((n + d - 0.5) * (1.0 / d)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(u, v, z, plane, triangle, band, buffer):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Draws a triangle of three snapped corners (raster rule 4); z bounds the depth.
+
+    Rows and columns are bounded as integers, so no corner, however wrong, leads out of the buffer.
+    """
+    left, middle, right = 0, 1, 2
+    if u[left] > u[middle]:
+        left, middle = middle, left
+    if u[middle] > u[right]:
+        middle, right = right, middle
+    if u[left] > u[middle]:
+        left, middle = middle, left
+    nearest, furthest = 1.0 / min(z[0], z[1], z[2]), 1.0 / max(z[0], z[1], z[2])
+    first = max(band.first, np.int64(np.ceil((u[left] - 128.0) * (1.0 / 256.0))))
+    stop = min(band.stop, np.int64(np.ceil((u[right] - 128.0) * (1.0 / 256.0))))
+    for column in range(first, stop):
+        x = 256.0 * column + 128.0
+        a, b = (left, middle) if x < u[middle] else (middle, right)
+        one = _first_row(x, u[left], v[left], u[right], v[right])
+        other = _first_row(x, u[a], v[a], u[b], v[b])
+        top, bottom = max(0, min(one, other)), min(band.height, max(one, other))
+        inverse, winner = buffer.inverse[column - band.first], buffer.winner[column - band.first]
+        start = plane[0] * (column + 0.5) + plane[2]
+        for row in range(top, bottom):
+            # Snapping may let a pixel in whose ray just misses the triangle: stay within its depths.
+            here = min(max(start + plane[1] * (row + 0.5), furthest), nearest)
+            is_nearer = here > inverse[row] * _NEARER
+            inverse[row] = here if is_nearer else inverse[row]
+            winner[row] = triangle if is_nearer else winner[row]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_clipped(a, b, c, plane, triangle, band, buffer, polygon, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Draws what clipping leaves of a triangle, as a fan (raster rule 2)."""
+    f = band.intrinsics
+    for axis in range(3):
+        polygon[0, axis], polygon[1, axis], polygon[2, axis] = a[axis], b[axis], c[axis]
+    corners = clip_polygon(polygon, 3, scratch, f)
+    p = polygon
+    for i in range(1, corners - 1):
+        u0, v0 = snap(p[0, 0], p[0, 1], p[0, 2], f)
+        u1, v1 = snap(p[i, 0], p[i, 1], p[i, 2], f)
+        u2, v2 = snap(p[i + 1, 0], p[i + 1, 1], p[i + 1, 2], f)
+        z = (p[0, 2], p[i, 2], p[i + 1, 2])
+        _fill((u0, u1, u2), (v0, v1, v2), z, plane, triangle, band, buffer)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(vertices, rotation, center, f, points):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Writes x, y, z in camera axes and the snapped u, v of each vertex to ``points``."""
+    for k in range(vertices.shape[0]):
+        x, y, z = camera_axes(vertices[k, 0], vertices[k, 1], vertices[k, 2], rotation, center)
+        points[k, 0], points[k, 1], points[k, 2] = x, y, z
+        points[k, 3], points[k, 4] = snap(x, y, z, f)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_triangle(a, b, c, triangle, band, buffer, polygon, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Draws a triangle of three rows of ``_project``, clipped if it reaches out of the safe space."""
+    f = band.intrinsics
+    left, right = min(a[3], b[3], c[3]), max(a[3], b[3], c[3])
+    top, bottom = min(a[4], b[4], c[4]), max(a[4], b[4], c[4])
+    is_safe = min(a[2], b[2], c[2]) >= NEAR_M
+    is_safe &= min(left, top) >= -_SAFE_SUBPIXELS and max(right, bottom) <= _SAFE_SUBPIXELS
+    if not is_safe:
+        if max(a[2], b[2], c[2]) >= NEAR_M:
+            plane = _depth_plane(a, b, c, f)
+            _fill_clipped(a, b, c, plane, triangle, band, buffer, polygon, scratch)
+        return
+    is_seen = right > 256.0 * band.first and left < 256.0 * band.stop
+    if is_seen and bottom > 0.0 and top < 256.0 * band.height:
+        plane = _depth_plane(a, b, c, f)
+        u, v, z = (a[3], b[3], c[3]), (a[4], b[4], c[4]), (a[2], b[2], c[2])
+        _fill(u, v, z, plane, triangle, band, buffer)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def draw_band(mesh, buildings, rotation, center, band, buffer):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Draws some buildings into the blank buffer of a band: the nearest triangle of every pixel.
+
+    Args:
+        mesh: Mesh.
+        buildings: (N,) int64 indices, ascending; others are not drawn.
+        rotation: (3, 3) float64 cam_from_world.
+        center: (3,) float64 camera centre, local metres.
+        band: Band.
+        buffer: Buffer of the band's size.
+    """
+    largest = 0
+    for b in buildings:
+        largest = max(largest, mesh.vertex_starts[b + 1] - mesh.vertex_starts[b])
+    points = np.empty((largest, 5))
+    polygon, scratch = np.empty((MAX_CORNERS, 3)), np.empty((MAX_CORNERS, 3))
+    for b in buildings:
+        if is_outside(mesh.spheres[b], rotation, center, band.planes):
+            continue
+        v0, v1 = mesh.vertex_starts[b], mesh.vertex_starts[b + 1]
+        _project(mesh.vertices[v0:v1], rotation, center, band.intrinsics, points)
+        for t in range(mesh.triangle_starts[b], mesh.triangle_starts[b + 1]):
+            i, j, k = mesh.triangles[t, 0] - v0, mesh.triangles[t, 1] - v0, mesh.triangles[t, 2] - v0
+            _draw_triangle(points[i], points[j], points[k], np.int32(t), band, buffer, polygon, scratch)

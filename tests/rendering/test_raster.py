@@ -1,0 +1,163 @@
+"""The raster covers the engine's pixels to the bit, and says truly what each of them shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hostile_scenes import KINDS, SIZES, box, hostile_scenes, hostile_views, scene_of, straight_down
+from hypothesis import HealthCheck, given, settings
+from ray_oracle import cast_rays
+
+from lodbench.errors import RenderingError
+from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.rendering.reference import ReferenceRenderer
+from lodbench.rendering.silhouette import SilhouetteRenderer
+
+CAMERA = Camera(130, 97, 80.0, 71.0, 60.0, 52.0)
+
+
+def draw(scene, camera, pose):
+    """Draws with the raster, having compared its mask with the engine's and the reference's."""
+    raster = RasterRenderer(scene, 1)
+    layers = raster.draw(camera, pose)
+    np.testing.assert_array_equal(layers.mask, ReferenceRenderer(scene).render(camera, pose))
+    np.testing.assert_array_equal(layers.mask, SilhouetteRenderer(scene, 1).render(camera, pose))
+    np.testing.assert_array_equal(layers.mask, raster.render(camera, pose))
+    np.testing.assert_array_equal(layers.depth, raster.depth(camera, pose))
+    return layers
+
+
+def assert_layers_agree(scene, layers):
+    """Every layer is empty on the same pixels, and a triangle belongs to its building."""
+    seen = layers.mask
+    assert (layers.depth > 0).tolist() == seen.tolist()
+    assert (layers.building >= 0).tolist() == seen.tolist()
+    starts = scene.triangle_starts[layers.building[seen]], scene.triangle_starts[layers.building[seen] + 1]
+    assert ((starts[0] <= layers.triangle[seen]) & (layers.triangle[seen] < starts[1])).all()
+    assert not layers.normal[~seen].any()
+    assert np.isfinite(layers.depth).all()
+
+
+@settings(max_examples=120, suppress_health_check=[HealthCheck.too_slow])
+@given(hostile_scenes(), hostile_views())
+def test_on_hostile_triangles(scene, view):
+    assert_layers_agree(scene, draw(scene, *view))
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__.strip("_"))
+def test_on_each_kind_of_triangle(kind):
+    for seed, tilt_deg, distance in ((0, 0.0, 40.0), (1, 35.0, 90.0), (2, 90.0, 2.0)):
+        rotation = rotation_from_euler(EulerAngles(tilt_deg, 3.0, 20.0))
+        scene = scene_of(kind(np.random.default_rng(seed)), box([-3, -3, -3], [6, 6, 6]))
+        layers = draw(scene, CAMERA, Pose.from_center(rotation, -distance * rotation[2]))
+        assert layers.mask.any()
+        assert_layers_agree(scene, layers)
+
+
+@pytest.mark.parametrize(("width", "height"), [*SIZES, (8192, 1), (1, 8192), (301, 224)])
+def test_at_every_image_size(width, height):
+    scene = scene_of(box([-30, -30, 0], [25, 70, 20]), box([0, -5, 0], [9, 9, 30], floor=False))
+    camera = Camera(width, height, 0.6 * width, 0.6 * height, width / 2, height / 2)
+    assert draw(scene, camera, Pose.from_euler(EulerAngles(20, 1, 33), (10, -30, 90))).mask.any()
+
+
+@pytest.mark.parametrize("floor", [True, False])
+@pytest.mark.parametrize(
+    "center", [(5, 5, 5), (5, 5, -8), (0, 0, 0), (10.05, 5, 5), (5, 5, 10.1), (5, 5, 10)]
+)
+def test_camera_inside_below_and_on_a_building(center, floor):
+    scene = scene_of(box([0, 0, 0], [10, 10, 10], floor=floor))
+    for pitch in (0.0, 60.0, 90.0, 130.0, 180.0):
+        pose = Pose.from_euler(EulerAngles(pitch, 2.0, 77.0), center)
+        assert_layers_agree(scene, draw(scene, CAMERA, pose))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_against_rays(seed):
+    # Rays know no pixels: compare where the nearest hit is well inside its triangle.
+    rng = np.random.default_rng(seed)
+    scene = scene_of(
+        rng.uniform(-40, 40, (12, 3, 3)),
+        box(rng.uniform(-20, 0, 3), rng.uniform(5, 20, 3)),
+        box([0] * 3, [9] * 3),
+    )
+    rotation = rotation_from_euler(EulerAngles(*rng.uniform([0, -20, -180], [110, 20, 180])))
+    pose = Pose.from_center(rotation, -rng.choice([3.0, 60.0]) * rotation[2])
+    layers, hits = draw(scene, CAMERA, pose), cast_rays(scene, CAMERA, pose)
+    sure = hits.is_sure
+    assert sure.mean() > 0.05
+    np.testing.assert_array_equal(layers.triangle[sure], hits.triangle[sure])
+    np.testing.assert_allclose(layers.depth[sure], hits.depth[sure], rtol=2e-7)
+
+
+def test_depth_ids_and_normals_by_hand():
+    # A low and a high box from straight above: roofs 50 and 30 m below the camera.
+    scene = scene_of(box([-8, -8, 0], [16, 16, 10]), box([-2, -2, 0], [4, 4, 30]))
+    camera = Camera(64, 64, 100.0, 100.0, 32.0, 32.0)
+    layers = draw(scene, camera, straight_down(60.0))
+    assert layers.depth[32, 32] == 30.0
+    assert layers.depth[32, 20] == 50.0
+    assert layers.depth[2, 2] == 0.0
+    assert (layers.building[32, 32], layers.building[32, 20], layers.building[2, 2]) == (1, 0, -1)
+    assert layers.normal[32, 32].tolist() == [0.0, 0.0, 1.0]
+    assert (layers.colour[32, 32] != layers.colour[2, 2]).any()
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_normals_face_the_camera_whatever_the_winding(flip):
+    roof = np.array([[[-5.0, -5.0, 0.0], [5.0, -5.0, 0.0], [0.0, 5.0, 0.0]]])
+    scene = scene_of(roof[:, ::-1] if flip else roof)
+    above = RasterRenderer(scene, 1).draw(CAMERA, straight_down(20.0))
+    assert above.normal[above.mask].tolist() == [[0.0, 0.0, 1.0]] * int(above.mask.sum())
+    below = RasterRenderer(scene, 1).draw(CAMERA, Pose.from_euler(EulerAngles(180, 0, 0), (0, 0, -20)))
+    assert below.mask.any()
+    assert below.normal[below.mask].tolist() == [[0.0, 0.0, -1.0]] * int(below.mask.sum())
+
+
+def test_of_equal_faces_the_first_wins():
+    # The same face, from each of its corners and turned over: rounding must not mix them.
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        face = rng.uniform(-30, 30, (3, 3))
+        copies = np.array([face, face[[1, 2, 0]], face[[2, 0, 1]], face[::-1], face[[1, 0, 2]]])
+        scene = scene_of(copies, copies[::-1])
+        rotation = rotation_from_euler(EulerAngles(rng.uniform(0, 90), 0, rng.uniform(-180, 180)))
+        layers = draw(scene, CAMERA, Pose.from_center(rotation, -80.0 * rotation[2]))
+        assert set(np.unique(layers.triangle)) <= {-1, 0}
+
+
+def test_threads_change_nothing():
+    rng = np.random.default_rng(5)
+    scene = scene_of(*[box(rng.uniform(-60, 40, 3), rng.uniform(2, 30, 3)) for _ in range(40)])
+    camera = Camera(333, 200, 210.0, 190.0, 150.0, 110.0)
+    pose = Pose.from_euler(EulerAngles(40, 1, 12), (0, -60, 90))
+    one, three = (RasterRenderer(scene, threads).draw(camera, pose) for threads in (1, 3))
+    for name in ("depth", "building", "triangle", "normal", "colour"):
+        assert getattr(one, name).tobytes() == getattr(three, name).tobytes(), name
+
+
+def test_nothing_in_view_is_empty_everywhere():
+    scene = scene_of(box([-5, -5, 30], [10, 10, 10]))
+    layers = draw(scene, CAMERA, straight_down(20.0))
+    assert not layers.mask.any()
+    assert not layers.depth.any()
+    assert len(np.unique(layers.colour.reshape(-1, 3), axis=0)) == 1
+
+
+def test_real_quarters(real_quarter):
+    scene, place = real_quarter
+    camera = Camera(101, 75, 72.0, 61.0, 41.0, 46.0)
+    for pitch, yaw, distance in ((0, 10, 120), (45, 130, 150), (75, -60, 100), (90, 200, 4)):
+        rotation = rotation_from_euler(EulerAngles(pitch, 0.7, yaw))
+        layers = draw(scene, camera, Pose.from_center(rotation, place - distance * rotation[2]))
+        assert layers.mask.any()
+        assert_layers_agree(scene, layers)
+
+
+@pytest.mark.parametrize(
+    "camera", [Camera(64, 48, 40, 40, 32, 24, (0.1, 0.0, 0.0, 0.0)), Camera(8193, 8, 40, 40, 32, 24)]
+)
+def test_a_camera_it_cannot_render_is_refused(camera):
+    with pytest.raises(RenderingError):
+        RasterRenderer(scene_of(box([0, 0, 0], [1, 1, 1])), 1).draw(camera, straight_down(5.0))
