@@ -2,139 +2,23 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lodbench.rendering.bits import intersect_and_clear
 from lodbench.rendering.clipping import MAX_CORNERS, clip_polygon
 from lodbench.rendering.coverage import (
     MAX_LAYERS,
-    Coverage,
-    EdgeLines,
     add_line,
     expect_marks,
     mark_lines,
     sweep,
 )
+from lodbench.rendering.projection import camera_axes, is_outside, snap
 from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
 
 # A building whose snapped corners all stay this far inside the guard band needs no clipping.
 _SAFE_SUBPIXELS = (GUARD_PX - 2.0) * 256.0
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.uint32]
-
-
-class SceneArrays(NamedTuple):
-    """A scene laid out for the kernel; indices count within their building.
-
-    Indices are unsigned: a signed one costs a look at its sign each time it is used.
-
-    Attributes:
-        x: (V,) float32 vertex coordinates, local metres; likewise y and z.
-        y: See x.
-        z: See x.
-        corner_a: (T,) uint32 first vertex of each triangle; likewise corner_b and corner_c.
-        corner_b: See corner_a.
-        corner_c: See corner_a.
-        tail: (E,) uint32 vertex each edge starts from, as its first triangle runs it.
-        head: (E,) uint32 vertex each edge runs to.
-        side_a: (E,) uint32 first triangle beside each edge.
-        side_b: (E,) uint32 second triangle beside each edge.
-        second_weight: (E,) int32, +1, -1 or 0, see ``EdgeTable``.
-        starts: (B + 1, 3) int64 offsets of each building's vertices, triangles and edges.
-        spheres: (B, 4) float64 bounding spheres (x, y, z, radius).
-    """
-
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
-    z: NDArray[np.float32]
-    corner_a: Indices
-    corner_b: Indices
-    corner_c: Indices
-    tail: Indices
-    head: Indices
-    side_a: Indices
-    side_b: Indices
-    second_weight: NDArray[np.int32]
-    starts: NDArray[np.int64]
-    spheres: Floats
-
-
-class View(NamedTuple):
-    """A pinhole for the kernel.
-
-    Attributes:
-        width: Pixels.
-        height: Pixels.
-        intrinsics: (4,) float64 fx, fy, cx, cy.
-        planes: (5, 3) float64 inward unit normals, through the camera centre, of the space it sees.
-    """
-
-    width: int
-    height: int
-    intrinsics: Floats
-    planes: Floats
-
-
-class Scratch(NamedTuple):
-    """Working memory of one thread, for the largest building.
-
-    Attributes:
-        u: (V,) float64 snapped columns, sub-pixels.
-        v: (V,) float64 snapped rows, sub-pixels.
-        depth: (V,) float64 distances along the optical axis, metres.
-        facing: (T,) int32, which way each triangle turns on the screen.
-        weights: (E,) int32 of each edge.
-        outline: (E + 1,) uint32 edges whose weight is not zero.
-        lines: The edges of one building.
-        coverage: The view's marks.
-    """
-
-    u: Floats
-    v: Floats
-    depth: Floats
-    facing: NDArray[np.int32]
-    weights: NDArray[np.int32]
-    outline: Indices
-    lines: EdgeLines
-    coverage: Coverage
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _is_outside(sphere, slack, rotation, center, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Tells whether a bounding sphere, made wider by ``slack``, lies wholly outside one of the planes."""
-    r = rotation
-    dx, dy, dz = sphere[0] - center[0], sphere[1] - center[1], sphere[2] - center[2]
-    x = r[0, 0] * dx + r[0, 1] * dy + r[0, 2] * dz
-    y = r[1, 0] * dx + r[1, 1] * dy + r[1, 2] * dz
-    z = r[2, 0] * dx + r[2, 1] * dy + r[2, 2] * dz
-    for i in range(planes.shape[0]):
-        if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z < -sphere[3] - slack:
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _camera_axes(px, py, pz, r, c):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns a local point in camera axes, metres (raster rule 1)."""
-    dx, dy, dz = np.float64(px) - c[0], np.float64(py) - c[1], np.float64(pz) - c[2]
-    x = (r[0, 0] * dx + r[0, 1] * dy) + r[0, 2] * dz
-    y = (r[1, 0] * dx + r[1, 1] * dy) + r[1, 2] * dz
-    z = (r[2, 0] * dx + r[2, 1] * dy) + r[2, 2] * dz
-    return x, y, z
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _snap(x, y, z, f):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns the snapped screen position of a point in camera axes, sub-pixels (raster rule 3)."""
-    inverse = 1.0 / z
-    u = (f[0] * x) * inverse + f[2]
-    v = (f[1] * y) * inverse + f[3]
-    return np.floor(u * 256.0 + 0.5), np.floor(v * 256.0 + 0.5)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -146,8 +30,8 @@ def _project(scene, first, stop, r, c, f, scratch):  # type: ignore[no-untyped-d
     xs, ys, zs, u, v, depth = scene.x, scene.y, scene.z, scratch.u, scratch.v, scratch.depth
     for i in range(np.uint64(stop - first)):
         k = i + np.uint64(first)
-        x, y, z = _camera_axes(xs[k], ys[k], zs[k], r, c)
-        u[i], v[i] = _snap(x, y, z, f)
+        x, y, z = camera_axes(xs[k], ys[k], zs[k], r, c)
+        u[i], v[i] = snap(x, y, z, f)
         depth[i] = z
 
 
@@ -223,13 +107,13 @@ def _draw_clipped(scene, b, rotation, center, view, scratch, words):  # type: ig
         corners = (scene.corner_a[t], scene.corner_b[t], scene.corner_c[t])
         for i in range(3):
             k = v0 + np.int64(corners[i])
-            polygon[i, 0], polygon[i, 1], polygon[i, 2] = _camera_axes(
+            polygon[i, 0], polygon[i, 1], polygon[i, 2] = camera_axes(
                 scene.x[k], scene.y[k], scene.z[k], rotation, center
             )
         kept = clip_polygon(polygon, 3, clipped, f)
         for i in range(1, kept - 1):
             for k, m in enumerate((0, i, i + 1)):
-                u[k], v[k] = _snap(polygon[m, 0], polygon[m, 1], polygon[m, 2], f)
+                u[k], v[k] = snap(polygon[m, 0], polygon[m, 1], polygon[m, 2], f)
             side = _side(u[0], v[0], u[1], v[1], u[2], v[2])
             bounds = (u.min(), u.max(), v.min(), v.max())
             if side == 0 or not expect_marks(coverage, *bounds, view.width, view.height):
@@ -273,7 +157,8 @@ def _candidates(scene, rotations, centers, planes, chosen):  # type: ignore[no-u
         )
         slack = away + turned * (distance + away) + 1e-6 * distance
         chosen[count] = b
-        count += not _is_outside(sphere, slack, rotations[0], centers[0], planes)
+        wider = (sphere[0], sphere[1], sphere[2], sphere[3] + slack)
+        count += not is_outside(wider, rotations[0], centers[0], planes)
     return count
 
 
@@ -293,7 +178,7 @@ def _draw_view(scene, buildings, rotation, center, view, scratch, words):  # typ
     u, v, depth, coverage = scratch.u, scratch.v, scratch.depth, scratch.coverage
     layers = 0
     for b in buildings:
-        if _is_outside(scene.spheres[b], 0.0, rotation, center, view.planes):
+        if is_outside(scene.spheres[b], rotation, center, view.planes):
             continue
         v0, v1 = scene.starts[b, 0], scene.starts[b + 1, 0]
         n = v1 - v0

@@ -15,9 +15,10 @@ from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
 from lodbench.rendering.coverage import blank_coverage, edge_lines
-from lodbench.rendering.engine_kernel import SceneArrays, Scratch, View, draw_view, score_views
+from lodbench.rendering.engine_arrays import SceneArrays, Scratch, View
+from lodbench.rendering.engine_kernel import draw_view, score_views
+from lodbench.rendering.projection import require_pinhole, view_planes
 from lodbench.rendering.protocol import IouCounts
-from lodbench.rendering.raster_rule import GUARD_PX
 from lodbench.rendering.topology import edge_table
 
 Floats = NDArray[np.float64]
@@ -154,27 +155,9 @@ def _columns(table: NDArray[np.int64]) -> list[NDArray[np.uint32]]:
 
 
 def _view(camera: Camera) -> View:
-    if camera.distortion:
-        raise RenderingError(
-            "A silhouette is rendered with a pinhole; this camera has lens distortion.",
-            "Undistort the image and mask first.",
-        )
-    if max(camera.width, camera.height) > GUARD_PX:
-        raise RenderingError(f"An image side is longer than {GUARD_PX:.0f} pixels.")
-    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
-    # One pixel wider than the image on every side, so that rounding never culls a covered pixel.
-    left, right, top, bottom = -1.0, camera.width + 1.0, -1.0, camera.height + 1.0
-    normals = np.array(
-        [
-            [0.0, 0.0, 1.0],
-            [fx, 0.0, cx - left],
-            [-fx, 0.0, right - cx],
-            [0.0, fy, cy - top],
-            [0.0, -fy, bottom - cy],
-        ]
-    )
-    planes = normals / np.sqrt((normals * normals).sum(axis=1, keepdims=True))
-    return View(camera.width, camera.height, np.array([fx, fy, cx, cy]), planes)
+    require_pinhole(camera)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    return View(camera.width, camera.height, intrinsics, view_planes(camera, 0, camera.width))
 
 
 def _blank(camera: Camera) -> Words:

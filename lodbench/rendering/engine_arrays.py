@@ -1,0 +1,89 @@
+"""What the silhouette engine's kernel works on: the scene, the view, and a thread's working memory."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.rendering.coverage import Coverage, EdgeLines
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.uint32]
+
+
+class SceneArrays(NamedTuple):
+    """A scene laid out for the kernel; indices count within their building.
+
+    Indices are unsigned: a signed one costs a look at its sign each time it is used.
+
+    Attributes:
+        x: (V,) float32 vertex coordinates, local metres; likewise y and z.
+        y: See x.
+        z: See x.
+        corner_a: (T,) uint32 first vertex of each triangle; likewise corner_b and corner_c.
+        corner_b: See corner_a.
+        corner_c: See corner_a.
+        tail: (E,) uint32 vertex each edge starts from, as its first triangle runs it.
+        head: (E,) uint32 vertex each edge runs to.
+        side_a: (E,) uint32 first triangle beside each edge.
+        side_b: (E,) uint32 second triangle beside each edge.
+        second_weight: (E,) int32, +1, -1 or 0, see ``EdgeTable``.
+        starts: (B + 1, 3) int64 offsets of each building's vertices, triangles and edges.
+        spheres: (B, 4) float64 bounding spheres (x, y, z, radius).
+    """
+
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    z: NDArray[np.float32]
+    corner_a: Indices
+    corner_b: Indices
+    corner_c: Indices
+    tail: Indices
+    head: Indices
+    side_a: Indices
+    side_b: Indices
+    second_weight: NDArray[np.int32]
+    starts: NDArray[np.int64]
+    spheres: Floats
+
+
+class View(NamedTuple):
+    """A pinhole for the kernel.
+
+    Attributes:
+        width: Pixels.
+        height: Pixels.
+        intrinsics: (4,) float64 fx, fy, cx, cy.
+        planes: (5, 3) float64 inward unit normals, through the camera centre, of the space it sees.
+    """
+
+    width: int
+    height: int
+    intrinsics: Floats
+    planes: Floats
+
+
+class Scratch(NamedTuple):
+    """Working memory of one thread, for the largest building.
+
+    Attributes:
+        u: (V,) float64 snapped columns, sub-pixels.
+        v: (V,) float64 snapped rows, sub-pixels.
+        depth: (V,) float64 distances along the optical axis, metres.
+        facing: (T,) int32, which way each triangle turns on the screen.
+        weights: (E,) int32 of each edge.
+        outline: (E + 1,) uint32 edges whose weight is not zero.
+        lines: The edges of one building.
+        coverage: The view's marks.
+    """
+
+    u: Floats
+    v: Floats
+    depth: Floats
+    facing: NDArray[np.int32]
+    weights: NDArray[np.int32]
+    outline: Indices
+    lines: EdgeLines
+    coverage: Coverage
