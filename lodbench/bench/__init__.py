@@ -1,7 +1,8 @@
-"""Figures anyone can make again: accuracy on a real model, and speed beside other renderers."""
+"""Figures anyone can make again: accuracy on a real model, and speed beside other programs."""
 
 from lodbench.bench.accuracy import AccuracyOptions, measure_accuracy
 from lodbench.bench.accuracy_report import AccuracyReport
+from lodbench.bench.city import CityBench, CityOptions, measure_city
 from lodbench.bench.figures import Figure
 from lodbench.bench.silhouette_report import SilhouetteReport
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
@@ -9,9 +10,12 @@ from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 __all__ = [
     "AccuracyOptions",
     "AccuracyReport",
+    "CityBench",
+    "CityOptions",
     "Figure",
     "SilhouetteOptions",
     "SilhouetteReport",
     "measure_accuracy",
+    "measure_city",
     "measure_silhouettes",
 ]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import mapbox_earcut
@@ -18,9 +19,12 @@ from lodbench.errors import CityModelError
 
 _GML = ("{http://www.opengis.net/gml}", "{http://www.opengis.net/gml/3.2}")
 _PEER_TIMEOUT_S = 600
+Projection = Callable[[NDArray[np.float64]], NDArray[np.float64] | None]
 
 
-def naive_mesh(path: Path, lod: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def naive_mesh(
+    path: Path, lod: str, project: Projection | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Returns points and triangles of one level of a CityGML file, read the way most scripts do.
 
     A tree of the whole document, float() per number, one earcut per polygon; no references, no
@@ -29,6 +33,7 @@ def naive_mesh(path: Path, lod: str) -> tuple[NDArray[np.float64], NDArray[np.in
     Args:
         path: A CityGML file without compression.
         lod: Level of detail, a whole number.
+        project: How to find a polygon's plane; ``project_plainly`` by default.
 
     Returns:
         points: (P, 3) in the coordinates of the file.
@@ -45,7 +50,7 @@ def naive_mesh(path: Path, lod: str) -> tuple[NDArray[np.float64], NDArray[np.in
         if _level_of(polygon) != lod:
             continue
         rings = list(_rings(polygon))
-        corners = _naive_triangles(rings)
+        corners = _naive_triangles(rings, project or project_plainly)
         if len(corners):
             points.extend(rings)
             triangles.append(corners + count)
@@ -66,25 +71,45 @@ def _level_of(element: Element) -> str | None:
 
 
 def _rings(polygon: Element) -> Iterator[NDArray[np.float64]]:
+    """Returns the rings of a polygon with their closing points."""
     for ring in polygon.iter(*(prefix + "LinearRing" for prefix in _GML)):
         numbers = [float(text) for child in ring for text in (child.text or "").split()]
-        yield np.array(numbers).reshape(-1, 3)[:-1]
+        yield np.array(numbers).reshape(-1, 3)
 
 
-def _naive_triangles(rings: list[NDArray[np.float64]]) -> NDArray[np.int64]:
-    outline = rings[0]
-    (x, y, z), (u, v, w) = outline.T, np.roll(outline, -1, axis=0).T
-    normal = np.array([((y - v) * (z + w)).sum(), ((z - w) * (x + u)).sum(), ((x - u) * (y + v)).sum()])
+def project_plainly(outline: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Returns the axes (2, 3) of a ring's plane by vector algebra as one writes it down, or None."""
+    normal = np.cross(outline, np.roll(outline, -1, axis=0)).sum(axis=0)
     length = np.linalg.norm(normal)
     if length == 0.0:
-        return np.zeros((0, 3), np.int64)
+        return None
     normal /= length
     across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     across /= np.linalg.norm(across)
-    frame = np.stack([across, np.cross(normal, across)], axis=1)
-    plane = (np.concatenate(rings) - outline[0]) @ frame
+    return np.stack([across, np.cross(normal, across)])
+
+
+def project_tuned(outline: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Returns the same with all that can be scalar made scalar: half the time of the naive way."""
+    normal = np.cross(outline[:-1], outline[1:]).sum(axis=0)
+    length = math.sqrt(normal @ normal)
+    if length == 0.0:
+        return None
+    x, y, z = (normal / length).tolist()
+    flat = math.hypot(x, y)
+    across = (-y / flat, x / flat, 0.0) if flat > 1e-6 else (1.0, 0.0, 0.0)
+    return np.array([across, (-z * across[1], z * across[0], x * across[1] - y * across[0])])
+
+
+def _naive_triangles(rings: list[NDArray[np.float64]], project: Projection) -> NDArray[np.int64]:
+    """Returns triangles of a polygon in its own plane, as bent and narrow ones need it."""
+    outline = rings[0] - rings[0][0]  # coordinates far from zero would cost digits
+    axes = project(outline)
+    if axes is None:
+        return np.zeros((0, 3), np.int64)
+    points = outline if len(rings) == 1 else np.concatenate(rings) - rings[0][0]
     ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
-    corners: NDArray[np.int64] = mapbox_earcut.triangulate_float64(plane, ends).astype(np.int64)
+    corners: NDArray[np.int64] = mapbox_earcut.triangulate_float64(points @ axes.T, ends).astype(np.int64)
     return corners.reshape(-1, 3)
 
 

@@ -12,9 +12,12 @@ COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
     "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
     "render": ("lodbench.cli.render", "draw a city's silhouettes from given poses"),
-    "city": ("lodbench.cli.city", "look into a city model: info, check"),
+    "city": ("lodbench.cli.city", "look into a city model: info, check; write it in another format: convert"),
     "dataset": ("lodbench.cli.dataset", "make the demo dataset, list what there is"),
-    "bench": ("lodbench.cli.bench", "measure speed and accuracy: silhouettes, accuracy"),
+    "bench": (
+        "lodbench.cli.bench",
+        "measure speed and accuracy beside other programs: silhouettes, accuracy, city",
+    ),
 }
 
 _USAGE = """\
@@ -27,7 +30,7 @@ Usage: lodbench COMMAND [...]        lodbench COMMAND --help
 Start here:
   lodbench run method=lodlocv2 dataset=demo
   lodbench run dataset=folder dataset.root=DIR dataset.city_model=FILE
-  lodbench city info FILE
+  lodbench city info FILE                 # is it read as it should be?
 """
 
 

@@ -1,4 +1,4 @@
-"""`lodbench bench silhouettes|accuracy`: measure speed and accuracy on this machine."""
+"""`lodbench bench silhouettes|accuracy|city`: measure speed and accuracy on this machine."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from pathlib import Path
 from lodbench.bench import (
     AccuracyOptions,
     AccuracyReport,
+    CityBench,
+    CityOptions,
     SilhouetteOptions,
     SilhouetteReport,
     measure_accuracy,
+    measure_city,
     measure_silhouettes,
 )
-from lodbench.execution import Progress
+from lodbench.execution import ProgressCallback
 
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
     city = options.city or _demo_town()
-    with _Steps(f"bench {options.what}") as steps:
+    with ProgressCallback(f"bench {options.what}") as steps:
         report = MEASURES[options.what](city, options, steps)
     if options.json:
         for figure in report.figures():
@@ -33,7 +36,7 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def _silhouettes(city: Path, options: argparse.Namespace, steps: _Steps) -> SilhouetteReport:
+def _silhouettes(city: Path, options: argparse.Namespace, steps: ProgressCallback) -> SilhouetteReport:
     peers = tuple(options.peers.split(",")) if options.peers else ()
     asked = SilhouetteOptions(
         num_views=options.views, hypotheses=options.hypotheses, peers=peers, seed=options.seed
@@ -41,16 +44,22 @@ def _silhouettes(city: Path, options: argparse.Namespace, steps: _Steps) -> Silh
     return measure_silhouettes(city, asked, steps)
 
 
-def _accuracy(city: Path, options: argparse.Namespace, steps: _Steps) -> AccuracyReport:
+def _accuracy(city: Path, options: argparse.Namespace, steps: ProgressCallback) -> AccuracyReport:
     asked = AccuracyOptions(
         num_views=options.views, mask_iou=options.mask_iou, tilt_deg=options.tilt_deg, seed=options.seed
     )
     return measure_accuracy(city, asked, steps)
 
 
-MEASURES: dict[str, Callable[..., SilhouetteReport | AccuracyReport]] = {
+def _city(city: Path, options: argparse.Namespace, steps: ProgressCallback) -> CityBench:
+    asked = CityOptions(lod=options.lod, repeats=options.repeats, large_mb=options.large_mb)
+    return measure_city(city, asked, steps)
+
+
+MEASURES: dict[str, Callable[..., SilhouetteReport | AccuracyReport | CityBench]] = {
     "silhouettes": _silhouettes,
     "accuracy": _accuracy,
+    "city": _city,
 }
 
 
@@ -65,9 +74,16 @@ def _parser() -> argparse.ArgumentParser:
     accuracy.add_argument("--views", type=int, default=200, help="seeded views (200)")
     accuracy.add_argument("--mask-iou", type=float, default=0.88, help="of the roughened masks (0.88)")
     accuracy.add_argument("--tilt-deg", type=float, default=1.0, help="prior's tilt error, +- (1.0)")
+    city = actions.add_parser(
+        "city", help="reading and meshing a city model, beside the naive way and cjio; memory on a large file"
+    )
+    city.add_argument("--lod", help="level of detail (lowest with walls)")
+    city.add_argument("--repeats", type=int, default=5, help="passes, the fastest counts (5)")
+    city.add_argument("--large-mb", type=int, default=137, help="file made for the memory figure; 0 for none")
     for action in (speed, accuracy):
-        action.add_argument("--city", type=Path, help="city model; the demo town if not given")
         action.add_argument("--seed", type=int, default=0)
+    for action in (speed, accuracy, city):
+        action.add_argument("--city", type=Path, help="city model; the demo town if not given")
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser
 
@@ -76,23 +92,3 @@ def _demo_town() -> Path:
     from lodbench.datasets.demo.open import DemoParams, open_demo
 
     return open_demo(DemoParams()).city_model
-
-
-class _Steps:
-    """Draws progress for a measurement that reports how many steps of how many it has done."""
-
-    def __init__(self, label: str) -> None:
-        self._label = label
-        self._progress: Progress | None = None
-
-    def __enter__(self) -> _Steps:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._progress is not None:
-            self._progress.__exit__(None, None, None)
-
-    def __call__(self, done: int, total: int) -> None:
-        if self._progress is None:
-            self._progress = Progress(self._label, total)
-        self._progress.advance()

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, to_params
+from lodbench.cli.sources import profile_of
 from lodbench.harness.render import RenderParams, render_poses
 
 
@@ -18,6 +20,10 @@ def main(argv: Sequence[str]) -> int:
 
 def task(config: DictConfig) -> None:
     """Renders one configuration."""
-    params = to_params(plain(config), RenderParams, "render")
-    written = render_poses(params)
-    sys.stdout.write(f"{len(written)} pictures in {params.out}\n")
+    values = plain(config)
+    source = profile_of(values.pop("source"))
+    params = to_params(values, RenderParams, "render")
+    rendered = render_poses(params if params.lod else replace(params, lod=source.lod), source.options)
+    for note in rendered.notes:
+        sys.stdout.write(f"note: {note}\n")
+    sys.stdout.write(f"{len(rendered.files)} pictures in {params.out}\n")

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from lodbench.citymodel import open_scene
+from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.execution import Progress
+from lodbench.harness.city import open_city
 from lodbench.rendering import make_renderer
 from lodbench.reporting.overlays import write_picture
 
@@ -30,6 +31,7 @@ class RenderParams:
         renderer: Name of the renderer.
         lod: Level of detail, or None for the lowest.
         crs: CRS override, or None.
+        roof_height: Rule by which an absent level 1 is derived, or None.
         size: Width and height to scale to, or None for the camera's own.
     """
 
@@ -41,11 +43,29 @@ class RenderParams:
     renderer: str = "silhouette"
     lod: str | None = None
     crs: str | None = None
+    roof_height: str | None = None
     size: tuple[int, int] | None = None
 
 
-def render_poses(params: RenderParams) -> list[Path]:
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """What was drawn.
+
+    Attributes:
+        files: The pictures, in the order of the poses.
+        notes: What was met in the city.
+    """
+
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+
+def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Rendered:
     """Writes one PNG per pose (255 = building) and returns the files.
+
+    Args:
+        params: What to render.
+        options: How to read the city; ``params.crs`` goes before its ``crs``.
 
     Raises:
         LodbenchError: An input is missing or malformed, or a pose has no camera; nothing is written then.
@@ -61,7 +81,10 @@ def render_poses(params: RenderParams) -> list[Path]:
             else f"{params.poses} has no poses"
         )
         raise DatasetError(f"{what}.", "The two files share the image names.")
-    scene = open_scene(params.city, lod=params.lod, crs=params.crs)
+    options = options or ReadOptions()
+    options = options if params.crs is None else replace(options, crs=params.crs)
+    city = open_city(Path(params.city).expanduser(), params.lod, options, params.roof_height)
+    scene = city.scene
     renderer = make_renderer(params.renderer, scene, 1)
     out = Path(params.out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
@@ -74,4 +97,4 @@ def render_poses(params: RenderParams) -> list[Path]:
             write_picture(path, mask.astype(np.uint8) * 255)
             written.append(path)
             progress.advance()
-    return written
+    return Rendered(tuple(written), city.notes())

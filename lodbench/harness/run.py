@@ -10,15 +10,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation.errors import FAILED, pose_error
 from lodbench.evaluation.rows import QueryRow
-from lodbench.execution import Ledger, Progress, ProgressCallback
+from lodbench.execution import Ledger, Progress
 from lodbench.geometry import Pose
+from lodbench.harness.city import open_city
 from lodbench.harness.prepare import Preparation
 from lodbench.localization import Method
 from lodbench.rendering import Scorer, make_renderer
@@ -115,14 +115,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
 
 def _open_city(dataset: Dataset) -> tuple[Scene, Dataset]:
     """Returns a dataset's scene, and the dataset with what was met in its city added to the notes."""
-    with ProgressCallback(f"reading {dataset.city_model.name}", "MB", 1_000_000) as progress:
-        city = open_cached_city(
-            dataset.city_model,
-            lod=dataset.lod,
-            options=dataset.city_options,
-            roof_height=dataset.roof_height,
-            progress=progress,
-        )
+    city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
     return city.scene, replace(dataset, notes=dataset.notes + city.notes())
 
 

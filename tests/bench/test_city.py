@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 from lodbench.bench.city import CityOptions, measure_city, repeat_members
-from lodbench.bench.city_peers import naive_mesh, obj_area, time_cjio
+from lodbench.bench.city_peers import (
+    Projection,
+    naive_mesh,
+    obj_area,
+    project_plainly,
+    project_tuned,
+    time_cjio,
+)
 from lodbench.citymodel import open_scene, read_city_model
 from lodbench.errors import CityModelError, ConfigError
 
@@ -48,10 +55,11 @@ def test_figures(city: Path) -> None:
     assert "read and mesh LoD1" in bench.to_text()
 
 
-def test_naive_way_agrees(city: Path) -> None:
-    points, triangles = naive_mesh(city, "1")
+@pytest.mark.parametrize("project", [project_plainly, project_tuned])
+def test_naive_way_agrees(city: Path, project: Projection) -> None:
+    points, triangles = naive_mesh(city, "1", project)
     assert len(triangles) == len(open_scene(city).triangles)
-    assert points.shape == (8, 3)
+    assert points.shape == (10, 3)
     with pytest.raises(CityModelError, match="no LoD2"):
         naive_mesh(city, "2")
 

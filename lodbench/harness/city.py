@@ -1,0 +1,25 @@
+"""Opening the city of a command: from the cache where it is there, with progress where it is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lodbench.citymodel.cache import OpenCity, open_cached_city
+from lodbench.citymodel.options import ReadOptions
+from lodbench.execution import ProgressCallback
+
+
+def open_city(path: Path, lod: str | None, options: ReadOptions, roof_height: str | None) -> OpenCity:
+    """Returns one level of detail of a city, drawing progress on a terminal while it is read.
+
+    Args:
+        path: A file, an archive, a folder of tiles, or a scene.
+        lod: Level of detail; None for the lowest with walls.
+        options: How to read.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+
+    Raises:
+        CityModelError: The city cannot be read, or has no building at that level.
+    """
+    with ProgressCallback(f"reading {path.name}", "MB", 1_000_000) as progress:
+        return open_cached_city(path, lod=lod, options=options, roof_height=roof_height, progress=progress)
