@@ -11,13 +11,17 @@ from importlib import import_module
 COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
     "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
-    "render": ("lodbench.cli.render", "draw a city's silhouettes from given poses"),
+    "render": (
+        "lodbench.cli.render",
+        "draw a city from given poses: silhouette, depth, label, colour, overlay",
+    ),
     "city": ("lodbench.cli.city", "look into a city model: info, check; write it in another format: convert"),
     "dataset": ("lodbench.cli.dataset", "make the demo dataset, list what there is"),
     "bench": (
         "lodbench.cli.bench",
         "measure speed and accuracy beside other programs: silhouettes, accuracy, city",
     ),
+    "doctor": ("lodbench.cli.doctor", "say what works on this machine, and what to install for the rest"),
 }
 
 _USAGE = """\

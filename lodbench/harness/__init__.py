@@ -1,5 +1,22 @@
-"""Running a method over a dataset: from configured parts to a run folder."""
+"""Running a method over a dataset: from configured parts to a run folder.
 
-from lodbench.harness.run import Run, RunSettings, run_method
+Names are loaded when first used: `lodbench doctor` lives here too, and must start where numpy does not.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lodbench.harness.run import Run as Run
+    from lodbench.harness.run import RunSettings as RunSettings
+    from lodbench.harness.run import run_method as run_method
 
 __all__ = ["Run", "RunSettings", "run_method"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("lodbench.harness.run"), name)

@@ -1,0 +1,52 @@
+"""`lodbench doctor`: what works on this machine, and what to install."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lodbench.harness.doctor import Check
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code: 1 if the base install is broken."""
+    parser = argparse.ArgumentParser(
+        "lodbench doctor", description="Say what works on this machine, and what to install for the rest."
+    )
+    parser.add_argument("--json", action="store_true", help="one check per line, for machines")
+    options = parser.parse_args(argv)
+
+    from lodbench.harness.doctor import examine, is_base_broken
+
+    checks = examine()
+    if options.json:
+        lines: Iterator[str] = (json.dumps(asdict(check)) for check in checks)
+    else:
+        lines = _lines(checks)
+    sys.stdout.write("".join(line + "\n" for line in lines))
+    return 1 if is_base_broken(checks) else 0
+
+
+def _lines(checks: list[Check]) -> Iterator[str]:
+    """Yields the report for people."""
+    width = max(len(check.name) for check in checks)
+    section = ""
+    for check in checks:
+        if check.section != section:
+            section = check.section
+            yield f"{section}:"
+        yield f"  {check.status:6}  {check.name.ljust(width)}  {check.detail}"
+        if check.hint:
+            yield f"  {'':6}  {'':{width}}  -> {check.hint}"
+    faults = [check for check in checks if check.status != "ok"]
+    broken = ", ".join(check.name for check in faults if check.is_base)
+    optional = ", ".join(check.name for check in faults if not check.is_base)
+    yield ""
+    yield f"The base install is broken: {broken}." if broken else "The base install works."
+    if optional:
+        yield f"Optional and not ready: {optional}."
