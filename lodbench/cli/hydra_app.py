@@ -27,6 +27,7 @@ PATH_KEYS = frozenset(
         "city",
         "poses",
         "intrinsics",
+        "images",
         "out",
         "data",
         "paths.runs",

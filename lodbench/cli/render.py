@@ -1,4 +1,4 @@
-"""`lodbench render`: a city's silhouettes from given poses."""
+"""`lodbench render`: a city drawn from given poses."""
 
 from __future__ import annotations
 
@@ -26,4 +26,4 @@ def task(config: DictConfig) -> None:
     rendered = render_poses(params if params.lod else replace(params, lod=source.lod), source.options)
     for note in rendered.notes:
         sys.stdout.write(f"note: {note}\n")
-    sys.stdout.write(f"{len(rendered.files)} pictures in {params.out}\n")
+    sys.stdout.write(f"{len(rendered.files)} files in {params.out}\n")

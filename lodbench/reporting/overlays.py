@@ -52,7 +52,7 @@ def draw_overlay(shown: OverlayInput, renderer: Renderer) -> Picture:
 
     width = min(_WIDTH, shown.camera.width)
     camera = shown.camera.scaled(width, round(width * shown.camera.height / shown.camera.width))
-    canvas = _background(shown.image, camera)
+    canvas = read_background(shown.image, camera)
     if shown.mask is not None:
         mask = cv2.resize(shown.mask.astype(np.uint8), (camera.width, camera.height)) > 0
         tint = np.array(_MASK_COLOUR, dtype=np.float64)
@@ -63,20 +63,34 @@ def draw_overlay(shown: OverlayInput, renderer: Renderer) -> Picture:
         (shown.estimate, ESTIMATE_COLOUR, 1),
     ):
         if pose is not None:
-            drawn = renderer.render(camera, pose).astype(np.uint8)
-            outlines, _ = cv2.findContours(drawn, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-            cv2.drawContours(canvas, outlines, -1, colour, thickness, cv2.LINE_AA)
+            draw_outline(canvas, renderer.render(camera, pose), colour, thickness)
     return np.vstack([canvas, _caption(shown.caption, camera.width)])
 
 
-def write_picture(path: Path, picture: Picture) -> None:
-    """Writes a picture as PNG, atomically."""
+def draw_outline(canvas: Picture, mask: Mask, colour: tuple[int, int, int], thickness: int) -> None:
+    """Draws the outline of an (H, W) mask, holes included, on an (H, W, 3) BGR picture."""
+    import cv2
+
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(canvas, outlines, -1, colour, thickness, cv2.LINE_AA)
+
+
+def write_picture(path: Path, picture: Picture | NDArray[np.uint16]) -> None:
+    """Writes a picture, grey or BGR, 8 or 16 bits, as PNG, atomically."""
     import cv2
 
     write_bytes(path, cv2.imencode(".png", picture)[1].tobytes())
 
 
-def _background(image: Path | None, camera: Camera) -> Picture:
+def is_readable_picture(path: Path) -> bool:
+    """Tells whether a file is there and looks like a picture that can be decoded."""
+    import cv2
+
+    return path.is_file() and bool(cv2.haveImageReader(str(path)))
+
+
+def read_background(image: Path | None, camera: Camera) -> Picture:
+    """Returns a photo at the camera's size, (H, W, 3) BGR; plain grey if it is none or unreadable."""
     import cv2
 
     canvas = np.full((camera.height, camera.width, 3), 58, dtype=np.uint8)

@@ -1,0 +1,158 @@
+"""The kinds of pictures `lodbench render` writes, and which renderers can draw each."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import ConfigError, RenderingError, nearest_names
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering import (
+    DEPTH_RENDERERS,
+    LAYER_RENDERERS,
+    RENDERERS,
+    DepthRenderer,
+    LayerRenderer,
+    Renderer,
+)
+from lodbench.reporting.overlays import ESTIMATE_COLOUR, draw_outline, read_background, write_picture
+from lodbench.storage import write_bytes, write_text
+
+# The largest value of a 16-bit PNG.
+_MOST = 65535
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One picture to write.
+
+    Attributes:
+        renderer: Can draw the kind, see ``choose_renderer``.
+        camera: Pinhole.
+        pose: In the scene's frame.
+        path: The picture's file, without its suffix.
+        photo: The photo taken there, or None.
+    """
+
+    renderer: Renderer
+    camera: Camera
+    pose: Pose
+    path: Path
+    photo: Path | None
+
+    def file(self, suffix: str) -> Path:
+        """Returns the file of a suffix; a dot in the picture's name is no suffix."""
+        return self.path.with_name(self.path.name + suffix)
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of picture.
+
+    Attributes:
+        renderers: Names of those that can draw it; the first is taken unless one is asked for.
+        write: Draws and writes a view; returns its files.
+        check: Raises a LodbenchError if a scene cannot be drawn so.
+        prepare: Writes what all views of a scene share to the folder; returns its files.
+    """
+
+    renderers: tuple[str, ...]
+    write: Callable[[View], list[Path]]
+    check: Callable[[Scene], None] = lambda _scene: None
+    prepare: Callable[[Scene, Path], list[Path]] = lambda _scene, _out: []
+
+
+def choose_renderer(kind: str, renderer: str | None) -> str:
+    """Returns the renderer to draw a kind with.
+
+    Raises:
+        ConfigError: The kind or the renderer is unknown, or the renderer cannot draw the kind.
+    """
+    if kind not in KINDS:
+        raise ConfigError(f"kind={kind} is not known.", nearest_names(kind, KINDS))
+    able = KINDS[kind].renderers
+    if renderer is None:
+        return able[0]
+    if renderer not in RENDERERS:
+        raise ConfigError(f"Renderer {renderer!r} is not known.", nearest_names(renderer, RENDERERS))
+    if renderer not in able:
+        raise ConfigError(
+            f"renderer={renderer} cannot draw kind={kind}.",
+            f"Leave renderer= out, or take one of: {', '.join(able)}.",
+        )
+    return renderer
+
+
+def _write_silhouette(view: View) -> list[Path]:
+    mask = view.renderer.render(view.camera, view.pose)
+    return _write_png(view, mask.astype(np.uint8) * 255)
+
+
+def _write_depth(view: View) -> list[Path]:
+    depth = cast(DepthRenderer, view.renderer).depth(view.camera, view.pose)
+    content = io.BytesIO()
+    np.save(content, depth)
+    write_bytes(view.file(".npy"), content.getvalue())
+    return [*_write_png(view, depth_in_centimetres(depth)), view.file(".npy")]
+
+
+def depth_in_centimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Returns depth in metres as whole centimetres: 0 for nothing, 65535 for 655.35 m and all beyond."""
+    centimetres = np.rint(np.minimum(depth.astype(np.float64) * 100.0, _MOST))
+    return centimetres.astype(np.uint16)
+
+
+def _write_label(view: View) -> list[Path]:
+    building = cast(LayerRenderer, view.renderer).draw(view.camera, view.pose).building
+    return _write_png(view, (building + 1).astype(np.uint16))
+
+
+def _check_labels(scene: Scene) -> None:
+    if scene.num_buildings > _MOST:
+        raise RenderingError(
+            f"The city has {scene.num_buildings} buildings; a label picture tells {_MOST} apart.",
+            "Cut the city into tiles, or take RasterRenderer.draw(...).building from Python.",
+        )
+
+
+def _write_label_names(scene: Scene, out: Path) -> list[Path]:
+    names = {str(number): name for number, name in enumerate(scene.building_ids, start=1)}
+    path = out / "labels.json"
+    write_text(path, json.dumps(names, indent=0, ensure_ascii=False) + "\n")
+    return [path]
+
+
+def _write_colour(view: View) -> list[Path]:
+    colour = cast(LayerRenderer, view.renderer).draw(view.camera, view.pose).colour
+    return _write_png(view, np.ascontiguousarray(colour[:, :, ::-1]))
+
+
+def _write_overlay(view: View) -> list[Path]:
+    canvas = read_background(view.photo, view.camera)
+    draw_outline(canvas, view.renderer.render(view.camera, view.pose), ESTIMATE_COLOUR, 1)
+    return _write_png(view, canvas)
+
+
+def _write_png(view: View, picture: NDArray[np.uint8] | NDArray[np.uint16]) -> list[Path]:
+    path = view.file(".png")
+    write_picture(path, picture)
+    return [path]
+
+
+_ANY = ("silhouette", *(name for name in RENDERERS if name != "silhouette"))
+
+KINDS = {
+    "silhouette": Kind(_ANY, _write_silhouette),
+    "depth": Kind(DEPTH_RENDERERS, _write_depth),
+    "label": Kind(LAYER_RENDERERS, _write_label, _check_labels, _write_label_names),
+    "colour": Kind(LAYER_RENDERERS, _write_colour),
+    "overlay": Kind(_ANY, _write_overlay),
+}

@@ -1,0 +1,157 @@
+"""`lodbench render`: every kind of picture, from the command line to the pixels."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.citymodel import open_scene
+from lodbench.datasets.pose_text import read_cameras, read_poses
+from lodbench.rendering.raster import RasterRenderer
+from tests.town import write_dataset
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    """A town of seven boxes and two views of it."""
+    return write_dataset(tmp_path / "town", count=2)
+
+
+@pytest.fixture
+def render(lodbench, tmp_path, dataset):
+    """Runs `lodbench render` over the dataset's true poses; returns the process and the out folder."""
+    root, city = dataset
+
+    def run(*words):
+        out = tmp_path / "out, (1)"
+        done = lodbench(
+            "render",
+            f"city={city}",
+            f"poses={root / 'GT_pose.txt'}",
+            f"intrinsics={root / 'intrinsic.txt'}",
+            f"out={out}",
+            *words,
+        )
+        return done, out
+
+    return run
+
+
+@pytest.fixture
+def layers(dataset):
+    """What the raster says of each view, by name without suffix."""
+    root, city = dataset
+    scene, cameras = open_scene(city), read_cameras(root / "intrinsic.txt")
+    raster = RasterRenderer(scene, 1)
+    return {
+        name.split(".")[0]: raster.draw(cameras[name], pose.shifted(-scene.origin))
+        for name, pose in read_poses(root / "GT_pose.txt").items()
+    }
+
+
+def read(path):
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+
+
+def test_depth(render, layers):
+    done, out = render("kind=depth")
+    assert done.returncode == 0, done.stderr
+    assert "4 files" in done.stdout
+    for name, expected in layers.items():
+        np.testing.assert_array_equal(np.load(out / f"{name}.npy"), expected.depth)
+        picture = read(out / f"{name}.png")
+        assert picture.dtype == np.uint16
+        assert np.abs(picture / 100.0 - expected.depth).max() <= 0.00501
+        assert ((picture > 0) == expected.mask).all()
+
+
+def test_label(render, layers, dataset):
+    done, out = render("kind=label")
+    assert done.returncode == 0, done.stderr
+    names = json.loads((out / "labels.json").read_text())
+    scene = open_scene(dataset[1])
+    assert [names[str(i + 1)] for i in range(scene.num_buildings)] == list(scene.building_ids)
+    for name, expected in layers.items():
+        np.testing.assert_array_equal(read(out / f"{name}.png"), expected.building + 1)
+
+
+def test_colour_at_another_size(render):
+    done, out = render("kind=colour", "size=[160,120]")
+    assert done.returncode == 0, done.stderr
+    picture = read(out / "view_00.png")
+    assert picture.shape == (120, 160, 3)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 5
+
+
+def test_overlay_over_photos_and_over_grey(render, tmp_path, layers):
+    photos = tmp_path / "my photos"
+    photos.mkdir()
+    for name in layers:
+        cv2.imwrite(str(photos / f"{name}.png"), np.full((240, 320, 3), (9, 90, 200), dtype=np.uint8))
+    done, out = render("kind=overlay", f"images={photos}")
+    assert done.returncode == 0, done.stderr
+    drawn = (read(out / "view_00.png") != (9, 90, 200)).any(axis=2)
+    assert 0 < drawn.sum() < 0.2 * drawn.size
+    assert not (drawn & (cv2.dilate(layers["view_00"].mask.astype(np.uint8), np.ones((5, 5))) == 0)).any()
+    assert render("kind=overlay")[0].returncode == 0
+    assert len(np.unique(read(out / "view_01.png").reshape(-1, 3), axis=0)) > 1
+
+
+@pytest.mark.parametrize("renderer", ["reference", "raster"])
+def test_silhouettes_are_the_same_bytes_whatever_the_renderer(render, renderer):
+    done, out = render()
+    assert done.returncode == 0, done.stderr
+    usual = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert render(f"renderer={renderer}", "size=[320,240]")[0].returncode == 0
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == usual
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["kind=depth", "renderer=silhouette"], ["renderer=silhouette", "kind=depth", "raster, open3d"]),
+        (["kind=label", "renderer=pyrender"], ["kind=label", "one of: raster"]),
+        (["kind=colour", "renderer=reference"], ["kind=colour"]),
+        (["kind=dept"], ["dept", "depth"]),
+        (["renderer=rastr"], ["rastr", "raster"]),
+        (["kind=overlay", "images=nowhere"], ["nowhere", "view_00.png"]),
+    ],
+    ids=" ".join,
+)
+def test_what_cannot_be_drawn_is_said_before_any_work(render, words, expected):
+    done, out = render(*words)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    for text in expected:
+        assert text in done.stderr
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "edit", "expected"),
+    [
+        ("GT_pose.txt", lambda text: text + text.splitlines()[0].replace(".png", ".jpg"), "view_00.png"),
+        ("intrinsic.txt", lambda text: text.splitlines()[0], "view_01.png has no camera"),
+        (
+            "intrinsic.txt",
+            lambda text: text.replace("PINHOLE", "OPENCV").replace("\n", " 0.1 0 0 0\n"),
+            "pinhole",
+        ),
+    ],
+)
+def test_inputs_that_do_not_go_together(render, dataset, file, edit, expected):
+    path = dataset[0] / file
+    path.write_text(edit(path.read_text()))
+    done, out = render()
+    assert done.returncode == 2, done.stdout
+    assert expected in done.stderr
+    assert not out.exists()
+
+
+def test_help_says_what_the_pictures_hold(lodbench):
+    text = lodbench("render", "--help").stdout
+    for word in ("centimetres", "655.35 m", "labels.json", "images=DIR", "0.1 m"):
+        assert word in text

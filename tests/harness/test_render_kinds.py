@@ -1,0 +1,30 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel.scene import build_scene
+from lodbench.errors import RenderingError
+from lodbench.harness.render_kinds import KINDS, choose_renderer, depth_in_centimetres
+from lodbench.rendering import DEPTH_RENDERERS, LAYER_RENDERERS, RENDERERS
+
+
+def test_depth_is_rounded_and_bounded():
+    depth = np.array([[0.0, 0.1, 12.344, 12.346, 655.34, 655.36, 9000.0]], dtype=np.float32)
+    assert depth_in_centimetres(depth).tolist() == [[0, 10, 1234, 1235, 65534, 65535, 65535]]
+
+
+def test_each_kind_has_a_renderer_of_the_base_install():
+    for kind in KINDS:
+        assert choose_renderer(kind, None) in ("silhouette", "raster")
+    assert KINDS["silhouette"].renderers == tuple(RENDERERS)
+    assert KINDS["depth"].renderers == DEPTH_RENDERERS
+    assert KINDS["label"].renderers == LAYER_RENDERERS
+
+
+def test_more_buildings_than_a_label_holds_are_refused():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    names = tuple(map(str, range(65_536)))
+    scene = build_scene(corners, np.array([[0, 1, 2]]), np.zeros(1, dtype=np.int32), names)
+    with pytest.raises(RenderingError, match="65536"):
+        KINDS["label"].check(scene)
