@@ -83,9 +83,9 @@ class CityBench:
         """Returns the figures as a table."""
         table = [[self.city, "value", "unit", "peer", "peer's value", "ratio"]]
         for row in self.rows:
-            peer = "" if row.peer_value is None else f"{row.peer_value:.4g}"
+            peer = "" if row.peer_value is None else _in_words(row.peer_value)
             ratio = "" if row.ratio is None else f"{row.ratio:.1f}x"
-            table.append([row.figure, f"{row.value:.4g}", row.unit, row.peer, peer, ratio])
+            table.append([row.figure, _in_words(row.value), row.unit, row.peer, peer, ratio])
         return format_columns(table)
 
 
@@ -125,6 +125,10 @@ def measure_city(
         rows += _memory(city, lod, options.large_mb)
     progress(4, 4)
     return CityBench(city.name, tuple(rows))
+
+
+def _in_words(value: float) -> str:
+    return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
 
 
 def _best(job: Callable[[], object], repeats: int) -> float:

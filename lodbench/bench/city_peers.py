@@ -128,7 +128,8 @@ def time_cjio(path: Path) -> tuple[float, float] | str:
         try:
             done = subprocess.run(  # noqa: S603 - a program the user installed, with our arguments
                 [program, str(path), "export", "obj", str(target)],
-                capture_output=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
                 timeout=_PEER_TIMEOUT_S,
                 check=False,
             )
@@ -136,7 +137,8 @@ def time_cjio(path: Path) -> tuple[float, float] | str:
             return f"cjio failed ({error})"
         seconds = time.perf_counter() - start
         if done.returncode != 0 or not target.is_file():
-            return f"cjio failed with exit code {done.returncode}"
+            last = done.stdout.decode(errors="replace").strip().splitlines()[-3:]
+            return f"cjio failed: {' '.join(last)[-200:]}"
         return seconds, obj_area(target)
 
 

@@ -138,7 +138,9 @@ def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: st
     try:
         digests = [_digest(file) for file in files]
     except OSError as error:
-        raise CityModelError(f"{error.filename or path} cannot be read: {error.strerror}.") from None
+        raise CityModelError(
+            f"{error.filename or path} cannot be read: {error.strerror}.", "Check its permissions."
+        ) from None
     settings = [lod, {**asdict(options), "terrain": None}, roof_height]
     return digest_of([FORMAT_VERSION, _code_digest(), digests, *settings], length=24)
 

@@ -230,9 +230,14 @@ def _parse(data: bytes, source: str, line: int | None) -> Any:
     try:
         return json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
     except RecursionError:
-        raise CityModelError(f"{where}: the JSON is nested too deeply.") from None
+        raise CityModelError(
+            f"{where}: the JSON is nested too deeply.",
+            "City models nest a dozen levels: do not trust this file.",
+        ) from None
     except UnicodeDecodeError as error:
-        raise CityModelError(f"{where} is not UTF-8 (byte {error.start}).") from None
+        raise CityModelError(
+            f"{where} is not UTF-8 (byte {error.start}).", "CityJSON is UTF-8: convert the file."
+        ) from None
     except ValueError as error:
         raise CityModelError(
             f"{where} is not well-formed JSON: {error}.",

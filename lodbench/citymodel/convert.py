@@ -75,7 +75,9 @@ def convert_city(
         else:
             write_bytes(target, _MESH_WRITERS[suffix](mesh.scene))
     except OSError as error:
-        raise CityModelError(f"{target} cannot be written: {error.strerror}.") from None
+        raise CityModelError(
+            f"{target} cannot be written: {error.strerror}.", "Choose another place or name."
+        ) from None
     return mesh
 
 

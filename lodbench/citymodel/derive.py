@@ -51,7 +51,10 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
         raise ConfigError(f"roof_height={roof_height} is unknown.", f"Known: {', '.join(ROOF_HEIGHTS)}.")
     finer = [name for name in model.lods if name and name[0] in "234"]
     if not finer:
-        raise CityModelError("There is no level of detail 2 or finer to derive level 1 from.")
+        raise CityModelError(
+            "There is no level of detail 2 or finer to derive level 1 from.",
+            "See the levels there are: lodbench city info FILE.",
+        )
     at_level = model.polygons.lod == model.lods.index(finer[0])
     is_outside = model.polygons.kind != SurfaceKind.INTERIOR
     source = select_polygons(model.polygons, np.flatnonzero(at_level & is_outside))
@@ -66,7 +69,10 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
         findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer[0]}")
     chosen = chosen[np.isfinite(top)[source.building[chosen]]]
     if len(chosen) == 0:
-        raise CityModelError("No building has a footprint and a roof to derive level 1 from.")
+        raise CityModelError(
+            "No building has a footprint and a roof to derive level 1 from.",
+            "Take a level that is there: lodbench city info FILE.",
+        )
     findings.add(LOD_DERIVED, "", f"from LoD{finer[0]}, roof_height={roof_height}")
     plans = select_polygons(source, chosen)
     owner = plans.building

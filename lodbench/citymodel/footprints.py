@@ -66,7 +66,9 @@ def _parse(geometries: list[bytes | None], source: str) -> WkbPolygons:
         try:
             polygons.add(data, i)
         except ValueError as error:
-            raise CityModelError(f"{source}: footprint {i + 1} is malformed: {error}.") from None
+            raise CityModelError(
+                f"{source}: footprint {i + 1} is malformed: {error}.", "Repair or export the file again."
+            ) from None
     return polygons
 
 
@@ -83,7 +85,9 @@ def _blocks(
     if len(owner) == 0:
         raise CityModelError(f"{source} has no footprint with a height.", "See `lodbench city check FILE`.")
     if not np.isfinite(rings).all():
-        raise CityModelError(f"{source} has coordinates that are not finite numbers.")
+        raise CityModelError(
+            f"{source} has coordinates that are not finite numbers.", "Repair or export the file again."
+        )
     corners = rings[ring_starts[polygon_starts[:-1]]]
     ground = _ground(columns, corners, owner, options.crs or str(crs), options)
     blocks = extrude(rings, ring_starts, polygon_starts, ground, ground + heights[owner])
@@ -175,7 +179,10 @@ def _read_table(
     try:
         meta, _, geometries, values = pyogrio.raw.read(path, layer=options.layer)
     except Exception as error:  # pyogrio has a dozen kinds, and GDAL's messages are the useful part
-        raise CityModelError(f"{source} cannot be read as a vector file: {error}.") from None
+        raise CityModelError(
+            f"{source} cannot be read as a vector file: {error}.",
+            "Try to open it in a GIS, or export it again as GeoPackage.",
+        ) from None
     table = {str(name): np.asarray(column) for name, column in zip(meta["fields"], values, strict=True)}
     return meta["crs"], list(geometries), table
 
@@ -195,9 +202,12 @@ def _read_parquet(
         column = geo["columns"][primary]
         geometries = content.column(primary).to_pylist()
     except KeyError:
-        raise CityModelError(f"{source} is Parquet, but not GeoParquet: it has no geo metadata.") from None
+        raise CityModelError(
+            f"{source} is Parquet, but not GeoParquet: it has no geo metadata.",
+            "Export it as GeoParquet or GeoPackage.",
+        ) from None
     except (OSError, ValueError, TypeError) as error:
-        raise CityModelError(f"{source} cannot be read as GeoParquet: {error}.") from None
+        raise CityModelError(f"{source} cannot be read as GeoParquet: {error}.", "Export it again.") from None
     if str(column.get("encoding", "WKB")).upper() != "WKB":
         raise CityModelError(f"{source} stores geometry as {column['encoding']}.", "Only WKB is read.")
     # GeoParquet: a crs left out is longitude and latitude; null is unknown.

@@ -196,7 +196,10 @@ def _project(
     transformer = Transformer.from_crs(known.horizontal, target, always_xy=True)
     east, north = transformer.transform(east_north_up[:, 0], east_north_up[:, 1])
     if not (np.isfinite(east).all() and np.isfinite(north).all()):
-        raise CityModelError(f"Some coordinates cannot be projected from {known.label} to {label}.")
+        raise CityModelError(
+            f"Some coordinates cannot be projected from {known.label} to {label}.",
+            "Is the reference system right? crs= names another.",
+        )
     height_to_m = known.vertical_to_m
     detail = f"from {known.label} to {label}"
     if known.vertical_code is None and known.horizontal.is_projected:

@@ -31,7 +31,9 @@ def choose_lod(present: Sequence[str], wanted: str | None, findings: Findings) -
     """
     names = sorted(present)
     if not names:
-        raise CityModelError("The city model has no geometry at any level of detail.")
+        raise CityModelError(
+            "The city model has no geometry at any level of detail.", "Is it the building tile of the city?"
+        )
     if wanted is None:
         return next((name for name in names if not name.startswith("0")), names[0])
     wanted = _plain(wanted)

@@ -46,7 +46,9 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
     corners = np.concatenate([np.asarray(part.vertices, np.float64)[part.faces] for part in parts])
     points = corners.reshape(-1, 3)
     if not np.isfinite(points).all():
-        raise CityModelError(f"{source} has coordinates that are not finite numbers.")
+        raise CityModelError(
+            f"{source} has coordinates that are not finite numbers.", "Repair or export the file again."
+        )
     if options.up_axis == "y" or (options.up_axis == "auto" and MESH_FORMATS[suffix] == "glTF"):
         points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
     if len(parts) > 1:

@@ -86,7 +86,7 @@ class ReadOptions:
                 f"storey_height_m={self.storey_height_m} is no height of a storey.", "Usual is 3."
             )
         if self.sunk_m < 0.0:
-            raise ConfigError(f"sunk_m={self.sunk_m} is negative.")
+            raise ConfigError(f"sunk_m={self.sunk_m} is negative.", "swissBUILDINGS3D has 3.")
 
 
 def _fitting(name: str, value: Any, hint: Any) -> Any:

@@ -32,12 +32,18 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         CityModelError: Coordinates are not finite, or their reference system cannot be settled.
     """
     if not np.isfinite(raw.points).all():
-        raise CityModelError(f"{raw.source} has coordinates that are not finite numbers.")
+        raise CityModelError(
+            f"{raw.source} has coordinates that are not finite numbers.",
+            "See which: lodbench city check FILE.",
+        )
     options = options or ReadOptions()
     points, label = _in_metres(raw, options)
     points = move_bases(points, raw, label, options)
     if len(points) and np.abs(points).max() > _MAX_COORDINATE_M:
-        raise CityModelError(f"{raw.source} has coordinates that lie nowhere on Earth, in metres.")
+        raise CityModelError(
+            f"{raw.source} has coordinates that lie nowhere on Earth, in metres.",
+            "Is the reference system right? crs= names another.",
+        )
     origin = np.zeros(3) if options.origin is None else np.asarray(options.origin, np.float64)
     if options.origin is None and len(points) and (label is not None or np.abs(points).max() > 1e4):
         origin[:2] = np.floor(points[:, :2].min(axis=0))

@@ -50,7 +50,9 @@ class BoundedStream(io.RawIOBase):
                 f"{self._name} is damaged or cut off ({error}).", "Download the file again."
             ) from None
         except (RuntimeError, NotImplementedError) as error:
-            raise CityModelError(f"{self._name} cannot be unpacked: {error}.") from None
+            raise CityModelError(
+                f"{self._name} cannot be unpacked: {error}.", "Download the file again."
+            ) from None
         self._done += len(data)
         if self._done > self._limit:
             raise CityModelError(

@@ -85,7 +85,10 @@ def read_terrain(path: str) -> Terrain:
             step = raster.transform
             crs = raster.crs.to_string() if raster.crs else None
     except rasterio.errors.RasterioError as error:
-        raise CityModelError(f"{path} cannot be read as a raster: {error}.") from None
+        raise CityModelError(
+            f"{path} cannot be read as a raster: {error}.",
+            "Try to open it in a GIS, or convert it to GeoTIFF.",
+        ) from None
     return Terrain(heights, step.c, step.f, step.a, -step.e, crs)
 
 

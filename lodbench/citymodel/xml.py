@@ -112,7 +112,8 @@ class XmlMembers:
             if pending > _MAX_MEMBER_BYTES:
                 raise CityModelError(
                     f"{self._source}: one element of the XML is larger than {_MAX_MEMBER_BYTES >> 20} MiB "
-                    f"(near byte {self._offset})."
+                    f"(near byte {self._offset}).",
+                    "Is it a city model? Its members are single buildings.",
                 )
         self._close()
 
