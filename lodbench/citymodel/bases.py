@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import BASE_MOVED
+from lodbench.citymodel.codes import BASE_MOVED, GROUND_DEFAULTED
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.terrain import ground_under
@@ -45,6 +45,8 @@ def move_bases(
                 [np.bincount(building, points[:, k], minlength=count) / sizes for k in (0, 1)], axis=1
             )
             found = ground_under(middles, label, options)
+            for b in np.flatnonzero(~np.isfinite(found)):
+                raw.findings.add(GROUND_DEFAULTED, raw.building_ids[b], f"stands at {options.ground_m:g} m")
             heights = np.where(np.isfinite(found), found, options.ground_m)
         points[:, 2] += heights[building]
         detail = f"set on {options.terrain or f'{options.ground_m:g} m'}"

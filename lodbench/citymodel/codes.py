@@ -89,6 +89,9 @@ HEIGHT_DEFAULTED = _code(
 BASE_MOVED = _code(407, "BASE_MOVED", _I, "The bottoms of buildings were moved, as asked.")
 LOD_DERIVED = _code(408, "LOD_DERIVED", _I, "Level 1 was derived from a finer level.")
 LOD_UNDERIVABLE = _code(409, "LOD_UNDERIVABLE", _W, "A building has no footprint to derive level 1 from.")
+GROUND_DEFAULTED = _code(
+    410, "GROUND_DEFAULTED", _W, "No column or terrain gives the ground; ground_m is used."
+)
 INTERIOR_SKIPPED = _code(404, "INTERIOR_SKIPPED", _I, "Rooms and furniture are left out of the mesh.")
 
 

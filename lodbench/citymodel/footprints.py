@@ -13,6 +13,7 @@ from lodbench.citymodel.codes import (
     DUPLICATE_POINTS,
     GEOMETRY_EMPTY,
     GEOMETRY_UNSUPPORTED,
+    GROUND_DEFAULTED,
     HEIGHT_DEFAULTED,
     HEIGHT_MISSING,
     RING_TOO_SHORT,
@@ -90,6 +91,9 @@ def _blocks(
         )
     corners = rings[ring_starts[polygon_starts[:-1]]]
     ground = _ground(columns, corners, owner, options.crs or str(crs), options)
+    for i in np.unique(owner[~np.isfinite(ground)]):
+        findings.add(GROUND_DEFAULTED, ids[i], f"stands at {options.ground_m:g} m")
+    ground = np.where(np.isfinite(ground), ground, options.ground_m)
     blocks = extrude(rings, ring_starts, polygon_starts, ground, ground + heights[owner])
     used, building = np.unique(owner[blocks.footprint], return_inverse=True)
     return RawCity(
@@ -121,14 +125,14 @@ def _ground(
     crs: str,
     options: ReadOptions,
 ) -> NDArray[np.float64]:
-    """Returns the ground height of each polygon: from a column, else the terrain, else the constant."""
+    """Returns the ground height of each polygon: from a column, else the terrain, else NaN."""
     ground = np.full(len(owner), np.nan)
     column = columns.ground(options)
     if column is not None:
         ground = column[owner]
     elif options.terrain is not None:
         ground = ground_under(corners, crs, options)
-    return np.where(np.isfinite(ground), ground, options.ground_m)
+    return ground
 
 
 def _heights(

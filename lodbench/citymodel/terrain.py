@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,6 @@ class Terrain:
         heights_m: (rows, columns) float64, north to south; NaN where there is none.
         west, north: Outer corner of the first cell.
         cell_x, cell_y: Size of a cell, both positive.
-        crs: Reference system of the grid, or None where the file names none.
     """
 
     heights_m: NDArray[np.float64]
@@ -30,7 +29,6 @@ class Terrain:
     north: float
     cell_x: float
     cell_y: float
-    crs: str | None
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Returns (N,) heights at points (N, 2): those of the cells they lie in, NaN outside."""
@@ -54,42 +52,66 @@ def ground_under(points: NDArray[np.float64], crs: str, options: ReadOptions) ->
     Raises:
         CityModelError: The raster cannot be read.
     """
-    from pyproj import Transformer
-
-    terrain = read_terrain(str(options.terrain))
-    if terrain.crs is not None and terrain.crs != crs:
-        transformer = Transformer.from_crs(crs, terrain.crs, always_xy=True)
-        points = np.stack(transformer.transform(points[:, 0], points[:, 1]), axis=1)
-    return terrain.at(points)
-
-
-def read_terrain(path: str) -> Terrain:
-    """Returns a terrain model.
-
-    Raises:
-        CityModelError: The file is missing or malformed, or rasterio is needed and not installed.
-    """
-    if not Path(path).is_file():
+    path = Path(str(options.terrain))
+    if not path.is_file():
         raise CityModelError(f"There is no terrain model at {path}.", "Check the path.")
-    if path.lower().endswith(".asc"):
-        return _read_ascii(Path(path))
+    if path.suffix.lower() == ".asc":
+        return _read_ascii(path).at(points)
+    return _raster_heights(path, points, crs)
+
+
+def _raster_heights(path: Path, points: NDArray[np.float64], crs: str) -> NDArray[np.float64]:
+    """Returns (N,) heights of a raster, of which only the part under the points is read."""
     try:
         import rasterio
     except ImportError:
         raise CityModelError(
-            f"Reading {path} needs rasterio.", "Install it, or convert the raster to an ASCII grid (.asc)."
+            f"Reading {path} needs rasterio.",
+            "Install it: pip install 'lodbench[vector]'. Or convert the raster to an ASCII grid (.asc).",
         ) from None
     try:
         with rasterio.open(path) as raster:
-            heights = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
             step = raster.transform
-            crs = raster.crs.to_string() if raster.crs else None
+            if step.b or step.d or step.e >= 0:
+                raise CityModelError(f"The raster {path} is turned.", "Warp it to north up (gdalwarp).")
+            grid = Terrain(np.zeros((0, 0)), step.c, step.f, step.a, -step.e)
+            if raster.crs is not None:
+                points = _projected(points, crs, raster.crs.to_wkt())
+            rows, columns = _window(grid, points, raster.shape)
+            band = raster.read(1, window=(rows, columns), masked=True)
     except rasterio.errors.RasterioError as error:
         raise CityModelError(
             f"{path} cannot be read as a raster: {error}.",
             "Try to open it in a GIS, or convert it to GeoTIFF.",
         ) from None
-    return Terrain(heights, step.c, step.f, step.a, -step.e, crs)
+    part = replace(
+        grid,
+        heights_m=band.astype(np.float64).filled(np.nan),
+        west=grid.west + columns[0] * grid.cell_x,
+        north=grid.north - rows[0] * grid.cell_y,
+    )
+    return part.at(points)
+
+
+def _projected(points: NDArray[np.float64], crs: str, target: str) -> NDArray[np.float64]:
+    from pyproj import Transformer
+
+    transformer = Transformer.from_crs(crs, target, always_xy=True)
+    return np.stack(transformer.transform(points[:, 0], points[:, 1]), axis=1)
+
+
+def _window(
+    grid: Terrain, points: NDArray[np.float64], shape: tuple[int, int]
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Returns the first and last rows and columns of a grid that hold all the points it covers."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    columns = np.floor((finite[:, 0] - grid.west) / grid.cell_x)
+    rows = np.floor((grid.north - finite[:, 1]) / grid.cell_y)
+    is_inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+    if not is_inside.any():
+        return (0, 1), (0, 1)
+    rows, columns = rows[is_inside].astype(int), columns[is_inside].astype(int)
+    return (int(rows.min()), int(rows.max()) + 1), (int(columns.min()), int(columns.max()) + 1)
 
 
 def _read_ascii(path: Path) -> Terrain:
@@ -116,4 +138,4 @@ def _read_ascii(path: Path) -> Terrain:
     half = 0.5 * size
     west = header.get("xllcorner", header.get("xllcenter", 0.0) - half)
     south = header.get("yllcorner", header.get("yllcenter", 0.0) - half)
-    return Terrain(heights, west, south + shape[0] * size, size, size, None)
+    return Terrain(heights, west, south + shape[0] * size, size, size)

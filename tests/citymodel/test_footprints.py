@@ -13,7 +13,7 @@ from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_mo
 from lodbench.citymodel.columns import find_column
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.terrain import read_terrain
+from lodbench.citymodel.terrain import ground_under
 from lodbench.citymodel.wkb import WkbPolygons
 from lodbench.errors import CityModelError, ConfigError
 
@@ -128,6 +128,29 @@ class TestReading:
         terrain = write(tmp_path / "dtm.asc", grid)
         model = self.read(tmp_path, geojson([([square()], {"height": 5})]), terrain=str(terrain))
         assert model.polygons.points[:, 2].min() == 31.5
+
+    def test_a_raster_of_which_only_a_window_is_read(self, tmp_path: Path) -> None:
+        rasterio = pytest.importorskip("rasterio")
+        heights = np.arange(12, dtype=np.float32).reshape(3, 4) * 10
+        heights[0, 0] = -9
+        cell = 3 * STEP
+        shape = {"driver": "GTiff", "count": 1, "width": 4, "height": 3, "dtype": "float32", "nodata": -9}
+        grid = rasterio.Affine(cell, 0, LON - STEP, 0, -cell, LAT + 2 * cell)
+        with rasterio.open(tmp_path / "dtm.tif", "w", crs="EPSG:4326", transform=grid, **shape) as raster:
+            raster.write(heights, 1)
+        text = geojson([([square(i)], {"height": 5}) for i in (1, 2, 9)])
+        model = self.read(tmp_path, text, terrain=str(tmp_path / "dtm.tif"), ground_m=3.0)
+        owner = np.repeat(model.polygons.building, np.diff(model.polygons.ring_starts))
+        lowest = [model.polygons.points[owner == b, 2].min() for b in range(3)]
+        assert lowest == [heights[1, 1], heights[1, 2], 3.0]
+        assert model.findings.counts()["LB410 GROUND_DEFAULTED"] == 1
+        turned = grid * rasterio.Affine.rotation(30)
+        with rasterio.open(tmp_path / "t.tif", "w", crs="EPSG:4326", transform=turned, **shape) as raster:
+            raster.write(heights, 1)
+        with pytest.raises(CityModelError, match="turned"):
+            self.read(tmp_path, text, terrain=str(tmp_path / "t.tif"))
+        with pytest.raises(CityModelError, match="as a raster"):
+            self.read(tmp_path, text, terrain=str(write(tmp_path / "no.tif", "II*")))
 
     def test_override_and_projected_coordinates(self, tmp_path: Path) -> None:
         ring = [[500000, 4400000], [500010, 4400000], [500010, 4400010], [500000, 4400000]]
@@ -246,8 +269,9 @@ class TestParts:
         "text", ["", "ncols 2\nnrows x\n", "ncols 2\nnrows 2\n1 2 3\n", "ncols 0\nnrows 9\n"]
     )
     def test_malformed_terrain(self, tmp_path: Path, text: str) -> None:
+        options = ReadOptions(terrain=str(write(tmp_path / "t.asc", text)))
         with pytest.raises(CityModelError, match="no ASCII grid"):
-            read_terrain(str(write(tmp_path / "t.asc", text)))
+            ground_under(np.zeros((1, 2)), "EPSG:4326", options)
 
     @pytest.mark.parametrize(
         "options",
