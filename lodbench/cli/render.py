@@ -26,4 +26,5 @@ def task(config: DictConfig) -> None:
     rendered = render_poses(params if params.lod else replace(params, lod=source.lod), source.options)
     for note in rendered.notes:
         sys.stdout.write(f"note: {note}\n")
-    sys.stdout.write(f"{len(rendered.files)} files in {params.out}\n")
+    count = len(rendered.files)
+    sys.stdout.write(f"{count} {'file' if count == 1 else 'files'} in {params.out}\n")

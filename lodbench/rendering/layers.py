@@ -31,3 +31,11 @@ class Layers:
     def mask(self) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette."""
         return self.triangle >= 0
+
+    def instance_masks(self) -> dict[int, NDArray[np.bool_]]:
+        """Returns the (H, W) mask of what is seen of each building, by index, ascending.
+
+        Buildings in front hide those behind: the masks do not overlap, and their union is ``mask``.
+        """
+        seen = np.unique(self.building)
+        return {int(b): self.building == b for b in seen if b >= 0}

@@ -15,7 +15,7 @@ from lodbench.geometry.angles import blender_from_opencv
 from lodbench.rendering.projection import require_pinhole, view_planes, visible_buildings
 from lodbench.rendering.raster_rule import NEAR_M
 from lodbench.rendering.silhouette import bounding_spheres
-from lodbench.rendering.system_libraries import import_fault
+from lodbench.rendering.system_libraries import RENDERER_PACKAGES, import_fault
 
 # The one GL context of the process, once it is open, and its samples per pixel. Contexts share EGL's
 # display, and closing one would take the display from under the others.
@@ -123,7 +123,7 @@ def _target(library: Any, camera: Camera, samples: int) -> Any:
         except Exception as error:  # PyOpenGL raises many kinds when a driver is missing
             raise RenderingError(
                 f"pyrender could not open an EGL context ({type(error).__name__}).",
-                "On Debian: apt-get install libegl1 libgl1-mesa-dri libgles2.",
+                f"On Debian: apt-get install {' '.join(RENDERER_PACKAGES['pyrender'])}.",
             ) from error
     return _open_targets[0][0]
 

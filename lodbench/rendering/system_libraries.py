@@ -25,14 +25,21 @@ RENDERER_PACKAGES = {
 
 def import_fault(renderer: str, error: Exception) -> RenderingError:
     """Returns the fault of a back end that cannot be imported, with what to install as its hint."""
-    library = re.search(r"lib[\w.+-]+\.so[\w.]*", str(error))
     everything = " ".join(RENDERER_PACKAGES[renderer])
+    library = _missing_library(str(error))
     if library is None:
         hint = f"pip install 'lodbench[render]'; Debian: apt-get install {everything}."
         return RenderingError(f"The {renderer} back end cannot be imported ({error}).", hint)
-    package = DEBIAN_PACKAGES.get(library[0])
-    hint = f"Debian: apt-get install {package}" if package else f"Debian: apt-get install {everything}"
     return RenderingError(
-        f"The {renderer} back end needs the system library {library[0]}, which is absent.",
-        f"{hint} (the back end needs {everything} in all).",
+        f"The {renderer} back end needs the system library {library}, which is absent.",
+        f"Debian: apt-get install {DEBIAN_PACKAGES.get(library, everything)} (it needs {everything} in all).",
     )
+
+
+def _missing_library(message: str) -> str | None:
+    """Returns the file name of the library that a loader's message complains about."""
+    named = re.search(r"lib[\w.+-]+\.so[\w.]*", message)
+    if named:
+        return named[0]
+    # PyOpenGL names what it looked for without its file name.
+    return "libEGL.so.1" if "Unable to load EGL library" in message else None

@@ -13,6 +13,7 @@ from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering import make_renderer
 from lodbench.rendering.open3d_backend import Open3dRenderer, pixel_rays
 from lodbench.rendering.raster import RasterRenderer
+from lodbench.rendering.system_libraries import import_fault
 
 CAMERA = Camera(160, 120, 115.0, 100.0, 70.3, 66.8)
 TOWN = scene_of(box([-5, -5, 0], [10, 10, 10]), box([12, 0, 0], [4, 9, 20], floor=False))
@@ -90,3 +91,10 @@ def test_what_is_absent_is_named_with_its_package(monkeypatch, message, hint):
     with pytest.raises(RenderingError, match="open3d") as caught:
         make_renderer("open3d", TOWN)
     assert hint in caught.value.hint
+
+
+def test_without_egl_pyrender_names_its_package():
+    message = ("Unable to load EGL library", "EGL: cannot open shared object file", "EGL", None)
+    fault = import_fault("pyrender", ImportError(*message))
+    assert "libEGL.so.1" in fault.message
+    assert "apt-get install libegl1 " in fault.hint

@@ -137,6 +137,27 @@ def test_threads_change_nothing():
         assert getattr(one, name).tobytes() == getattr(three, name).tobytes(), name
 
 
+def test_instances_share_out_the_silhouette():
+    rng = np.random.default_rng(8)
+    scene = scene_of(*[box(rng.uniform(-30, 20, 3), rng.uniform(2, 20, 3)) for _ in range(12)])
+    layers = draw(scene, CAMERA, Pose.from_euler(EulerAngles(50, 1, 12), (0, -60, 60)))
+    masks = layers.instance_masks()
+    assert 1 < len(masks) <= 12
+    assert list(masks) == sorted(masks)
+    np.testing.assert_array_equal(np.sum(list(masks.values()), axis=0), layers.mask)
+
+
+def test_a_scene_that_may_not_be_written_to():
+    # As one mapped from the cache.
+    scene = scene_of(box([-5, -5, 0], [10, 10, 10]), box([12, 0, 0], [4, 9, 20]))
+    expected = draw(scene, CAMERA, straight_down(60.0))
+    for array in (scene.vertices, scene.triangles, scene.vertex_starts, scene.triangle_starts):
+        array.flags.writeable = False
+    found = RasterRenderer(scene, 1).draw(CAMERA, straight_down(60.0))
+    np.testing.assert_array_equal(found.colour, expected.colour)
+    np.testing.assert_array_equal(found.depth, expected.depth)
+
+
 def test_nothing_in_view_is_empty_everywhere():
     scene = scene_of(box([-5, -5, 30], [10, 10, 10]))
     layers = draw(scene, CAMERA, straight_down(20.0))
