@@ -11,6 +11,7 @@ from importlib import import_module
 COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
     "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
+    "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),
     "render": (
         "lodbench.cli.render",
         "draw a city from given poses: silhouette, depth, label, colour, overlay",

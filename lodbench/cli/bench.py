@@ -89,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _demo_town() -> Path:
+    from lodbench.datasets.demo.build import CITY_FILE
     from lodbench.datasets.demo.open import DemoParams, open_demo
 
-    return open_demo(DemoParams()).city_model
+    return open_demo(DemoParams()).root / CITY_FILE

@@ -65,7 +65,7 @@ def run_config(values: dict[str, Any]) -> Run:
     segmenter_type = load_plugin("segmenters", values["segmenter"]["name"])
     segmenter = segmenter_type(to_params(values["segmenter"], segmenter_type.params_type, "segmenter"))
     options = to_params({f.name: values[f.name] for f in fields(RunOptions)}, RunOptions, "run")
-    dataset = _with_source(_open_dataset(values["dataset"]), values["source"])
+    dataset = with_source(open_dataset(values["dataset"]), values["source"])
     config = identity_of(values)
     settings = RunSettings(
         runs_root=Path(values["paths"]["runs"]).expanduser(),
@@ -115,7 +115,12 @@ def report(runs: Sequence[Run]) -> str:
     return "\n".join(parts) + "\n" + "\n".join(lines) + "\n"
 
 
-def _open_dataset(values: dict[str, Any]) -> Dataset:
+def open_dataset(values: dict[str, Any]) -> Dataset:
+    """Returns the dataset that a configuration's section describes.
+
+    Raises:
+        LodbenchError: It is unknown, a setting is wrong, or the data is missing or malformed.
+    """
     from inspect import signature
 
     name = values["name"]
@@ -125,7 +130,7 @@ def _open_dataset(values: dict[str, Any]) -> Dataset:
     return dataset
 
 
-def _with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
+def with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
     """Returns a dataset whose city is read as the source says; the dataset's own words go before it."""
     source = profile_of(values, dataset.city_options.crs)
     lod = source.lod if dataset.lod is None else dataset.lod

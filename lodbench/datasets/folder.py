@@ -34,7 +34,7 @@ class FolderParams:
 
     Attributes:
         root: The folder.
-        city_model: City model: a file, an archive, or a folder of tiles.
+        city_model: City model: a file, an archive, or a folder of tiles; None to score poses only.
         lod: Level of detail to localise against; None for the lowest.
         crs: CRS of the city model, where its file says none or a wrong one.
         roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
@@ -42,7 +42,7 @@ class FolderParams:
     """
 
     root: str
-    city_model: str
+    city_model: str | None = None
     lod: str | None = None
     crs: str | None = None
     roof_height: str | None = None
@@ -55,10 +55,11 @@ def open_folder(params: FolderParams) -> Dataset:
     Raises:
         DatasetError: The folder, a pose file or the city model is missing, or a line is malformed.
     """
-    root, city = Path(params.root).expanduser(), Path(params.city_model).expanduser()
+    root = Path(params.root).expanduser()
+    city = None if params.city_model is None else Path(params.city_model).expanduser()
     if not root.is_dir():
         raise DatasetError(f"{root} is not a folder.", "Set dataset.root=FOLDER.")
-    if not city.exists():
+    if city is not None and not city.exists():
         raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
     folders = [root] if (root / TRUTH_FILE).is_file() else _split_folders(root)
     names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]

@@ -22,7 +22,7 @@ def read_poses(path: str | Path) -> dict[str, Pose]:
         DatasetError: The file cannot be read, or a line is malformed or repeats a name; the
             message names the line.
     """
-    return _read_lines(Path(path), _parse_pose, "name qw qx qy qz tx ty tz")
+    return _read_lines(Path(path), parse_pose, "name qw qx qy qz tx ty tz")
 
 
 def read_cameras(path: str | Path) -> dict[str, Camera]:
@@ -72,7 +72,13 @@ def _read_lines(path: Path, parse: Callable[[list[str]], T], layout: str) -> dic
     return values
 
 
-def _parse_pose(words: list[str]) -> Pose:
+def parse_pose(words: list[str]) -> Pose:
+    """Returns the pose of the seven words ``qw qx qy qz tx ty tz``, world to camera.
+
+    Raises:
+        LodbenchError: There are fewer or more, or they are no pose.
+        ValueError: A word is no number.
+    """
     if len(words) != 7:
         raise LodbenchError(f"{len(words)} values after the name instead of 7")
     numbers = [float(word) for word in words]

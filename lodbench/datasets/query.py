@@ -67,7 +67,7 @@ class Dataset:
         name: Public name, for example ``demo``.
         version: Version of the data, where it has one.
         root: Folder the data lives in.
-        city_model: File of the city model.
+        city_model: File of the city model, or None where only poses are scored.
         lod: Level of detail to localise against, or None for the lowest there is.
         splits: Names of the splits, in the order to report them.
         entries: All queries, in file order by split.
@@ -80,7 +80,7 @@ class Dataset:
     name: str
     version: str
     root: Path
-    city_model: Path
+    city_model: Path | None
     lod: str | None
     splits: tuple[str, ...]
     entries: tuple[Entry, ...]

@@ -10,6 +10,9 @@ from lodbench.evaluation.errors import FAILED, PoseError
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, SplitSummary, Threshold, summarize
 from lodbench.geometry import Pose
 
+# The reason of a row that cannot be scored: it is not part of the truth list.
+NO_TRUTH = "no true pose to compare with"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryRow:
@@ -20,7 +23,7 @@ class QueryRow:
         split: Name of the split.
         pose: Estimate in the dataset's frame, or None.
         score: The method's score, or None.
-        hypotheses: Poses rendered and compared.
+        hypotheses: Poses rendered and compared; None where that is not known.
         failure: Why there is no estimate, or "".
         error: Error of the estimate; ``FAILED`` without one, None where there is no truth.
         prior_error: Error of the prior, likewise.
@@ -31,7 +34,7 @@ class QueryRow:
     split: str
     pose: Pose | None
     score: float | None
-    hypotheses: int
+    hypotheses: int | None
     failure: str
     error: PoseError | None
     prior_error: PoseError | None
@@ -55,7 +58,7 @@ def summarize_rows(
     mine = [row for row in rows if row.split == split]
     estimates = [row.error for row in mine if row.error is not None]
     priors = [row.prior_error or FAILED for row in mine if row.error is not None]
-    hypotheses = [row.hypotheses for row in mine if row.is_answered]
+    hypotheses = [row.hypotheses for row in mine if row.is_answered and row.hypotheses is not None]
     return summarize(estimates, hypotheses, thresholds), summarize(priors, (), thresholds)
 
 

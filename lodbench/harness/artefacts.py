@@ -8,6 +8,7 @@ import json
 import math
 import platform
 import sys
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +16,33 @@ from lodbench import __version__
 from lodbench.datasets.pose_text import format_pose, write_lines
 from lodbench.evaluation.errors import PoseError
 from lodbench.evaluation.rows import seconds_per_query, summarize_rows
+from lodbench.harness.result import Result
 from lodbench.harness.run import Run
 from lodbench.storage import write_text
 
 SCHEMA = 1
 
 
-def write_artefacts(run: Run, config_yaml: str) -> None:
+def write_artefacts(run: Result, config_yaml: str) -> None:
     """Writes config, poses, per-query rows and the summary; and, apart from them, times and provenance.
 
     The first four are the same bytes whatever the machine's threads; the last two are not.
     """
-    write_text(run.folder / "config.yaml", config_yaml)
-    write_text(run.folder / "poses.txt", write_lines(_pose_lines(run)))
-    write_text(run.folder / "queries.csv", _queries_csv(run))
-    write_text(run.folder / "summary.json", _json(summary_of(run)))
+    contents = {
+        "config.yaml": config_yaml,
+        "poses.txt": write_lines(_pose_lines(run)),
+        "queries.csv": _queries_csv(run),
+        "summary.json": _json(summary_of(run)),
+    }
+    for name, content in contents.items():
+        write_text(run.folder / name, content)
     write_text(run.folder / "timings.csv", _timings_csv(run))
-    write_text(run.folder / "provenance.json", _json(_provenance(run)))
+    # What lets a reader see that a file was changed afterwards, down to the last digit of a score.
+    digests = {name: sha256(content.encode()).hexdigest() for name, content in contents.items()}
+    write_text(run.folder / "provenance.json", _json({**_provenance(run), "files": digests}))
 
 
-def summary_of(run: Run) -> dict[str, Any]:
+def summary_of(run: Result) -> dict[str, Any]:
     """Returns the summary: protocol, recalls by split, the priors' own, failures by reason."""
     splits, priors = {}, {}
     for split in run.splits:
@@ -54,7 +62,7 @@ def summary_of(run: Run) -> dict[str, Any]:
             "seed": config["seed"],
             "segmenter": config["segmenter"]["name"],
             "renderer": config["renderer"],
-            "lod": run.preparation.scene.lod,
+            "lod": run.lod,
         },
         "splits": splits,
         "prior": priors,
@@ -63,7 +71,7 @@ def summary_of(run: Run) -> dict[str, Any]:
     }
 
 
-def _pose_lines(run: Run) -> list[str]:
+def _pose_lines(run: Result) -> list[str]:
     return [
         format_pose(row.key if len(run.splits) > 1 else row.name, row.pose)
         for row in run.rows
@@ -71,7 +79,7 @@ def _pose_lines(run: Run) -> list[str]:
     ]
 
 
-def _queries_csv(run: Run) -> str:
+def _queries_csv(run: Result) -> str:
     header = [
         "query",
         "split",
@@ -90,7 +98,7 @@ def _queries_csv(run: Run) -> str:
             row.split,
             *_error_cells(row.error),
             "" if row.score is None else repr(row.score),
-            row.hypotheses,
+            "" if row.hypotheses is None else row.hypotheses,
             row.failure,
             *_error_cells(row.prior_error),
             run.config["tilt"],
@@ -107,7 +115,7 @@ def _error_cells(error: PoseError | None) -> list[str]:
     return [repr(error.translation_m), repr(error.rotation_deg)]
 
 
-def _timings_csv(run: Run) -> str:
+def _timings_csv(run: Result) -> str:
     stages = list(dict.fromkeys(stage for row in run.rows for stage in row.seconds))
     rows = [[row.name, row.split, *(row.seconds.get(stage, "") for stage in stages)] for row in run.rows]
     return _csv(["query", "split", *(f"{stage}_s" for stage in stages)], rows)
@@ -121,10 +129,11 @@ def _csv(header: list[str], rows: list[list[Any]]) -> str:
     return stream.getvalue()
 
 
-def _provenance(run: Run) -> dict[str, Any]:
+def _provenance(run: Result) -> dict[str, Any]:
     import numba
     import numpy
 
+    city = run.dataset.city_model
     return {
         "lodbench": __version__,
         "python": sys.version.split()[0],
@@ -132,15 +141,18 @@ def _provenance(run: Run) -> dict[str, Any]:
         "numba": numba.__version__,
         "machine": platform.machine(),
         "system": platform.platform(),
-        "threads": getattr(run.scorer, "threads", 1),
-        "city_model": str(Path(run.dataset.city_model).resolve()),
+        "city_model": None if city is None else str(Path(city).resolve()),
         "dataset_root": str(Path(run.dataset.root).resolve()),
-        "queries_resumed": run.resumed,
+        **(_work(run) if isinstance(run, Run) else {}),
         "seconds_per_query": {
             split: (None if math.isnan(s := seconds_per_query(run.rows, split)) else s)
             for split in run.splits
         },
     }
+
+
+def _work(run: Run) -> dict[str, Any]:
+    return {"threads": getattr(run.scorer, "threads", 1), "queries_resumed": run.resumed}
 
 
 def _json(value: dict[str, Any]) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
+from lodbench.evaluation.rows import NO_TRUTH
 from lodbench.geometry import Pose
 from lodbench.segmentation import Segmenter
 
@@ -46,10 +47,7 @@ class Preparation:
 
     def prior(self, entry: Entry) -> Pose | None:
         """Returns the prior a method starts from, in the dataset's frame; None if there is none."""
-        truth = self.dataset.truth.get(entry.key)
-        if entry.prior is None or truth is None or self.tilt == "prior":
-            return entry.prior
-        return entry.prior.with_tilt_of(truth)
+        return prior_of(entry, self.dataset, self.tilt)
 
     def query(self, entry: Entry) -> Query:
         """Returns the query of an entry.
@@ -58,7 +56,7 @@ class Preparation:
             QueryFault: The truth, camera or prior is missing, or the segmenter has no mask.
         """
         if entry.key not in self.dataset.truth:
-            raise QueryFault("no true pose to compare with")
+            raise QueryFault(NO_TRUTH)
         if entry.camera is None:
             raise QueryFault("no camera in intrinsic.txt")
         prior = self.prior(entry)
@@ -67,6 +65,14 @@ class Preparation:
         probability = self.segmenter.segment(entry)
         _check_shape(probability, entry)
         return Query(entry.name, entry.split, entry.camera, self.local(prior), probability, entry.image)
+
+
+def prior_of(entry: Entry, dataset: Dataset, tilt: str) -> Pose | None:
+    """Returns an entry's prior, with the true pitch and roll if ``tilt`` is ``truth``; None without one."""
+    truth = dataset.truth.get(entry.key)
+    if entry.prior is None or truth is None or tilt == "prior":
+        return entry.prior
+    return entry.prior.with_tilt_of(truth)
 
 
 def _check_shape(probability: NDArray[np.float32], entry: Entry) -> None:

@@ -14,12 +14,12 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.evaluation.errors import FAILED, pose_error
 from lodbench.evaluation.rows import QueryRow
 from lodbench.execution import Ledger, Progress
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.prepare import Preparation
+from lodbench.harness.result import Result, chosen_entries, errors_of, pose_numbers, queries_digest
 from lodbench.localization import Method
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.segmentation import Segmenter
@@ -53,30 +53,18 @@ class RunSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class Run(Result):
     """A finished run, in memory.
 
     Attributes:
-        folder: The run folder.
-        config: The resolved configuration.
-        dataset: The dataset.
         preparation: How queries were made from entries.
         scorer: The renderer, for pictures.
-        splits: Splits run, in order.
-        rows: One row per query.
         resumed: How many rows were taken from an earlier, interrupted run.
-        inputs: Digests of what went in.
     """
 
-    folder: Path
-    config: dict[str, Any]
-    dataset: Dataset
     preparation: Preparation
     scorer: Scorer
-    splits: tuple[str, ...]
-    rows: tuple[QueryRow, ...]
     resumed: int
-    inputs: dict[str, str]
 
 
 def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings: RunSettings) -> Run:
@@ -88,14 +76,13 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     if settings.limit is not None and settings.limit < 1:
         raise ConfigError(f"limit={settings.limit} is not a number of queries.")
     splits = select_splits(dataset, settings.splits)
-    entries = _chosen(dataset, splits, settings.limit)
+    entries = chosen_entries(dataset, splits, settings.limit)
     scene, dataset = _open_city(dataset)
     preparation = Preparation(dataset, scene, segmenter, settings.tilt)
     scorer = make_renderer(settings.renderer, scene, settings.threads)
     inputs = {
-        # The same houses elsewhere are another city.
-        "scene": digest_of([scene.digest(), scene.origin.tolist()]),
-        "queries": _fingerprint(dataset, entries),
+        "scene": scene_digest(scene),
+        "queries": queries_digest(dataset, entries),
         "masks": segmenter.fingerprint(entries),
     }
     digest = digest_of({"config": settings.config, "inputs": inputs})
@@ -110,30 +97,31 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
                 ledger.record(entry.key, _answer(method, preparation, scorer, entry, streams))
             progress.advance()
     rows = tuple(_row(entry, ledger[entry.key], preparation) for entry in entries)
-    return Run(folder, settings.config, dataset, preparation, scorer, splits, rows, resumed, inputs)
+    return Run(
+        folder=folder,
+        config=settings.config,
+        dataset=dataset,
+        splits=splits,
+        rows=rows,
+        inputs=inputs,
+        lod=scene.lod,
+        preparation=preparation,
+        scorer=scorer,
+        resumed=resumed,
+    )
+
+
+def scene_digest(scene: Scene) -> str:
+    """Returns a digest of a city; the same houses elsewhere are another one."""
+    return digest_of([scene.digest(), scene.origin.tolist()])
 
 
 def _open_city(dataset: Dataset) -> tuple[Scene, Dataset]:
     """Returns a dataset's scene, and the dataset with what was met in its city added to the notes."""
+    if dataset.city_model is None:
+        raise ConfigError("There is no city model to localise against.", "Set dataset.city_model=FILE.")
     city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
     return city.scene, replace(dataset, notes=dataset.notes + city.notes())
-
-
-def _chosen(dataset: Dataset, splits: tuple[str, ...], limit: int | None) -> tuple[Entry, ...]:
-    by_split = [[entry for entry in dataset.entries if entry.split == split] for split in splits]
-    return tuple(entry for entries in by_split for entry in entries[:limit])
-
-
-def _fingerprint(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
-    def numbers(pose: Pose | None) -> list[float] | None:
-        return None if pose is None else [float(v) for v in pose.cam_from_world[:3].ravel()]
-
-    return digest_of(
-        [
-            [entry.key, repr(entry.camera), numbers(entry.prior), numbers(dataset.truth.get(entry.key))]
-            for entry in entries
-        ]
-    )
 
 
 def _answer(
@@ -151,7 +139,7 @@ def _answer(
     seconds = {"prepare": prepared - started, **estimate.seconds}
     return {
         "failure": "",
-        "pose": [float(v) for v in pose.cam_from_world[:3].ravel()],
+        "pose": pose_numbers(pose),
         "score": estimate.score if math.isfinite(estimate.score) else None,
         "hypotheses": estimate.hypotheses,
         "seconds": seconds,
@@ -164,11 +152,7 @@ def _row(entry: Entry, answer: dict[str, Any], preparation: Preparation) -> Quer
     if matrix is not None:
         top = [matrix[0:4], matrix[4:8], matrix[8:12], [0.0, 0.0, 0.0, 1.0]]
         pose = Pose.from_matrix(top)  # type: ignore[arg-type]
-    truth, prior = preparation.dataset.truth.get(entry.key), preparation.prior(entry)
-    error = prior_error = None
-    if truth is not None:
-        error = FAILED if pose is None else pose_error(pose, truth)
-        prior_error = FAILED if prior is None else pose_error(prior, truth)
+    error, prior_error = errors_of(entry, pose, preparation.dataset, preparation.tilt)
     return QueryRow(
         entry.name,
         entry.split,

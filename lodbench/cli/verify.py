@@ -1,0 +1,117 @@
+"""`lodbench verify RUN`: do a run's numbers follow from its poses?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import fields
+from inspect import signature
+from pathlib import Path
+from typing import Any, cast
+
+from omegaconf import OmegaConf
+
+from lodbench.cli.hydra_app import load_plugin, to_params
+from lodbench.cli.run import open_dataset, with_source
+from lodbench.datasets.query import Dataset
+from lodbench.errors import DatasetError, LodbenchError
+from lodbench.harness.stored import read_run
+from lodbench.harness.verify import Verdict, verify_run
+
+_EPILOG = """\
+Exit code: 0 all numbers follow, 1 they do not (one line per difference), 2 the run cannot be read.
+Where the dataset is not there only summary.json is compared with queries.csv: a weaker check, and said.
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        "lodbench verify",
+        description="Score a run again from its stored poses and compare.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    add_path_options(parser)
+    options = parser.parse_args(argv)
+    verdict = verify_folder(options.run, options.dataset_root, options.city_model)
+    sys.stdout.write(describe(verdict))
+    return 1 if verdict.differences else 0
+
+
+def add_path_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options that say where the data lies now."""
+    parser.add_argument("--dataset-root", metavar="DIR", help="where the dataset lies now")
+    parser.add_argument("--city-model", metavar="FILE", help="where the city model lies now")
+
+
+def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str | None = None) -> Verdict:
+    """Returns the verdict on a run folder, its dataset opened from where it was, or is said to be, now.
+
+    Raises:
+        LodbenchError: The run cannot be read, or the data at a given place cannot.
+    """
+    config = read_config(folder)
+    provenance = read_run(folder).provenance
+    root = dataset_root or provenance.get("dataset_root")
+    city = city_model or provenance.get("city_model")
+    if city is not None and city_model is None and not Path(city).exists():
+        city = None
+    try:
+        dataset = _reopen(config, root, city)
+    except LodbenchError:
+        if dataset_root or city_model:
+            raise
+        dataset = None
+    segmenter = None
+    if "segmenter" in config and "masks" in read_run(folder).summary["dataset"]:
+        kind = load_plugin("segmenters", config["segmenter"]["name"])
+        segmenter = kind(to_params(config["segmenter"], kind.params_type, "segmenter"))
+    return verify_run(folder, config, dataset, segmenter)
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """Returns the configuration of a run folder as JSON values.
+
+    Raises:
+        DatasetError: There is none, or it is not one of a run.
+    """
+    path = folder / "config.yaml"
+    try:
+        config = OmegaConf.to_container(OmegaConf.create(path.read_text(encoding="utf-8")))
+    except Exception as error:  # the YAML reader's faults share no base with OmegaConf's
+        raise DatasetError(f"{path} is not a readable configuration.", "Name a run folder.") from error
+    if not isinstance(config, dict) or not {"dataset", "method", "tilt"} <= set(config):
+        raise DatasetError(f"{path} is not the configuration of a run.")
+    return cast(dict[str, Any], config)
+
+
+def describe(verdict: Verdict) -> str:
+    """Returns what a reader is told: one line per difference, then how far the check went."""
+    lines = list(verdict.differences)
+    if verdict.is_weak:
+        lines.append(
+            "weaker check: the dataset is not where it was, so summary.json was compared with queries.csv "
+            "only; name its place with --dataset-root"
+        )
+    lines += [f"note: {note}" for note in verdict.notes]
+    count = len(verdict.differences)
+    queries = len(verdict.stored.rows)
+    if count:
+        lines.append(f"{verdict.stored.folder}: {count} difference{'s' * (count > 1)}")
+    else:
+        basis = "their rows" if verdict.is_weak else "their poses and the truth"
+        lines.append(f"{verdict.stored.folder}: the numbers of {queries} queries follow from {basis}")
+    return "\n".join(lines) + "\n"
+
+
+def _reopen(config: dict[str, Any], root: str | None, city: str | None) -> Dataset:
+    """Returns the dataset of a run; one that is built in takes no paths."""
+    section = dict(config["dataset"])
+    (parameter,) = signature(load_plugin("datasets", section["name"]), eval_str=True).parameters.values()
+    known = {f.name for f in fields(parameter.annotation)}
+    paths = {"root": root, "city_model": city}
+    section.update({key: path for key, path in paths.items() if key in known})
+    return with_source(open_dataset(section), config["source"])

@@ -1,0 +1,125 @@
+"""`lodbench verify`: honest runs pass, and whatever is changed in them is caught."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.town import write_dataset
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> tuple[Path, Path, Path]:
+    """A dataset's root, its city, and the folder of a run on it."""
+    home = tmp_path_factory.mktemp("made")
+    root, city = write_dataset(home, count=3)
+    (root / "masks" / "view_02.png").unlink()
+    words = [
+        "run",
+        "method=prior_only",
+        "dataset=folder",
+        f"dataset.root={root}",
+        f"dataset.city_model={city}",
+    ]
+    subprocess.run([sys.executable, "-m", "lodbench", *words], cwd=home, check=True, capture_output=True)
+    (folder,) = (home / "runs" / "folder" / "prior_only").iterdir()
+    return root, city, folder
+
+
+@pytest.fixture
+def run(made, tmp_path) -> Path:
+    """A copy of the run to tamper with, under its own name."""
+    return Path(shutil.copytree(made[2], tmp_path / made[2].name))
+
+
+def forge(run: Path) -> None:
+    """Makes the digests those of the files as they are now: what a careful forger would do."""
+    path = run / "provenance.json"
+    provenance = json.loads(path.read_text())
+    provenance["files"] = {
+        name: hashlib.sha256((run / name).read_bytes()).hexdigest() for name in provenance["files"]
+    }
+    path.write_text(json.dumps(provenance))
+
+
+def change(path: Path, pattern: str, new: str) -> None:
+    text, count = re.subn(pattern, new, path.read_text(), count=1)
+    assert count == 1
+    path.write_text(text)
+
+
+def test_an_honest_run_passes(lodbench, made):
+    done = lodbench("verify", str(made[2]))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "the numbers of 3 queries follow from their poses and the truth" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern", "new", "said"),
+    [
+        ("summary.json", r'("5m-5deg": )0\.0', r"\g<1>66.7", "recall: 5m-5deg is 66.7, not 0.0"),
+        ("summary.json", r'("median_translation_m": )[\d.]+', r"\g<1>0.5", "median_translation_m is 0.5"),
+        ("summary.json", r'("num_failed": )1', r"\g<1>0", "num_failed is 0, not 1"),
+        ("summary.json", r'("tilt": )"prior"', r'\g<1>"truth"', "tilt is 'truth', not 'prior'"),
+        ("summary.json", r'("seed": )0', r"\g<1>1", "seed is 1, not 0"),
+        ("summary.json", r'("scene": )"\w', r'\g<1>"x', "scene is 'x"),
+        ("summary.json", r'("queries": )"\w', r'\g<1>"x', "queries is 'x"),
+        ("queries.csv", r"view_00.png,data,[\d.]+", "view_00.png,data,0.5", "view_00.png: error is 0.5 m"),
+        ("queries.csv", r"(view_00.png,data,[\d.]+),[\d.]+", r"\1,0.5", "view_00.png: error is 0.5 deg"),
+        ("queries.csv", r"view_00.png.*\n", "", "data/view_00.png is missing"),
+        ("queries.csv", r"view_00", "view_09", "data/view_09.png is no query of the dataset"),
+        ("poses.txt", r" ([-\d.]+)\n", " 12.5\n", "view_00.png: error is"),
+        ("poses.txt", r"view_00", "view_09", "view_09.png is no query"),
+        ("poses.txt", r"view_00.*\n", "", "view_00.png has no failure, and no pose"),
+        ("config.yaml", r"seed: 0", "seed: 3", "seed is 0, not 3"),
+    ],
+)
+def test_a_forged_number_is_caught_even_with_new_digests(lodbench, run, name, pattern, new, said):
+    change(run / name, pattern, new)
+    forge(run)
+    done = lodbench("verify", str(run))
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert said in done.stdout
+
+
+@pytest.mark.parametrize("name", ["config.yaml", "poses.txt", "queries.csv", "summary.json"])
+def test_a_byte_that_changes_no_result_is_caught_by_the_digest(lodbench, run, name):
+    (run / name).write_bytes((run / name).read_bytes().rstrip(b"\n") + b"\r\n")
+    done = lodbench("verify", str(run))
+    assert done.returncode == 1
+    assert f"{name} is not the file the run wrote" in done.stdout
+
+
+def test_other_data_is_caught_and_moved_data_is_found(lodbench, made, run, tmp_path):
+    moved = Path(shutil.copytree(made[0], tmp_path / "moved"))
+    assert lodbench("verify", str(run), "--dataset-root", str(moved)).returncode != 2
+    change(moved / "GT_pose.txt", r" ([-\d.]+)\n", " 12.5\n")
+    done = lodbench("verify", str(run), "--dataset-root", str(moved))
+    assert done.returncode == 1
+    assert "queries is" in done.stdout
+
+
+def test_without_the_data_the_weaker_check_is_said(lodbench, run):
+    change(run / "provenance.json", r'("dataset_root": )".*"', r'\g<1>"/no/such/folder"')
+    done = lodbench("verify", str(run))
+    assert done.returncode == 0, done.stdout
+    assert "weaker check" in done.stdout
+    change(run / "queries.csv", r"view_00.png,data,[\d.]+", "view_00.png,data,0.5")
+    forge(run)
+    done = lodbench("verify", str(run))
+    assert done.returncode == 1
+    assert "5m-5deg is 0.0, not 33.3" in done.stdout
+
+
+def test_a_folder_that_is_no_run_is_one_line(lodbench, tmp_path):
+    done = lodbench("verify", str(tmp_path))
+    assert done.returncode == 2
+    assert done.stderr.startswith("lodbench: ")
+    assert "Traceback" not in done.stderr
