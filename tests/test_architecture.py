@@ -29,7 +29,19 @@ LAYERS = [
     "cli",
 ]
 MODULES = sorted([*(ROOT / "lodbench").rglob("*.py"), *(ROOT / "baselines").rglob("*.py")])
-LATE = {"torch", "pyrender", "open3d", "transformers", "dask", "OpenGL", "trimesh", "matplotlib", "pyogrio"}
+LATE = {
+    "torch",
+    "pyrender",
+    "open3d",
+    "transformers",
+    "dask",
+    "OpenGL",
+    "trimesh",
+    "matplotlib",
+    "pyogrio",
+    "pyarrow",
+    "rasterio",
+}
 
 
 def name_of(path: Path) -> str:

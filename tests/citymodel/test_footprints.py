@@ -144,7 +144,7 @@ class TestReading:
         lowest = [model.polygons.points[owner == b, 2].min() for b in range(3)]
         assert lowest == [heights[1, 1], heights[1, 2], 3.0]
         assert model.findings.counts()["LB410 GROUND_DEFAULTED"] == 1
-        turned = grid * rasterio.Affine.rotation(30)
+        turned = rasterio.Affine(cell, cell, LON, cell, -cell, LAT)
         with rasterio.open(tmp_path / "t.tif", "w", crs="EPSG:4326", transform=turned, **shape) as raster:
             raster.write(heights, 1)
         with pytest.raises(CityModelError, match="turned"):
