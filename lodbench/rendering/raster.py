@@ -80,7 +80,7 @@ class RasterRenderer:
         mask = np.empty((camera.height, camera.width), dtype=np.bool_)
 
         def resolve(band: Band, buffer: Buffer) -> None:
-            mask[:, band.first : band.stop] = buffer.winner.T >= 0
+            mask[:, band.first : band.stop] = buffer.winner[:, : band.height].T >= 0
 
         self._draw(camera, pose, resolve)
         return mask

@@ -65,8 +65,8 @@ class Buffer(NamedTuple):
     """What the columns of a band show; row c of an array is column ``first + c``.
 
     Attributes:
-        inverse: (C, H) float64, 1 / metres along the optical axis, 0 where there is nothing.
-        winner: (C, H) int32 nearest triangle, -1 where there is nothing.
+        inverse: (C, H or more) float64, 1 / metres along the optical axis, 0 where there is nothing.
+        winner: (C, H or more) int32 nearest triangle, -1 where there is nothing.
     """
 
     inverse: Floats
@@ -74,8 +74,13 @@ class Buffer(NamedTuple):
 
 
 def blank_buffer(columns: int, height: int) -> Buffer:
-    """Returns an empty buffer."""
-    return Buffer(np.zeros((columns, height)), np.full((columns, height), -1, dtype=np.int32))
+    """Returns an empty buffer.
+
+    Its columns are an odd number of cache lines long: were it a power of two, as 1024 rows are, all
+    pixels of a row would compete for the same few places of the cache.
+    """
+    padded = 16 * ((height + 15) // 16 | 1)
+    return Buffer(np.zeros((columns, padded)), np.full((columns, padded), -1, dtype=np.int32))
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
