@@ -155,3 +155,12 @@ def test_help_says_what_the_pictures_hold(lodbench):
     text = lodbench("render", "--help").stdout
     for word in ("centimetres", "655.35 m", "labels.json", "images=DIR", "0.1 m"):
         assert word in text
+
+
+def test_a_photo_that_is_none(render, tmp_path, layers):
+    for name in layers:
+        (tmp_path / f"{name}.png").write_text("not a picture")
+    done, out = render("kind=overlay", f"images={tmp_path}")
+    assert done.returncode == 2
+    assert "view_00.png is no picture" in done.stderr
+    assert not out.exists()
