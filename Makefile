@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo ablation test lint figures clean
+.PHONY: demo ablation test fuzz lint figures clean
 
 # Builds the demo town, localises its 40 queries with the sensor's tilt and with the true one.
 demo: $(VENV)/.base
@@ -15,6 +15,11 @@ ablation: $(VENV)/.base
 
 test: $(VENV)/.test lint
 	$(BIN)/python -m pytest -n auto --dist loadgroup
+
+# 20,000 mutated city files, for a nightly run; `make test` tries 500. COUNT= sets another number.
+COUNT ?= 20000
+fuzz: $(VENV)/.test
+	$(BIN)/python -m tests.citymodel.test_fuzz $(COUNT)
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

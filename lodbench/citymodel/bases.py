@@ -46,7 +46,7 @@ def move_bases(
             )
             found = ground_under(middles, label, options)
             for b in np.flatnonzero(~np.isfinite(found)):
-                raw.findings.add(GROUND_DEFAULTED, raw.building_ids[b], f"stands at {options.ground_m:g} m")
+                raw.findings.add(GROUND_DEFAULTED, raw.building_ids[b], f"ground_m={options.ground_m:g}")
             heights = np.where(np.isfinite(found), found, options.ground_m)
         points[:, 2] += heights[building]
         detail = f"set on {options.terrain or f'{options.ground_m:g} m'}"

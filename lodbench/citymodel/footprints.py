@@ -91,8 +91,10 @@ def _blocks(
         )
     corners = rings[ring_starts[polygon_starts[:-1]]]
     ground = _ground(columns, corners, owner, options.crs or str(crs), options)
-    for i in np.unique(owner[~np.isfinite(ground)]):
-        findings.add(GROUND_DEFAULTED, ids[i], f"stands at {options.ground_m:g} m")
+    # One word where nothing could give the ground; else those that fall through its gaps.
+    is_lost = ~np.isfinite(ground)
+    for name in [""] if is_lost.all() else [ids[i] for i in np.unique(owner[is_lost])]:
+        findings.add(GROUND_DEFAULTED, name, f"ground_m={options.ground_m:g}")
     ground = np.where(np.isfinite(ground), ground, options.ground_m)
     blocks = extrude(rings, ring_starts, polygon_starts, ground, ground + heights[owner])
     used, building = np.unique(owner[blocks.footprint], return_inverse=True)

@@ -22,7 +22,7 @@ def format_info(name: str, info: dict[str, Any]) -> str:
     """
     x, y, z = info["extent_m"]
     place = info["center_lat_lon"]
-    parts = f", {info['parts']:,} parts" if info["parts"] else ""
+    parts = f", in {info['parts']:,} parts" if info["parts"] > 1 else ""
     lines = [
         name,
         f"format     {info['format']} {info['version'] or ''}".rstrip(),
@@ -91,7 +91,7 @@ def format_conversion(summary: dict[str, Any]) -> str:
         lines = [
             f"{summary['written']}: {what}",
             areas,
-            f"origin {origin} in {crs_in_words(summary['crs'])}",
+            f"origin {origin}, CRS {crs_in_words(summary['crs'])}",
         ]
     return "\n".join([*lines, *_finding_lines(summary["findings"])])
 
@@ -107,7 +107,7 @@ def _level_lines(lods: dict[str, dict[str, float]]) -> list[str]:
 def _finding_lines(findings: dict[str, int]) -> list[str]:
     if not findings:
         return ["findings   none"]
-    rows = [f"findings   {sum(findings.values()):,}; with the buildings: lodbench city check FILE"]
+    rows = [f"findings   {sum(findings.values()):,} (in which buildings: lodbench city check FILE)"]
     width = max(map(len, findings))
     for name, count in findings.items():
         rows.append(f"  {name.ljust(width)}  {count:>6,}  {_MEANINGS[name].meaning}")
