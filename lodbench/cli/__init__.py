@@ -11,6 +11,7 @@ from importlib import import_module
 COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
     "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
+    "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
     "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),
     "render": (
         "lodbench.cli.render",

@@ -66,7 +66,7 @@ def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str
             raise
         dataset = None
     segmenter = None
-    if "segmenter" in config and "masks" in read_run(folder).summary["dataset"]:
+    if "masks" in read_run(folder).summary["dataset"]:
         kind = load_plugin("segmenters", config["segmenter"]["name"])
         segmenter = kind(to_params(config["segmenter"], kind.params_type, "segmenter"))
     return verify_run(folder, config, dataset, segmenter)

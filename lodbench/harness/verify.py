@@ -78,7 +78,9 @@ def verify_run(
         splits = select_splits(dataset, config.get("split") or ())
         entries = chosen_entries(dataset, splits, config.get("limit"))
         differences += _changed_errors(stored, entries, dataset, str(config["tilt"]))
-        inputs, told = {**inputs, "queries": queries_digest(dataset, entries)}, dataset
+        inputs["queries"] = queries_digest(dataset, entries)
+        # What was said of a pose file stands with its method: the file itself need not be there.
+        told = replace(dataset, notes=dataset.notes + tuple(config["method"].get("notes", ())))
         if "masks" in inputs and segmenter is not None:
             inputs["masks"] = segmenter.fingerprint(entries)
         if "scene" in inputs and dataset.city_model is not None:
