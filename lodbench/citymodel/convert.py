@@ -84,14 +84,16 @@ def convert_city(
 def obj_text(scene: Scene) -> str:
     """Returns a scene as Wavefront OBJ, one object per building, in the local frame."""
     lines = [f"# origin {' '.join(map(repr, scene.origin.tolist()))}", f"# crs {scene.crs or 'unknown'}"]
-    vertices = scene.vertices.astype(np.float64).tolist()
-    triangles = (scene.triangles + 1).tolist()
+    vertices = scene.vertices.astype(np.float64)
+    triangles = scene.triangles + 1
     for b, building_id in enumerate(scene.building_ids):
         lines.append(f"o {' '.join(building_id.split())}")
         own = vertices[scene.vertex_starts[b] : scene.vertex_starts[b + 1]]
-        lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in own]
         faces = triangles[scene.triangle_starts[b] : scene.triangle_starts[b + 1]]
-        lines += [f"f {i} {j} {k}" for i, j, k in faces]
+        # One format of many lines at once takes half the time of one per line.
+        for line, rows in (("v %.4f %.4f %.4f", own), ("f %d %d %d", faces)):
+            if len(rows):
+                lines.append("\n".join([line] * len(rows)) % tuple(rows.ravel().tolist()))
     return "\n".join(lines) + "\n"
 
 
