@@ -11,7 +11,8 @@ from lodbench.citymodel.codes import LOD_DERIVED, LOD_UNDERIVABLE
 from lodbench.citymodel.extrude import extrude
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
 from lodbench.citymodel.raw import starts_of
-from lodbench.citymodel.triangulate import newell, select_polygons, triangulate
+from lodbench.citymodel.selection import select_polygons
+from lodbench.citymodel.triangulate import newell, triangulate
 from lodbench.errors import CityModelError, ConfigError
 from lodbench.findings import Findings
 

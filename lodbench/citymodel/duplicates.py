@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.codes import DUPLICATE_POLYGON
 from lodbench.citymodel.identity import number_rows, point_bits
 from lodbench.citymodel.model import Polygons, SurfaceKind
-from lodbench.citymodel.triangulate import select_polygons
+from lodbench.citymodel.selection import select_polygons
 from lodbench.findings import Findings
 
 

@@ -12,7 +12,8 @@ from lodbench.citymodel.derive import derive_lod1
 from lodbench.citymodel.lods import choose_lod, has_lod
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.scene import Scene, build_scene
-from lodbench.citymodel.triangulate import Triangulation, select_polygons, triangulate
+from lodbench.citymodel.selection import select_polygons
+from lodbench.citymodel.triangulate import Triangulation, triangulate
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 

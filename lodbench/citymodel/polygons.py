@@ -48,7 +48,8 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     if options.origin is None and len(points) and (label is not None or np.abs(points).max() > 1e4):
         origin[:2] = np.floor(points[:, :2].min(axis=0))
     if raw.srs_names or options.origin is None:
-        points = points - origin
+        # In place where it is a copy already: the points are most of the memory a city needs.
+        points = np.subtract(points, origin, out=None if points is raw.points else points)
     # Else the format has a frame of its own, and the origin is where the user says that frame lies.
     order = sorted(range(len(raw.lods)), key=lambda i: raw.lods[i])
     rank = np.argsort(np.asarray(order, np.int64)) if order else np.zeros(0, np.int64)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.identity import number_rows, point_bits
 from lodbench.errors import CityModelError
+
+# Triangles merged at a time: some twenty times their size is held meanwhile.
+_CHUNK_TRIANGLES = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,21 +95,53 @@ def build_scene(
         raise CityModelError("The city model has coordinates that are not finite.")
     order = np.argsort(triangle_building, kind="stable")
     building = triangle_building[order].astype(np.int64)
-    corners = points.astype(np.float32)[triangles[order]].reshape(-1, 3) + np.float32(0)  # no -0.0
+    single = points.astype(np.float32)
+    parts, num_vertices = [], 0
+    for first, last in pairwise(_cuts(building, len(building_ids))):
+        part = _merge(single, triangles[order[first:last]], building[first:last], num_vertices)
+        num_vertices += len(part[0])
+        parts.append(part)
+    vertices, indices, vertex_building, kept_building = (
+        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+    )
+    bounds = np.arange(len(building_ids) + 1)
+    return Scene(
+        vertices=vertices,
+        triangles=indices,
+        vertex_starts=np.searchsorted(vertex_building, bounds).astype(np.int64),
+        triangle_starts=np.searchsorted(kept_building, bounds).astype(np.int64),
+        building_ids=building_ids,
+        lod=lod,
+        crs=crs,
+        origin=np.zeros(3) if origin is None else np.asarray(origin, dtype=np.float64),
+    )
+
+
+def _cuts(building: NDArray[np.int64], count: int) -> list[int]:
+    """Returns where to cut a sorted list of triangles: between buildings, into chunks of a few."""
+    bounds = np.searchsorted(building, np.arange(count + 1))
+    wanted = np.arange(0, len(building), _CHUNK_TRIANGLES)
+    cuts = np.unique(bounds[np.searchsorted(bounds, wanted)])
+    return [*cuts[cuts < len(building)].tolist(), len(building)]
+
+
+def _merge(
+    points: NDArray[np.float32], triangles: NDArray[np.int64], building: NDArray[np.int64], offset: int
+) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the vertices and triangles of whole buildings, and the building of each of both.
+
+    Args:
+        points: (P, 3).
+        triangles: (T, 3) indices into ``points``.
+        building: (T,) ascending.
+        offset: Vertices of the buildings before.
+    """
+    corners = points[triangles].reshape(-1, 3) + np.float32(0)  # no -0.0
     corner_building = np.repeat(building, 3)
     numbers, first = number_rows([corner_building.astype(np.uint64), *point_bits(corners)])
     indices = numbers.reshape(-1, 3)
     kept = (
         (indices[:, 0] != indices[:, 1]) & (indices[:, 1] != indices[:, 2]) & (indices[:, 2] != indices[:, 0])
     )
-    bounds = np.arange(len(building_ids) + 1)
-    return Scene(
-        vertices=corners[first],
-        triangles=np.ascontiguousarray(indices[kept], dtype=np.int32),
-        vertex_starts=np.searchsorted(corner_building[first], bounds).astype(np.int64),
-        triangle_starts=np.searchsorted(building[kept], bounds).astype(np.int64),
-        building_ids=building_ids,
-        lod=lod,
-        crs=crs,
-        origin=np.zeros(3) if origin is None else np.asarray(origin, dtype=np.float64),
-    )
+    indices = (indices[kept] + offset).astype(np.int32)
+    return corners[first], indices, corner_building[first], building[kept]
