@@ -13,6 +13,7 @@ COMMANDS = {
     "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
     "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),
+    "leaderboard": ("lodbench.cli.leaderboard", "add a verified run; build the CSV, Markdown and LaTeX"),
     "render": (
         "lodbench.cli.render",
         "draw a city from given poses: silhouette, depth, label, colour, overlay",

@@ -11,6 +11,9 @@ import numpy as np
 
 from lodbench.evaluation.errors import PoseError
 
+# Raised whenever the same poses would score otherwise: results of two versions do not compare.
+EVALUATOR_VERSION = 1
+
 # Two-sided 95 % quantile of the normal distribution.
 _Z = 1.959963984540054
 

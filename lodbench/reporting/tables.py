@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ class SplitCells:
         num_queries: Denominator.
         num_failed: Queries without an answer.
         hypotheses: Poses scored per query.
+        printed: Cells to show in place of these numbers: what a paper printed; empty to format them.
     """
 
     recall: dict[str, float]
@@ -33,6 +35,7 @@ class SplitCells:
     num_queries: int
     num_failed: int
     hypotheses: float
+    printed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +78,13 @@ def read_summary(folder: Path) -> dict[str, Any]:
 def tables_of(summaries: Sequence[dict[str, Any]]) -> list[RecallTable]:
     """Returns one table per protocol (dataset, tilt, segmenter, seed), the priors' row on top of each.
 
-    Runs over other queries or another city never share a table, whatever their names.
+    Runs over other queries, masks or another city never share a table, whatever their names.
     """
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for summary in summaries:
-        inputs = (summary["dataset"].get("queries", ""), summary["dataset"].get("scene", ""))
-        groups.setdefault((title_of(summary), *inputs), []).append(summary)
+        inputs = [str(summary["dataset"].get(name, "")) for name in ("queries", "scene", "masks")]
+        renderer = str(summary["protocol"].get("renderer", ""))
+        groups.setdefault((title_of(summary), renderer, *inputs), []).append(summary)
     return [_table(title, members) for (title, *_), members in groups.items()]
 
 
@@ -206,6 +210,8 @@ def _row_cells(table: RecallTable, row: dict[str, SplitCells], labels: list[str]
 def _split_cells(cells: SplitCells | None, labels: list[str]) -> list[str]:
     if cells is None:
         return ["-"] * (len(labels) + 2)
+    if cells.printed:
+        return list(cells.printed)
     medians = f"{_finite(cells.translation_m, '.2f')}/{_finite(cells.rotation_deg, '.2f')}"
     return [*(_finite(cells.recall[name], ".2f") for name in labels), medians, str(cells.num_failed)]
 
@@ -215,11 +221,12 @@ def _finite(value: float, spec: str) -> str:
 
 
 def _pipes(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
+    escaped = (cell.replace("|", r"\|").replace("<", "&lt;") for cell in cells)
+    return "| " + " | ".join(escaped) + " |"
 
 
 def _tex(text: str) -> str:
-    return text.replace("_", r"\_")
+    return re.sub(r"[&%$#_{}]", r"\\\g<0>", text.replace("\\", "/").replace("~", "-").replace("^", ""))
 
 
 def _align(head: list[list[str]], body: list[list[str]], group: int) -> str:

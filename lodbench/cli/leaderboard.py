@@ -1,0 +1,93 @@
+"""`lodbench leaderboard add|build`: rows that were verified, and the tables they make."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from lodbench.cli.verify import add_path_options, describe, read_config, verify_folder
+from lodbench.errors import DatasetError
+from lodbench.harness.result import prior_digest, split_digest
+from lodbench.harness.verify import Verdict
+from lodbench.reporting.leaderboard import build_leaderboard
+from lodbench.reporting.leaderboard_entry import entry_path, entry_text, measured_entry, reasons_against
+from lodbench.storage import write_text
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    options = _parser().parse_args(argv)
+    return _add(options) if options.action == "add" else _build(options.root, options.check)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("lodbench leaderboard", description="Rows people can trust.")
+    actions = parser.add_subparsers(dest="action", required=True)
+    add = actions.add_parser(
+        "add", help="verify a run and store its row; oracle and unverifiable runs are kept out of the ranking"
+    )
+    add.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    add.add_argument("--map", default="", help="what the method localises against, for example 'LoD model'")
+    add_path_options(add)
+    build = actions.add_parser("build", help="write CSV, Markdown and LaTeX from the entries")
+    build.add_argument(
+        "--check", action="store_true", help="write nothing; fail if a file is not what they make"
+    )
+    for action in (add, build):
+        action.add_argument("--root", type=Path, default=Path("leaderboard"), help="its folder (leaderboard)")
+    return parser
+
+
+def _add(options: argparse.Namespace) -> int:
+    verdict = verify_folder(options.run, options.dataset_root, options.city_model)
+    if verdict.differences:
+        sys.stdout.write(describe(verdict))
+        sys.stderr.write("lodbench: the run was not added: its numbers do not follow from its poses.\n")
+        return 1
+    reasons = [*reasons_against(read_config(options.run)), *_doubts(verdict)]
+    entry = measured_entry(
+        verdict.stored.summary,
+        verdict.stored.provenance,
+        digests=_digests(verdict),
+        run=options.run.resolve().name,
+        map_name=options.map,
+        reasons=reasons,
+    )
+    text, path = entry_text(entry), entry_path(options.root, entry)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text)
+    sys.stdout.write(f"{path}\n" + "".join(f"  kept out of the ranking: {reason}\n" for reason in reasons))
+    return 0
+
+
+def _doubts(verdict: Verdict) -> list[str]:
+    """Returns what could not be verified."""
+    doubts = ["not verified against the truth: the dataset was not there"] if verdict.is_weak else []
+    return doubts + [f"not wholly verified: {note}" for note in verdict.notes]
+
+
+def _digests(verdict: Verdict) -> dict[str, str]:
+    digests = dict(verdict.stored.digests)
+    if verdict.entries:
+        digests |= {"prior": prior_digest(verdict.entries), "split": split_digest(verdict.entries)}
+    return digests
+
+
+def _build(root: Path, check: bool) -> int:
+    texts = build_leaderboard(root)
+    if not texts:
+        raise DatasetError(f"{root / 'entries'} holds no entries.", "lodbench leaderboard add RUN")
+    changed = [path for path, text in texts.items() if not _holds(path, text)]
+    for path in changed:
+        if not check:
+            write_text(path, texts[path])
+        sys.stdout.write(f"{path}{': not what the entries make' if check else ''}\n")
+    if not changed:
+        sys.stdout.write(f"{len(texts)} files are what the entries make\n")
+    return 1 if check and changed else 0
+
+
+def _holds(path: Path, text: str) -> bool:
+    return path.is_file() and path.read_bytes() == text.encode()

@@ -1,0 +1,150 @@
+"""Rows of the leaderboard as they are stored: one JSON file each, under a schema."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from lodbench.errors import DatasetError
+from lodbench.evaluation.recall import EVALUATOR_VERSION
+from lodbench.reporting.json_schema import schema_faults
+
+Entry = dict[str, Any]
+
+ENTRY_SCHEMA = 1
+# Digests of what went into a run that are part of its protocol.
+_INPUTS = ("queries", "scene", "masks", "poses")
+
+
+def entry_schema() -> dict[str, Any]:
+    """Returns the JSON schema of an entry."""
+    text = (files("lodbench.reporting") / "leaderboard.schema.json").read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
+
+
+def read_entries(root: Path) -> list[Entry]:
+    """Returns the entries below ``root/entries``, in order of their files.
+
+    Raises:
+        DatasetError: A file is no JSON, breaks the schema, or stands under another dataset's name.
+    """
+    schema = entry_schema()
+    entries = []
+    for path in sorted((root / "entries").glob("*/*.json")):
+        try:
+            entry = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{path} is not readable as JSON: {error}.") from error
+        faults = schema_faults(entry, schema)
+        if faults:
+            raise DatasetError(f"{path}: {faults[0]}.", "The schema is lodbench/reporting/*.schema.json.")
+        if slug(entry["dataset"]["name"]) != path.parent.name:
+            raise DatasetError(f"{path} is of dataset {entry['dataset']['name']}, not {path.parent.name}.")
+        entries.append(entry)
+    return entries
+
+
+def entry_path(root: Path, entry: Entry) -> Path:
+    """Returns where a measured entry is stored: by dataset, method, variant and run."""
+    method = entry["method"]
+    words = [method["name"], method["variant"], entry["provenance"]["run"]]
+    name = "-".join(slug(word) for word in words if word)
+    return root / "entries" / slug(entry["dataset"]["name"]) / f"{name}.json"
+
+
+def entry_text(entry: Entry) -> str:
+    """Returns an entry as the text of its file.
+
+    Raises:
+        DatasetError: It breaks the schema.
+    """
+    faults = schema_faults(entry, entry_schema())
+    if faults:
+        raise DatasetError(f"The run makes no leaderboard entry: {faults[0]}.")
+    return json.dumps(entry, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def measured_entry(
+    summary: dict[str, Any],
+    provenance: dict[str, Any],
+    *,
+    digests: dict[str, str],
+    run: str,
+    map_name: str,
+    reasons: Sequence[str],
+) -> Entry:
+    """Returns the entry of a run or of a scored pose file.
+
+    Args:
+        summary: The run's ``summary.json``, verified.
+        provenance: Its ``provenance.json``.
+        digests: ``prior`` and ``split`` digests, and the SHA-256 of the run's files.
+        run: Name of the run folder.
+        map_name: What the method localises against.
+        reasons: Why the entry must not rank; empty if it may.
+    """
+    dataset, protocol = summary["dataset"], summary["protocol"]
+    seconds = provenance.get("seconds_per_query", {})
+    return {
+        "schema": ENTRY_SCHEMA,
+        "source": "submitted" if "poses" in dataset else "measured",
+        "dataset": {"name": dataset["name"], "version": dataset["version"]},
+        "method": {**summary["method"], "map": map_name},
+        "protocol": {
+            "condition": "",
+            **{key: digests.get(key) for key in ("prior", "split")},
+            **{key: dataset[key] for key in _INPUTS if key in dataset},
+            "tilt": protocol["tilt"],
+            "segmenter": protocol["segmenter"],
+            "renderer": protocol["renderer"],
+            "lod": protocol["lod"],
+            "seeds": [protocol["seed"]] if isinstance(protocol["seed"], int) else [],
+            "evaluator": EVALUATOR_VERSION,
+        },
+        "splits": {
+            name: {**split, "seconds_per_query": seconds.get(name)}
+            for name, split in summary["splits"].items()
+        },
+        "ranking": {"ranked": not reasons, "reasons": list(reasons)},
+        "hardware": {key: provenance.get(key) for key in ("machine", "system", "threads")},
+        "provenance": {
+            "run": run,
+            "lodbench": provenance.get("lodbench"),
+            "files": {key: value for key, value in digests.items() if "." in key},
+            "notes": list(summary["notes"]),
+        },
+    }
+
+
+def reasons_against(config: dict[str, Any]) -> list[str]:
+    """Returns why a configuration's run must not rank beside others; empty if it may."""
+    reasons = []
+    if config["tilt"] == "truth":
+        reasons.append("oracle: the true pitch and roll were given (tilt=truth)")
+    if "oracle" in str(config["segmenter"]["name"]):
+        reasons.append(f"oracle: masks made from the truth (segmenter={config['segmenter']['name']})")
+    if config["segmenter"]["name"] == "unstated":
+        reasons.append("a pose file made elsewhere: its protocol is its author's word")
+    if config.get("limit") is not None:
+        reasons.append(f"only the first {config['limit']} queries of each split")
+    if config.get("split"):
+        reasons.append(f"only some splits: {', '.join(config['split'])}")
+    if _has_random_weights(config):
+        reasons.append("random weights")
+    return reasons
+
+
+def slug(text: str) -> str:
+    """Returns a text as a file name."""
+    return re.sub(r"[^\w+-]+", "_", text).strip("_") or "unnamed"
+
+
+def _has_random_weights(value: Any) -> bool:
+    if isinstance(value, dict):
+        return value.get("weights") == "random" or any(map(_has_random_weights, value.values()))
+    return False

@@ -1,0 +1,75 @@
+"""`lodbench leaderboard`: only verified runs get in, oracles stand apart, files follow from entries."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.town import write_dataset
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> tuple[Path, Path]:
+    return write_dataset(tmp_path_factory.mktemp("town"), count=3)
+
+
+def run(lodbench, tmp_path: Path, data: tuple[Path, Path], *more: str) -> Path:
+    words = ["run", "method=prior_only", "dataset=folder", f"dataset.root={data[0]}"]
+    done = lodbench(*words, f"dataset.city_model={data[1]}", *more)
+    assert done.returncode == 0, done.stderr
+    return Path(re.search(r"results:\s+(\S+)", done.stdout)[1])
+
+
+def entries(tmp_path: Path) -> list[dict]:
+    return [json.loads(p.read_text()) for p in sorted(tmp_path.glob("leaderboard/entries/folder/*.json"))]
+
+
+def test_a_run_ranks_and_its_oracle_twin_does_not(lodbench, tmp_path, data):
+    honest = run(lodbench, tmp_path, data)
+    oracle = run(lodbench, tmp_path, data, "tilt=truth")
+    for folder in (honest, oracle):
+        assert lodbench("leaderboard", "add", str(folder)).returncode == 0
+    by_tilt = {entry["protocol"]["tilt"]: entry for entry in entries(tmp_path)}
+    assert by_tilt["prior"]["ranking"] == {"ranked": True, "reasons": []}
+    assert "oracle" in by_tilt["truth"]["ranking"]["reasons"][0]
+    assert by_tilt["prior"]["protocol"]["prior"]
+    assert lodbench("leaderboard", "build", "--check").returncode == 1
+    assert lodbench("leaderboard", "build").returncode == 0
+    assert lodbench("leaderboard", "build", "--check").returncode == 0
+    lines = list(csv.DictReader((tmp_path / "leaderboard" / "folder.csv").open()))
+    assert [(line["tilt"], line["rank"]) for line in lines] == [("prior", "1"), ("truth", "")]
+
+
+def test_a_tampered_run_is_refused_and_an_unverifiable_one_stands_apart(lodbench, tmp_path, data):
+    folder = run(lodbench, tmp_path, data)
+    provenance = (folder if folder.is_absolute() else tmp_path / folder) / "provenance.json"
+    whole = provenance.read_text()
+    provenance.write_text(re.sub(r'("dataset_root": )".*"', r'\1"/no/such"', whole))
+    assert "not verified" in lodbench("leaderboard", "add", str(folder)).stdout
+    assert entries(tmp_path)[0]["ranking"]["ranked"] is False
+    provenance.write_text(whole)
+    summary = provenance.with_name("summary.json")
+    summary.write_text(summary.read_text().replace('"num_failed": 0', '"num_failed": 1', 1))
+    done = lodbench("leaderboard", "add", str(folder))
+    assert done.returncode == 1
+    assert "not added" in done.stderr
+
+
+def test_a_submitted_pose_file_stands_apart(lodbench, tmp_path, data):
+    poses = data[0] / "GPS_pose.txt"
+    assert lodbench("evaluate", f"poses={poses}", "dataset=folder", f"dataset.root={data[0]}").returncode == 0
+    (folder,) = (tmp_path / "runs" / "folder" / "GPS_pose").iterdir()
+    done = lodbench("leaderboard", "add", str(folder))
+    assert done.returncode == 0, done.stdout + done.stderr
+    (entry,) = entries(tmp_path)
+    assert (entry["source"], entry["ranking"]["ranked"]) == ("submitted", False)
+
+
+def test_an_empty_leaderboard_is_one_line(lodbench):
+    done = lodbench("leaderboard", "build")
+    assert done.returncode == 2
+    assert "holds no entries" in done.stderr

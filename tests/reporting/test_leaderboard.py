@@ -1,0 +1,154 @@
+"""Ranking, keeping apart, the schema, and names that would run as formulas or drive a terminal."""
+
+import copy
+import csv
+import io
+import json
+
+import pytest
+
+from lodbench.errors import DatasetError
+from lodbench.reporting.json_schema import schema_faults
+from lodbench.reporting.leaderboard import blocks_of, build_leaderboard, format_leaderboard_csv
+from lodbench.reporting.leaderboard_entry import entry_path, entry_schema, entry_text, reasons_against
+from lodbench.reporting.safe_text import csv_cell, plain_text
+
+DIGEST = "0123456789ab"
+
+
+def entry(name: str, recall: float, *, tilt: str = "prior", prior: str = DIGEST, reasons: tuple = ()) -> dict:
+    split = {
+        "num_queries": 40,
+        "num_failed": 1,
+        "recall": {"2m-2deg": recall, "3m-3deg": recall, "5m-5deg": 100.0},
+        "recall_interval_95": {"2m-2deg": [1.0, 99.0]},
+        "median_translation_m": 0.725,
+        "median_rotation_deg": None,
+        "hypotheses_per_query": 2425.0,
+        "seconds_per_query": 0.5,
+    }
+    return {
+        "schema": 1,
+        "source": "measured",
+        "dataset": {"name": "town", "version": "1"},
+        "method": {"name": name, "variant": "", "map": ""},
+        "protocol": {
+            "condition": "",
+            "prior": prior,
+            "split": DIGEST,
+            "tilt": tilt,
+            "segmenter": "masks",
+            "renderer": "silhouette",
+            "lod": "1",
+            "seeds": [0],
+            "evaluator": 1,
+        },
+        "splits": {"in_place": split},
+        "ranking": {"ranked": not reasons, "reasons": list(reasons)},
+        "hardware": {},
+        "provenance": {"run": DIGEST, "notes": []},
+    }
+
+
+def ranks(entries: list[dict]) -> list[list[tuple[str, int | None]]]:
+    blocks = blocks_of(entries)
+    return [[(e["method"]["name"], r) for e, r in zip(b.entries, b.ranks, strict=True)] for b in blocks]
+
+
+def test_the_better_ranks_first_and_equals_share_a_rank():
+    assert ranks([entry("b", 50.0), entry("a", 90.0), entry("c", 50.0)]) == [[("a", 1), ("b", 2), ("c", 2)]]
+
+
+@pytest.mark.parametrize("other", [{"tilt": "truth"}, {"prior": "ba9876543210"}])
+def test_other_protocols_never_rank_together(other):
+    assert sorted(ranks([entry("a", 90.0), entry("b", 95.0, **other)])) == [[("a", 1)], [("b", 1)]]
+
+
+def test_what_is_kept_apart_has_no_rank_and_says_why():
+    kept = entry("oracle", 100.0, reasons=("oracle: masks made from the truth",))
+    assert ranks([kept, entry("a", 90.0)]) == [[("a", 1)], [("oracle", None)]]
+    assert "Kept apart: oracle" in blocks_of([kept])[0].title
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"tilt": "truth"}, "tilt=truth"),
+        ({"segmenter": {"name": "noisy_oracle"}}, "noisy_oracle"),
+        ({"segmenter": {"name": "net", "weights": "random"}}, "random weights"),
+        ({"segmenter": {"name": "unstated"}}, "author's word"),
+        ({"limit": 5}, "first 5 queries"),
+        ({"split": ["in"]}, "only some splits: in"),
+    ],
+)
+def test_reasons_against_ranking(change, reason):
+    config = {"tilt": "prior", "segmenter": {"name": "masks"}, "limit": None, "split": []}
+    assert reasons_against(config) == []
+    assert reason in reasons_against({**config, **change})[0]
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+cmd", "-2", "@sum", "\x1b[31m=red", "\t=tab"])
+def test_csv_cells_are_no_formulas_and_drive_no_terminal(name):
+    hostile = entry("x", 1.0)
+    hostile["method"]["variant"] = name
+    (line,) = csv.DictReader(io.StringIO(format_leaderboard_csv(blocks_of([hostile]))))
+    assert line["variant"].startswith("'")
+    assert "\x1b" not in line["variant"]
+
+
+def test_numbers_stay_numbers_and_text_stays_text():
+    assert [csv_cell(v) for v in (-1.5, 0, None, "-", "a=b", "=x")] == ["-1.5", "0", "", "-", "a=b", "'=x"]
+    assert plain_text("a\x1b]8;;http://x\x07b\x1b[0m\u202ec\n") == "ab c"
+
+
+class TestSchema:
+    def test_accepts_an_entry(self):
+        assert schema_faults(entry("a", 50.0), entry_schema()) == []
+
+    @pytest.mark.parametrize(
+        ("path", "value", "said"),
+        [
+            (("schema",), 2, "schema is not 1"),
+            (("source",), "guessed", "none of"),
+            (("dataset", "name"), "=x", "against"),
+            (("protocol", "prior"), "xyz", "against"),
+            (("protocol", "seeds"), [0.5], "is no integer"),
+            (("ranking", "ranked"), 1, "is no boolean"),
+            (("splits", "in_place", "recall", "2m-2deg"), 101.0, "out of range"),
+            (("splits", "in_place", "recall", "2m-2deg"), float("nan"), "out of range"),
+            (("splits", "in_place", "recall_interval_95", "2m-2deg"), [1.0], "1 items"),
+            (("splits", "in_place", "extra"), 1, "not expected"),
+        ],
+    )
+    def test_refuses(self, path, value, said):
+        changed = copy.deepcopy(entry("a", 50.0))
+        target = changed
+        for key in path[:-1]:
+            target = target[key]
+        target[path[-1]] = value
+        assert said in schema_faults(changed, entry_schema())[0]
+        with pytest.raises(DatasetError, match="no leaderboard entry"):
+            entry_text(changed)
+
+    def test_names_what_is_missing(self):
+        assert "entry has no splits" in schema_faults({**{"schema": 1}}, entry_schema())
+
+    def test_a_keyword_it_does_not_know_is_an_error(self):
+        with pytest.raises(ValueError, match="oneOf"):
+            schema_faults(1, {"oneOf": []})
+
+
+def test_an_entry_under_another_dataset_or_malformed_is_refused(tmp_path):
+    path = entry_path(tmp_path, entry("a", 50.0))
+    assert path.name == f"a-{DIGEST}.json"
+    path.parent.mkdir(parents=True)
+    path.write_text(entry_text(entry("a", 50.0)))
+    assert {p.name for p in build_leaderboard(tmp_path)} == {"town.csv", "town.md", "town.tex"}
+    moved = tmp_path / "entries" / "other" / "a.json"
+    moved.parent.mkdir()
+    moved.write_text(path.read_text())
+    with pytest.raises(DatasetError, match="is of dataset town"):
+        build_leaderboard(tmp_path)
+    moved.write_text(json.dumps({"schema": 1}))
+    with pytest.raises(DatasetError, match="entry has no source"):
+        build_leaderboard(tmp_path)
