@@ -76,6 +76,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of a pipe has left (`| head`): leave quietly, and keep Python from flushing again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except OSError as error:
+        reason = f"{error.filename or 'A file'}: {error.strerror or error}."
+        report_fault(LodbenchError(reason, "Check the path, its permissions and the free space."))
+        return 2
     except KeyboardInterrupt:
-        sys.stderr.write("\nlodbench: stopped. The same command again goes on from here.\n")
+        again = " The same command again goes on from here." if words[0] == "run" else ""
+        sys.stderr.write(f"\nlodbench: stopped.{again}\n")
         return 130

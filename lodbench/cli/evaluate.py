@@ -9,8 +9,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from lodbench.cli.hydra_app import plain, run_hydra, to_params
-from lodbench.cli.run import identity_of, open_dataset, with_source
+from lodbench.cli.hydra_app import plain, run_hydra, section, to_params
+from lodbench.cli.run import data_identity, dataset_opener, with_source
 from lodbench.harness.artefacts import summary_of, write_artefacts
 from lodbench.harness.evaluate import EvaluateSettings, evaluate_poses
 from lodbench.harness.result import Result
@@ -44,14 +44,15 @@ def task(config: DictConfig) -> None:
     options = to_params(
         {f.name: values[f.name] for f in fields(EvaluateOptions)}, EvaluateOptions, "evaluate"
     )
-    dataset = with_source(open_dataset(values["dataset"]), values["source"])
-    identity = identity_of(values)
+    opener, dataset_params = dataset_opener(section(values, "dataset"))
+    source = section(values, "source")
+    dataset = with_source(opener(dataset_params), source)
+    named = {"poses", "format", "method_name", "paths", "executor", "dataset", "source"}
+    plain_settings = {key: value for key, value in values.items() if key not in named}
     settings = EvaluateSettings(
         poses=Path(options.poses).expanduser(),
         runs_root=Path(values["paths"]["runs"]).expanduser(),
-        config={
-            key: value for key, value in identity.items() if key not in ("poses", "format", "method_name")
-        },
+        config={**plain_settings, **data_identity(dataset_params, source)},
         format=options.format,
         method_name=options.method_name or "",
         tilt=options.tilt,

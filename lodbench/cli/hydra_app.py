@@ -72,7 +72,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
     try:
         version = {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}
         hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **version)(job)()
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise _explained(error, config_name) from error
     finally:
         sys.argv = saved
@@ -86,9 +86,11 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
 def quote_path(word: str) -> str:
     """Returns an override with the value of a path key quoted, so that Hydra takes it as it stands."""
     key, equals, value = word.partition("=")
-    if not equals or key.lstrip("+") not in PATH_KEYS or value[:1] in "'\"":
+    is_quoted = len(value) >= 2 and value[0] in "'\"" and value[0] == value[-1]
+    if not equals or not value or key.lstrip("+") not in PATH_KEYS or is_quoted:
         return word
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("${", "\\${")
+    # Hydra takes a backslash as it stands, but for those before a quote or the end.
+    escaped = re.sub(r'(\\*)(?="|$)', r"\1\1", value).replace('"', '\\"').replace("${", "\\${")
     return f'{key}="{escaped}"'
 
 
@@ -110,7 +112,7 @@ def plain(config: DictConfig) -> dict[str, Any]:
     return {str(key): value for key, value in dict(values).items()}  # type: ignore[arg-type]
 
 
-def to_params(values: dict[str, Any], params_type: type[T], section: str) -> T:
+def to_params(values: dict[str, Any], params_type: type[T], prefix: str) -> T:
     """Returns a frozen Params made from a section of the configuration, checked for names and types.
 
     Raises:
@@ -119,13 +121,38 @@ def to_params(values: dict[str, Any], params_type: type[T], section: str) -> T:
     known = [f.name for f in fields(params_type)]  # type: ignore[arg-type]
     for name in values:
         if name not in known:
-            raise ConfigError(f"{section}.{name} is not a setting.", nearest_names(name, known))
+            raise ConfigError(f"{_dotted(prefix, name)} is not a setting.", nearest_names(name, known))
     try:
-        merged = OmegaConf.merge(OmegaConf.structured(params_type), values)
+        merged = OmegaConf.merge(OmegaConf.structured(params_type), _literal(values))
         return cast(T, OmegaConf.to_object(merged))
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
-        raise ConfigError(f"{section}.{error.full_key}: {reason}") from error
+        raise ConfigError(f"{_dotted(prefix, str(error.full_key))}: {reason}") from error
+
+
+def _dotted(prefix: str, name: str) -> str:
+    return f"{prefix}.{name}" if prefix else name
+
+
+def _literal(value: Any) -> Any:
+    """Returns values whose strings are taken as they stand: they are resolved already."""
+    if isinstance(value, str):
+        return value.replace("${", "\\${")
+    if isinstance(value, dict):
+        return {key: _literal(item) for key, item in value.items()}
+    return [_literal(item) for item in value] if isinstance(value, list) else value
+
+
+def section(values: dict[str, Any], name: str) -> dict[str, Any]:
+    """Returns a section of the configuration.
+
+    Raises:
+        ConfigError: It was taken away or set to something else.
+    """
+    found = values.get(name)
+    if not isinstance(found, dict):
+        raise ConfigError(f"{name} is a group of settings, not {found}.", f"Leave {name} out, or name one.")
+    return found
 
 
 def load_plugin(group: str, name: str) -> Any:

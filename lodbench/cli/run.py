@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, to_params
+from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
 from lodbench.cli.sources import profile_of
 from lodbench.datasets.query import Dataset
+from lodbench.errors import ConfigError
 from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.artefacts import summary_of, write_artefacts
 from lodbench.harness.gallery import write_overlays
 from lodbench.reporting.tables import format_text, tables_of
 
-# Settings that never change a result, or are named by content instead: they do not name the run folder.
-_NOT_IN_DIGEST = {"paths", "executor"}
+# What names the run folder leaves out paths, whose content is named instead, and how work is spread.
 _PATHS_IN_DATASET = {"root", "city_model"}
 _PATHS_IN_OPTIONS = {"terrain"}
+_SECTIONS = {"method", "dataset", "segmenter", "source", "executor", "paths"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,40 @@ class RunOptions:
     seed: int = 0
     split: list[str] = field(default_factory=list)
     limit: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ExecutorParams:
+    """How the work is spread.
+
+    Attributes:
+        name: ``serial``.
+        threads: Threads of the engine, None for one per core.
+    """
+
+    name: str = "serial"
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.name != "serial":
+            raise ConfigError(f"There is no executor {self.name!r}.", "Known: serial.")
+        if self.threads is not None and self.threads < 1:
+            raise ConfigError(f"executor.threads={self.threads} is not a number of threads.")
+
+
+@dataclass(frozen=True, slots=True)
+class PathParams:
+    """Where results go.
+
+    Attributes:
+        runs: Folder that run folders are made in.
+    """
+
+    runs: str = "runs"
+
+    def __post_init__(self) -> None:
+        if not self.runs:
+            raise ConfigError("paths.runs is empty.", "Set paths.runs=FOLDER.")
 
 
 # The runs of this process, for the one table at the end of a sweep.
@@ -60,18 +96,24 @@ def run_config(values: dict[str, Any]) -> Run:
     Raises:
         LodbenchError: A fault of the configuration or the dataset, before any work.
     """
-    method_type = load_plugin("methods", values["method"]["name"])
-    method = method_type(to_params(values["method"], method_type.params_type, "method"))
-    segmenter_type = load_plugin("segmenters", values["segmenter"]["name"])
-    segmenter = segmenter_type(to_params(values["segmenter"], segmenter_type.params_type, "segmenter"))
-    options = to_params({f.name: values[f.name] for f in fields(RunOptions)}, RunOptions, "run")
-    dataset = with_source(open_dataset(values["dataset"]), values["source"])
-    config = identity_of(values)
+    options = _options_of(values)
+    executor = to_params(section(values, "executor"), ExecutorParams, "executor")
+    paths = to_params(section(values, "paths"), PathParams, "paths")
+    method, method_params = _made(values, "method")
+    segmenter, segmenter_params = _made(values, "segmenter")
+    opener, dataset_params = dataset_opener(section(values, "dataset"))
+    dataset = with_source(opener(dataset_params), section(values, "source"))
+    config = {
+        **asdict(options),
+        "method": asdict(method_params),
+        "segmenter": asdict(segmenter_params),
+        **data_identity(dataset_params, section(values, "source")),
+    }
     settings = RunSettings(
-        runs_root=Path(values["paths"]["runs"]).expanduser(),
+        runs_root=Path(paths.runs).expanduser(),
         config=config,
         renderer=options.renderer,
-        threads=values["executor"]["threads"],
+        threads=executor.threads,
         tilt=options.tilt,
         seed=options.seed,
         splits=tuple(options.split),
@@ -83,16 +125,34 @@ def run_config(values: dict[str, Any]) -> Run:
     return run
 
 
-def identity_of(values: dict[str, Any]) -> dict[str, Any]:
-    """Returns the settings that define a result: what names the run folder, with the inputs' content."""
-    kept = {key: value for key, value in values.items() if key not in _NOT_IN_DIGEST}
-    kept["dataset"] = {k: v for k, v in values["dataset"].items() if k not in _PATHS_IN_DATASET}
-    options = values["source"]["options"] or {}
-    kept["source"] = {
-        **values["source"],
-        "options": {k: v for k, v in options.items() if k not in _PATHS_IN_OPTIONS},
+def _options_of(values: dict[str, Any]) -> RunOptions:
+    """Returns the settings that belong to no section; nothing else may stand beside the sections."""
+    plain_keys = {key: value for key, value in values.items() if key not in _SECTIONS}
+    if isinstance(plain_keys.get("split"), str):
+        plain_keys["split"] = [plain_keys["split"]]
+    options = to_params(plain_keys, RunOptions, "")
+    return replace(options, split=sorted(set(options.split)))
+
+
+def _made(values: dict[str, Any], kind: str) -> tuple[Any, Any]:
+    """Returns the method or the segmenter a configuration asks for, and its parameters."""
+    settings = section(values, kind)
+    part = load_plugin(f"{kind}s", settings.get("name", ""))
+    params = to_params(settings, part.params_type, kind)
+    return part(params), params
+
+
+def data_identity(dataset_params: Any, source: dict[str, Any]) -> dict[str, Any]:
+    """Returns the settings of a dataset and its source, less paths: their content is named instead."""
+    options = _without(source.get("options") or {}, _PATHS_IN_OPTIONS)
+    return {
+        "dataset": _without(asdict(dataset_params), _PATHS_IN_DATASET),
+        "source": {**source, "options": options},
     }
-    return kept
+
+
+def _without(values: dict[str, Any], names: set[str]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key not in names}
 
 
 def report(runs: Sequence[Run]) -> str:
@@ -106,13 +166,37 @@ def report(runs: Sequence[Run]) -> str:
         for split in run.splits:
             cells = summary["splits"][split]
             seconds, hypotheses = seconds_per_query(run.rows, split), cells["hypotheses_per_query"]
-            cost = f"{hypotheses or 0:.0f} hypotheses and {seconds:.2f} s per query"
-            lines.append(f"{name}, tilt={run.config['tilt']}, {split}: {cost}")
-        lines += [f"  {count} x {reason}" for reason, count in summary["failures"].items()]
+            if hypotheses is not None:
+                cost = f"{hypotheses:.0f} hypotheses and {seconds:.2f} s per query"
+                lines.append(f"{name}, tilt={run.config['tilt']}, {split}: {cost}")
+        lines += _failure_lines(run)
         lines += [f"  note: {note}" for note in run.dataset.notes]
         resumed = f" ({run.resumed} queries were there already)" if run.resumed else ""
         lines += [f"  results:  {run.folder}{resumed}", f"  pictures: {run.folder / 'overlays'}"]
     return "\n".join(parts) + "\n" + "\n".join(lines) + "\n"
+
+
+def _failure_lines(run: Run) -> list[str]:
+    """Returns a line per reason of failure: how many queries, and the first of their names."""
+    names: dict[str, list[str]] = {}
+    for row in run.rows:
+        if row.failure:
+            names.setdefault(row.failure, []).append(row.key)
+    return [
+        f"  {len(keys)} x {reason}: {', '.join(keys[:3])}{', ... (all in queries.csv)' if keys[3:] else ''}"
+        for reason, keys in sorted(names.items())
+    ]
+
+
+def dataset_opener(values: dict[str, Any]) -> tuple[Callable[[Any], Dataset], Any]:
+    """Returns what opens the dataset that a configuration's section describes, and its parameters.
+
+    Raises:
+        LodbenchError: The dataset is unknown or a setting is wrong.
+    """
+    opener = load_plugin("datasets", values.get("name", ""))
+    (parameter,) = signature(opener, eval_str=True).parameters.values()
+    return opener, to_params(values, parameter.annotation, "dataset")
 
 
 def open_dataset(values: dict[str, Any]) -> Dataset:
@@ -121,12 +205,8 @@ def open_dataset(values: dict[str, Any]) -> Dataset:
     Raises:
         LodbenchError: It is unknown, a setting is wrong, or the data is missing or malformed.
     """
-    from inspect import signature
-
-    name = values["name"]
-    opener = load_plugin("datasets", name)
-    (parameter,) = signature(opener, eval_str=True).parameters.values()
-    dataset: Dataset = opener(to_params(values, parameter.annotation, "dataset"))
+    opener, params = dataset_opener(values)
+    dataset: Dataset = opener(params)
     return dataset
 
 

@@ -7,12 +7,14 @@ import os
 from pathlib import Path
 from typing import Any
 
+from lodbench.storage import write_bytes
+
 
 class Ledger:
     """Finished items by key, one JSON object per line.
 
     A line is on disk before the next item starts, so a killed process loses at most the item it
-    was at; the half line it may leave is ignored and overwritten.
+    was at. The half line it may leave, and any other line that is no item, is dropped from the file.
 
     Args:
         path: The file; made on the first record.
@@ -36,6 +38,7 @@ class Ledger:
     def record(self, key: str, value: dict[str, Any]) -> None:
         """Adds a finished item and waits until it is on disk."""
         line = json.dumps({"key": key, **value}, sort_keys=True, allow_nan=False)
+        self._path.parent.mkdir(parents=True, exist_ok=True)
         with self._path.open("a", encoding="utf-8") as stream:
             stream.write(line + "\n")
             stream.flush()
@@ -44,10 +47,22 @@ class Ledger:
 
     def _load(self) -> None:
         content = self._path.read_bytes()
-        whole = content[: content.rfind(b"\n") + 1]
-        for line in whole.decode("utf-8").splitlines():
-            item = json.loads(line)
-            self._items[item.pop("key")] = item
-        if len(whole) < len(content):
-            with self._path.open("r+b") as stream:
-                stream.truncate(len(whole))
+        kept: list[bytes] = []
+        # What follows the last line end is a half line, or nothing.
+        for line in content.split(b"\n")[:-1]:
+            item = _parse(line)
+            if item is not None:
+                self._items[item.pop("key")] = item
+                kept.append(line + b"\n")
+        whole = b"".join(kept)
+        if whole != content:
+            write_bytes(self._path, whole)
+
+
+def _parse(line: bytes) -> dict[str, Any] | None:
+    """Returns the item of a line, or None if the line is damaged."""
+    try:
+        item = json.loads(line.decode("utf-8"))
+    except (ValueError, RecursionError):
+        return None
+    return item if isinstance(item, dict) and isinstance(item.get("key"), str) else None

@@ -59,6 +59,8 @@ class Preparation:
             raise QueryFault(NO_TRUTH)
         if entry.camera is None:
             raise QueryFault("no camera in intrinsic.txt")
+        if entry.camera.distortion:
+            raise QueryFault("the camera has lens distortion: undistort the image and the mask")
         prior = self.prior(entry)
         if prior is None:
             raise QueryFault("no prior pose")

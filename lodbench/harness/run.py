@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -10,14 +11,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.evaluation.rows import QueryRow
 from lodbench.execution import Ledger, Progress
-from lodbench.geometry import Pose
+from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
+from lodbench.harness.code_digest import code_digest
 from lodbench.harness.prepare import Preparation
 from lodbench.harness.result import Result, chosen_entries, errors_of, pose_numbers, queries_digest
 from lodbench.localization import Method
@@ -75,6 +79,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     """
     if settings.limit is not None and settings.limit < 1:
         raise ConfigError(f"limit={settings.limit} is not a number of queries.")
+    require_writable(settings.runs_root)
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
     scene, dataset = _open_city(dataset)
@@ -84,11 +89,12 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),
         "masks": segmenter.fingerprint(entries),
+        "code": code_digest(method, segmenter),
     }
     digest = digest_of({"config": settings.config, "inputs": inputs})
     folder = settings.runs_root / dataset.name / method.name / digest
-    folder.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(folder / "ledger.jsonl")
+    _warm_up(scorer)
     resumed = sum(entry.key in ledger for entry in entries)
     with Progress(f"{method.name} on {dataset.name}", len(entries)) as progress:
         for entry in entries:
@@ -109,6 +115,23 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         scorer=scorer,
         resumed=resumed,
     )
+
+
+def require_writable(folder: Path) -> None:
+    """Makes sure, before any work, that a folder exists or can be made, and can be written to.
+
+    Raises:
+        ConfigError: It cannot.
+    """
+    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+        raise ConfigError(f"Run folders cannot be made in {folder}.", "Set paths.runs=FOLDER.")
+
+
+def _warm_up(scorer: Scorer) -> None:
+    """Lets the renderer compile, or load what it compiled, before the first query's clock runs."""
+    camera = Camera(8, 8, 8.0, 8.0, 4.0, 4.0)
+    scorer.score(camera, np.eye(3)[None], np.zeros((1, 3)), np.zeros((8, 8), dtype=np.bool_))
 
 
 def scene_digest(scene: Scene) -> str:
@@ -133,15 +156,17 @@ def _answer(
         query = preparation.query(entry)
         prepared = time.perf_counter()
         estimate = method.localize(query, scorer, streams)
-    except QueryFault as fault:
-        return {"failure": fault.message, "pose": None, "score": None, "hypotheses": 0, "seconds": {}}
-    pose = preparation.in_dataset_frame(estimate.pose)
+        pose = Pose.from_matrix(preparation.in_dataset_frame(estimate.pose).cam_from_world)
+    except LodbenchError as fault:
+        # A method that answers with no pose has no answer either.
+        reason = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")
+        return {"failure": reason, "pose": None, "score": None, "hypotheses": 0, "seconds": {}}
     seconds = {"prepare": prepared - started, **estimate.seconds}
     return {
         "failure": "",
         "pose": pose_numbers(pose),
-        "score": estimate.score if math.isfinite(estimate.score) else None,
-        "hypotheses": estimate.hypotheses,
+        "score": float(estimate.score) if math.isfinite(estimate.score) else None,
+        "hypotheses": int(estimate.hypotheses),
         "seconds": seconds,
     }
 

@@ -96,7 +96,13 @@ def read_background(image: Path | None, camera: Camera) -> Picture:
     canvas = np.full((camera.height, camera.width, 3), 58, dtype=np.uint8)
     if image is None:
         return canvas
-    content = np.frombuffer(image.read_bytes(), dtype=np.uint8)
+    # A picture must not cost the table: a photo that cannot be read leaves the ground grey.
+    try:
+        content = np.frombuffer(image.read_bytes(), dtype=np.uint8)
+    except OSError:
+        return canvas
+    if len(content) == 0:
+        return canvas
     # The intrinsics belong to the pixels as stored, so an EXIF turn is not applied.
     photo = cv2.imdecode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if photo is None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.geometry import AxisRange, PoseGrid
+from lodbench.rendering.raster_rule import GUARD_PX
 
 VARIANTS = ("full", "no_refine", "no_select")
 
@@ -61,8 +62,8 @@ class Params:
         # OmegaConf hands over lists where a tuple is declared, and checks neither lengths nor ranges.
         for name in ("coarse_size", "fine_size"):
             size = tuple(int(side) for side in getattr(self, name))
-            if len(size) != 2 or min(size) < 1:
-                raise ConfigError(f"method.{name} is a width and a height in pixels, not {list(size)}.")
+            if len(size) != 2 or min(size) < 1 or max(size) > GUARD_PX:
+                raise ConfigError(f"method.{name} is a width and a height, 1 to 8192 px, not {list(size)}.")
             object.__setattr__(self, name, size)
         if self.variant not in VARIANTS:
             raise ConfigError(
