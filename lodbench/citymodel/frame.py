@@ -25,6 +25,8 @@ from lodbench.citymodel.options import AxisOrder
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
+# Points projected at a time: pyproj copies what it is given.
+_CHUNK_POINTS = 1 << 16
 # Areas of use are bounding boxes of countries and zones; tiles at their rim reach a little out.
 _AREA_MARGIN_DEG = 0.5
 # No town lies further south or north; it tells latitudes from longitudes where the area is the world.
@@ -188,14 +190,16 @@ def _longitude_within(longitude_deg: float, west_deg: float, east_deg: float) ->
 def _project(
     east_north_up: NDArray[np.float64], known: KnownCrs, order: _Order, findings: Findings
 ) -> tuple[NDArray[np.float64], str]:
-    """Projects degrees or feet to a metric system around the middle of the data; heights stay."""
+    """Projects degrees or feet, in place, to a metric system around the middle of the data; heights stay."""
     from pyproj import Transformer
 
     label = metric_crs(known, order.longitude_deg, order.latitude_deg)
     target = require_crs(label).horizontal
     transformer = Transformer.from_crs(known.horizontal, target, always_xy=True)
-    east, north = transformer.transform(east_north_up[:, 0], east_north_up[:, 1])
-    if not (np.isfinite(east).all() and np.isfinite(north).all()):
+    for n in range(0, len(east_north_up), _CHUNK_POINTS):
+        part = east_north_up[n : n + _CHUNK_POINTS]
+        part[:, 0], part[:, 1] = transformer.transform(part[:, 0], part[:, 1])
+    if not np.isfinite(east_north_up[:, :2]).all():
         raise CityModelError(
             f"Some coordinates cannot be projected from {known.label} to {label}.",
             "Is the reference system right? crs= names another.",
@@ -206,4 +210,5 @@ def _project(
         height_to_m = known.horizontal.axis_info[0].unit_conversion_factor
         detail += ", heights taken in the unit of the plane"
     findings.add(CRS_PROJECTED, "", detail)
-    return np.stack([east, north, east_north_up[:, 2] * height_to_m], axis=1), label
+    east_north_up[:, 2] *= height_to_m
+    return east_north_up, label
