@@ -27,7 +27,8 @@ def write_overlays(run: Run, count: int = 3) -> list[Path]:
         for kind, chosen in (("best", best), ("worst", worst)):
             for rank, row in enumerate(chosen, start=1):
                 entry = entries[row.key]
-                if entry.camera is None:
+                # A camera that cannot be drawn is that query's fault already.
+                if entry.camera is None or entry.camera.distortion:
                     continue
                 path = folder / f"{_file_name(f'{split}_{kind}_{rank}_{Path(row.name).stem}')}.png"
                 write_picture(path, draw_overlay(_shown(run, entry, row), run.scorer))

@@ -51,7 +51,7 @@ def draw_overlay(shown: OverlayInput, renderer: Renderer) -> Picture:
     import cv2
 
     width = min(_WIDTH, shown.camera.width)
-    camera = shown.camera.scaled(width, round(width * shown.camera.height / shown.camera.width))
+    camera = shown.camera.scaled(width, max(1, round(width * shown.camera.height / shown.camera.width)))
     canvas = read_background(shown.image, camera)
     if shown.mask is not None:
         mask = cv2.resize(shown.mask.astype(np.uint8), (camera.width, camera.height)) > 0

@@ -32,6 +32,14 @@ def is_clear(done, *words: str) -> None:
         (["run", "tilt=true"], ["tilt", "truth"]),
         (["run", "seed=x"], ["seed"]),
         (["run", "foo"], ["key=value"]),
+        (["run", "+foo=1"], ["foo", "Known"]),
+        (["run", "executor.threads=abc"], ["executor.threads", "abc"]),
+        (["run", "executor.threads=0"], ["executor.threads=0"]),
+        (["run", "paths=null"], ["paths"]),
+        (["run", "method=null"], ["group"]),
+        (["run", "paths.runs="], ["paths.runs"]),
+        (["run", "method.fine_size=[9000,448]"], ["fine_size", "8192"]),
+        (["run", "-m", "--cfg", "job"], ["--cfg"]),
         (["run", "dataset=folder"], ["dataset."]),
         (["run", "dataset=folder", "dataset.root=nowhere", "dataset.city_model=x.obj"], ["nowhere"]),
         (["render", "city=x.obj"], ["intrinsics"]),
@@ -122,6 +130,26 @@ def test_paths_with_every_awkward_character_work(lodbench, tmp_path):
     done = lodbench(*run_words(root, odd), f"paths.runs={folder / 'my runs'}")
     assert done.returncode == 0, done.stderr
     assert list((folder / "my runs" / "folder" / "lodlocv2").glob("*/summary.json"))
+
+
+@pytest.mark.parametrize("name", ["c${d}", "${oc.env:HOME}", "back\\slash", "end\\", "'quoted", 'a"b'])
+def test_paths_that_look_like_hydra_s_own_grammar_are_taken_as_they_stand(lodbench, tmp_path, name):
+    root, city = write_dataset(tmp_path / name, count=1)
+    done = lodbench(*run_words(root, city), "method.steps=1", f"paths.runs={tmp_path / name / 'runs'}")
+    assert done.returncode == 0, done.stderr
+    assert list((tmp_path / name / "runs" / "folder" / "lodlocv2").glob("*/summary.json"))
+
+
+def test_a_file_where_run_folders_should_go(lodbench, tmp_path, dataset):
+    (tmp_path / "taken").write_text("mine")
+    is_clear(lodbench(*run_words(*dataset), "paths.runs=taken"), "taken", "paths.runs")
+    is_clear(lodbench(*run_words(*dataset), "paths.runs=taken/below"), "taken")
+    assert (tmp_path / "taken").read_text() == "mine"
+
+
+def test_an_operating_system_s_fault_is_one_line(lodbench, tmp_path):
+    (tmp_path / "taken").write_text("mine")
+    is_clear(lodbench("dataset", "make-demo", "taken/below"), "taken")
 
 
 def test_a_closed_pipe_is_no_error(lodbench, tmp_path):

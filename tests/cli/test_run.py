@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -141,6 +142,47 @@ def test_faults_of_single_queries_are_rows_with_reasons(lodbench, tmp_path):
     assert (split["num_queries"], split["num_failed"]) == (6, 5)
     assert split["recall"]["5m-5deg"] == pytest.approx(100 / 6)
     assert split["median_translation_m"] is None
+
+
+def test_a_distorted_camera_is_its_query_s_fault(lodbench, tmp_path):
+    root, city = write_dataset(tmp_path / "town", count=2)
+    lines = (root / "intrinsic.txt").read_text().splitlines()
+    lines[1] = lines[1].replace("PINHOLE", "OPENCV") + " 0.1 0 0 0"
+    (root / "intrinsic.txt").write_text("\n".join(lines) + "\n")
+    done = lodbench(*words((root, city), "method.steps=1"))
+    assert done.returncode == 0, done.stderr
+    assert "1 x the camera has lens distortion" in done.stdout
+
+
+@pytest.mark.parametrize("content", [b"", b"no picture"])
+def test_a_photo_that_cannot_be_read_costs_no_table(lodbench, tmp_path, content):
+    root, city = write_dataset(tmp_path / "town", count=1)
+    (root / "Query_image").mkdir()
+    (root / "Query_image" / "view_00.png").write_bytes(content)
+    done = lodbench(*words((root, city), "method.steps=1"))
+    assert done.returncode == 0, done.stderr
+    assert "lodlocv2 full" in done.stdout
+
+
+def test_other_code_is_another_run(tmp_path, monkeypatch):
+    from lodbench.harness import code_digest as module
+
+    before = module.code_digest()
+    changed = tmp_path / "lodbench"
+    for layer in (*module._LAYERS, "storage"):
+        shutil.copytree(Path(module.__file__).parents[1] / layer, changed / layer)
+    with (changed / "localization" / "method.py").open("a") as stream:
+        stream.write("# changed\n")
+    module._own_digest.cache_clear()
+    monkeypatch.setattr(module, "__file__", str(changed / "harness" / "code_digest.py"))
+    assert module.code_digest() != before
+    module._own_digest.cache_clear()
+
+
+def test_a_setting_names_the_same_run_however_it_is_written(lodbench, tmp_path, dataset):
+    for more in (["seed=0"], ["seed=00"], ["split=data"], ["split=[data]"]):
+        assert lodbench(*words(dataset, "limit=1", "method.steps=1", *more)).returncode == 0
+    assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 2
 
 
 def test_baseline_plugin_answers_the_prior(lodbench, tmp_path, dataset):

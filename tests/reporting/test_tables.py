@@ -8,7 +8,7 @@ from lodbench.errors import DatasetError
 from lodbench.reporting.tables import FORMATS, format_csv, format_text, read_summary, tables_of
 
 
-def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q") -> dict:
+def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q", masks: str = "m") -> dict:
     def split(value: float) -> dict:
         return {
             "num_queries": 40,
@@ -20,7 +20,7 @@ def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q"
         }
 
     return {
-        "dataset": {"name": "demo", "version": "town 1", "queries": queries, "scene": "s"},
+        "dataset": {"name": "demo", "version": "town 1", "queries": queries, "masks": masks, "scene": "s"},
         "method": {"name": "lodlocv2", "variant": variant},
         "protocol": {"tilt": tilt, "seed": 0, "segmenter": "masks", "renderer": "silhouette", "lod": "1"},
         "splits": {"in_place": split(recall), "out_of_place": split(recall / 2)},
@@ -34,7 +34,7 @@ def test_runs_of_one_protocol_share_a_table_under_the_prior():
     assert table.splits == ("in_place", "out_of_place")
 
 
-@pytest.mark.parametrize("other", [{"tilt": "prior"}, {"queries": "other"}])
+@pytest.mark.parametrize("other", [{"tilt": "prior"}, {"queries": "other"}, {"masks": "other"}])
 def test_other_protocols_and_other_queries_never_share_a_table(other):
     assert len(tables_of([summary("full", 97.9), summary("full", 40.0, **other)])) == 2
 
