@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,11 @@ from lodbench.storage import digest_of, file_digest
 def read_mask(path: str | Path) -> NDArray[np.float32]:
     """Returns an 8 or 16 bit grey image as (H, W) float32 in [0, 1]: white is building.
 
+    Grey may be stored as RGB or RGBA with equal channels and the same alpha everywhere.
+
     Raises:
-        QueryFault: The file is missing or is no image.
+        QueryFault: The file is missing or is no image, its channels differ (colours or class labels,
+            an overlay), or its largest value is 1 (labels 0 and 1).
     """
     import cv2
 
@@ -26,11 +30,35 @@ def read_mask(path: str | Path) -> NDArray[np.float32]:
         content = np.frombuffer(Path(path).read_bytes(), dtype=np.uint8)
     except OSError as error:
         raise QueryFault(f"mask {Path(path).name} cannot be read: {error.strerror}") from error
-    image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if len(content) else None
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
+    except cv2.error:
+        image = None
     white = {"uint8": 255, "uint16": 65535}.get(str(image.dtype)) if image is not None else None
     if image is None or white is None:
         raise QueryFault(f"mask {Path(path).name} is not a readable 8 or 16 bit image")
-    return np.asarray(np.asarray(image, dtype=np.float32) / np.float32(white), dtype=np.float32)
+    grey = _grey(np.asarray(image), Path(path).name)
+    if grey.max() == 1:
+        raise QueryFault(f"mask {Path(path).name}: its largest value is 1; {white} means building")
+    return np.asarray(grey, dtype=np.float32) / np.float32(white)
+
+
+def _grey(image: NDArray[Any], name: str) -> NDArray[Any]:
+    """Returns the one channel of a decoded image.
+
+    Raises:
+        QueryFault: Its colour channels differ, or its alpha is not the same everywhere.
+    """
+    if image.ndim == 2:
+        return image
+    colours, alpha = image[:, :, :3], image[:, :, 3:]
+    if image.shape[2] == 2:
+        colours, alpha = image[:, :, :1], image[:, :, 1:]
+    if (colours != colours[:, :, :1]).any():
+        raise QueryFault(f"mask {name} is in colour: white means building, in a grey image")
+    if (alpha != alpha[:1, :1]).any():
+        raise QueryFault(f"mask {name} has an alpha channel that varies: white means building, without alpha")
+    return colours[:, :, 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,4 +89,14 @@ class MaskFiles:
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of the mask files' names and contents."""
-        return digest_of([[entry.key, file_digest(entry.mask) if entry.mask else None] for entry in entries])
+        return digest_of([[entry.key, _content(entry.mask)] for entry in entries])
+
+
+def _content(mask: Path | None) -> str | None:
+    """Returns a file's digest; one that cannot be read fails in its own query, not here."""
+    if mask is None:
+        return None
+    try:
+        return file_digest(mask)
+    except OSError:
+        return "unreadable"

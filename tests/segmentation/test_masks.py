@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -31,9 +33,47 @@ class TestReadMask:
         assert mask.dtype == np.float32
         np.testing.assert_allclose(mask, [[0, 1], [0.2, 1]], atol=1e-6)
 
-    def test_colour_is_turned_to_grey(self, tmp_path):
-        mask = read_mask(save(tmp_path / "m.png", np.full((3, 5, 3), 255, np.uint8)))
-        np.testing.assert_array_equal(mask, np.ones((3, 5), np.float32))
+    @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+    @pytest.mark.parametrize("alpha", [None, 0, 128, 255])
+    def test_grey_may_be_stored_with_more_channels(self, tmp_path, kind, alpha):
+        white = np.iinfo(kind).max
+        grey = np.array([[0, white, 0], [white, white, white // 5]], dtype=kind)
+        layers = [grey] * 3 + ([] if alpha is None else [np.full_like(grey, alpha)])
+        mask = read_mask(save(tmp_path / "m.png", np.dstack(layers)))
+        assert mask.dtype == np.float32
+        np.testing.assert_allclose(mask, [[0, 1, 0], [1, 1, 0.2]], atol=1e-6)
+
+    @pytest.mark.parametrize("channel", [0, 1, 2])
+    @pytest.mark.parametrize("channels", [3, 4])
+    def test_colours_are_refused(self, tmp_path, channel, channels):
+        image = np.full((3, 5, channels), 255, np.uint8)
+        image[1, 2, channel] = 254
+        with pytest.raises(QueryFault, match=r"m\.png is in colour"):
+            read_mask(save(tmp_path / "m.png", image))
+
+    def test_an_alpha_that_varies_is_refused(self, tmp_path):
+        image = np.full((3, 5, 4), 255, np.uint8)
+        image[1, 2, 3] = 0
+        with pytest.raises(QueryFault, match=r"m\.png has an alpha channel that varies"):
+            read_mask(save(tmp_path / "m.png", image))
+
+    @pytest.mark.parametrize(("kind", "white"), [(np.uint8, 255), (np.uint16, 65535)])
+    def test_labels_of_0_and_1_are_refused(self, tmp_path, kind, white):
+        labels = np.array([[0, 1], [1, 0]], dtype=kind)
+        for image in (labels, np.dstack([labels] * 3), np.ones_like(labels)):
+            with pytest.raises(QueryFault, match=f"its largest value is 1; {white} means building"):
+                read_mask(save(tmp_path / "m.png", image))
+
+    def test_a_mask_without_building_is_read(self, tmp_path):
+        assert not read_mask(save(tmp_path / "m.png", np.zeros((3, 5), np.uint8))).any()
+
+    def test_an_image_too_large_to_decode_is_a_fault_of_the_query(self, tmp_path):
+        whole = save(tmp_path / "m.png", np.zeros((2, 2), np.uint8)).read_bytes()
+        header = b"IHDR" + struct.pack(">II", 1_000_000, 1_000_000) + whole[24:29]
+        forged = whole[:12] + header + struct.pack(">I", zlib.crc32(header)) + whole[33:]
+        (tmp_path / "m.png").write_bytes(forged)
+        with pytest.raises(QueryFault, match="not a readable"):
+            read_mask(tmp_path / "m.png")
 
     @pytest.mark.parametrize("name", ["Zürich (Süd), 1.png", "with space.png"])
     def test_any_path(self, tmp_path, name):
@@ -90,6 +130,16 @@ class TestMaskFiles:
         save(path, np.zeros((2, 3), np.uint8))
         assert masks.fingerprint((entry_with(path),)) != first
         assert masks.fingerprint((entry_with(None),)) != first
+
+    def test_a_file_that_cannot_be_read_stops_only_its_query(self, tmp_path):
+        masks = MaskFiles(MasksParams())
+        link = tmp_path / "m.png"
+        link.symlink_to("/proc/self/mem" if Path("/proc/self/mem").exists() else tmp_path)
+        print_of = {masks.fingerprint((entry_with(path),)) for path in (link, tmp_path, tmp_path / "none")}
+        assert len(print_of) == 1
+        assert print_of != {masks.fingerprint((entry_with(None),))}
+        with pytest.raises(QueryFault, match="cannot be read"):
+            masks.segment(entry_with(link))
 
 
 class TestBinaryMask:
