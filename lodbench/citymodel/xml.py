@@ -75,6 +75,7 @@ class XmlMembers:
         self._source = source
         self._findings = findings
         self._offset = 0
+        self._logged = 0
         self._parser = etree.XMLPullParser(
             events=("end",),
             tag=tuple("{*}" + name for name in member_names),
@@ -134,6 +135,13 @@ class XmlMembers:
             self._parser.feed(chunk)
         except etree.XMLSyntaxError as error:
             raise self._syntax_error(error) from None
+        # Some faults stop the parser without an exception, and the next feed would start it anew.
+        log = self._parser.feed_error_log
+        for index in range(self._logged, len(log)):
+            entry = cast("etree._LogEntry", log[index])
+            if entry.level >= etree.ErrorLevels.FATAL:
+                raise self._fault(entry.line, entry.message)
+        self._logged = len(log)
 
     def _close(self) -> None:
         if self._offset == 0:
@@ -170,10 +178,15 @@ class XmlMembers:
         # The last entry that is no mere namespace slip is the one that stopped the parser.
         _, faults = self._sort_log()
         line, message = faults[-1] if faults else (error.lineno or 0, str(error.msg))
+        return self._fault(line, message)
+
+    def _fault(self, line: int, message: str) -> CityModelError:
         where = f"line {line}, before byte {self._offset}"
         hint = "The file is damaged or cut off: download or export it again."
         if "encoding" in message.lower():
             hint = "The bytes are not in the encoding the first line of the file names."
+        elif message.startswith("Entity '"):
+            hint = "City models need no entities."
         return CityModelError(f"{self._source} is not well-formed XML ({where}): {message.strip()}.", hint)
 
 

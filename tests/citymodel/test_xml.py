@@ -92,6 +92,24 @@ class TestRefusals:
             names(b'<?xml version="1.0" encoding="UTF-8"?>\n<a><m>\xff\xfe</m></a>')
         assert "encoding" in caught.value.hint
 
+    @pytest.mark.parametrize("behind", [0, 40_000], ids=["one-chunk", "many-chunks"])
+    def test_an_undefined_entity_is_the_reason(self, behind: int) -> None:
+        data = b"<a>\n<m>&foo;</m>" + b"<m>x</m>" * behind + b"</a>"
+        with pytest.raises(CityModelError, match=r"line 2, .*Entity 'foo' not defined") as caught:
+            names(data)
+        assert caught.value.hint == "City models need no entities."
+
+    def test_an_undeclared_prefix_before_an_undefined_entity(self) -> None:
+        data = b"<a><m><q:x/></m>" + b"<m>x</m>" * 20_000 + b"<m>&foo;</m>" + b"<m>x</m>" * 20_000 + b"</a>"
+        with pytest.raises(CityModelError, match="Entity 'foo' not defined"):
+            names(data)
+
+    def test_the_entities_of_xml_itself_are_read(self) -> None:
+        assert names(b"<a><m><b/>&amp;&lt;&#228;</m></a>") == ["b"]
+
+    def test_a_mere_warning_is_no_fault(self) -> None:
+        assert names(b'<a xmlns:r="relative"><m><b/></m>' + b"<m><b/></m>" * 10_000 + b"</a>")[0] == "b"
+
     def test_oversized_member(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("lodbench.citymodel.xml._MAX_MEMBER_BYTES", 100_000)
         with pytest.raises(CityModelError, match="larger than"):
