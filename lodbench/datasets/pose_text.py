@@ -11,6 +11,9 @@ from lodbench.geometry import Camera, Pose
 
 T = TypeVar("T")
 
+# No place on Earth is further from the origin of its CRS.
+_MAX_COORDINATE_M = 1e8
+
 
 def read_poses(path: str | Path) -> dict[str, Pose]:
     """Returns world-to-camera poses by image name, from lines ``name qw qx qy qz tx ty tz``.
@@ -19,10 +22,10 @@ def read_poses(path: str | Path) -> dict[str, Pose]:
     skipped.
 
     Raises:
-        DatasetError: The file cannot be read, or a line is malformed or repeats a name; the
-            message names the line.
+        DatasetError: The file cannot be read, or a line is malformed, repeats a name or holds a
+            coordinate beyond 1e8 m; the message names the line.
     """
-    return _read_lines(Path(path), parse_pose, "name qw qx qy qz tx ty tz")
+    return _read_lines(Path(path), _parse_place, "name qw qx qy qz tx ty tz")
 
 
 def read_cameras(path: str | Path) -> dict[str, Camera]:
@@ -54,8 +57,13 @@ def write_lines(lines: Iterable[str]) -> str:
 def _read_lines(path: Path, parse: Callable[[list[str]], T], layout: str) -> dict[str, T]:
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path} cannot be read: {error}.") from error
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise DatasetError(
+            f"{path} cannot be read: {reason}.", f"A text file of lines {layout} is needed."
+        ) from error
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{path} cannot be read: it is no UTF-8 text.", "Save it as UTF-8.") from error
     values: dict[str, T] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -83,6 +91,15 @@ def parse_pose(words: list[str]) -> Pose:
         raise LodbenchError(f"{len(words)} values after the name instead of 7")
     numbers = [float(word) for word in words]
     return Pose.from_quaternion(numbers[:4], numbers[4:])
+
+
+def _parse_place(words: list[str]) -> Pose:
+    """Returns the pose of ``parse_pose``, if it can be a place in a city."""
+    pose = parse_pose(words)
+    furthest = max((float(value) for value in pose.translation), key=abs)
+    if abs(furthest) > _MAX_COORDINATE_M:
+        raise LodbenchError(f"the coordinate {furthest:g} m is beyond {_MAX_COORDINATE_M:g} m")
+    return pose
 
 
 def _parse_camera(words: list[str]) -> Camera:

@@ -54,6 +54,9 @@ class TestReadPoses:
             ("b.jpg 1 0 0 zero 1 2 3", "zero"),
             ("b.jpg 1 0 0 0 1 nan 3", "finite"),
             ("b.jpg 1 0 0 0 inf 2 3", "finite"),
+            ("b.jpg 1 0 0 0 1e9 2 3", r"1e\+09 m is beyond 1e\+08 m"),
+            ("b.jpg 1 0 0 0 1 -1.1e8 3", r"-1\.1e\+08 m is beyond"),
+            ("b.jpg 1 0 0 0 1 2 1e300", r"1e\+300 m is beyond"),
             ("b.jpg nan 0 0 0 1 2 3", "finite"),
             ("b.jpg 1 0 0 0.1 1 2 3", "length"),
             ("b.jpg 0 0 0 0 1 2 3", "length"),
@@ -68,8 +71,22 @@ class TestReadPoses:
         assert "qw qx qy qz" in caught.value.hint
 
     def test_a_missing_file(self, tmp_path):
-        with pytest.raises(DatasetError, match=r"nowhere\.txt cannot be read"):
-            read_poses(tmp_path / "nowhere.txt")
+        path = tmp_path / "nowhere.txt"
+        for read, needed in ((read_poses, "qw qx qy qz"), (read_cameras, "PINHOLE")):
+            with pytest.raises(DatasetError) as caught:
+                read(path)
+            assert str(caught.value) == f"{path} cannot be read: No such file or directory."
+            assert needed in caught.value.hint
+
+    def test_text_in_another_encoding(self, tmp_path):
+        path = tmp_path / "GT_pose.txt"
+        path.write_bytes("Zürich.jpg 1 0 0 0 1 2 3\n".encode("cp1252"))
+        with pytest.raises(DatasetError, match=r"cannot be read: it is no UTF-8 text\.$") as caught:
+            read_poses(path)
+        assert "UTF-8" in caught.value.hint
+
+    def test_the_largest_coordinate_is_read(self, tmp_path):
+        assert list(read_poses(write(tmp_path, "a.jpg 1 0 0 0 1e8 -1e8 3\n"))) == ["a.jpg"]
 
     def test_a_folder_and_a_binary_file_are_no_text(self, tmp_path):
         (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x81")
