@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo ablation test fuzz lint figures clean
+.PHONY: demo ablation test fuzz lint clean
 
 # Builds the demo town, localises its 40 queries with the sensor's tilt and with the true one.
 demo: $(VENV)/.base

@@ -19,7 +19,7 @@ COMMANDS = {
         "draw a city from given poses: silhouette, depth, label, colour, overlay",
     ),
     "city": ("lodbench.cli.city", "look into a city model: info, check; write it in another format: convert"),
-    "dataset": ("lodbench.cli.dataset", "make the demo dataset, list what there is"),
+    "dataset": ("lodbench.cli.dataset", "write the demo dataset to a folder"),
     "bench": (
         "lodbench.cli.bench",
         "measure speed and accuracy beside other programs: silhouettes, accuracy, city",

@@ -31,7 +31,7 @@ examples:
   lodbench city convert tile.city.json town.glb --lod 2.2
   lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
 
-options, as --option KEY=VALUE (their meaning: lodbench.ReadOptions):
+options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
   axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
   height_column=NAME  storeys_column=NAME  storey_height_m=3  default_height_m=9
   ground_column=NAME  ground_m=0  terrain=FILE  base=as_given|ground|sunk  sunk_m=3

@@ -1,4 +1,4 @@
-"""Poses, cameras, angles and frames: the one place where conventions live (docs/conventions.md)."""
+"""Poses, cameras, angles and frames: the one place where conventions live."""
 
 from lodbench.geometry.angles import (
     EulerAngles,

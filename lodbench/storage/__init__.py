@@ -1,4 +1,4 @@
-"""Files and folders written safely, random streams, digests and provenance."""
+"""Files written safely, random streams, digests, and where data and caches live."""
 
 from lodbench.storage.atomic import write_bytes, write_text
 from lodbench.storage.digest import digest_of, file_digest

@@ -43,7 +43,7 @@ class TestQuaternions:
 
     @pytest.mark.parametrize("q", [(1.01, 0, 0, 0), (0, 0, 0, 0), (math.nan, 0, 0, 1), (math.inf, 0, 0, 0)])
     def test_another_length_is_refused(self, q):
-        with pytest.raises(LodbenchError, match="length|finite"):
+        with pytest.raises(LodbenchError, match=r"length|finite"):
             rotation_from_quaternion(q)
 
 
