@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
 from lodbench.evaluation.rows import NO_TRUTH
 from lodbench.geometry import Pose
-from lodbench.segmentation import Segmenter
+from lodbench.segmentation import Segmenter, check_mask
 
 TILTS = ("prior", "truth")
 
@@ -53,7 +50,8 @@ class Preparation:
         """Returns the query of an entry.
 
         Raises:
-            QueryFault: The truth, camera or prior is missing, or the segmenter has no mask.
+            QueryFault: The truth, camera or prior is missing, or the segmenter has no mask,
+                or one that is not fit for the camera.
         """
         if entry.key not in self.dataset.truth:
             raise QueryFault(NO_TRUTH)
@@ -64,8 +62,7 @@ class Preparation:
         prior = self.prior(entry)
         if prior is None:
             raise QueryFault("no prior pose")
-        probability = self.segmenter.segment(entry)
-        _check_shape(probability, entry)
+        probability = check_mask(self.segmenter.segment(entry), entry.camera)
         return Query(entry.name, entry.split, entry.camera, self.local(prior), probability, entry.image)
 
 
@@ -75,16 +72,3 @@ def prior_of(entry: Entry, dataset: Dataset, tilt: str) -> Pose | None:
     if entry.prior is None or truth is None or tilt == "prior":
         return entry.prior
     return entry.prior.with_tilt_of(truth)
-
-
-def _check_shape(probability: NDArray[np.float32], entry: Entry) -> None:
-    """Refuses a mask whose shape cannot be that of the camera's image: off by over 2 % in aspect."""
-    height, width = probability.shape
-    if entry.camera is None:
-        return
-    aspect = (width / height) / (entry.camera.width / entry.camera.height)
-    if abs(aspect - 1.0) > 0.02:
-        raise QueryFault(
-            f"the mask is {width} x {height}, the camera {entry.camera.width} x {entry.camera.height}: "
-            "another aspect"
-        )

@@ -14,6 +14,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.localization.lodlocv2 import LodLocV2
 from lodbench.localization.method import Estimate, Method
 from lodbench.rendering import make_renderer
+from lodbench.segmentation import check_mask
 from lodbench.storage import random_stream
 
 
@@ -39,10 +40,9 @@ def localize(
         threads: Threads of the renderer, None for one per core; never changes the answer.
 
     Raises:
-        QueryFault: The mask holds no building, or no building is near the prior.
+        QueryFault: The mask is not as described or holds no building, or no building is near the prior.
     """
-    probability = np.asarray(mask, dtype=np.float32)
-    query = Query("photo", "", camera, prior.shifted(-scene.origin), probability)
+    query = Query("photo", "", camera, prior.shifted(-scene.origin), check_mask(mask, camera))
     scorer = make_renderer("silhouette", scene, threads)
     streams = partial(random_stream, seed, "localize", "photo")
     estimate = (method or LodLocV2()).localize(query, scorer, streams)

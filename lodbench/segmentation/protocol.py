@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lodbench.datasets.query import Entry
+from lodbench.errors import QueryFault
+from lodbench.geometry import Camera
 
 # A pixel is building from here on (the paper's delta_s).
 BUILDING_THRESHOLD = 0.5
+# A mask may differ this much from the camera's aspect: sizes are rounded to whole pixels.
+_ASPECT_TOLERANCE = 0.02
+# Resizing in float32 may step out of [0, 1] by rounding.
+_RANGE_TOLERANCE = 1e-6
 
 
 class Segmenter(Protocol):
@@ -29,6 +35,48 @@ class Segmenter(Protocol):
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of all that the answers to these queries depend on."""
         ...
+
+
+def check_mask(mask: ArrayLike, camera: Camera) -> NDArray[np.float32]:
+    """Returns a mask as (H, W) float32 probability of building in [0, 1].
+
+    Args:
+        mask: (H, W) bool, or numbers in [0, 1]; any size of the photo's aspect.
+        camera: The camera of the full-size photo.
+
+    Raises:
+        QueryFault: It is not such an array, or its aspect is off by more than 2 %.
+    """
+    try:
+        given = np.asarray(mask)
+    except ValueError as error:
+        raise QueryFault("the mask is no array: its rows differ in length") from error
+    if given.dtype.kind not in "buif":
+        raise QueryFault(f"the mask holds {given.dtype} instead of numbers in [0, 1]")
+    if given.ndim != 2:
+        raise QueryFault(f"the mask has shape {given.shape} instead of (height, width)", "Give one channel.")
+    if given.size == 0:
+        raise QueryFault(f"the mask is empty: its shape is {given.shape}")
+    _check_range(given)
+    height, width = given.shape
+    aspect = (width / height) / (camera.width / camera.height)
+    if abs(aspect - 1.0) > _ASPECT_TOLERANCE:
+        raise QueryFault(
+            f"the mask is {width} x {height}, the camera {camera.width} x {camera.height}: another aspect"
+        )
+    return np.clip(given.astype(np.float32), np.float32(0), np.float32(1))
+
+
+def _check_range(mask: NDArray[Any]) -> None:
+    if not np.isfinite(mask).all():
+        raise QueryFault("the mask has values that are not finite")
+    least, largest = float(mask.min()), float(mask.max())
+    if least < -_RANGE_TOLERANCE or largest > 1 + _RANGE_TOLERANCE:
+        bytes_given = least >= 0 and (largest == 255 or (mask.dtype.kind in "ui" and largest < 255))
+        hint = "Divide by 255." if bytes_given else ""
+        raise QueryFault(
+            f"the mask has values from {least:g} to {largest:g} instead of probabilities from 0 to 1", hint
+        )
 
 
 def binary_mask(probability: NDArray[np.float32], width: int, height: int) -> NDArray[np.bool_]:
