@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from lodbench.citymodel import open_scene
-from lodbench.datasets.pose_text import format_camera, format_pose, write_lines
+from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
@@ -38,7 +38,7 @@ def box_obj(boxes: list[tuple[int, ...]] = BOXES) -> str:
             j = (i + 1) % 4
             lines.append(f"f {first + i} {first + j} {first + 4 + j} {first + 4 + i}")
         lines.append(f"f {first + 4} {first + 5} {first + 6} {first + 7}")
-    return write_lines(lines)
+    return lines_to_text(lines)
 
 
 def true_poses(count: int) -> dict[str, Pose]:
@@ -65,9 +65,9 @@ def write_dataset(folder: Path, count: int = 3) -> tuple[Path, Path]:
     for name, pose in truth.items():
         cv2.imwrite(str(root / "masks" / name), renderer.render(CAMERA, pose).astype(np.uint8) * 255)
     priors = {name: prior_of(pose) for name, pose in truth.items()}
-    (root / "GT_pose.txt").write_text(write_lines(format_pose(*item) for item in truth.items()))
-    (root / "GPS_pose.txt").write_text(write_lines(format_pose(*item) for item in priors.items()))
-    (root / "intrinsic.txt").write_text(write_lines(format_camera(name, CAMERA) for name in truth))
+    (root / "GT_pose.txt").write_text(lines_to_text(format_pose(*item) for item in truth.items()))
+    (root / "GPS_pose.txt").write_text(lines_to_text(format_pose(*item) for item in priors.items()))
+    (root / "intrinsic.txt").write_text(lines_to_text(format_camera(name, CAMERA) for name in truth))
     return root, city
 
 

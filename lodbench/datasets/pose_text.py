@@ -49,7 +49,7 @@ def format_camera(name: str, camera: Camera) -> str:
     return " ".join([name, "PINHOLE", str(camera.width), str(camera.height), *(repr(v) for v in numbers)])
 
 
-def write_lines(lines: Iterable[str]) -> str:
+def lines_to_text(lines: Iterable[str]) -> str:
     """Returns lines as the text of a file."""
     return "".join(line + "\n" for line in lines)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench import __version__
-from lodbench.datasets.pose_text import format_pose, write_lines
+from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.evaluation.errors import PoseError
 from lodbench.evaluation.rows import seconds_per_query, summarize_rows
 from lodbench.harness.result import Result
@@ -30,7 +30,7 @@ def write_artefacts(run: Result, config_yaml: str) -> None:
     """
     contents = {
         "config.yaml": config_yaml,
-        "poses.txt": write_lines(_pose_lines(run)),
+        "poses.txt": lines_to_text(_pose_lines(run)),
         "queries.csv": _queries_csv(run),
         "summary.json": _json(summary_of(run)),
     }

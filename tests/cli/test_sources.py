@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import open_scene
-from lodbench.datasets.pose_text import format_camera, format_pose, write_lines
+from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
 from lodbench.geometry import Camera, EulerAngles, Pose
 from tests.town import write_dataset
 
@@ -69,8 +69,8 @@ def view_of(city: Path, folder: Path, lod: str | None = None) -> list[str]:
     center = 0.5 * (low + high) + scene.origin
     center[2] = high[2] + 300.0
     pose = Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), center)
-    (folder / "poses.txt").write_text(write_lines([format_pose("view.png", pose)]))
-    (folder / "cameras.txt").write_text(write_lines([format_camera("view.png", CAMERA)]))
+    (folder / "poses.txt").write_text(lines_to_text([format_pose("view.png", pose)]))
+    (folder / "cameras.txt").write_text(lines_to_text([format_camera("view.png", CAMERA)]))
     return [f"poses={folder / 'poses.txt'}", f"intrinsics={folder / 'cameras.txt'}"]
 
 

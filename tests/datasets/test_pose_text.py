@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.datasets.pose_text import format_camera, format_pose, read_cameras, read_poses, write_lines
+from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text, read_cameras, read_poses
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 
@@ -131,7 +131,7 @@ class TestFormat:
     )
     def test_a_line_restores_its_pose(self, tmp_path_factory, pitch, roll, yaw, center):
         pose = Pose.from_euler(EulerAngles(pitch, roll, yaw), center)
-        path = write(tmp_path_factory.getbasetemp(), write_lines([format_pose("a.jpg", pose)]))
+        path = write(tmp_path_factory.getbasetemp(), lines_to_text([format_pose("a.jpg", pose)]))
         again = read_poses(path)["a.jpg"]
         np.testing.assert_allclose(again.rotation, pose.rotation, atol=1e-14)
         np.testing.assert_array_equal(again.translation, pose.translation)
@@ -139,11 +139,13 @@ class TestFormat:
 
     def test_the_real_line_restores_the_real_matrix(self, shared_data, tmp_path):
         pose = read_poses(shared_data / "uavd4l" / "demo" / "GT_pose.txt")[THERMAL]
-        again = read_poses(write(tmp_path, write_lines([format_pose(THERMAL, pose)])))[THERMAL]
+        again = read_poses(write(tmp_path, lines_to_text([format_pose(THERMAL, pose)])))[THERMAL]
         np.testing.assert_allclose(again.world_from_cam, pose.world_from_cam, rtol=0, atol=1e-12)
         matrix = Pose.from_matrix(np.linalg.inv(pose.world_from_cam))
         np.testing.assert_allclose(matrix.cam_from_world, pose.cam_from_world, rtol=0, atol=1e-12)
 
     def test_a_camera_line_restores_its_camera(self, tmp_path):
         camera = Camera(5280, 3956, 3778.423, 3767.392, 2663.624, 1919.721)
-        assert read_cameras(write(tmp_path, write_lines([format_camera("a.jpg", camera)])))["a.jpg"] == camera
+        assert (
+            read_cameras(write(tmp_path, lines_to_text([format_camera("a.jpg", camera)])))["a.jpg"] == camera
+        )

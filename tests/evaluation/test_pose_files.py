@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.datasets.pose_text import format_pose, write_lines
+from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation import pose_error
@@ -20,7 +20,7 @@ ENTRIES = [Entry(name, "all", None, None, None, None) for name in TRUTH]
 
 
 def lines(poses: dict[str, Pose]) -> str:
-    return write_lines(format_pose(*item) for item in poses.items())
+    return lines_to_text(format_pose(*item) for item in poses.items())
 
 
 def colmap(poses: dict[str, Pose]) -> str:
@@ -29,7 +29,7 @@ def colmap(poses: dict[str, Pose]) -> str:
         numbers = " ".join(repr(float(v)) for v in (*pose.quat_wxyz, *pose.translation))
         # The second line of an image may be empty, or hold points that look like anything.
         rows += [f"{number} {numbers} 1 {name}", "" if number == 1 else "1.5 2.5 -1 3.5 4.5 17"]
-    return write_lines(rows)
+    return lines_to_text(rows)
 
 
 def tum(poses: dict[str, Pose], stamp=lambda index, name: Path(name).stem) -> str:
@@ -38,7 +38,7 @@ def tum(poses: dict[str, Pose], stamp=lambda index, name: Path(name).stem) -> st
         w, x, y, z = inverted(pose).quat_wxyz
         numbers = [*pose.center, x, y, z, w]
         rows.append(" ".join([str(stamp(index, name)), *(repr(float(v)) for v in numbers)]))
-    return write_lines(rows)
+    return lines_to_text(rows)
 
 
 def c2w(folder: Path, poses: dict[str, Pose]) -> Path:
@@ -105,7 +105,7 @@ def test_what_is_no_finite_number_is_named_by_its_line(tmp_path, kind, number):
     words = rows[-1 if kind != "colmap" else -2].split()
     words[5] = number
     rows[-1 if kind != "colmap" else -2] = " ".join(words)
-    path.write_text(write_lines(rows))
+    path.write_text(lines_to_text(rows))
     with pytest.raises(DatasetError, match=rf"line {len(rows) - (kind == 'colmap')}"):
         read_pose_file(path, kind)
 
