@@ -112,6 +112,12 @@ def open_sources(path: Path) -> tuple[Source, ...]:
 
 
 def _folder_sources(folder: Path) -> tuple[Source, ...]:
+    # Its scene.json would pass for a city file by its ending.
+    if is_scene(folder):
+        raise CityModelError(
+            f"{folder} is a scene, which holds triangles only.",
+            "run and render take it; look into the file it was made from.",
+        )
     suffixes = _CITY_SUFFIXES + _VECTOR_SUFFIXES + _ARCHIVE_SUFFIXES
     files = [
         file
@@ -123,11 +129,6 @@ def _folder_sources(folder: Path) -> tuple[Source, ...]:
     buildings_only = [file for file in files if "bldg" in file.relative_to(folder).parts]
     sources = tuple(source for file in buildings_only or files for source in open_sources(file))
     if not sources:
-        if is_scene(folder):
-            raise CityModelError(
-                f"{folder} is a scene, which holds triangles only.",
-                "run and render take it; look into the file it was made from.",
-            )
         raise CityModelError(
             f"The folder {folder} holds no city file.",
             f"Looked for {', '.join(suffixes)}, in all its folders.",

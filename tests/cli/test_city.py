@@ -289,3 +289,14 @@ def test_bench_for_machines(lodbench, tmp_path):
     assert all(set(row) == {"figure", "value", "unit", "peer", "peer_value", "ratio"} for row in figures)
     assert figures[0]["figure"] == "read and mesh LoD1"
     assert figures[0]["ratio"] > 0
+
+
+def test_a_converted_scene_is_told_from_a_city(lodbench, tmp_path):
+    from tests.town import box_obj
+
+    (tmp_path / "town.obj").write_text(box_obj())
+    assert lodbench("city", "convert", "town.obj", "town.scene").returncode == 0
+    done = lodbench("city", "info", "town.scene")
+    assert done.returncode == 2
+    assert "holds triangles only" in done.stderr
+    assert len(done.stderr.splitlines()) == 2
