@@ -25,9 +25,12 @@ def props_of(surfaces, origin=(0.0, 0.0, 0.0)):
 def test_each_class_is_ground_building_or_occluder():
     for kind in SurfaceClass:
         assert not (kind.is_building and kind.is_occluder)
-    assert SurfaceClass.WINDOW.is_building and SurfaceClass.CHIMNEY.is_building
-    assert SurfaceClass.FOLIAGE.is_occluder and SurfaceClass.CAR_BODY.is_occluder
-    assert not SurfaceClass.WATER.is_building and not SurfaceClass.WATER.is_occluder
+    assert SurfaceClass.WINDOW.is_building
+    assert SurfaceClass.CHIMNEY.is_building
+    assert SurfaceClass.FOLIAGE.is_occluder
+    assert SurfaceClass.CAR_BODY.is_occluder
+    assert not SurfaceClass.WATER.is_building
+    assert not SurfaceClass.WATER.is_occluder
 
 
 def test_a_part_keeps_only_the_vertices_it_uses():
@@ -36,7 +39,8 @@ def test_a_part_keeps_only_the_vertices_it_uses():
     assert props.is_building.tolist() == [False, True, False]
     assert props.is_occluder.tolist() == [False, False, True]
     wall = props.part(props.is_building)
-    assert len(wall) == 1 and len(wall.vertices) == 3
+    assert len(wall) == 1
+    assert len(wall.vertices) == 3
     np.testing.assert_array_equal(wall.vertices[wall.triangles[0]], props.vertices[props.triangles[1]])
     assert not props.part(~props.is_building).has_buildings
 
@@ -44,7 +48,9 @@ def test_a_part_keeps_only_the_vertices_it_uses():
 def test_joined_parts_are_in_one_frame():
     near, far = props_of([SurfaceClass.ROAD]), props_of([SurfaceClass.WALL], origin=(1000.0, 0.0, 5.0))
     both = join_props([near, far])
-    np.testing.assert_array_equal(both.vertices[both.triangles[1]], far.vertices + [1000.0, 0.0, 5.0])
+    np.testing.assert_array_equal(
+        both.vertices[both.triangles[1]], far.vertices + np.array([1000.0, 0.0, 5.0])
+    )
     np.testing.assert_array_equal(both.in_frame(far.origin).vertices[3:], far.vertices)
 
 
