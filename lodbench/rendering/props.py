@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,7 +157,8 @@ def write_props(props: SceneProps, path: Path) -> None:
         OSError: The folder is missing or not writable.
     """
     content = io.BytesIO()
-    np.savez_compressed(content, **{name: np.asarray(getattr(props, name)) for name in _FIELDS})
+    arrays: dict[str, Any] = {name: np.asarray(getattr(props, name)) for name in _FIELDS}
+    np.savez_compressed(content, **arrays)
     write_bytes(path, content.getvalue())
 
 
