@@ -1,5 +1,6 @@
 """Renderers: the silhouette engine, its numpy reference, and back ends behind one protocol."""
 
+from lodbench.rendering.fit import BoundaryFit, Fit, IouFit, SoftIouFit
 from lodbench.rendering.layers import Layers
 from lodbench.rendering.protocol import DepthRenderer, IouCounts, LayerRenderer, Renderer, Scorer
 from lodbench.rendering.registry import (
@@ -14,12 +15,16 @@ __all__ = [
     "DEPTH_RENDERERS",
     "LAYER_RENDERERS",
     "RENDERERS",
+    "BoundaryFit",
     "DepthRenderer",
+    "Fit",
     "IouCounts",
+    "IouFit",
     "LayerRenderer",
     "Layers",
     "Renderer",
     "Scorer",
+    "SoftIouFit",
     "make_renderer",
     "open_renderer",
 ]

@@ -24,6 +24,18 @@ def popcount(_context: Any, word: Any) -> Any:
     return types.uint64(types.uint64), generate
 
 
+@intrinsic
+def trailing_zeros(_context: Any, word: Any) -> Any:
+    """Returns the place of the lowest set bit of a uint64 that is not 0."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        kinds = [ir.IntType(64), ir.IntType(1)]
+        place = builder.module.declare_intrinsic("llvm.cttz", kinds[:1], ir.FunctionType(kinds[0], kinds))
+        return builder.call(place, [args[0], ir.Constant(kinds[1], 1)])
+
+    return types.uint64(types.uint64), generate
+
+
 def words_per_row(width: int) -> int:
     """Returns how many 64-bit words hold a row of ``width`` pixels."""
     return (width + 63) // 64

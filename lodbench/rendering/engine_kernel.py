@@ -218,3 +218,12 @@ def score_views(scene, rotations, centers, view, scratch, words, query, intersec
     for i in range(rotations.shape[0]):
         _draw_view(scene, chosen[:count], rotations[i], centers[i], view, scratch, words)
         intersections[i], areas[i] = intersect_and_clear(words, query)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def draw_views(scene, rotations, centers, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Draws N views, which should lie close together, into ``words``, (N, H, S), which must be clear."""
+    chosen = np.empty(scene.spheres.shape[0] + 1, dtype=np.int64)
+    count = _candidates(scene, rotations, centers, view.planes, chosen)
+    for i in range(rotations.shape[0]):
+        _draw_view(scene, chosen[:count], rotations[i], centers[i], view, scratch, words[i])

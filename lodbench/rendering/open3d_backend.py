@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering.projection import require_pinhole
+from lodbench.rendering.projection import pose_arrays, require_pinhole
 from lodbench.rendering.raster_rule import NEAR_M
 from lodbench.rendering.system_libraries import import_fault
 
@@ -52,6 +52,7 @@ class Open3dRenderer:
     def _cast(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns (H, W) depths beyond the near plane, metres; infinity where nothing is hit."""
         require_pinhole(camera)
+        pose_arrays(pose)
         rays = self._library.core.Tensor(pixel_rays(camera, pose))
         hits = self._caster.cast_rays(rays, nthreads=self._threads)["t_hit"]
         return np.asarray(hits.numpy(), dtype=np.float32)

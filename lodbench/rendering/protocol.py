@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
+from lodbench.rendering.fit import Fit
 from lodbench.rendering.layers import Layers
 
 Floats = NDArray[np.float64]
@@ -68,4 +69,11 @@ class Scorer(Renderer, Protocol):
 
     def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
         """Counts how N hypotheses, (N, 3, 3) rotations and (N, 3) centres, overlap an (H, W) mask."""
+        ...
+
+    def measure(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
+        """Returns how well N hypotheses fit a query, (N,), by any cost; see ``lodbench/rendering/fit.py``.
+
+        With ``IouFit`` the numbers are those of ``score``.
+        """
         ...

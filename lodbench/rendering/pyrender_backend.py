@@ -12,7 +12,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
-from lodbench.rendering.projection import require_pinhole, view_planes, visible_buildings
+from lodbench.rendering.projection import pose_arrays, require_pinhole, view_planes, visible_buildings
 from lodbench.rendering.raster_rule import NEAR_M
 from lodbench.rendering.silhouette import bounding_spheres
 from lodbench.rendering.system_libraries import RENDERER_PACKAGES, import_fault
@@ -98,7 +98,7 @@ class PyrenderRenderer:
     def _depth_range(self, camera: Camera, pose: Pose) -> tuple[float, float]:
         """Returns the distances, metres, between which the buildings in view lie."""
         planes = view_planes(camera, 0, camera.width)
-        rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
+        rotation, center = pose_arrays(pose)
         spheres = self._spheres[visible_buildings(self._spheres, rotation, center, planes)]
         if not len(spheres):
             return NEAR_M, 1.0

@@ -13,7 +13,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.appearance import Appearance, plain_appearance
 from lodbench.rendering.layers import Layers
-from lodbench.rendering.projection import require_pinhole, view_planes, visible_buildings
+from lodbench.rendering.projection import pose_arrays, require_pinhole, view_planes, visible_buildings
 from lodbench.rendering.raster_kernel import Band, Buffer, Mesh, blank_buffer, draw_band
 from lodbench.rendering.raster_layers import blank_planes, resolve_depth, resolve_layers
 from lodbench.rendering.silhouette import bounding_spheres
@@ -88,7 +88,7 @@ class RasterRenderer:
     def _draw(self, camera: Camera, pose: Pose, resolve: Callable[[Band, Buffer], None]) -> None:
         """Draws a view band by band, and hands each to ``resolve``."""
         require_pinhole(camera)
-        rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
+        rotation, center = pose_arrays(pose)
         planes = view_planes(camera, 0, camera.width)
         buildings = visible_buildings(self._mesh.spheres, rotation, center, planes)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
+from lodbench.rendering.projection import pose_arrays
 from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M, SUBPIXELS
 
 Points = NDArray[np.float64]
@@ -28,6 +29,7 @@ class ReferenceRenderer:
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose."""
+        pose_arrays(pose)
         mask = np.zeros((camera.height, camera.width), dtype=np.bool_)
         points = _camera_axes(self.scene.vertices.astype(np.float64), pose)
         for triangle in self.scene.triangles:

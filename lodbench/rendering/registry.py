@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.geometry import Camera, Pose
+from lodbench.rendering.bits import pack_mask
+from lodbench.rendering.fit import Fit
+from lodbench.rendering.projection import require_poses, require_size
 from lodbench.rendering.protocol import Floats, IouCounts, Renderer, Scorer
 
 
@@ -99,8 +102,19 @@ class RenderAndCompare:
 
     def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
         """Counts how N hypotheses overlap an (H, W) mask."""
+        require_size(camera, (mask.shape[1], mask.shape[0]))
+        rotations, centers = require_poses(rotations, centers)
         counts = np.zeros((2, len(centers)), dtype=np.int64)
         for i, (rotation, center) in enumerate(zip(rotations, centers, strict=True)):
             drawn = self.render(camera, Pose.from_center(rotation, center))
             counts[:, i] = np.count_nonzero(drawn & mask), np.count_nonzero(drawn | mask)
         return IouCounts(counts[0], counts[1])
+
+    def measure(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
+        """Returns how well N hypotheses fit a query, (N,) float64."""
+        require_size(camera, fit.size)
+        rotations, centers = require_poses(rotations, centers)
+        values = np.zeros(len(centers))
+        for i, (rotation, center) in enumerate(zip(rotations, centers, strict=True)):
+            values[i] = fit(pack_mask(self.render(camera, Pose.from_center(rotation, center)))[None])[0]
+        return values

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
 from lodbench.rendering.coverage import blank_coverage, edge_lines
 from lodbench.rendering.engine_arrays import SceneArrays, Scratch, View
-from lodbench.rendering.engine_kernel import draw_view, score_views
-from lodbench.rendering.projection import require_pinhole, view_planes
+from lodbench.rendering.engine_kernel import draw_view, draw_views, score_views
+from lodbench.rendering.fit import Fit, IouFit
+from lodbench.rendering.projection import (
+    pose_arrays,
+    require_pinhole,
+    require_poses,
+    require_size,
+    view_planes,
+)
 from lodbench.rendering.protocol import IouCounts
 from lodbench.rendering.topology import edge_table
 
@@ -54,7 +60,8 @@ class SilhouetteRenderer:
         """Returns the (H, W) silhouette seen from a pose.
 
         Raises:
-            RenderingError: The camera has lens distortion or is wider than 8192 pixels.
+            RenderingError: The camera has lens distortion or is wider than 8192 pixels, or the pose has
+                values that are not finite.
         """
         words = self.render_words(camera, pose)
         return unpack_mask(words, camera.width)
@@ -62,8 +69,7 @@ class SilhouetteRenderer:
     def render_words(self, camera: Camera, pose: Pose) -> Words:
         """Returns the silhouette as (H, ceil(W / 64)) bit-packed words."""
         view, words = _view(camera), _blank(camera)
-        rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
-        draw_view(self._arrays, rotation, center, view, self._working_memory(camera)[0], words)
+        draw_view(self._arrays, *pose_arrays(pose), view, self._working_memory(camera)[0], words)
         return words
 
     def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
@@ -78,15 +84,9 @@ class SilhouetteRenderer:
         Raises:
             RenderingError: The mask's size is not the camera's, or as for ``render``.
         """
-        if mask.shape != (camera.height, camera.width):
-            raise RenderingError(
-                f"The query mask is {mask.shape[1]} x {mask.shape[0]} pixels, the camera {camera.width} x "
-                f"{camera.height}.",
-                "Scale the camera with Camera.scaled.",
-            )
+        require_size(camera, (mask.shape[1], mask.shape[0]))
         view, query = _view(camera), pack_mask(mask)
-        rotations = np.ascontiguousarray(rotations, dtype=np.float64)
-        centers = np.ascontiguousarray(centers, dtype=np.float64)
+        rotations, centers = require_poses(rotations, centers)
         shared = np.zeros(len(centers), dtype=np.int64)
         area = np.zeros(len(centers), dtype=np.int64)
 
@@ -95,13 +95,45 @@ class SilhouetteRenderer:
             poses = rotations[part], centers[part]
             score_views(self._arrays, *poses, view, memory, words, query, shared[part], area[part])
 
-        parts = _chunks(len(centers), self.threads)
+        self._spread(work, len(centers))
+        return IouCounts(shared, area + count_bits(query) - shared)
+
+    def measure(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
+        """Returns how well N hypotheses' silhouettes fit a query, (N,) float64, higher is better.
+
+        Args:
+            camera: Pinhole of the fit's size.
+            rotations: (N, 3, 3) cam_from_world.
+            centers: (N, 3) camera centres, local metres.
+            fit: Made from the query; see ``lodbench/rendering/fit.py``.
+
+        Raises:
+            RenderingError: As for ``score``.
+        """
+        if isinstance(fit, IouFit):
+            return self.score(camera, rotations, centers, fit.mask).iou()
+        require_size(camera, fit.size)
+        view = _view(camera)
+        rotations, centers = require_poses(rotations, centers)
+        values = np.zeros(len(centers))
+
+        def work(part: slice) -> None:
+            memory, blank = self._working_memory(camera)
+            words = np.zeros((len(centers[part]), *blank.shape), dtype=np.uint64)
+            draw_views(self._arrays, rotations[part], centers[part], view, memory, words)
+            values[part] = fit(words)
+
+        self._spread(work, len(centers))
+        return values
+
+    def _spread(self, work: Callable[[slice], None], count: int) -> None:
+        """Does the work on so many hypotheses, in parts, on this renderer's threads."""
+        parts = _chunks(count, self.threads)
         if self._pool is None:
             for part in parts:
                 work(part)
         else:
             list(self._pool.map(work, parts))
-        return IouCounts(shared, area + count_bits(query) - shared)
 
     def _working_memory(self, camera: Camera) -> tuple[Scratch, Words]:
         """Returns this thread's scratch and blank words for a size of image, made on first use."""

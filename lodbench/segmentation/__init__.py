@@ -1,5 +1,11 @@
 """Segmenters: a photo in, the probability of building at each pixel out."""
 
-from lodbench.segmentation.protocol import Segmenter, binary_mask, check_mask
+from lodbench.segmentation.protocol import (
+    BUILDING_THRESHOLD,
+    Segmenter,
+    binary_mask,
+    check_mask,
+    resized,
+)
 
-__all__ = ["Segmenter", "binary_mask", "check_mask"]
+__all__ = ["BUILDING_THRESHOLD", "Segmenter", "binary_mask", "check_mask", "resized"]

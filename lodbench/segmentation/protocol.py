@@ -79,11 +79,15 @@ def _check_range(mask: NDArray[Any]) -> None:
         )
 
 
-def binary_mask(probability: NDArray[np.float32], width: int, height: int) -> NDArray[np.bool_]:
-    """Returns the (height, width) mask: averaged over each target pixel's area, then thresholded."""
+def resized(probability: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+    """Returns the (height, width) probability: averaged over each target pixel's area."""
     import cv2
 
     if probability.shape == (height, width):
-        return np.asarray(probability >= BUILDING_THRESHOLD)
-    resized = cv2.resize(probability, (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(resized >= BUILDING_THRESHOLD)
+        return probability
+    return np.asarray(cv2.resize(probability, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def binary_mask(probability: NDArray[np.float32], width: int, height: int) -> NDArray[np.bool_]:
+    """Returns the (height, width) mask: averaged over each target pixel's area, then thresholded."""
+    return np.asarray(resized(probability, width, height) >= BUILDING_THRESHOLD)

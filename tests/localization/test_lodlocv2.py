@@ -4,17 +4,18 @@ import inspect
 from dataclasses import fields, replace
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 
 from lodbench.datasets.query import Dataset, Query
-from lodbench.errors import QueryFault
+from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.localization import Method
 from lodbench.localization.lodlocv2 import LodLocV2, Params
 from lodbench.localization.lodlocv2.method import Judge, select
-from lodbench.rendering import IouCounts, make_renderer
+from lodbench.rendering import make_renderer
 from lodbench.storage import random_stream
 
 SMALL = {"coarse_size": (160, 120), "fine_size": (320, 240)}
@@ -100,14 +101,12 @@ class TestDeterminism:
         class OneByOne:
             name, scene = scorer.name, scorer.scene
 
-            def score(self, camera, rotations, centers, mask):
+            def measure(self, camera, rotations, centers, fit):
                 parts = [
-                    scorer.score(camera, rotations[i : i + 1], centers[i : i + 1], mask)
+                    scorer.measure(camera, rotations[i : i + 1], centers[i : i + 1], fit)
                     for i in range(len(centers))
                 ]
-                return IouCounts(
-                    np.concatenate([p.intersection for p in parts]), np.concatenate([p.union for p in parts])
-                )
+                return np.concatenate(parts)
 
         whole = LodLocV2(QUICK).localize(queries[0], scorer, streams_of(0))
         single = LodLocV2(QUICK).localize(queries[0], OneByOne(), streams_of(0))
@@ -155,6 +154,30 @@ class TestVariants:
         np.testing.assert_allclose(estimate.pose.cam_from_world, queries[0].prior.cam_from_world, atol=1e-9)
 
 
+class TestFits:
+    @pytest.mark.parametrize("fit", ["soft_iou", "confident_iou", "boundary"])
+    def test_other_costs_find_the_pose_too(self, queries, scorer, truths, fit):
+        # Blurred, as a network's answer is; the grid is too coarse for outlines a few pixels wide.
+        query = queries[0]
+        soft = cv2.GaussianBlur(query.building_probability.astype(np.float32), (0, 0), 1.0)
+        query = replace(query, building_probability=np.clip(soft, 0, 1))
+        estimate = LodLocV2(Params(fit=fit, **SMALL)).localize(query, scorer, streams_of(0))
+        after = pose_error(estimate.pose, truths[0])
+        assert after.translation_m < 1.0
+        assert after.rotation_deg < 0.5
+        assert 0.7 < estimate.score <= 1.0
+
+    def test_an_unknown_one_names_the_nearest(self):
+        with pytest.raises(ConfigError, match="bondary") as caught:
+            Params(fit="bondary")
+        assert "boundary" in caught.value.hint
+
+    def test_a_mask_that_cannot_tell(self, queries, scorer):
+        query = replace(queries[0], building_probability=np.full((240, 320), 0.5, dtype=np.float32))
+        with pytest.raises(QueryFault, match="says nothing"):
+            LodLocV2(Params(fit="confident_iou", **SMALL)).localize(query, scorer, streams_of(0))
+
+
 class TestTies:
     def test_the_first_of_equal_hypotheses_wins(self, queries, scorer):
         judge = Judge(queries[0], scorer, (160, 120))
@@ -171,9 +194,8 @@ class TestTies:
             def __init__(self):
                 self.scene = scene
 
-            def score(self, camera, rotations, centers, mask):
-                ones = np.ones(len(centers), dtype=np.int64)
-                return IouCounts(ones, 2 * ones)
+            def measure(self, camera, rotations, centers, fit):
+                return np.full(len(centers), 0.5)
 
         params = Params(variant="no_select", steps=3, **SMALL)
         estimate = LodLocV2(params).localize(queries[0], Flat(), streams_of(0))

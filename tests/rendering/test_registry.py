@@ -13,6 +13,7 @@ from lodbench.rendering import (
     LAYER_RENDERERS,
     RENDERERS,
     IouCounts,
+    IouFit,
     make_renderer,
     open_renderer,
 )
@@ -72,3 +73,24 @@ def test_what_a_renderer_is_said_to_have_it_has():
         renderer = open_renderer(name, SCENE, 1)
         assert hasattr(renderer, "depth") == (name in DEPTH_RENDERERS)
         assert hasattr(renderer, "draw") == (name in LAYER_RENDERERS)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["silhouette", "reference", "raster"])
+def test_poses_that_are_not_finite_are_refused(name, value):
+    renderer = make_renderer(name, SCENE, 1)
+    good = Pose.from_euler(EulerAngles(30, 1, 5), (0, -20, 50))
+    broken = Pose(good.rotation, np.array([0.0, value, 0.0]))
+    with pytest.raises(RenderingError, match="Pose 0 of 1 has values that are not finite"):
+        renderer.render(CAMERA, broken)
+    mask = renderer.render(CAMERA, good)
+    rotations, centers = np.repeat(good.rotation[None], 3, axis=0), np.repeat(good.center[None], 3, axis=0)
+    rotations[1, 2, 0] = value
+    for score in (
+        lambda *poses: renderer.score(CAMERA, *poses, mask),
+        lambda *poses: renderer.measure(CAMERA, *poses, IouFit(mask)),
+    ):
+        with pytest.raises(RenderingError, match="Pose 1 of 3"):
+            score(rotations, centers)
+        with pytest.raises(RenderingError, match=r"rotations \(N, 3, 3\)"):
+            score(rotations[0], centers)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
+from lodbench.localization.fits import make_fit
 from lodbench.localization.lodlocv2.params import Params
 from lodbench.localization.method import Estimate, Streams
 from lodbench.rendering import Scorer
-from lodbench.segmentation import binary_mask
 
 Floats = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ class Particles(NamedTuple):
     Attributes:
         centers: (N, 3) camera centres, scene metres.
         yaws_deg: (N,) yaw, degrees.
-        scores: (N,) IoU.
+        scores: (N,) IoU, or another fit.
     """
 
     centers: Floats
@@ -34,23 +34,21 @@ class Particles(NamedTuple):
 
 
 class Judge:
-    """Scores poses of the prior's tilt against the query mask at one working size (paper equation 2)."""
+    """Scores poses of the prior's tilt against the query at one working size (paper equation 2: IoU)."""
 
-    def __init__(self, query: Query, scorer: Scorer, size: tuple[int, int]) -> None:
+    def __init__(self, query: Query, scorer: Scorer, size: tuple[int, int], fit: str = "iou") -> None:
         self.camera: Camera = query.camera.scaled(*size)
-        self.mask = binary_mask(query.building_probability, *size)
+        self.fit = make_fit(fit, query.building_probability, size)
         self.pitch_deg, self.roll_deg, _ = query.prior.euler
         self.scored = 0
         self._scorer = scorer
-        if not self.mask.any():
-            raise QueryFault("the mask holds no building")
 
     def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
         """Returns the poses with their scores."""
         rotations = rotations_at_yaws(self.pitch_deg, self.roll_deg, yaws_deg)
-        counts = self._scorer.score(self.camera, rotations, centers, self.mask)
+        scores = self._scorer.measure(self.camera, rotations, centers, self.fit)
         self.scored += len(centers)
-        return Particles(centers, yaws_deg, counts.iou())
+        return Particles(centers, yaws_deg, scores)
 
 
 class LodLocV2:
@@ -74,13 +72,13 @@ class LodLocV2:
         trace: dict[str, tuple[float, ...]] = {}
         hypotheses = 0
         if self.params.variant != "no_select":
-            judge = Judge(query, scorer, self.params.coarse_size)
+            judge = Judge(query, scorer, self.params.coarse_size, self.params.fit)
             best = select(judge, *self.params.grid().around(query.prior))
             hypotheses += judge.scored
             trace["coarse"] = (float(best.scores[0]),)
             seconds["coarse"] = time.perf_counter() - started
         if self.params.variant != "no_refine":
-            judge = Judge(query, scorer, self.params.fine_size)
+            judge = Judge(query, scorer, self.params.fine_size, self.params.fit)
             best, trace["fine"] = refine(judge, best, self.params, streams)
             hypotheses += judge.scored
             seconds["fine"] = time.perf_counter() - started - seconds.get("coarse", 0.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.geometry import AxisRange, PoseGrid
+from lodbench.localization.fits import require_fit
 from lodbench.rendering.raster_rule import GUARD_PX
 
 VARIANTS = ("full", "no_refine", "no_select")
@@ -19,6 +20,7 @@ class Params:
     Attributes:
         name: Name to report.
         variant: ``full``; ``no_refine`` stops after the grid; ``no_select`` starts the filter at the prior.
+        fit: What poses are ranked by, one of ``lodbench.localization.fits.FITS``; the paper's is ``iou``.
         coarse_size: Width and height of masks in the grid stage, pixels.
         range_x_m: Full width of the grid, metres; likewise y and z.
         range_y_m: See range_x_m.
@@ -40,6 +42,7 @@ class Params:
 
     name: str = "lodlocv2"
     variant: str = "full"
+    fit: str = "iou"
     coarse_size: tuple[int, int] = (301, 224)
     range_x_m: float = 20.0
     range_y_m: float = 20.0
@@ -69,6 +72,7 @@ class Params:
             raise ConfigError(
                 f"method.variant={self.variant} is not known.", nearest_names(self.variant, VARIANTS)
             )
+        require_fit(self.fit)
         if min(self.beams, self.steps, self.kept) < 1:
             raise ConfigError("method.beams, method.steps and method.kept are at least 1.")
         if self.children_per_parent < 1 or self.candidates != self.beams * self.kept * (

@@ -1,0 +1,166 @@
+"""Fits: how well silhouettes match a query, as the number that hypotheses are ranked by.
+
+To add one, write a class with a ``size`` and a ``__call__`` as in ``Fit``: made once from what the query
+shows, called with many silhouettes as bit-packed words. Count in integers, so that ties are ties and no
+result depends on the order of a sum; keep the work in numba, ``nogil``, because renderers call it from
+several threads. Any ``Scorer.measure`` then takes it. For ``method.fit=NAME`` give it a line in
+``lodbench/localization/fits.py``, and test it against plain numpy as in ``tests/rendering/test_fit.py``.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import RenderingError
+from lodbench.rendering.bits import Words, count_bits, pack_mask
+from lodbench.rendering.fit_kernels import (
+    count_overlaps,
+    dilations,
+    distance_sums,
+    outline_of,
+    pad_words,
+    sum_under,
+    valid_bits,
+)
+
+Floats = NDArray[np.float64]
+
+# Probabilities and weights are counted in steps of 2**-16: finer than any network's output means, and
+# the sum over 8192 x 8192 pixels stays far below 2**53.
+_ONE = 1 << 16
+
+
+class Fit(Protocol):
+    """How well silhouettes match one query: in [0, 1], higher is better, 0 for nothing in common.
+
+    Attributes:
+        size: Width and height of the silhouettes it compares, pixels.
+    """
+
+    size: tuple[int, int]
+
+    def __call__(self, words: Words) -> Floats:
+        """Returns the (N,) float64 fit of N silhouettes, (N, H, ceil(W / 64)) words as of ``pack_mask``.
+
+        The words are only read, and only during the call.
+        """
+        ...
+
+
+class IouFit:
+    """Intersection over union with a mask (LoD-Loc v2, equation 2); an empty union scores 0.
+
+    Args:
+        mask: (H, W) query silhouette.
+    """
+
+    def __init__(self, mask: NDArray[np.bool_]) -> None:
+        self.mask = mask
+        self.size = _size_of(mask)
+        self._words = pack_mask(mask)
+
+    def __call__(self, words: Words) -> Floats:
+        """Returns the (N,) IoU of N silhouettes."""
+        shared, area = count_overlaps(words, self._words)
+        return _ratio(shared, area + count_bits(self._words) - shared)
+
+
+class SoftIouFit:
+    """Intersection over union with probabilities, pixels weighted: ``sum w min(p, s) / sum w max(p, s)``.
+
+    ``s`` is the silhouette, 1 where a building is drawn. With p of 0 and 1 and no weights it is the IoU;
+    in general the weighted Jaccard or Ruzicka similarity. p and w count in steps of 2**-16.
+
+    Args:
+        probability: (H, W) probability of building in [0, 1].
+        weights: (H, W) how much each pixel matters, finite and >= 0, or None for alike.
+
+    Raises:
+        RenderingError: A value is out of its range, or the shapes differ.
+    """
+
+    def __init__(
+        self, probability: NDArray[np.floating], weights: NDArray[np.floating] | None = None
+    ) -> None:
+        p = np.asarray(probability, dtype=np.float64)
+        w = np.ones_like(p) if weights is None else np.asarray(weights, dtype=np.float64)
+        self.size = _size_of(p)
+        if not (p >= 0).all() or not (p <= 1).all():
+            raise RenderingError("The probabilities of a soft mask lie in [0, 1].")
+        if w.shape != p.shape or not np.isfinite(w).all() or not (w >= 0).all() or not w.any():
+            raise RenderingError(
+                f"The weights of a soft mask of shape {p.shape} have shape {w.shape}; they are finite, >= 0 "
+                "and not all 0."
+            )
+        weight = np.rint(w * (_ONE / w.max())).astype(np.int64)
+        inside = np.rint(weight * p).astype(np.int64)
+        self._outside_total = int(inside.sum())
+        self._inside = _row_sums(inside)
+        self._weight = _row_sums(weight)
+
+    def __call__(self, words: Words) -> Floats:
+        """Returns the (N,) weighted soft IoU of N silhouettes."""
+        shared = sum_under(words, self._inside)
+        return _ratio(shared, sum_under(words, self._weight) + self._outside_total - shared)
+
+
+class BoundaryFit:
+    """Symmetric chamfer matching of outlines: 1 if they are the same, 0 if all are ``reach_px`` apart.
+
+    The outline is the set pixels with an unset one beside, above or below them; the image's border is
+    none. Each outline's mean distance to the other, distances cut off at ``reach_px``, is taken; the fit is
+    ``1 - (a + b) / (2 reach_px)``, and 0 without an outline in either. Distances are octagonal (steps to
+    4 and to 8 neighbours in turn; Rosenfeld and Pfaltz 1968), within 12 % of Euclidean at length: a
+    distance of r is r dilations of bit-packed rows.
+
+    Args:
+        mask: (H, W) query silhouette.
+        reach_px: Where distances are cut off, whole pixels; cost grows with it.
+
+    Raises:
+        RenderingError: ``reach_px`` is less than 1.
+    """
+
+    def __init__(self, mask: NDArray[np.bool_], reach_px: int = 16) -> None:
+        if reach_px < 1:
+            raise RenderingError(f"reach_px={reach_px}: outlines are compared within 1 pixel or more.")
+        self.size = _size_of(mask)
+        self.reach_px = reach_px
+        self._valid = valid_bits(*self.size)
+        self._outline = np.zeros_like(self._valid)
+        outline_of(pad_words(pack_mask(mask), self._valid), self._valid, self.size[0], self._outline)
+        self._grown = dilations(self._outline, self._valid, self.size[0], reach_px)
+
+    def __call__(self, words: Words) -> Floats:
+        """Returns the (N,) fit of N silhouettes' outlines."""
+        length = count_bits(self._outline)
+        to_query, from_query, lengths = distance_sums(
+            words, self._outline, self._grown, self._valid, self.size[0]
+        )
+        has_both = (lengths > 0) & (length > 0)
+        mean = to_query / np.maximum(lengths, 1) + from_query / max(length, 1)
+        return np.where(has_both, 1.0 - mean / (2.0 * self.reach_px), 0.0)
+
+    def distance_px(self, fit: Floats) -> Floats:
+        """Returns the mean distance between outlines, pixels, that a fit stands for."""
+        return (1.0 - fit) * self.reach_px
+
+
+def _size_of(picture: NDArray[np.generic]) -> tuple[int, int]:
+    if picture.ndim != 2 or picture.size == 0:
+        raise RenderingError(f"A query to fit has shape {picture.shape}, not (height, width).")
+    return picture.shape[1], picture.shape[0]
+
+
+def _ratio(shared: NDArray[np.int64], union: NDArray[np.int64]) -> Floats:
+    return np.where(union > 0, shared / np.maximum(union, 1), 0.0)
+
+
+def _row_sums(values: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Returns (H, W + 1) sums of each row's first 0 .. W values; at most 8192 * 2**16 = 2**29."""
+    sums = np.zeros((values.shape[0], values.shape[1] + 1), dtype=np.int32)
+    np.cumsum(values, axis=1, out=sums[:, 1:])
+    return sums
