@@ -9,10 +9,10 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
+from lodbench.datasets.pose_files import FoundPose, inverted, is_number
 from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError
 from lodbench.evaluation.errors import pose_error
-from lodbench.evaluation.pose_files import FoundPose, inverted, is_number
 from lodbench.geometry import Pose
 
 # A convention is suspected if reading the poses in another way brings them this many times closer.

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.folder import select_splits
+from lodbench.datasets.pose_files import FoundPose, read_pose_file
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
-from lodbench.evaluation.pose_files import FoundPose, read_pose_file
 from lodbench.evaluation.pose_matching import match_poses, suspect_convention
 from lodbench.evaluation.rows import NO_TRUTH, QueryRow
 from lodbench.geometry import Pose

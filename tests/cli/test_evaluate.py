@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from lodbench.datasets.pose_files import inverted
 from lodbench.datasets.pose_text import read_poses
-from lodbench.evaluation.pose_files import inverted
-from tests.evaluation.test_pose_files import lines
+from tests.datasets.test_pose_files import lines
 from tests.town import write_dataset
 
 

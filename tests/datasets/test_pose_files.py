@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lodbench.datasets.pose_files import FoundPose, inverted, read_pose_file
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation import pose_error
-from lodbench.evaluation.pose_files import FoundPose, inverted, read_pose_file
 from lodbench.evaluation.pose_matching import match_poses, suspect_convention
 from lodbench.geometry import Pose
 from tests.town import true_poses
