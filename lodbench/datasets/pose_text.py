@@ -44,9 +44,9 @@ def format_pose(name: str, pose: Pose) -> str:
 
 
 def format_camera(name: str, camera: Camera) -> str:
-    """Returns the line of a pinhole camera."""
-    numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
-    return " ".join([name, "PINHOLE", str(camera.width), str(camera.height), *(repr(v) for v in numbers)])
+    """Returns the line of a camera, with as many digits as restore it exactly."""
+    model, numbers = camera.to_colmap()
+    return " ".join([name, model, str(camera.width), str(camera.height), *(repr(v) for v in numbers)])
 
 
 def lines_to_text(lines: Iterable[str]) -> str:

@@ -10,14 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import LodbenchError, nearest_names
+from lodbench.geometry.lens import LENSES, STRAIGHT_AT_ZERO, distort
 
-# COLMAP model name -> how its parameters map to (fx, fy, cx, cy, k1, k2, p1, p2).
+# COLMAP model name -> the lens it is a case of, and its parameters: f stands for both focal lengths.
 _MODELS = {
-    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
-    "PINHOLE": ("fx", "fy", "cx", "cy"),
-    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
-    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
-    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "SIMPLE_PINHOLE": ("OPENCV", ("f", "cx", "cy")),
+    "PINHOLE": ("OPENCV", ("fx", "fy", "cx", "cy")),
+    "SIMPLE_RADIAL": ("OPENCV", ("f", "cx", "cy", "k1")),
+    "RADIAL": ("OPENCV", ("f", "cx", "cy", "k1", "k2")),
+    "SIMPLE_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy")),
+    "FISHEYE": ("OPENCV_FISHEYE", ("fx", "fy", "cx", "cy")),
+    "SIMPLE_RADIAL_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy", "k1")),
+    "RADIAL_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy", "k1", "k2")),
+    "SIMPLE_DIVISION": ("DIVISION", ("f", "cx", "cy", "k")),
+    **{lens: (lens, ("fx", "fy", "cx", "cy", *names)) for lens, names in LENSES.items()},
 }
 
 
@@ -32,7 +38,8 @@ class Camera:
         fy: Focal length along y, pixels.
         cx: Principal point x, pixels.
         cy: Principal point y, pixels.
-        distortion: (k1, k2, p1, p2) in OpenCV's order, or empty for a pinhole.
+        distortion: Parameters of the lens, in COLMAP's order; empty for a pinhole.
+        lens: Name of the lens's formula, one of ``lens.LENSES``.
     """
 
     width: int
@@ -42,6 +49,7 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
+    lens: str = "OPENCV"
 
     def __post_init__(self) -> None:
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
@@ -49,6 +57,8 @@ class Camera:
             raise LodbenchError(f"A camera needs positive sizes and focal lengths, not {self}.")
         if not all(math.isfinite(v) for v in numbers):
             raise LodbenchError(f"A camera has values that are not finite: {self}.")
+        if self.distortion and len(self.distortion) != len(LENSES.get(self.lens, ())):
+            raise LodbenchError(f"A lens {self.lens} has not {len(self.distortion)} parameters.")
 
     @classmethod
     def from_colmap(cls, model: str, width: int, height: int, params: Sequence[float]) -> Camera:
@@ -57,16 +67,17 @@ class Camera:
         Raises:
             LodbenchError: The model is unknown or has another number of parameters.
         """
-        names = _MODELS.get(model)
-        if names is None:
+        if model not in _MODELS:
             raise LodbenchError(f"Camera model {model!r} is not known.", nearest_names(model, _MODELS))
+        lens, names = _MODELS[model]
         if len(params) != len(names):
             raise LodbenchError(
                 f"Camera model {model} takes {len(names)} parameters ({' '.join(names)}), not {len(params)}."
             )
         value = dict(zip(names, params, strict=True))
         focal = value.get("f", 0.0)
-        distortion = tuple(value.get(k, 0.0) for k in ("k1", "k2", "p1", "p2"))
+        distortion = tuple(value.get(name, 0.0) for name in LENSES[lens])
+        is_straight = lens in STRAIGHT_AT_ZERO and not any(distortion)
         return cls(
             width,
             height,
@@ -74,8 +85,14 @@ class Camera:
             value.get("fy", focal),
             value["cx"],
             value["cy"],
-            distortion if any(distortion) else (),
+            () if is_straight else distortion,
+            "OPENCV" if is_straight else lens,
         )
+
+    def to_colmap(self) -> tuple[str, tuple[float, ...]]:
+        """Returns COLMAP's model name and parameters: ``PINHOLE``, or the lens's own."""
+        model = self.lens if self.distortion else "PINHOLE"
+        return model, (self.fx, self.fy, self.cx, self.cy, *self.distortion)
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -97,7 +114,7 @@ class Camera:
 
     def without_distortion(self) -> Camera:
         """Returns the pinhole with the same K: the camera of the undistorted image."""
-        return replace(self, distortion=())
+        return replace(self, distortion=(), lens="OPENCV")
 
     def project(self, points_cam: NDArray[np.float64]) -> NDArray[np.float64]:
         """Returns (N, 2) pixels of (N, 3) points in camera axes, metres; NaN behind the camera."""
@@ -105,11 +122,5 @@ class Camera:
         z = np.where(points[:, 2] > 0, points[:, 2], np.nan)
         x, y = points[:, 0] / z, points[:, 1] / z
         if self.distortion:
-            k1, k2, p1, p2 = self.distortion
-            r2 = x * x + y * y
-            radial = 1 + k1 * r2 + k2 * r2 * r2
-            x, y = (
-                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-            )
+            x, y = distort(self.lens, self.distortion, x, y)
         return np.stack([self.fx * x + self.cx, self.fy * y + self.cy], axis=1)

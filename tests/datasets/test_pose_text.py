@@ -116,7 +116,7 @@ class TestReadCameras:
             ("b.jpg PINHOLE 640 512 f 1 1 1", "f"),
             ("b.jpg PINHOLE 640 512 nan 1 1 1", "."),
             ("b.jpg PINHOLE 640 -1 1 1 1 1", "positive"),
-            ("b.jpg FISHEYE 640 512 1 1 1 1", "FISHEYE"),
+            ("b.jpg FISHY 640 512 1 1 1 1", "FISHY"),
             ("a.jpg PINHOLE 640 512 1 1 1 1", "twice"),
         ],
     )
