@@ -38,6 +38,7 @@ LATE = {
     "OpenGL",
     "trimesh",
     "matplotlib",
+    "PIL",
     "pyogrio",
     "pyarrow",
     "rasterio",

@@ -26,7 +26,8 @@ MODELS = {
     "FOV": (*FOCAL, *CENTRE, 0.8),
     "THIN_PRISM_FISHEYE": (*FOCAL, *CENTRE, 0.05, -0.01, 0.001, -0.002, 0.003, -0.002, 0.004, -0.003),
     "RAD_TAN_THIN_PRISM_FISHEYE": (
-        *FOCAL, *CENTRE, 0.05, -0.01, 0.003, -0.002, 0.001, -0.0005, 0.001, -0.002, 0.003, -0.002, 0.004, -0.003,
+        *FOCAL, *CENTRE, 0.05, -0.01, 0.003, -0.002, 0.001, -0.0005,
+        0.001, -0.002, 0.003, -0.002, 0.004, -0.003,
     ),
     "SIMPLE_DIVISION": (500.0, *CENTRE, -0.1),
     "DIVISION": (*FOCAL, *CENTRE, -0.1),
@@ -59,7 +60,9 @@ def test_there_and_back_in_colmap_s_terms(model, points):
 
 def test_full_model_against_opencv(points):
     camera = Camera.from_colmap("FULL_OPENCV", 640, 512, MODELS["FULL_OPENCV"])
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))
+    expected, _ = cv2.projectPoints(
+        points, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion)
+    )
     np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
 
 

@@ -1,0 +1,131 @@
+"""Between a city's coordinates and places on Earth: latitude and longitude, true north, ellipsoid heights."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+from lodbench.citymodel.crs import require_crs
+from lodbench.errors import DatasetError
+from lodbench.geometry import Pose
+from lodbench.geometry.angles import heading_from_yaw
+from lodbench.geometry.frames import grid_convergence_deg
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
+
+# WGS 84 as GPS receivers state it: two- and three-dimensional.
+_WGS84, _WGS84_3D = "EPSG:4326", "EPSG:4979"
+
+
+class Place(NamedTuple):
+    """Where a camera is and how it looks, in the terms people use.
+
+    Attributes:
+        latitude_deg: WGS 84.
+        longitude_deg: WGS 84.
+        height_m: In the city's own heights.
+        heading_deg: Clockwise from true north, in [0, 360): where the picture's top points at nadir.
+        pitch_deg: Above the horizon, as gimbals state it: -90 is straight down.
+        roll_deg: As the datasets have it.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    heading_deg: float
+    pitch_deg: float
+    roll_deg: float
+
+
+class MapFrame:
+    """The coordinates of a city with a known, projected reference system.
+
+    Args:
+        crs: As a scene states it: ``EPSG:25832+7837``.
+
+    Raises:
+        DatasetError: The system is not projected in metres.
+    """
+
+    def __init__(self, crs: str) -> None:
+        self.crs = crs
+        known = require_crs(crs)
+        self._horizontal = known.horizontal
+        self._has_heights = known.vertical_code is not None
+        if not self._horizontal.is_projected:
+            raise DatasetError(f"{crs} has degrees, not metres.", "Name a projected system.")
+
+    @cached_property
+    def _to_map(self) -> Transformer:
+        from pyproj import Transformer
+
+        return Transformer.from_crs(_WGS84, self._horizontal, always_xy=True)
+
+    @property
+    def accuracy_m(self) -> float | None:
+        """How well the step from WGS 84 to the city's datum is known, metres; None where PROJ cannot say."""
+        accuracy = float(self._to_map.accuracy)
+        return accuracy if accuracy >= 0 else None
+
+    def east_north(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+        """Returns easting and northing, metres.
+
+        Raises:
+            DatasetError: The place cannot be projected.
+        """
+        east, north = self._to_map.transform(longitude_deg, latitude_deg)
+        if not (math.isfinite(east) and math.isfinite(north)):
+            raise DatasetError(
+                f"The place {latitude_deg:.6f}, {longitude_deg:.6f} has no coordinates in {self.crs}.",
+                "Is the city's reference system right? --crs names another.",
+            )
+        return float(east), float(north)
+
+    def latitude_longitude(self, east: float, north: float) -> tuple[float, float]:
+        """Returns latitude and longitude, degrees, WGS 84."""
+        longitude, latitude = self._to_map.transform(east, north, direction="INVERSE")
+        return float(latitude), float(longitude)
+
+    def convergence_deg(self, east: float, north: float) -> float:
+        """Returns the clockwise angle in degrees from true to grid north."""
+        return grid_convergence_deg(self._horizontal.to_wkt(), east, north)
+
+    def height_from_ellipsoid(self, latitude_deg: float, longitude_deg: float, ellipsoid_m: float) -> float:
+        """Returns a height above the WGS 84 ellipsoid in the city's heights.
+
+        Raises:
+            DatasetError: The city names no height system, or PROJ has no geoid model for it here: a
+                height some fifty metres off is never passed on in silence.
+        """
+        from pyproj import Transformer
+        from pyproj.exceptions import ProjError
+
+        hint = (
+            "Give --geoid, the geoid's height above the ellipsoid there, in metres; or let PROJ fetch the "
+            "model: PROJ_NETWORK=ON."
+        )
+        if not self._has_heights:
+            raise DatasetError(
+                f"Heights above the ellipsoid cannot be turned into the city's: {self.crs} names no heights.",
+                hint,
+            )
+        try:
+            transformer = Transformer.from_crs(
+                _WGS84_3D, self.crs, always_xy=True, only_best=True, allow_ballpark=False
+            )
+            height = float(transformer.transform(longitude_deg, latitude_deg, ellipsoid_m, errcheck=True)[2])
+        except ProjError as error:
+            raise DatasetError(
+                f"PROJ has no geoid model here to turn ellipsoid heights into those of {self.crs}.", hint
+            ) from error
+        return height
+
+    def place_of(self, pose: Pose) -> Place:
+        """Returns where a pose in the city's coordinates is on Earth, and where it looks."""
+        east, north, height = (float(v) for v in pose.center)
+        latitude, longitude = self.latitude_longitude(east, north)
+        angles = pose.euler
+        heading = heading_from_yaw(angles.yaw_deg - self.convergence_deg(east, north))
+        return Place(latitude, longitude, height, heading, angles.pitch_deg - 90.0, angles.roll_deg)

@@ -1,0 +1,115 @@
+"""From a drone photo's metadata to its camera, by the best of what it states."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lodbench.datasets.photo_metadata import Dewarp, PhotoMetadata
+from lodbench.errors import DatasetError
+from lodbench.geometry import Camera
+
+# Widths of sensors, millimetres, by EXIF's model: published by DJI with the drones.
+_SENSOR_WIDTH_MM = {
+    "FC220": 6.17,  # Mavic Pro, 1/2.3 inch
+    "FC330": 6.17,  # Phantom 4
+    "FC300X": 6.17,  # Phantom 3
+    "FC350": 6.17,  # Zenmuse X3
+    "FC550": 17.3,  # Zenmuse X5, 4/3 inch
+    "FC6310": 13.2,  # Phantom 4 Pro, 1 inch
+    "FC6310S": 13.2,
+    "FC6310R": 13.2,  # Phantom 4 RTK
+    "FC6510": 13.2,  # Zenmuse X4S
+    "FC6520": 17.3,  # Zenmuse X5S
+    "L1D-20C": 13.2,  # Mavic 2 Pro
+    "L2D-20C": 17.3,  # Mavic 3
+    "FC3411": 13.2,  # Air 2S
+    "M3E": 17.3,  # Mavic 3 Enterprise
+    "ZENMUSEP1": 35.9,
+}
+# The diagonal of the 36 x 24 mm picture that "35 mm equivalent" means.
+_DIAGONAL_35MM = math.hypot(36.0, 24.0)
+# A field of view beyond these is a wrong number: fisheyes have no focal length of this kind.
+_FIELD_DEG = (3.0, 150.0)
+# Sizes are whole pixels, so scaling changes the aspect a little; cropping changes it more.
+_ASPECT_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoCamera:
+    """A camera and where its numbers came from.
+
+    Attributes:
+        camera: Of the picture as stored, lens distortion included where it is known.
+        source: ``dewarp``, ``calibrated``, ``focal_plane``, ``sensor`` or ``35mm``.
+    """
+
+    camera: Camera
+    source: str
+
+
+def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
+    """Returns the camera of a photo.
+
+    Tried in order: DJI's calibration with its distortion (without it where the drone has undistorted
+    the picture already), DJI's focal length in pixels, EXIF's focal length with the size of a pixel,
+    with the width of a known sensor, and as the equivalent of a 35 mm camera, which is rounded to a
+    millimetre and so good to a few percent.
+
+    Raises:
+        DatasetError: The photo states none of them, or one that no camera has.
+    """
+    width, height = _size_when_taken(photo)
+    if photo.dewarp is not None:
+        return PhotoCamera(_checked(photo, _dewarped(photo, photo.dewarp, width, height)), "dewarp")
+    fx, fy, source = _focal_px(photo, width, height)
+    cx = width / 2 if photo.optical_center_x_px is None else photo.optical_center_x_px
+    cy = height / 2 if photo.optical_center_y_px is None else photo.optical_center_y_px
+    if not (0 < cx < width and 0 < cy < height):
+        cx, cy = width / 2, height / 2
+    return PhotoCamera(_checked(photo, Camera(width, height, fx, fy, cx, cy)), source)
+
+
+def _size_when_taken(photo: PhotoMetadata) -> tuple[int, int]:
+    """Returns the size that numbers in pixels belong to: another than the file's if it was scaled since."""
+    if photo.size_when_taken is None:
+        return photo.width, photo.height
+    width, height = photo.size_when_taken
+    is_scaled = abs(width * photo.height / (height * photo.width) - 1) < _ASPECT_TOLERANCE
+    return (width, height) if is_scaled else (photo.width, photo.height)
+
+
+def _dewarped(photo: PhotoMetadata, dewarp: Dewarp, width: int, height: int) -> Camera:
+    numbers = (dewarp.fx, dewarp.fy, width / 2 + dewarp.cx, height / 2 + dewarp.cy)
+    if photo.is_dewarped or not any(dewarp.distortion):
+        return Camera(width, height, *numbers)
+    return Camera(width, height, *numbers, (*dewarp.distortion, 0.0, 0.0, 0.0), "FULL_OPENCV")
+
+
+def _focal_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float, float, str]:
+    """Returns fx and fy in pixels, and what they were made from."""
+    if photo.calibrated_focal_px is not None and photo.calibrated_focal_px > 0:
+        return photo.calibrated_focal_px, photo.calibrated_focal_px, "calibrated"
+    if photo.focal_mm is not None and photo.pixel_mm is not None:
+        return photo.focal_mm / photo.pixel_mm[0], photo.focal_mm / photo.pixel_mm[1], "focal_plane"
+    sensor_mm = _SENSOR_WIDTH_MM.get(photo.model.upper())
+    if photo.focal_mm is not None and sensor_mm is not None:
+        focal = photo.focal_mm / sensor_mm * max(width, height)
+        return focal, focal, "sensor"
+    if photo.focal_35mm is not None:
+        focal = photo.focal_35mm / _DIAGONAL_35MM * math.hypot(width, height)
+        return focal, focal, "35mm"
+    raise DatasetError(
+        f"{photo.name} does not say its camera's focal length.",
+        "Give --camera 'MODEL W H PARAMETERS', as in intrinsic.txt, or --focal-px.",
+    )
+
+
+def _checked(photo: PhotoMetadata, camera: Camera) -> Camera:
+    field = math.degrees(2 * math.atan(camera.width / (2 * camera.fx)))
+    if not _FIELD_DEG[0] <= field <= _FIELD_DEG[1]:
+        raise DatasetError(
+            f"{photo.name}: a focal length of {camera.fx:.0f} px sees {field:.1f} degrees; no photo does.",
+            "Give --camera or --focal-px.",
+        )
+    return camera if camera.width == photo.width else camera.scaled(photo.width, photo.height)

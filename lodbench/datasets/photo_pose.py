@@ -1,0 +1,160 @@
+"""From a drone photo's metadata to a rough pose in the city's coordinates.
+
+The steps, and what each is wrong by if it is left out: WGS 84 to the city's datum and projection
+(anything), true to grid north (up to 3 degrees in UTM), heights above the ellipsoid to those of the
+city (up to 100 m), the gimbal's roll about the optical axis (what it is).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_metadata import PhotoMetadata
+from lodbench.errors import ConfigError, DatasetError, nearest_names
+from lodbench.geometry import Pose
+from lodbench.geometry.angles import rotation_from_dji
+
+HeightSource = Literal["auto", "sea_level", "ellipsoid", "takeoff"]
+# A datum shift known no better than this is worth telling.
+_TELL_ACCURACY_M = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class HeightOptions:
+    """How a drone's heights become the city's.
+
+    Attributes:
+        source: ``sea_level``: the absolute altitude is taken as it stands, as that of a drone without RTK
+            is meant. ``ellipsoid``: it is above the WGS 84 ellipsoid, as with RTK. ``takeoff``: the
+            relative altitude above ``takeoff_m``. ``auto``: takeoff where ``takeoff_m`` is given, else
+            ellipsoid for RTK solutions, else sea_level.
+        takeoff_m: Height of the take-off point, in the city's heights.
+        geoid_m: Height of the city's zero above the ellipsoid there; None asks PROJ.
+        offset_m: Added in the end: what is known to be wrong with the drone's barometer.
+
+    Raises:
+        ConfigError: The source is unknown, or lacks the take-off height.
+    """
+
+    source: HeightSource = "auto"
+    takeoff_m: float | None = None
+    geoid_m: float | None = None
+    offset_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.source not in get_args(HeightSource):
+            raise ConfigError(
+                f"heights={self.source} is unknown.", nearest_names(self.source, get_args(HeightSource))
+            )
+        if self.source == "takeoff" and self.takeoff_m is None:
+            raise ConfigError(
+                "Heights above the take-off point need its own height.", "Give --takeoff METRES."
+            )
+
+    def source_for(self, photo: PhotoMetadata) -> str:
+        """Returns the source that counts for a photo."""
+        if self.source != "auto":
+            return self.source
+        if self.takeoff_m is not None:
+            return "takeoff"
+        return "ellipsoid" if photo.has_rtk else "sea_level"
+
+
+@dataclass(frozen=True, slots=True)
+class RoughPlace:
+    """A rough pose in the terms of gimbals and maps; what is given here goes before the photo's own.
+
+    Attributes:
+        latitude_deg: WGS 84.
+        longitude_deg: WGS 84.
+        height_m: In the city's heights.
+        heading_deg: Clockwise from true north.
+        pitch_deg: 0 at the horizon, -90 straight down.
+        roll_deg: About the optical axis.
+    """
+
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    height_m: float | None = None
+    heading_deg: float | None = None
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+
+
+def pose_from_photo(
+    photo: PhotoMetadata,
+    frame: MapFrame,
+    heights: HeightOptions | None = None,
+    given: RoughPlace | None = None,
+) -> Pose:
+    """Returns the pose that a photo's metadata states, in the city's coordinates.
+
+    Args:
+        photo: What the photo states.
+        frame: The city's coordinates.
+        heights: How the drone's heights become the city's.
+        given: What is known better, or not in the photo.
+
+    Raises:
+        DatasetError: The position, a height or the heading is neither in the photo nor given; or the
+            height cannot be converted.
+    """
+    given = given or RoughPlace()
+    latitude, longitude = (
+        _first(given.latitude_deg, photo.latitude_deg),
+        _first(given.longitude_deg, photo.longitude_deg),
+    )
+    if latitude is None or longitude is None:
+        raise DatasetError(f"{photo.name} does not say where it was taken.", "Give --lat and --lon.")
+    yaw, pitch = (
+        _first(given.heading_deg, photo.gimbal_yaw_deg),
+        _first(given.pitch_deg, photo.gimbal_pitch_deg),
+    )
+    if yaw is None or pitch is None:
+        raise DatasetError(
+            f"{photo.name} does not say where its camera looked (DJI's gimbal angles).",
+            "Give --heading and --pitch (0 at the horizon, -90 straight down).",
+        )
+    roll = _first(given.roll_deg, photo.gimbal_roll_deg) or 0.0
+    east, north = frame.east_north(latitude, longitude)
+    height = given.height_m
+    if height is None:
+        height = _height(photo, frame, heights or HeightOptions(), latitude, longitude)
+    rotation = rotation_from_dji(yaw, pitch, roll, frame.convergence_deg(east, north))
+    return Pose.from_center(rotation, (east, north, height))
+
+
+def datum_note(frame: MapFrame) -> str | None:
+    """Returns a sentence if the step from GPS to the city's datum may be off by metres."""
+    accuracy = frame.accuracy_m
+    if accuracy is not None and accuracy <= _TELL_ACCURACY_M:
+        return None
+    known = "unknown here" if accuracy is None else f"{accuracy:g} m"
+    return f"the accuracy of the step from WGS 84 to {frame.crs} is {known} (PROJ_NETWORK=ON may better it)"
+
+
+def _height(
+    photo: PhotoMetadata, frame: MapFrame, options: HeightOptions, latitude: float, longitude: float
+) -> float:
+    source = options.source_for(photo)
+    stated = photo.relative_altitude_m if source == "takeoff" else photo.altitude_m
+    if stated is None:
+        kind = "above its take-off point" if source == "takeoff" else "absolute"
+        raise DatasetError(
+            f"{photo.name} does not say how high it was ({kind}).", "Give --height, in the city's heights."
+        )
+    if source == "takeoff" and options.takeoff_m is not None:
+        height = options.takeoff_m + stated
+    elif source == "ellipsoid" and options.geoid_m is not None:
+        height = stated - options.geoid_m
+    elif source == "ellipsoid":
+        height = frame.height_from_ellipsoid(latitude, longitude, stated)
+    else:
+        height = stated
+    return height + options.offset_m
+
+
+def _first(given: float | None, stated: float | None) -> float | None:
+    return stated if given is None else given

@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import contextlib
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
+from lodbench.errors import DatasetError
+from tests.datasets.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
+
+DEWARP = "2019-08-07;3666.66,3660.12,-12.3,8.5,-0.2651,0.1123,0.0002,-0.0004,-0.0331"
+
+
+@pytest.mark.parametrize("as_elements", [False, True])
+def test_everything_a_dji_photo_states(tmp_path, as_elements):
+    properties = {**PROPERTIES, "DewarpData": DEWARP, "DewarpFlag": "0", "RtkFlag": "50"}
+    path = write_photo(
+        tmp_path / "DJI_0001.JPG",
+        exif=exif_of(51.0479, 5.869, 203.4, size=(5472, 3648), orientation=3),
+        xmp=xmp_packet(properties, as_elements),
+    )
+    photo = read_photo_metadata(path)
+    assert (photo.name, photo.width, photo.height) == ("DJI_0001.JPG", 64, 48)
+    assert (photo.make, photo.model, photo.taken_at) == ("DJI", "FC6310R", "2023:10:18 11:46:19")
+    assert (photo.orientation, photo.size_when_taken) == (3, (5472, 3648))
+    # DJI's own digits go before EXIF's seconds.
+    assert (photo.latitude_deg, photo.longitude_deg) == (51.0479012, 5.8690021)
+    assert (photo.altitude_m, photo.relative_altitude_m) == (203.41, 80.1)
+    assert (photo.gimbal_yaw_deg, photo.gimbal_pitch_deg, photo.gimbal_roll_deg) == (-43.6, -45.3, 0.3)
+    assert (photo.focal_mm, photo.focal_35mm) == (pytest.approx(8.8), 24)
+    assert photo.has_rtk
+    assert not photo.is_dewarped
+    assert photo.dewarp is not None
+    assert (photo.dewarp.fx, photo.dewarp.fy, photo.dewarp.cx, photo.dewarp.cy) == (
+        3666.66,
+        3660.12,
+        -12.3,
+        8.5,
+    )
+    assert photo.dewarp.distortion == (-0.2651, 0.1123, 0.0002, -0.0004, -0.0331)
+
+
+def test_exif_alone(tmp_path):
+    photo = read_photo_metadata(write_photo(tmp_path / "a.jpg", exif=exif_of(-33.865143, -70.5, -12.25)))
+    assert photo.latitude_deg == pytest.approx(-33.865143, abs=3e-8)
+    assert photo.longitude_deg == pytest.approx(-70.5, abs=3e-8)
+    assert photo.altitude_m == -12.25
+    assert photo.gimbal_yaw_deg is None
+    assert photo.has_position
+
+
+def test_a_photo_that_says_nothing(tmp_path):
+    assert read_photo_metadata(write_photo(tmp_path / "a.jpg")) == PhotoMetadata("a.jpg", 64, 48)
+
+
+def test_the_misspelt_longitude_of_older_firmware(tmp_path):
+    properties = {"GpsLatitude": "51.5", "GpsLongtitude": "5.25"}
+    photo = read_photo_metadata(write_photo(tmp_path / "a.jpg", xmp=xmp_packet(properties)))
+    assert (photo.latitude_deg, photo.longitude_deg) == (51.5, 5.25)
+
+
+def test_no_fix_is_no_place(tmp_path):
+    zero = {"GpsLatitude": "0.0", "GpsLongitude": "+0.0000"}
+    assert not read_photo_metadata(write_photo(tmp_path / "a.jpg", xmp=xmp_packet(zero))).has_position
+
+
+def test_png_and_tiff_carry_the_same(tmp_path):
+    pixels = Image.fromarray(np.zeros((5, 7), np.uint8))
+    xmp = xmp_packet(PROPERTIES)
+    pixels.save(tmp_path / "a.tif", tiffinfo={700: xmp})
+    assert read_photo_metadata(tmp_path / "a.tif").gimbal_yaw_deg == -43.6
+    from PIL.PngImagePlugin import PngInfo
+
+    text = PngInfo()
+    text.add_itxt("XML:com.adobe.xmp", xmp.decode())
+    pixels.save(tmp_path / "a.png", pnginfo=text, exif=exif_of(51.0, 5.0, 7.0))
+    photo = read_photo_metadata(tmp_path / "a.png")
+    assert (photo.width, photo.height, photo.gimbal_yaw_deg) == (7, 5, -43.6)
+
+
+class TestHostile:
+    @pytest.mark.parametrize(
+        ("key", "value", "field"),
+        [
+            ("GimbalYawDegree", "nan", "gimbal_yaw_deg"),
+            ("GimbalYawDegree", "inf", "gimbal_yaw_deg"),
+            ("GimbalYawDegree", "north", "gimbal_yaw_deg"),
+            ("GpsLatitude", "191.0", "latitude_deg"),
+            ("AbsoluteAltitude", "", "altitude_m"),
+            ("DewarpData", "2019;1,2,3", "dewarp"),
+            ("DewarpData", "2019;" + "x," * 9, "dewarp"),
+            ("DewarpData", DEWARP.replace("3666.66", "-1"), "dewarp"),
+        ],
+    )
+    def test_numbers_that_are_none_are_absent(self, tmp_path, key, value, field):
+        path = write_photo(tmp_path / "a.jpg", xmp=xmp_packet({**PROPERTIES, key: value}))
+        assert getattr(read_photo_metadata(path), field) is None
+
+    def test_rationals_over_zero_are_absent(self, tmp_path):
+        exif = exif_of(51.0, 5.0, 100.125)
+        whole = struct.pack(">LL" if exif[6:8] == b"MM" else "<LL", 801, 8)
+        assert exif.count(whole) == 1
+        at = exif.index(whole)
+        path = write_photo(tmp_path / "a.jpg", exif=exif[: at + 4] + bytes(4) + exif[at + 8 :])
+        assert read_photo_metadata(path).altitude_m is None
+        assert read_photo_metadata(path).latitude_deg == 51.0
+
+    def test_an_entity_is_refused(self, tmp_path):
+        packet = b'<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>' + xmp_packet({"Model": "&e;"})
+        with pytest.raises(DatasetError, match="DOCTYPE"):
+            read_photo_metadata(write_photo(tmp_path / "a.jpg", xmp=packet))
+
+    def test_broken_xmp_is_named(self, tmp_path):
+        with pytest.raises(DatasetError, match=r"a\.jpg, XMP"):
+            read_photo_metadata(write_photo(tmp_path / "a.jpg", xmp=xmp_packet(PROPERTIES)[:-60]))
+
+    @pytest.mark.parametrize("content", [b"", b"hello", b"\xff\xd8\xff\xe1", b"\x89PNG\r\n\x1a\n"])
+    def test_what_is_no_picture(self, tmp_path, content):
+        (tmp_path / "a.jpg").write_bytes(content)
+        with pytest.raises(DatasetError, match=r"a\.jpg"):
+            read_photo_metadata(tmp_path / "a.jpg")
+
+    def test_missing_files_and_folders(self, tmp_path):
+        for path in (tmp_path / "no.jpg", tmp_path):
+            with pytest.raises(DatasetError, match="cannot be read"):
+                read_photo_metadata(path)
+
+    def test_a_picture_too_large_is_refused_before_it_is_decoded(self, tmp_path):
+        header = write_photo(tmp_path / "a.jpg").read_bytes()
+        # The frame header of a baseline JPEG: marker, length, precision, height, width.
+        at = header.index(b"\xff\xc0")
+        (tmp_path / "b.jpg").write_bytes(header[: at + 5] + b"\xff\xff\xff\xff" + header[at + 9 :])
+        with pytest.raises(DatasetError, match="too many pixels"):
+            read_photo_metadata(tmp_path / "b.jpg")
+
+    @settings(max_examples=150)
+    @given(st.integers(0, 2**32 - 1))
+    def test_bytes_changed_at_random_give_metadata_or_a_clear_error(self, tmp_path_factory, seed):
+        folder = tmp_path_factory.getbasetemp()
+        content = bytearray(_photo(folder))
+        generator = np.random.default_rng(seed)
+        for _ in range(int(generator.integers(1, 12))):
+            content[int(generator.integers(2, len(content)))] = int(generator.integers(256))
+        path = folder / "mutant.jpg"
+        path.write_bytes(bytes(content[: int(generator.integers(100, len(content)))]))
+        # Anything but metadata or a DatasetError is a failure.
+        with contextlib.suppress(DatasetError):
+            photo = read_photo_metadata(path)
+            assert photo.latitude_deg is None or abs(photo.latitude_deg) <= 90
+
+
+def _photo(folder):
+    path = folder / "whole.jpg"
+    if not path.exists():
+        write_photo(
+            path, exif=exif_of(51.0, 5.0, 100.0), xmp=xmp_packet({**PROPERTIES, "DewarpData": DEWARP})
+        )
+    return path.read_bytes()

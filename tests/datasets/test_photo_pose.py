@@ -1,0 +1,211 @@
+"""From metadata to poses and cameras: against the published prior, pyproj, and geometry done by hand."""
+
+from __future__ import annotations
+
+import os
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import Geod, Transformer, datadir
+from pyproj.network import is_network_enabled, set_network_enabled
+
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.photo_metadata import Dewarp, PhotoMetadata
+from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, datum_note, pose_from_photo
+from lodbench.errors import ConfigError, DatasetError
+
+# A drone over western Germany, far from its zone's meridian: the grid is turned by more than 2 degrees.
+PHOTO = PhotoMetadata(
+    "DJI_0001.JPG", 5472, 3648, latitude_deg=51.0479, longitude_deg=5.8690, altitude_m=203.4,
+    relative_altitude_m=80.1, gimbal_yaw_deg=-43.6, gimbal_pitch_deg=-45.3, gimbal_roll_deg=0.3,
+)  # fmt: skip
+NRW = MapFrame("EPSG:25832+7837")
+
+
+def ground_direction(frame: MapFrame, photo: PhotoMetadata) -> float:
+    """Returns the true bearing, degrees, in which the photo's camera looks, by a geodesic on the ground."""
+    pose = pose_from_photo(photo, frame)
+    ahead = pose.center + 200 * pose.rotation[2]
+    lat, lon = frame.latitude_longitude(*pose.center[:2])
+    lat2, lon2 = frame.latitude_longitude(*ahead[:2])
+    return Geod(ellps="WGS84").inv(lon, lat, lon2, lat2)[0]
+
+
+def test_looks_where_the_gimbal_says_by_true_north():
+    assert abs(NRW.convergence_deg(*NRW.east_north(51.0479, 5.869))) > 2.0
+    assert ground_direction(NRW, PHOTO) == pytest.approx(-43.6, abs=0.02)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:2056+5728", "EPSG:6677", "EPSG:26918", "EPSG:4547"])
+def test_in_every_projection(crs):
+    frame = MapFrame(crs)
+    area = frame._horizontal.area_of_use
+    place = {
+        "latitude_deg": area.south * 0.4 + area.north * 0.6,
+        "longitude_deg": area.west * 0.3 + area.east * 0.7,
+    }
+    assert (ground_direction(frame, replace(PHOTO, **place)) + 43.6 + 180) % 360 - 180 == pytest.approx(
+        0, abs=0.1
+    )
+
+
+def test_the_position_is_pyproj_s():
+    expected = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True).transform(5.8690, 51.0479)
+    np.testing.assert_allclose(pose_from_photo(PHOTO, NRW).center, [*expected, 203.4], atol=1e-6)
+
+
+def test_the_published_prior_of_the_demo_query():
+    # UAVD4L's 0636_D: gimbal (-43.6, -45.3, 0) is the published prior (44.7, 0, 43.6), without convergence.
+    frame = MapFrame("EPSG:4547")
+    photo = replace(PHOTO, latitude_deg=28.28, longitude_deg=113.0, gimbal_roll_deg=0.0)
+    angles = pose_from_photo(photo, frame).euler
+    convergence = frame.convergence_deg(*frame.east_north(28.28, 113.0))
+    assert convergence == pytest.approx(-0.47, abs=0.02)
+    np.testing.assert_allclose(angles, [44.7, 0.0, 43.6 + convergence], atol=1e-9)
+
+
+def test_the_three_mistakes_of_the_released_script_are_not_made():
+    pose = pose_from_photo(replace(PHOTO, gimbal_roll_deg=3.0), NRW)
+    # (a) The translation belongs to the rotation: the camera is where GPS says.
+    east, north = NRW.east_north(51.0479, 5.869)
+    np.testing.assert_allclose(-pose.rotation.T @ pose.translation, [east, north, 203.4], atol=1e-6)
+    # (b) The roll turns about the optical axis: where the camera looks does not change with it.
+    level = pose_from_photo(replace(PHOTO, gimbal_roll_deg=0.0), NRW)
+    np.testing.assert_allclose(pose.rotation[2], level.rotation[2], atol=1e-12)
+    cosine = (np.trace(pose.rotation @ level.rotation.T) - 1) / 2
+    assert np.degrees(np.arccos(cosine)) == pytest.approx(3.0, abs=1e-6)
+    # (c) Grid north is not true north.
+    assert -level.euler.yaw_deg == pytest.approx(-43.6 - NRW.convergence_deg(east, north), abs=1e-9)
+
+
+@given(
+    st.floats(-179, 179), st.floats(-89, -5), st.floats(47.5, 54.5), st.floats(6.1, 11.9), st.floats(0, 900)
+)
+def test_there_and_back(heading, pitch, latitude, longitude, height):
+    given_place = RoughPlace(latitude, longitude, height, heading, pitch, 0.0)
+    place = NRW.place_of(pose_from_photo(PhotoMetadata("a.jpg", 4, 3), NRW, given=given_place))
+    assert place.latitude_deg == pytest.approx(latitude, abs=1e-8)
+    assert place.longitude_deg == pytest.approx(longitude, abs=1e-8)
+    assert place.height_m == pytest.approx(height, abs=1e-6)
+    assert (place.heading_deg - heading + 180) % 360 - 180 == pytest.approx(0, abs=1e-7)
+    assert place.pitch_deg == pytest.approx(pitch, abs=1e-7)
+
+
+@pytest.fixture
+def proj_data(tmp_path):
+    """A folder that PROJ looks for grids in, and no network; both as before afterwards."""
+    before, network = datadir.get_data_dir(), is_network_enabled()
+    set_network_enabled(False)
+    datadir.set_data_dir(f"{before}{os.pathsep}{tmp_path}")
+    yield tmp_path
+    datadir.set_data_dir(before)
+    set_network_enabled(network)
+
+
+class TestHeights:
+    def height(self, options: HeightOptions | None = None, **changes) -> float:
+        return float(pose_from_photo(replace(PHOTO, **changes), NRW, options).center[2])
+
+    def test_sea_level_is_taken_as_it_stands(self):
+        assert self.height() == pytest.approx(203.4)
+
+    def test_above_the_take_off_point(self):
+        assert self.height(HeightOptions(takeoff_m=61.5)) == pytest.approx(141.6)
+
+    def test_an_offset_comes_on_top(self):
+        assert self.height(HeightOptions(takeoff_m=61.5, offset_m=-2.5)) == pytest.approx(139.1)
+
+    def test_above_the_ellipsoid_with_a_given_geoid(self):
+        assert self.height(HeightOptions("ellipsoid", geoid_m=46.2)) == pytest.approx(157.2)
+        # An RTK solution is above the ellipsoid without being told.
+        assert self.height(HeightOptions(geoid_m=46.2), has_rtk=True) == pytest.approx(157.2)
+        assert self.height(HeightOptions(geoid_m=46.2)) == pytest.approx(203.4)
+
+    def test_without_a_geoid_model_it_is_an_error_and_no_silent_46_metres(self, proj_data):
+        with pytest.raises(DatasetError, match="geoid model") as fault:
+            self.height(HeightOptions("ellipsoid"))
+        assert "--geoid" in fault.value.hint
+        with pytest.raises(DatasetError, match="names no heights"):
+            pose_from_photo(PHOTO, MapFrame("EPSG:25832"), HeightOptions("ellipsoid"))
+
+    def test_with_proj_s_own_geoid_model(self, proj_data):
+        # A world of one undulation, 47.25 m, under the name by which PROJ knows EGM96.
+        rows, columns = 3, 4
+        head = struct.pack(">ddddii", -90.0, -180.0, 90.0, 90.0, rows, columns)
+        (proj_data / "egm96_15.gtx").write_bytes(head + struct.pack(">f", 47.25) * (rows * columns))
+        frame = MapFrame("EPSG:32632+5773")
+        height = pose_from_photo(PHOTO, frame, HeightOptions("ellipsoid")).center[2]
+        assert height == pytest.approx(203.4 - 47.25, abs=1e-3)
+
+    @pytest.mark.parametrize(("source", "match"), [("barometer", "barometer"), ("takeoff", "take-off")])
+    def test_options_are_checked(self, source, match):
+        with pytest.raises(ConfigError, match=match):
+            HeightOptions(source)
+
+
+@pytest.mark.parametrize(
+    ("absent", "match"),
+    [
+        ("latitude_deg", "where it was taken"),
+        ("gimbal_yaw_deg", "looked"),
+        ("gimbal_pitch_deg", "looked"),
+        ("altitude_m", "how high"),
+    ],
+)
+def test_what_is_missing_is_said(absent, match):
+    with pytest.raises(DatasetError, match=match) as fault:
+        pose_from_photo(replace(PHOTO, **{absent: None}), NRW)
+    assert "--" in fault.value.hint
+
+
+def test_a_coarse_datum_shift_is_told():
+    assert datum_note(NRW) is None
+    assert "EPSG:31466" in (datum_note(MapFrame("EPSG:31466")) or "")
+
+
+class TestCamera:
+    def test_dewarp_data_is_the_best(self):
+        dewarp = Dewarp("2019", 3666.0, 3660.0, -12.5, 8.5, (-0.26, 0.11, 0.001, -0.002, -0.03))
+        found = camera_from_photo(replace(PHOTO, dewarp=dewarp, calibrated_focal_px=3600.0, focal_mm=8.8))
+        assert found.source == "dewarp"
+        assert (found.camera.fx, found.camera.cx, found.camera.cy) == (3666.0, 2723.5, 1832.5)
+        assert found.camera.lens == "FULL_OPENCV"
+        assert found.camera.distortion == (-0.26, 0.11, 0.001, -0.002, -0.03, 0, 0, 0)
+        straight = camera_from_photo(replace(PHOTO, dewarp=dewarp, is_dewarped=True)).camera
+        assert straight.distortion == ()
+        assert straight.fx == 3666.0
+
+    def test_pixels_belong_to_the_size_when_taken(self):
+        small = replace(
+            PHOTO, width=1368, height=912, size_when_taken=(5472, 3648), calibrated_focal_px=3666.0
+        )
+        assert camera_from_photo(small).camera.fx == pytest.approx(3666.0 / 4)
+        cropped = replace(small, height=700)
+        assert camera_from_photo(cropped).camera.fx == 3666.0
+
+    def test_from_millimetres(self):
+        table = camera_from_photo(replace(PHOTO, model="FC6310R", focal_mm=8.8))
+        assert (table.source, table.camera.fx) == ("sensor", pytest.approx(8.8 / 13.2 * 5472))
+        plane = camera_from_photo(replace(PHOTO, focal_mm=8.8, pixel_mm=(0.0024, 0.0025)))
+        assert (plane.camera.fx, plane.camera.fy) == (
+            pytest.approx(8.8 / 0.0024),
+            pytest.approx(8.8 / 0.0025),
+        )
+        rounded = camera_from_photo(replace(PHOTO, focal_35mm=24.0))
+        assert (rounded.source, rounded.camera.fx) == (
+            "35mm",
+            pytest.approx(24 / 43.2666 * 6576.56, rel=1e-4),
+        )
+        # A 3:2 sensor has the shape of the 35 mm frame, so widths give the same.
+        assert rounded.camera.fx == pytest.approx(24 / 36 * 5472, rel=1e-9)
+
+    def test_nothing_or_nonsense(self):
+        with pytest.raises(DatasetError, match="focal length"):
+            camera_from_photo(PHOTO)
+        with pytest.raises(DatasetError, match="no photo does"):
+            camera_from_photo(replace(PHOTO, calibrated_focal_px=3.0))
