@@ -20,8 +20,8 @@ from lodbench.bench.figures import Progress, no_progress
 from lodbench.citymodel import Scene, open_scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.datasets.roughening import mask_iou, roughen_mask
-from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
+from lodbench.datasets.synthetic import SyntheticQuery, draw_queries
+from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.errors import FAILED
@@ -124,10 +124,10 @@ def make_cases(scene: Scene, scorer: Scorer, options: AccuracyOptions) -> tuple[
 
     Case i depends on the seed and i only: asking for more views keeps the first ones.
     """
-    sampling = ViewSampling(seed=options.seed)
-    camera = RGB_CAMERA.scaled(*FINE_SIZE)
-    views = sample_views(scene, scorer, camera, sampling, options.num_views, "accuracy")
-    return [_case(scorer, options, i, truth) for i, truth in enumerate(views.poses)], views.rejections
+    drawn, rejections = draw_queries(
+        scene, scorer, options.num_views, options.mask_iou, options.prior(), options.seed
+    )
+    return [_case(query) for query in drawn], rejections
 
 
 def run_case(case: Case, tilt: str, method: Method, scorer: Scorer, seed: int) -> Outcome:
@@ -147,13 +147,10 @@ def run_case(case: Case, tilt: str, method: Method, scorer: Scorer, seed: int) -
     return Outcome(query.name, tilt, error, prior_error, score, case.achieved_iou, hypotheses, seconds)
 
 
-def _case(scorer: Scorer, options: AccuracyOptions, index: int, truth: Pose) -> Case:
-    name = f"view_{index:04d}"
-    clean = scorer.render(RGB_CAMERA.scaled(*FINE_SIZE), truth)
-    rough, _ = roughen_mask(clean, options.mask_iou, random_stream(options.seed, "accuracy", name, "mask"))
-    prior = options.prior().draw(truth, random_stream(options.seed, "accuracy", name, "prior"))
-    query = Query(name, "all", RGB_CAMERA, prior, rough.astype(np.float32))
-    return Case(query, truth, mask_iou(rough, clean))
+def _case(drawn: SyntheticQuery) -> Case:
+    probability = drawn.mask.astype(np.float32)
+    query = Query(drawn.name, "all", RGB_CAMERA, drawn.prior, probability)
+    return Case(query, drawn.truth, drawn.achieved_iou)
 
 
 def _streams(seed: int, name: str) -> Callable[[str, int], np.random.Generator]:

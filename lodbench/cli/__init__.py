@@ -10,6 +10,7 @@ from importlib import import_module
 # Command -> (module with `main(argv) -> int`, one line of help).
 COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
+    "basin": ("lodbench.cli.basin", "recall over the error of the prior; the cost around the truth"),
     "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
     "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),
@@ -81,6 +82,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         report_fault(LodbenchError(reason, "Check the path, its permissions and the free space."))
         return 2
     except KeyboardInterrupt:
-        again = " The same command again goes on from here." if words[0] == "run" else ""
+        again = " The same command again goes on from here." if words[0] in ("run", "basin") else ""
         sys.stderr.write(f"\nlodbench: stopped.{again}\n")
         return 130

@@ -13,8 +13,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
 from lodbench.cli.sources import profile_of
+from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, nearest_names
 from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.artefacts import summary_of, write_artefacts
@@ -24,7 +25,7 @@ from lodbench.reporting.tables import format_text, tables_of
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
 _PATHS_IN_DATASET = {"root", "city_model"}
 _PATHS_IN_OPTIONS = {"terrain"}
-_SECTIONS = {"method", "dataset", "segmenter", "source", "executor", "paths"}
+_SECTIONS = {"method", "dataset", "segmenter", "source", "prior", "executor", "paths"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +104,10 @@ def run_config(values: dict[str, Any]) -> Run:
     segmenter, segmenter_params = _made(values, "segmenter")
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     dataset = with_source(opener(dataset_params), section(values, "source"))
+    dataset, prior = with_prior(dataset, section(values, "prior"), options.seed)
     config = {
         **asdict(options),
+        "prior": prior,
         "method": asdict(method_params),
         "segmenter": asdict(segmenter_params),
         **data_identity(dataset_params, section(values, "source")),
@@ -149,6 +152,23 @@ def data_identity(dataset_params: Any, source: dict[str, Any]) -> dict[str, Any]
         "dataset": _without(asdict(dataset_params), _PATHS_IN_DATASET),
         "source": {**source, "options": options},
     }
+
+
+def with_prior(dataset: Dataset, values: dict[str, Any], seed: int) -> tuple[Dataset, dict[str, Any]]:
+    """Returns a dataset with the priors a section asks for, and that section checked.
+
+    Raises:
+        ConfigError: The kind of prior is unknown, or a setting is wrong.
+    """
+    name, widths = values.get("name", ""), {key: v for key, v in values.items() if key != "name"}
+    if name == "uniform":
+        prior = to_params(widths, UniformPrior, "prior")
+        return with_uniform_priors(dataset, prior, seed), {"name": name, **asdict(prior)}
+    if name != "dataset":
+        raise ConfigError(f"There is no prior {name!r}.", nearest_names(str(name), ["dataset", "uniform"]))
+    if widths:
+        raise ConfigError(f"prior.{min(widths)} is not a setting of prior=dataset.", "Use prior=uniform.")
+    return dataset, {"name": name}
 
 
 def _without(values: dict[str, Any], names: set[str]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Any, cast
 from omegaconf import OmegaConf
 
 from lodbench.cli.hydra_app import load_plugin, to_params
-from lodbench.cli.run import open_dataset, with_source
+from lodbench.cli.run import open_dataset, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.harness.stored import read_run
@@ -114,4 +114,6 @@ def _reopen(config: dict[str, Any], root: str | None, city: str | None) -> Datas
     known = {f.name for f in fields(parameter.annotation)}
     paths = {"root": root, "city_model": city}
     section.update({key: path for key, path in paths.items() if key in known})
-    return with_source(open_dataset(section), config["source"])
+    dataset = with_source(open_dataset(section), config["source"])
+    drawn, _ = with_prior(dataset, config.get("prior", {"name": "dataset"}), config["seed"])
+    return drawn

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles, Pose
+from lodbench.storage import random_stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,3 +56,26 @@ class UniformPrior:
         )
         offset = np.array([x * self.x_m, y * self.y_m, z * self.z_m])
         return Pose.from_euler(wrong, truth.center + offset)
+
+    def describe(self) -> str:
+        """Returns the half widths in words, as a protocol prints them."""
+        return (
+            f"uniform around the truth: +-{self.x_m:g}/{self.y_m:g}/{self.z_m:g} m in x/y/z, "
+            f"+-{self.yaw_deg:g} deg yaw, +-{self.pitch_deg:g}/{self.roll_deg:g} deg pitch/roll"
+        )
+
+
+def with_uniform_priors(dataset: Dataset, prior: UniformPrior, seed: int) -> Dataset:
+    """Returns a dataset whose priors are drawn around the truth, one random stream per query.
+
+    The stream does not know the widths: a wider prior errs in the same direction, only further. A
+    query without a truth keeps its own prior; it cannot be scored anyway.
+    """
+    entries = []
+    for entry in dataset.entries:
+        truth = dataset.truth.get(entry.key)
+        if truth is not None:
+            drawn = prior.draw(truth, random_stream(seed, dataset.name, entry.key, "prior"))
+            entry = replace(entry, prior=drawn)
+        entries.append(entry)
+    return replace(dataset, entries=tuple(entries))

@@ -14,6 +14,7 @@ from typing import Any
 
 from lodbench import __version__
 from lodbench.datasets.pose_text import format_pose, lines_to_text
+from lodbench.datasets.priors import UniformPrior
 from lodbench.evaluation.errors import PoseError
 from lodbench.evaluation.rows import seconds_per_query, summarize_rows
 from lodbench.harness.result import Result
@@ -63,12 +64,19 @@ def summary_of(run: Result) -> dict[str, Any]:
             "segmenter": config["segmenter"]["name"],
             "renderer": config["renderer"],
             "lod": run.lod,
+            "prior": _prior_in_words(config.get("prior", {"name": "dataset"})),
         },
         "splits": splits,
         "prior": priors,
         "failures": dict(sorted(failures.items())),
         "notes": list(run.dataset.notes),
     }
+
+
+def _prior_in_words(prior: dict[str, Any]) -> str:
+    if prior["name"] == "dataset":
+        return "dataset"
+    return UniformPrior(**{key: width for key, width in prior.items() if key != "name"}).describe()
 
 
 def _pose_lines(run: Result) -> list[str]:
@@ -105,7 +113,7 @@ def _queries_csv(run: Result) -> str:
         ]
         for row in run.rows
     ]
-    return _csv(header, rows)
+    return csv_text(header, rows)
 
 
 def _error_cells(error: PoseError | None) -> list[str]:
@@ -118,10 +126,11 @@ def _error_cells(error: PoseError | None) -> list[str]:
 def _timings_csv(run: Result) -> str:
     stages = list(dict.fromkeys(stage for row in run.rows for stage in row.seconds))
     rows = [[row.name, row.split, *(row.seconds.get(stage, "") for stage in stages)] for row in run.rows]
-    return _csv(["query", "split", *(f"{stage}_s" for stage in stages)], rows)
+    return csv_text(["query", "split", *(f"{stage}_s" for stage in stages)], rows)
 
 
-def _csv(header: list[str], rows: list[list[Any]]) -> str:
+def csv_text(header: list[str], rows: list[list[Any]]) -> str:
+    """Returns a CSV file: a header and lines."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.geometry import Pose
 from lodbench.rendering import Scorer
@@ -54,5 +55,18 @@ class Method(Protocol):
 
         Raises:
             QueryFault: There is no estimate; the reason becomes the query's row.
+        """
+        ...
+
+
+@runtime_checkable
+class Reaching(Protocol):
+    """A method whose search can be fitted to how far off a prior may be."""
+
+    def reaching(self, prior: UniformPrior) -> Any:
+        """Returns the method's parameters, set to search all that such a prior leaves open.
+
+        Args:
+            prior: Half widths of the prior's error.
         """
         ...

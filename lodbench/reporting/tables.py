@@ -93,23 +93,27 @@ def title_of(summary: dict[str, Any]) -> str:
     dataset, protocol = summary["dataset"], summary["protocol"]
     version = f" ({dataset['version']})" if dataset.get("version") else ""
     lod = f" · LoD{protocol['lod']}" if protocol.get("lod") else ""
+    drawn = protocol.get("prior", "dataset")
+    prior = "" if drawn == "dataset" else f" · priors {drawn}"
     return (
         f"{dataset['name']}{version}{lod} · tilt={protocol['tilt']} · segmenter={protocol['segmenter']}"
-        f" · seed={protocol['seed']}"
+        f" · seed={protocol['seed']}{prior}"
     )
 
 
 def _table(title: str, members: list[dict[str, Any]]) -> RecallTable:
     splits = tuple(dict.fromkeys(split for member in members for split in member["splits"]))
-    rows = [("Prior", {split: _cells(value) for split, value in members[0]["prior"].items()})]
+    rows = [("Prior", {split: cells_of(value) for split, value in members[0]["prior"].items()})]
     for member in members:
         method = member["method"]
         label = " ".join(filter(None, [method["name"], method.get("variant", "").replace("_", " ")]))
-        rows.append((label, {split: _cells(value) for split, value in member["splits"].items()}))
+        rows.append((label, {split: cells_of(value) for split, value in member["splits"].items()}))
     return RecallTable(title, splits, tuple(rows))
 
 
-def _cells(summary: dict[str, Any]) -> SplitCells:
+def cells_of(summary: dict[str, Any]) -> SplitCells:
+    """Returns the cells of one split of a ``summary.json``."""
+
     def number(name: str) -> float:
         value = summary.get(name)
         return math.nan if value is None else float(value)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
@@ -59,6 +60,10 @@ class LodLocV2:
 
     def __init__(self, settings: Params | None = None) -> None:
         self.params = settings or Params()
+
+    def reaching(self, prior: UniformPrior) -> Params:
+        """Returns the parameters whose grid covers such a prior's error."""
+        return self.params.reaching(prior)
 
     def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
         """Returns the pose whose silhouette fits the query mask best.

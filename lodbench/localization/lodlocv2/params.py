@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.geometry import AxisRange, PoseGrid
 from lodbench.localization.fits import require_fit
@@ -103,6 +104,25 @@ class Params:
             AxisRange(self.range_z_m, self.count_z),
             AxisRange(self.range_yaw_deg, self.count_yaw),
         )
+
+    def reaching(self, prior: UniformPrior) -> Params:
+        """Returns these parameters with a grid that covers a prior's error at the same stride.
+
+        An axis of one sample has no stride and stays as it is.
+        """
+        wanted = {"x": prior.x_m, "y": prior.y_m, "z": prior.z_m, "yaw": prior.yaw_deg}
+        changes: dict[str, float] = {}
+        for axis, half_width in wanted.items():
+            width_name = f"range_{axis}_deg" if axis == "yaw" else f"range_{axis}_m"
+            width, count = getattr(self, width_name), getattr(self, f"count_{axis}")
+            if count > 1 and width > 0:
+                steps = 2 * half_width / (width / (count - 1))
+                changes |= {
+                    width_name: 2.0 * half_width,
+                    # A stride that divides the width but for rounding takes no step more.
+                    f"count_{axis}": math.ceil(steps - 1e-9) + 1,
+                }
+        return replace(self, **changes)  # type: ignore[arg-type]
 
     def scale(self, step: int) -> float:
         """Returns the factor on sigma and spread at a step: linear decay with a floor at gamma."""
