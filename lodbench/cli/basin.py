@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -91,7 +90,8 @@ def _configuration(values: dict[str, Any], step: BasinStep) -> dict[str, Any]:
     limit = step.limit if step.limit is not None else values["limit"]
     if limit is not None and limit < 1:
         raise ConfigError(f"limit={limit} is not a number of queries.")
-    return json.loads(json.dumps(values)) | {
+    return {
+        **values,
         "method": asdict(params),
         "prior": {"name": "uniform", **asdict(prior)},
         "limit": limit,

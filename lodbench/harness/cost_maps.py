@@ -1,4 +1,4 @@
-"""Average cost around the truth: IoU as a function of the offset in x-y, in z and in yaw (paper, basin figure)."""
+"""Average cost around the truth: IoU over the offset in x-y, in z and in yaw (the paper's basin figure)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CostGrid:
     """
 
     xy_m: float = 50.0
-    xy_step_m: float = 5.0
+    xy_step_m: float = 2.5
     z_m: float = 100.0
     z_step_m: float = 5.0
     yaw_deg: float = 30.0
@@ -145,4 +145,4 @@ def _around_truth(
 
 def _offsets(half_width: float, step: float) -> Floats:
     count = round(half_width / step)
-    return np.arange(-count, count + 1) * step
+    return np.arange(-count, count + 1, dtype=np.float64) * np.float64(step)

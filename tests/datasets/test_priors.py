@@ -1,16 +1,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles, Pose, wrap_deg
 from lodbench.storage import random_stream
+from tests.town import write_dataset
 
 
 def errors_of(prior: Pose, truth: Pose) -> tuple[float, float]:
@@ -63,3 +66,25 @@ def test_a_width_of_zero_changes_no_other_axis():
 def test_a_bad_width_is_named(width):
     with pytest.raises(ConfigError, match="z_m"):
         UniformPrior(z_m=width)
+
+
+def test_a_wider_prior_errs_the_same_way_only_further(tmp_path):
+    root, city = write_dataset(tmp_path, count=2)
+    dataset = open_folder(FolderParams(str(root), str(city)))
+    near, far = (with_uniform_priors(dataset, UniformPrior(d, d, d, 0, 0, 0), seed=3) for d in (10.0, 100.0))
+    for a, b in zip(near.entries, far.entries, strict=True):
+        truth = dataset.truth[a.key].center
+        np.testing.assert_allclose(10 * (a.prior.center - truth), b.prior.center - truth, atol=1e-9)
+        assert np.abs(a.prior.center - truth).max() <= 10
+    other = with_uniform_priors(dataset, UniformPrior(), seed=4)
+    assert not np.allclose(other.entries[0].prior.center, near.entries[0].prior.center)
+    assert near.truth is dataset.truth
+
+
+def test_a_query_without_truth_keeps_its_prior(tmp_path):
+    root, city = write_dataset(tmp_path, count=2)
+    dataset = open_folder(FolderParams(str(root), str(city)))
+    lost = dataset.entries[0]
+    known = {key: pose for key, pose in dataset.truth.items() if key != lost.key}
+    drawn = with_uniform_priors(replace(dataset, truth=known), UniformPrior(), seed=0)
+    assert drawn.entries[0].prior is lost.prior
