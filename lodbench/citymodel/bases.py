@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import BASE_MOVED, GROUND_DEFAULTED
+from lodbench.citymodel.model import Polygons
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.terrain import ground_under
+from lodbench.findings import Findings
 
 
 def move_bases(
-    points: NDArray[np.float64], raw: RawCity, label: str | None, options: ReadOptions
-) -> NDArray[np.float64]:
-    """Returns the points with the bottoms of buildings moved as ``options.base`` asks.
+    polygons: Polygons,
+    building_ids: tuple[str, ...],
+    label: str | None,
+    options: ReadOptions,
+    findings: Findings,
+) -> None:
+    """Moves the bottoms of buildings, in place, as ``options.base`` asks.
 
     ``ground`` adds the terrain height under each building's middle (or ``ground_m``) to all its
     heights: for sources such as Open City Model whose buildings all stand at 0. ``sunk`` lifts
@@ -22,16 +26,17 @@ def move_bases(
     swissBUILDINGS3D whose walls reach below the terrain.
 
     Args:
-        points: (P, 3) metres, not yet in the local frame.
-        raw: Which building each point belongs to.
-        label: Reference system of ``points``.
+        polygons: In metres, not yet in the local frame.
+        building_ids: For the findings.
+        label: Reference system of the points.
         options: What to do.
+        findings: Receives what was done, and buildings outside the terrain.
     """
+    points = polygons.points
     if options.base == "as_given" or len(points) == 0:
-        return points
-    building = np.repeat(np.repeat(raw.building, np.diff(raw.polygon_starts)), np.diff(raw.ring_starts))
-    count = len(raw.building_ids)
-    points = points.copy()
+        return
+    building = np.repeat(polygons.building, np.diff(polygons.ring_starts[polygons.polygon_starts]))
+    count = len(building_ids)
     if options.base == "sunk":
         lowest = np.full(count, np.inf)
         np.minimum.at(lowest, building, points[:, 2])
@@ -46,9 +51,8 @@ def move_bases(
             )
             found = ground_under(middles, label, options)
             for b in np.flatnonzero(~np.isfinite(found)):
-                raw.findings.add(GROUND_DEFAULTED, raw.building_ids[b], f"ground_m={options.ground_m:g}")
+                findings.add(GROUND_DEFAULTED, building_ids[b], f"ground_m={options.ground_m:g}")
             heights = np.where(np.isfinite(found), found, options.ground_m)
         points[:, 2] += heights[building]
         detail = f"set on {options.terrain or f'{options.ground_m:g} m'}"
-    raw.findings.add(BASE_MOVED, "", detail)
-    return points
+    findings.add(BASE_MOVED, "", detail)

@@ -1,25 +1,26 @@
-"""CityGML 1.0 and 2.0: buildings of every level of detail, streamed one city object at a time."""
+"""CityGML 1.0, 2.0 and 3.0: buildings of every level of detail, streamed one city object at a time."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable
-from typing import BinaryIO
+from dataclasses import fields
+from typing import Any, BinaryIO
 
-import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
-from lodbench.citymodel.gml_batch import PolygonArrays, read_batch
+from lodbench.citymodel.gml_batch import read_batch
 from lodbench.citymodel.gml_links import LinkResolver
 from lodbench.citymodel.gml_names import BUILDINGS, GML_IDS, MEMBERS, PARTS, is_building_tag
 from lodbench.citymodel.gml_walk import GeometryWalk
-from lodbench.citymodel.raw import NotACity, RawCity, starts_of
+from lodbench.citymodel.raw import NotACity, RawCity, join_blocks, starts_of
 from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
 from lodbench.findings import Findings
 
 # Numbers are read when this much text has gathered: large enough that a parse is worth its call,
 # small enough that memory stays flat.
-_BATCH_CHARACTERS = 1 << 22
+_BATCH_CHARACTERS = 1 << 20
 
 
 def read_citygml(open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True) -> RawCity:
@@ -54,7 +55,7 @@ class _Reader:
         self._building_ids: list[str] = []
         self._num_parts = 0
         self._others: Counter[str] = Counter()
-        self._parts: list[PolygonArrays] = []
+        self._blocks: defaultdict[str, list[NDArray[Any]]] = defaultdict(list)
         self._version: str | None = None
         self._srs_name: str | None = None
 
@@ -114,11 +115,12 @@ class _Reader:
             self.links.resolve_member(member, self._building_ids)
 
     def _flush(self) -> None:
+        """Reads the numbers gathered so far, if there are any or none ever were."""
         batch = self.walk.take_batch()
-        if batch.owners:
-            self._parts.append(
-                read_batch(batch, self._building_ids, self.findings, is_strict=self._is_strict)
-            )
+        if batch.owners or not self._blocks:
+            arrays = read_batch(batch, self._building_ids, self.findings, is_strict=self._is_strict)
+            for field in fields(arrays):
+                self._blocks[field.name].append(getattr(arrays, field.name))
 
     def result(self) -> RawCity:
         self.links.report_unresolved(self._building_ids)
@@ -127,11 +129,7 @@ class _Reader:
                 self.findings.add(NOT_A_BUILDING, name, f"{count} of them")
         if not self._building_ids:
             raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
-        parts = self._parts
-        joined = {
-            name: np.concatenate([getattr(part, name) for part in parts]) if parts else np.zeros(0, np.int64)
-            for name in ("ring_lengths", "ring_counts", "building", "lod", "kind", "srs")
-        }
+        joined = {name: join_blocks(blocks) for name, blocks in self._blocks.items()}
         return RawCity(
             source=self._source,
             format="CityGML",
@@ -140,13 +138,13 @@ class _Reader:
             building_ids=tuple(self._building_ids),
             num_parts=self._num_parts,
             lods=tuple(name or "" for name in self.walk.lods.names),
-            points=np.concatenate([part.points for part in parts]) if parts else np.zeros((0, 3)),
+            points=joined["points"],
             ring_starts=starts_of(joined["ring_lengths"]),
             polygon_starts=starts_of(joined["ring_counts"]),
-            building=joined["building"].astype(np.int32),
-            lod=joined["lod"].astype(np.int16),
-            kind=joined["kind"].astype(np.uint8),
-            srs=joined["srs"].astype(np.int16),
+            building=joined["building"],
+            lod=joined["lod"],
+            kind=joined["kind"],
+            srs=joined["srs"],
             has_closing_points=True,
             findings=self.findings,
         )

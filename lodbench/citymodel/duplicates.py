@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import DUPLICATE_POLYGON
 from lodbench.citymodel.identity import number_rows, point_bits
 from lodbench.citymodel.model import Polygons, SurfaceKind
-from lodbench.citymodel.selection import select_polygons
+from lodbench.citymodel.selection import group_cuts, select_polygons
 from lodbench.findings import Findings
+
+# Polygons compared at a time: some thirty times their points are held meanwhile.
+_BLOCK_POLYGONS = 1 << 14
 
 
 def drop_repeated_solids(polygons: Polygons, building_ids: tuple[str, ...], findings: Findings) -> Polygons:
@@ -27,6 +32,26 @@ def drop_repeated_solids(polygons: Polygons, building_ids: tuple[str, ...], find
     is_solid = polygons.kind == SurfaceKind.UNKNOWN
     if is_solid.all() or not is_solid.any():
         return polygons
+    # Only buildings that have both at one level can repeat themselves.
+    level = polygons.building.astype(np.int64) * (int(polygons.lod.max()) + 1) + polygons.lod
+    count = int(level.max()) + 1
+    has_solid, has_known = (
+        np.bincount(level[is_met], minlength=count) > 0 for is_met in (is_solid, ~is_solid)
+    )
+    has_both = has_solid & has_known
+    candidates = np.flatnonzero(has_both[level])
+    candidates = candidates[np.argsort(level[candidates], kind="stable")]
+    is_repeated = np.zeros(len(polygons), np.bool_)
+    for first, last in pairwise(group_cuts(level[candidates], _BLOCK_POLYGONS)):
+        block = candidates[first:last]
+        is_repeated[block] = _repeats(select_polygons(polygons, block), is_solid[block])
+    for polygon in np.flatnonzero(is_repeated):
+        findings.add(DUPLICATE_POLYGON, building_ids[polygons.building[polygon]])
+    return select_polygons(polygons, np.flatnonzero(~is_repeated))
+
+
+def _repeats(polygons: Polygons, is_solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tells which polygons of solids have the corners of one of a known kind."""
     point_counts = np.diff(polygons.ring_starts[polygons.polygon_starts])
     corner = number_rows(point_bits(polygons.points))[0]
     # Two 64-bit sums over a polygon's corners stand for the set of them, wherever its rings begin.
@@ -41,10 +66,8 @@ def drop_repeated_solids(polygons: Polygons, building_ids: tuple[str, ...], find
     ]
     number, _ = number_rows(columns)
     is_known = np.bincount(number[~is_solid], minlength=int(number.max()) + 1) > 0
-    is_repeated = is_solid & is_known[number]
-    for polygon in np.flatnonzero(is_repeated):
-        findings.add(DUPLICATE_POLYGON, building_ids[polygons.building[polygon]])
-    return select_polygons(polygons, np.flatnonzero(~is_repeated))
+    is_repeated: NDArray[np.bool_] = is_solid & is_known[number]
+    return is_repeated
 
 
 def _spread(numbers: NDArray[np.int64]) -> NDArray[np.uint64]:

@@ -24,16 +24,16 @@ class PolygonArrays:
         points: (P, 3) float64 in the coordinates of the file.
         ring_lengths: (R,) points per ring.
         ring_counts: (N,) rings per polygon.
-        building, lod, kind, srs: (N,) int64.
+        building, lod, kind, srs: (N,) each, as in ``RawCity``.
     """
 
     points: NDArray[np.float64]
-    ring_lengths: NDArray[np.int64]
-    ring_counts: NDArray[np.int64]
-    building: NDArray[np.int64]
-    lod: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    srs: NDArray[np.int64]
+    ring_lengths: NDArray[np.int32]
+    ring_counts: NDArray[np.int32]
+    building: NDArray[np.int32]
+    lod: NDArray[np.int16]
+    kind: NDArray[np.uint8]
+    srs: NDArray[np.int16]
 
 
 def read_batch(
@@ -69,12 +69,12 @@ def read_batch(
         _report_faults(code, is_faulty, batch, building_ids, ring_polygon, findings, is_strict)
     arrays = PolygonArrays(
         points=_points(values, counts, dimensions),
-        ring_lengths=counts // dimensions,
-        ring_counts=ring_counts,
-        building=building,
-        lod=lod,
-        kind=kind,
-        srs=srs,
+        ring_lengths=(counts // dimensions).astype(np.int32),
+        ring_counts=ring_counts.astype(np.int32),
+        building=building.astype(np.int32),
+        lod=lod.astype(np.int16),
+        kind=kind.astype(np.uint8),
+        srs=srs.astype(np.int16),
     )
     for ring in np.flatnonzero(dimensions == 2):
         findings.add(RING_2D, building_ids[batch.owners[ring_polygon[ring]][0]])
@@ -163,11 +163,11 @@ def _select(arrays: PolygonArrays, batch: PolygonBatch, faulty: NDArray[np.int64
     points, ring_starts = take_segments(starts_of(arrays.ring_lengths), rings)
     selected = PolygonArrays(
         points=arrays.points[points],
-        ring_lengths=np.diff(ring_starts),
-        ring_counts=np.diff(polygon_starts),
-        building=np.concatenate([arrays.building, copies[:, 1]])[chosen],
-        lod=np.concatenate([arrays.lod, copies[:, 2]])[chosen],
-        kind=np.concatenate([arrays.kind, copies[:, 3]])[chosen],
+        ring_lengths=np.diff(ring_starts).astype(np.int32),
+        ring_counts=np.diff(polygon_starts).astype(np.int32),
+        building=np.concatenate([arrays.building, copies[:, 1].astype(np.int32)])[chosen],
+        lod=np.concatenate([arrays.lod, copies[:, 2].astype(np.int16)])[chosen],
+        kind=np.concatenate([arrays.kind, copies[:, 3].astype(np.uint8)])[chosen],
         srs=np.concatenate([arrays.srs, arrays.srs[copies[:, 0]]])[chosen],
     )
     is_flipped = np.asarray([False] * len(arrays.building) + [copy[4] for copy in batch.copies])[chosen]

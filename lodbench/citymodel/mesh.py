@@ -6,14 +6,15 @@ from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import INTERIOR_SKIPPED, LOD_ABSENT
 from lodbench.citymodel.derive import derive_lod1
 from lodbench.citymodel.lods import choose_lod, has_lod
 from lodbench.citymodel.model import CityModel, SurfaceKind
-from lodbench.citymodel.scene import Scene, build_scene
-from lodbench.citymodel.selection import select_polygons
-from lodbench.citymodel.triangulate import Triangulation, triangulate
+from lodbench.citymodel.scene import Scene, SceneBuilder
+from lodbench.citymodel.selection import polygon_blocks
+from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -62,31 +63,30 @@ def mesh_model(model: CityModel, lod: str | None = None, *, roof_height: str | N
     is_interior = polygons.kind == SurfaceKind.INTERIOR
     for building, count in sorted(Counter(polygons.building[at_level & is_interior].tolist()).items()):
         findings.add(INTERIOR_SKIPPED, model.building_ids[building], f"{count} polygons")
-    chosen = select_polygons(polygons, np.flatnonzero(at_level & ~is_interior))
-    for building in np.setdiff1d(np.arange(len(model.building_ids)), chosen.building):
-        findings.add(LOD_ABSENT, model.building_ids[building], f"no LoD{name}")
-    result: Triangulation = triangulate(chosen, model.building_ids, findings)
-    if len(result.triangles) == 0:
+    return _mesh_level(model, name, np.flatnonzero(at_level & ~is_interior), findings)
+
+
+def _mesh_level(model: CityModel, lod: str, chosen: NDArray[np.int64], findings: Findings) -> CityMesh:
+    """Returns the mesh of some polygons of a model, made a few thousand polygons at a time."""
+    has_level = np.zeros(len(model.building_ids), np.bool_)
+    has_level[model.polygons.building[chosen]] = True
+    for building in np.flatnonzero(~has_level):
+        findings.add(LOD_ABSENT, model.building_ids[building], f"no LoD{lod}")
+    builder = SceneBuilder(model.building_ids)
+    areas = np.zeros(3)
+    num_triangles = 0
+    for num_before, block in polygon_blocks(model.polygons, chosen, CHUNK_POLYGONS):
+        result = triangulate(block, model.building_ids, findings, num_before=num_before)
+        builder.add(block.points, result.triangles, block.building[result.polygon])
+        areas += result.area_m2.sum(), result.meshed_m2.sum(), result.lost_m2
+        num_triangles += len(result.triangles)
+    if num_triangles == 0:
         raise CityModelError(
-            f"{model.source} has no surface to mesh at level of detail {name}.", "Try lodbench city check."
+            f"{model.source} has no surface to mesh at level of detail {lod}.", "Try lodbench city check."
         )
-    scene = build_scene(
-        chosen.points,
-        result.triangles,
-        chosen.building[result.polygon],
-        model.building_ids,
-        lod=name,
-        crs=model.crs,
-        origin=model.origin,
-    )
-    return CityMesh(
-        scene=scene,
-        num_polygons=len(chosen),
-        area_m2=float(result.area_m2.sum()),
-        meshed_m2=float(result.meshed_m2.sum()),
-        lost_m2=result.lost_m2,
-        findings=findings,
-    )
+    area_m2, meshed_m2, lost_m2 = areas.tolist()
+    scene = builder.finish(lod=lod, crs=model.crs, origin=model.origin)
+    return CityMesh(scene, len(chosen), area_m2, meshed_m2, lost_m2, findings)
 
 
 def mesh_city(model: CityModel, lod: str | None = None, *, roof_height: str | None = None) -> Scene:

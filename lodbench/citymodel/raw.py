@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ class NotACity(CityModelError):
 @dataclass(slots=True)
 class RawCity:
     """Polygons as a file states them: its axes, its reference systems, its closing points.
+
+    Whoever works on it uses it up: points are cleaned and moved where they lie, because a second
+    copy of them is more memory than all else that reading a city takes.
 
     Attributes:
         source: The file's name.
@@ -67,7 +71,7 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
 
     Args:
         source: Name of the folder or archive.
-        cities: One or more tiles, of any format.
+        cities: One or more tiles, of any format; their points are taken from them.
     """
     first = cities[0]
     srs_names = tuple(dict.fromkeys(name for city in cities for name in city.srs_names or (None,)))
@@ -86,7 +90,7 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         building_ids=building_ids,
         num_parts=sum(city.num_parts for city in cities),
         lods=lods,
-        points=np.concatenate([city.points for city in cities]),
+        points=join_blocks([_taken_points(city) for city in cities]),
         ring_starts=starts_of(np.concatenate([np.diff(city.ring_starts) for city in cities])),
         polygon_starts=starts_of(np.concatenate([np.diff(city.polygon_starts) for city in cities])),
         building=np.concatenate([c.building + n for c, n in zip(cities, before, strict=False)]).astype(
@@ -101,11 +105,36 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
     )
 
 
+def _taken_points(city: RawCity) -> NDArray[np.float64]:
+    points, city.points = city.points, np.zeros((0, 3))
+    return points
+
+
 def _renamed(
     indices: NDArray[np.int16], names: tuple[str | None, ...], all_names: tuple[str | None, ...]
 ) -> NDArray[np.int16]:
     table = np.asarray([all_names.index(name) for name in names], np.int16)
     return table[indices] if len(table) else indices
+
+
+def join_blocks(blocks: list[NDArray[Any]]) -> NDArray[Any]:
+    """Returns one or more blocks in a row; each is let go of once it is copied, and the list ends empty.
+
+    Memory stays at that of the result: pages of it are first touched when those of a block are free.
+
+    Example:
+        >>> join_blocks([np.array([1, 2]), np.array([3])])
+        array([1, 2, 3])
+    """
+    if len(blocks) == 1:
+        return blocks.pop()
+    joined = np.empty((sum(map(len, blocks)), *blocks[0].shape[1:]), blocks[0].dtype)
+    end = len(joined)
+    while blocks:
+        block = blocks.pop()
+        joined[end - len(block) : end] = block
+        end -= len(block)
+    return joined
 
 
 def starts_of(lengths: NDArray[np.integer]) -> NDArray[np.int64]:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.identity import number_rows, point_bits
+from lodbench.citymodel.raw import join_blocks, starts_of
+from lodbench.citymodel.selection import group_cuts
 from lodbench.errors import CityModelError
 
 # Triangles merged at a time: some twenty times their size is held meanwhile.
@@ -62,6 +64,66 @@ class Scene:
         return state.hexdigest()
 
 
+class SceneBuilder:
+    """Grows a scene building by building, so that loose triangles of a few are held at a time.
+
+    Points are rounded to float32 first, so "equal" means equal as stored. Triangles that lose a
+    corner when equal points become one vertex have no area in float32 and are left out; buildings may
+    end up empty.
+
+    Args:
+        building_ids: One id per building.
+    """
+
+    def __init__(self, building_ids: tuple[str, ...]) -> None:
+        self._building_ids = building_ids
+        self._vertices: list[NDArray[np.float32]] = []
+        self._triangles: list[NDArray[np.int32]] = []
+        self._num_vertices = 0
+        self._vertex_counts = np.zeros(len(building_ids), np.int64)
+        self._triangle_counts = np.zeros(len(building_ids), np.int64)
+
+    def add(
+        self, points: NDArray[np.floating], triangles: NDArray[np.int64], building: NDArray[np.integer]
+    ) -> None:
+        """Adds the triangles of whole buildings, which come after all that were added before.
+
+        Args:
+            points: (P, 3) metres, local frame, finite.
+            triangles: (T, 3) indices into ``points``.
+            building: (T,) building of each triangle, ascending.
+        """
+        single = points.astype(np.float32, copy=False)
+        count = len(self._building_ids)
+        for first, last in pairwise(group_cuts(building, _CHUNK_TRIANGLES)):
+            owner = building[first:last].astype(np.int64)
+            vertices, indices, vertex_building, kept_building = _merge(single, triangles[first:last], owner)
+            self._vertices.append(vertices)
+            self._triangles.append((indices + self._num_vertices).astype(np.int32))
+            self._num_vertices += len(vertices)
+            self._vertex_counts += np.bincount(vertex_building, minlength=count)
+            self._triangle_counts += np.bincount(kept_building, minlength=count)
+
+    def finish(self, *, lod: str, crs: str | None, origin: NDArray[np.float64] | None) -> Scene:
+        """Returns all that was added, once.
+
+        Raises:
+            CityModelError: There is no triangle.
+        """
+        if not self._triangles:
+            raise CityModelError("The city model has no surfaces to render.", "Ask for another lod.")
+        return Scene(
+            vertices=join_blocks(self._vertices),
+            triangles=join_blocks(self._triangles),
+            vertex_starts=starts_of(self._vertex_counts),
+            triangle_starts=starts_of(self._triangle_counts),
+            building_ids=self._building_ids,
+            lod=lod,
+            crs=crs,
+            origin=np.zeros(3) if origin is None else np.asarray(origin, dtype=np.float64),
+        )
+
+
 def build_scene(
     points: NDArray[np.float64],
     triangles: NDArray[np.int64],
@@ -73,9 +135,6 @@ def build_scene(
     origin: NDArray[np.float64] | None = None,
 ) -> Scene:
     """Returns a scene from loose triangles: groups them by building and merges equal points.
-
-    Points are rounded to float32 first, so "equal" means equal as stored. Triangles that lose a
-    corner by the merge have no area in float32 and are left out; buildings may end up empty.
 
     Args:
         points: (P, 3) float64, metres, local frame.
@@ -89,52 +148,23 @@ def build_scene(
     Raises:
         CityModelError: A coordinate is not finite, or there is no triangle at all.
     """
-    if len(triangles) == 0:
-        raise CityModelError("The city model has no surfaces to render.", "Ask for another lod.")
     if not np.isfinite(points).all():
         raise CityModelError("The city model has coordinates that are not finite.")
     order = np.argsort(triangle_building, kind="stable")
-    building = triangle_building[order].astype(np.int64)
-    single = points.astype(np.float32)
-    parts, num_vertices = [], 0
-    for first, last in pairwise(_cuts(building, len(building_ids))):
-        part = _merge(single, triangles[order[first:last]], building[first:last], num_vertices)
-        num_vertices += len(part[0])
-        parts.append(part)
-    vertices, indices, vertex_building, kept_building = (
-        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
-    )
-    bounds = np.arange(len(building_ids) + 1)
-    return Scene(
-        vertices=vertices,
-        triangles=indices,
-        vertex_starts=np.searchsorted(vertex_building, bounds).astype(np.int64),
-        triangle_starts=np.searchsorted(kept_building, bounds).astype(np.int64),
-        building_ids=building_ids,
-        lod=lod,
-        crs=crs,
-        origin=np.zeros(3) if origin is None else np.asarray(origin, dtype=np.float64),
-    )
-
-
-def _cuts(building: NDArray[np.int64], count: int) -> list[int]:
-    """Returns where to cut a sorted list of triangles: between buildings, into chunks of a few."""
-    bounds = np.searchsorted(building, np.arange(count + 1))
-    wanted = np.arange(0, len(building), _CHUNK_TRIANGLES)
-    cuts = np.unique(bounds[np.searchsorted(bounds, wanted)])
-    return [*cuts[cuts < len(building)].tolist(), len(building)]
+    builder = SceneBuilder(building_ids)
+    builder.add(points, triangles[order], triangle_building[order])
+    return builder.finish(lod=lod, crs=crs, origin=origin)
 
 
 def _merge(
-    points: NDArray[np.float32], triangles: NDArray[np.int64], building: NDArray[np.int64], offset: int
-) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    points: NDArray[np.float32], triangles: NDArray[np.int64], building: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Returns the vertices and triangles of whole buildings, and the building of each of both.
 
     Args:
         points: (P, 3).
         triangles: (T, 3) indices into ``points``.
         building: (T,) ascending.
-        offset: Vertices of the buildings before.
     """
     corners = points[triangles].reshape(-1, 3) + np.float32(0)  # no -0.0
     corner_building = np.repeat(building, 3)
@@ -143,5 +173,4 @@ def _merge(
     kept = (
         (indices[:, 0] != indices[:, 1]) & (indices[:, 1] != indices[:, 2]) & (indices[:, 2] != indices[:, 0])
     )
-    indices = (indices[kept] + offset).astype(np.int32)
-    return corners[first], indices, corner_building[first], building[kept]
+    return corners[first], indices[kept], corner_building[first], building[kept]

@@ -22,7 +22,7 @@ AREA_TOLERANCE = 1e-4  # relative
 # Below this a surface is invisible at any distance a drone keeps, and relative areas mean nothing.
 _MIN_AREA_M2 = 1e-6
 # A few megabytes of points at a time: fast in the processor's cache, and no peak on large cities.
-_CHUNK_POLYGONS = 16384
+CHUNK_POLYGONS = 16384
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,23 +51,26 @@ class Triangulation:
         return float(np.maximum(self.area_m2 - self.covered_m2, 0.0).sum())
 
 
-def triangulate(polygons: Polygons, building_ids: tuple[str, ...], findings: Findings) -> Triangulation:
+def triangulate(
+    polygons: Polygons, building_ids: tuple[str, ...], findings: Findings, *, num_before: int = 0
+) -> Triangulation:
     """Returns the triangles of all polygons, oriented as the polygons are.
 
     Args:
         polygons: Clean polygons: finite points, rings of three points or more.
         building_ids: For the findings.
         findings: Receives ``ZERO_AREA``, ``NOT_PLANAR`` and ``AREA_MISMATCH``.
+        num_before: Polygons of the level in earlier calls; the findings number them through.
     """
-    chunks = range(0, max(len(polygons), 1), _CHUNK_POLYGONS)
-    parts = [_triangulate(slice_polygons(polygons, n, n + _CHUNK_POLYGONS)) for n in chunks]
-    first = polygons.ring_starts[polygons.polygon_starts[: len(polygons)]][::_CHUNK_POLYGONS].tolist()
+    chunks = range(0, max(len(polygons), 1), CHUNK_POLYGONS)
+    parts = [_triangulate(slice_polygons(polygons, n, n + CHUNK_POLYGONS)) for n in chunks]
+    first = polygons.ring_starts[polygons.polygon_starts[: len(polygons)]][::CHUNK_POLYGONS].tolist()
     joined = {field.name: [getattr(part, field.name) for part in parts] for field in fields(Triangulation)}
     for n, point in zip(chunks, first, strict=False):
-        joined["triangles"][n // _CHUNK_POLYGONS] += point
-        joined["polygon"][n // _CHUNK_POLYGONS] += n
+        joined["triangles"][n // CHUNK_POLYGONS] += point
+        joined["polygon"][n // CHUNK_POLYGONS] += n
     result = Triangulation(**{name: np.concatenate(arrays) for name, arrays in joined.items()})
-    _report(result, polygons, building_ids, findings)
+    _report(result, polygons, building_ids, findings, num_before)
     return result
 
 
@@ -219,7 +222,11 @@ def _deviation(
 
 
 def _report(
-    result: Triangulation, polygons: Polygons, building_ids: tuple[str, ...], findings: Findings
+    result: Triangulation,
+    polygons: Polygons,
+    building_ids: tuple[str, ...],
+    findings: Findings,
+    num_before: int,
 ) -> None:
     is_flat = result.area_m2 < _MIN_AREA_M2
     tolerance = AREA_TOLERANCE * result.area_m2
@@ -236,7 +243,7 @@ def _report(
     for code, is_met in ((ZERO_AREA, is_flat), (NOT_PLANAR, is_bent), (AREA_MISMATCH, is_off)):
         for polygon in np.flatnonzero(is_met):
             detail = (
-                f"polygon {polygon}: {result.deviation_m[polygon]:.3f} m off its plane, "
+                f"polygon {num_before + polygon}: {result.deviation_m[polygon]:.3f} m off its plane, "
                 f"area {result.area_m2[polygon]:.4f} m2, triangles {result.meshed_m2[polygon]:.4f} m2"
             )
             findings.add(code, building_ids[polygons.building[polygon]], detail)

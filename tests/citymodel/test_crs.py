@@ -23,7 +23,8 @@ def convert(
     rows: np.ndarray, name: str | None, override: str | None = None
 ) -> tuple[np.ndarray, str | None, list[str]]:
     findings = Findings()
-    metres, label = to_metres(rows, name, override, findings)
+    metres = rows.copy()
+    label = to_metres(metres, name, override, findings)
     return metres, label, [item.code.code for item in findings.items]
 
 

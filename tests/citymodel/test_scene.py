@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+from itertools import pairwise
+from operator import attrgetter
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +10,11 @@ from hypothesis import strategies as st
 
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
 from lodbench.citymodel.lods import choose_lod
+from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.model import CityModel, Polygons
+from lodbench.citymodel.raw import join_blocks
 from lodbench.citymodel.scene import build_scene
+from lodbench.citymodel.selection import group_cuts
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -97,3 +104,49 @@ class TestChooseLod:
             choose_lod(["0", "1"], "2", Findings())
         with pytest.raises(CityModelError, match="no geometry"):
             choose_lod([], "1", Findings())
+
+
+class TestBlocks:
+    @given(st.lists(st.integers(0, 6), max_size=30), st.integers(1, 8))
+    def test_groups_are_never_cut(self, groups: list[int], size: int) -> None:
+        groups.sort()
+        cuts = group_cuts(np.array(groups, np.int64), size)
+        assert cuts[0] == 0
+        assert cuts[-1] == len(groups)
+        for first, last in pairwise(cuts):
+            assert first < last
+            assert last == len(groups) or groups[last - 1] != groups[last]
+            # One group less would be too few.
+            assert last - first < size + groups[first:last].count(groups[last - 1])
+
+    @pytest.mark.parametrize("size", [1, 3, 7])
+    def test_blocks_make_the_same_mesh(self, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The polygons of a building need not stand together."""
+        rng = np.random.default_rng(2)
+        corners = [rng.normal(size=(3, 3)) for _ in range(40)]
+        corners[7][1] = corners[7][0] + (1e-9, 0, 0)  # no area: a finding that numbers its polygon
+        polygons = Polygons(
+            points=np.concatenate(corners),
+            ring_starts=np.arange(41) * 3,
+            polygon_starts=np.arange(41),
+            building=rng.integers(0, 9, 40).astype(np.int32),
+            lod=np.zeros(40, np.int16),
+            kind=np.zeros(40, np.uint8),
+        )
+        ids = tuple("abcdefghij")
+        model = CityModel("x", "GML", None, None, np.zeros(3), ids, 0, ("1",), polygons, (40,), Findings())
+        whole = mesh_model(model)
+        monkeypatch.setattr("lodbench.citymodel.mesh.CHUNK_POLYGONS", size)
+        parts = mesh_model(model)
+        assert parts.scene.digest() == whole.scene.digest()
+        assert parts.area_m2 == pytest.approx(whole.area_m2, rel=1e-12)
+        assert parts.num_polygons == 40
+        key = attrgetter("detail")
+        assert sorted(parts.findings.items, key=key) == sorted(whole.findings.items, key=key)
+        assert whole.findings.counts() == {"LB104 ZERO_AREA": 1, "LB401 LOD_ABSENT": 1}
+
+
+def test_join_blocks_lets_go() -> None:
+    blocks = [np.arange(3), np.arange(0), np.arange(2)]
+    assert join_blocks(blocks).tolist() == [0, 1, 2, 0, 1]
+    assert blocks == []
