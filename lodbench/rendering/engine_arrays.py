@@ -32,6 +32,9 @@ class SceneArrays(NamedTuple):
         second_weight: (E,) int32, +1, -1 or 0, see ``EdgeTable``.
         starts: (B + 1, 3) int64 offsets of each building's vertices, triangles and edges.
         spheres: (B, 4) float64 bounding spheres (x, y, z, radius).
+        order: (M,) int64, see ``SphereTree``; likewise nodes and levels.
+        nodes: (N, 4) float64, see order.
+        levels: (L + 1,) int64, see order.
     """
 
     x: NDArray[np.float32]
@@ -47,6 +50,9 @@ class SceneArrays(NamedTuple):
     second_weight: NDArray[np.int32]
     starts: NDArray[np.int64]
     spheres: Floats
+    order: NDArray[np.int64]
+    nodes: Floats
+    levels: NDArray[np.int64]
 
 
 class View(NamedTuple):

@@ -16,6 +16,7 @@ from lodbench.rendering.coverage import (
 )
 from lodbench.rendering.projection import camera_axes, is_outside, snap
 from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
+from lodbench.rendering.selection import select_buildings
 
 # A building whose snapped corners all stay this far inside the guard band needs no clipping.
 _SAFE_SUBPIXELS = (GUARD_PX - 2.0) * 256.0
@@ -131,38 +132,6 @@ def _draw_clipped(scene, b, rotation, center, view, scratch, words):  # type: ig
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _candidates(scene, rotations, centers, planes, chosen):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Writes the buildings that any of N nearby views may see; returns how many.
-
-    Seen from the first view, a point at distance s moves by at most ``d + 2 sin(a / 2) (s + d)`` for
-    a view that is d away and turned by the angle a: so much wider is each sphere made.
-    """
-    away, turned = 0.0, 0.0
-    for i in range(1, rotations.shape[0]):
-        square, chord = 0.0, 0.0
-        for k in range(3):
-            square += (centers[i, k] - centers[0, k]) ** 2
-            for m in range(3):
-                # The squared Frobenius distance of two rotations is 8 sin(a / 2) ** 2.
-                chord += (rotations[i, k, m] - rotations[0, k, m]) ** 2
-        away = max(away, np.sqrt(square))
-        turned = max(turned, np.sqrt(chord * 0.5))
-    count = 0
-    for b in range(scene.spheres.shape[0]):
-        sphere = scene.spheres[b]
-        distance = np.sqrt(
-            (sphere[0] - centers[0, 0]) ** 2
-            + (sphere[1] - centers[0, 1]) ** 2
-            + (sphere[2] - centers[0, 2]) ** 2
-        )
-        slack = away + turned * (distance + away) + 1e-6 * distance
-        chosen[count] = b
-        wider = (sphere[0], sphere[1], sphere[2], sphere[3] + slack)
-        count += not is_outside(wider, rotations[0], centers[0], planes)
-    return count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _draw_view(scene, buildings, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Draws the silhouette of some buildings into ``words``, which must be clear.
 
@@ -203,8 +172,8 @@ def _draw_view(scene, buildings, rotation, center, view, scratch, words):  # typ
 @njit(cache=True, nogil=True, error_model="numpy")
 def draw_view(scene, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Draws the silhouette of a scene into ``words``, (H, ceil(W / 64)) uint64, which must be clear."""
-    everything = np.arange(scene.spheres.shape[0])
-    _draw_view(scene, everything, rotation, center, view, scratch, words)
+    seen = select_buildings(scene, rotation.reshape(1, 3, 3), center.reshape(1, 3), view.planes)
+    _draw_view(scene, seen, rotation, center, view, scratch, words)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -213,17 +182,15 @@ def score_views(scene, rotations, centers, view, scratch, words, query, intersec
 
     The views should lie close together: they share one selection of buildings.
     """
-    chosen = np.empty(scene.spheres.shape[0] + 1, dtype=np.int64)
-    count = _candidates(scene, rotations, centers, view.planes, chosen)
+    chosen = select_buildings(scene, rotations, centers, view.planes)
     for i in range(rotations.shape[0]):
-        _draw_view(scene, chosen[:count], rotations[i], centers[i], view, scratch, words)
+        _draw_view(scene, chosen, rotations[i], centers[i], view, scratch, words)
         intersections[i], areas[i] = intersect_and_clear(words, query)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def draw_views(scene, rotations, centers, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Draws N views, which should lie close together, into ``words``, (N, H, S), which must be clear."""
-    chosen = np.empty(scene.spheres.shape[0] + 1, dtype=np.int64)
-    count = _candidates(scene, rotations, centers, view.planes, chosen)
+    chosen = select_buildings(scene, rotations, centers, view.planes)
     for i in range(rotations.shape[0]):
-        _draw_view(scene, chosen[:count], rotations[i], centers[i], view, scratch, words[i])
+        _draw_view(scene, chosen, rotations[i], centers[i], view, scratch, words[i])

@@ -14,7 +14,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
 from lodbench.rendering.projection import pose_arrays, require_pinhole, view_planes, visible_buildings
 from lodbench.rendering.raster_rule import NEAR_M
-from lodbench.rendering.silhouette import bounding_spheres
+from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.system_libraries import RENDERER_PACKAGES, import_fault
 
 # The one GL context of the process, once it is open, and its samples per pixel. Contexts share EGL's

@@ -16,7 +16,7 @@ from lodbench.rendering.layers import Layers
 from lodbench.rendering.projection import pose_arrays, require_pinhole, view_planes, visible_buildings
 from lodbench.rendering.raster_kernel import Band, Buffer, Mesh, blank_buffer, draw_band
 from lodbench.rendering.raster_layers import blank_planes, resolve_depth, resolve_layers
-from lodbench.rendering.silhouette import bounding_spheres
+from lodbench.rendering.selection import bounding_spheres
 
 # Columns of a band: narrow enough for its buffer to stay in a core's cache (1024 rows: 0.8 MB), wide
 # enough that few buildings are projected for two bands.

@@ -14,8 +14,9 @@ from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
 from lodbench.rendering.coverage import blank_coverage, edge_lines
-from lodbench.rendering.engine_arrays import SceneArrays, Scratch, View
+from lodbench.rendering.engine_arrays import Scratch, View
 from lodbench.rendering.engine_kernel import draw_view, draw_views, score_views
+from lodbench.rendering.engine_layout import scene_arrays
 from lodbench.rendering.fit import Fit, IouFit
 from lodbench.rendering.projection import (
     pose_arrays,
@@ -25,7 +26,6 @@ from lodbench.rendering.projection import (
     view_planes,
 )
 from lodbench.rendering.protocol import IouCounts
-from lodbench.rendering.topology import edge_table
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class SilhouetteRenderer:
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
         self.scene = scene
         self.threads = max(1, threads or os.cpu_count() or 1)
-        self._arrays = _scene_arrays(scene)
+        self._arrays = scene_arrays(scene)
         self._largest = np.diff(self._arrays.starts, axis=0).max(axis=0)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._of_thread = threading.local()
@@ -155,37 +155,6 @@ class SilhouetteRenderer:
         return memory
 
 
-def _scene_arrays(scene: Scene) -> SceneArrays:
-    edges = edge_table(scene)
-    starts = np.stack([scene.vertex_starts, scene.triangle_starts, edges.starts], axis=1)
-    of_triangle = np.repeat(np.arange(scene.num_buildings), np.diff(scene.triangle_starts))
-    of_edge = np.repeat(np.arange(scene.num_buildings), np.diff(edges.starts))
-    x, y, z = (np.ascontiguousarray(scene.vertices[:, axis]) for axis in range(3))
-    corner_a, corner_b, corner_c = _columns(scene.triangles - starts[of_triangle, :1])
-    tail, head = _columns(edges.corners - starts[of_edge, :1])
-    side_a, side_b = _columns(edges.sides - starts[of_edge, 1:2])
-    return SceneArrays(
-        x=x,
-        y=y,
-        z=z,
-        corner_a=corner_a,
-        corner_b=corner_b,
-        corner_c=corner_c,
-        tail=tail,
-        head=head,
-        side_a=side_a,
-        side_b=side_b,
-        second_weight=edges.second_weight,
-        starts=starts,
-        spheres=bounding_spheres(scene),
-    )
-
-
-def _columns(table: NDArray[np.int64]) -> list[NDArray[np.uint32]]:
-    """Returns the columns of an (N, K) table of indices as K contiguous uint32 arrays."""
-    return [np.ascontiguousarray(column, dtype=np.uint32) for column in table.T]
-
-
 def _view(camera: Camera) -> View:
     require_pinhole(camera)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
@@ -194,20 +163,6 @@ def _view(camera: Camera) -> View:
 
 def _blank(camera: Camera) -> Words:
     return np.zeros((camera.height, words_per_row(camera.width)), dtype=np.uint64)
-
-
-def bounding_spheres(scene: Scene) -> Floats:
-    """Returns (B, 4) float64 spheres (x, y, z, radius) round each building; radius -inf if empty."""
-    points = scene.vertices.astype(np.float64)
-    starts = scene.vertex_starts
-    filled = np.flatnonzero(np.diff(starts) > 0)
-    spheres = np.full((scene.num_buildings, 4), -np.inf)
-    low = np.minimum.reduceat(points, starts[filled], axis=0)
-    high = np.maximum.reduceat(points, starts[filled], axis=0)
-    spheres[filled, :3] = (low + high) / 2
-    # A millimetre more than the box's half diagonal covers the rounding of the kernel's dot products.
-    spheres[filled, 3] = np.sqrt(((high - low) ** 2).sum(axis=1)) / 2 + 1e-3
-    return spheres
 
 
 def _chunks(count: int, threads: int) -> Iterator[slice]:

@@ -7,7 +7,7 @@ import pytest
 from hostile_scenes import box, hostile_scenes, scene_of
 from hypothesis import given, settings
 
-from lodbench.rendering.silhouette import bounding_spheres
+from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.topology import edge_table
 
 
