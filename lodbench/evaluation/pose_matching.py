@@ -9,7 +9,8 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from lodbench.datasets.pose_files import FoundPose, inverted, is_number
+from lodbench.datasets.exchange.posed import FoundPose, inverted
+from lodbench.datasets.pose_files import is_number
 from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError
 from lodbench.evaluation.errors import pose_error
@@ -48,7 +49,7 @@ def match_poses(found: Sequence[FoundPose], entries: Sequence[Entry], format_nam
         )
     places: dict[str, str] = {}
     poses: dict[str, Pose] = {}
-    for name, where, pose in found:
+    for name, where, pose, _ in found:
         keys = _candidates(index, name)
         if len(keys) > 1:
             raise DatasetError(f"{where}: {name} may be any of {', '.join(keys)}.", "Write split/name.")

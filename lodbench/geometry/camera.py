@@ -27,6 +27,17 @@ _MODELS = {
 }
 
 
+def colmap_parameters(model: str) -> tuple[str, ...]:
+    """Returns the names of the parameters of a COLMAP camera model.
+
+    Raises:
+        LodbenchError: The model is unknown.
+    """
+    if model not in _MODELS:
+        raise LodbenchError(f"Camera model {model!r} is not known.", nearest_names(model, _MODELS))
+    return _MODELS[model][1]
+
+
 @dataclass(frozen=True, slots=True)
 class Camera:
     """Intrinsics of an image, COLMAP pixel convention (the first pixel's centre is at 0.5, 0.5).
@@ -67,9 +78,8 @@ class Camera:
         Raises:
             LodbenchError: The model is unknown or has another number of parameters.
         """
-        if model not in _MODELS:
-            raise LodbenchError(f"Camera model {model!r} is not known.", nearest_names(model, _MODELS))
-        lens, names = _MODELS[model]
+        names = colmap_parameters(model)
+        lens = _MODELS[model][0]
         if len(params) != len(names):
             raise LodbenchError(
                 f"Camera model {model} takes {len(names)} parameters ({' '.join(names)}), not {len(params)}."

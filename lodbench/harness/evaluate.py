@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import select_splits
-from lodbench.datasets.pose_files import FoundPose, read_pose_file
+from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
 from lodbench.evaluation.pose_matching import match_poses, suspect_convention
@@ -31,7 +32,7 @@ class EvaluateSettings:
         poses: The pose file, or folder.
         runs_root: Folder that run folders are made in.
         config: The resolved configuration that defines the result; this module adds what the file is.
-        format: ``auto``, ``lines``, ``c2w``, ``colmap`` or ``tum``.
+        format: ``auto``, or a name in ``pose_files.READERS``.
         method_name: Name to report; the file's own if empty.
         tilt: Which pitch and roll the method had, as its author says: ``prior`` or ``truth``.
         splits: Splits to score; empty for all.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lodbench.datasets.pose_files import inverted
+from lodbench.datasets.exchange.posed import inverted
 from lodbench.datasets.pose_text import read_poses
 from tests.datasets.test_pose_files import lines
 from tests.town import write_dataset

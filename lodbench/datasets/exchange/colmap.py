@@ -1,0 +1,195 @@
+"""COLMAP models: a folder of cameras, images and points, as text or binary; poses are world to camera."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lodbench.datasets.exchange.posed import FoundPose, Place, content, numbers_of, require_plain_names
+from lodbench.datasets.pose_text import lines_to_text, parse_pose
+from lodbench.errors import DatasetError, LodbenchError
+from lodbench.geometry import Camera, Pose
+from lodbench.geometry.camera import colmap_parameters
+from lodbench.storage import write_text
+
+_IMAGE_LAYOUT = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+# COLMAP's number of each camera model in binary files.
+_MODEL_NAMES = {
+    0: "SIMPLE_PINHOLE",
+    1: "PINHOLE",
+    2: "SIMPLE_RADIAL",
+    3: "RADIAL",
+    4: "OPENCV",
+    5: "OPENCV_FISHEYE",
+    6: "FULL_OPENCV",
+    7: "FOV",
+    8: "SIMPLE_RADIAL_FISHEYE",
+    9: "RADIAL_FISHEYE",
+    10: "THIN_PRISM_FISHEYE",
+    11: "RAD_TAN_THIN_PRISM_FISHEYE",
+    12: "SIMPLE_DIVISION",
+    13: "DIVISION",
+    14: "SIMPLE_FISHEYE",
+    15: "FISHEYE",
+    16: "EUCM",
+}
+_BYTES_PER_POINT = 24
+
+
+def is_colmap(folder: Path) -> bool:
+    """Tells whether a folder holds a COLMAP model."""
+    return any((folder / f"images{ending}").is_file() for ending in (".txt", ".bin"))
+
+
+def read_colmap(path: Path) -> Iterator[FoundPose]:
+    """Yields the posed images of a model.
+
+    Args:
+        path: The model's folder (binary files go before text, as in COLMAP), or its images file alone:
+            cameras are then read where they lie beside it.
+
+    Raises:
+        DatasetError: A file is missing, cut off or malformed.
+    """
+    if path.is_dir():
+        name = "images.bin" if (path / "images.bin").is_file() else "images.txt"
+        path = path / name
+        if not path.is_file():
+            raise DatasetError(f"{path.parent} holds no COLMAP model.", "It has images.txt or images.bin.")
+        if not path.with_stem("cameras").is_file():
+            raise DatasetError(f"{path.parent} has no {path.with_stem('cameras').name}.")
+    cameras_file = path.with_stem("cameras")
+    read_cameras, read_images = (
+        (_binary_cameras, _binary_images) if path.suffix == ".bin" else (_text_cameras, _text_images)
+    )
+    cameras = read_cameras(cameras_file) if cameras_file.is_file() and cameras_file != path else None
+    return read_images(path, cameras)
+
+
+def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
+    """Writes a model without points as text; equal cameras are one.
+
+    Reading it gives the same translations and intrinsics to the bit, and rotations to rounding.
+
+    Raises:
+        DatasetError: An image has no camera, or two have one name.
+    """
+    require_plain_names([image.name for image in images], "\r\n", "a COLMAP model")
+    numbers: dict[Camera, int] = {}
+    image_lines = [f"# {_IMAGE_LAYOUT}, then a line of points (none here)"]
+    for number, image in enumerate(images, start=1):
+        if image.camera is None:
+            raise DatasetError(f"{image.name} has no camera, and a COLMAP model needs one.")
+        camera = numbers.setdefault(image.camera, len(numbers) + 1)
+        pose = " ".join(map(repr, numbers_of(image.pose)))
+        image_lines += [f"{number} {pose} {camera} {image.name}", ""]
+    camera_lines = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"]
+    for camera_model, number in numbers.items():
+        model, params = camera_model.to_colmap()
+        size = f"{camera_model.width} {camera_model.height}"
+        camera_lines.append(f"{number} {model} {size} {' '.join(map(repr, params))}")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "cameras.txt", lines_to_text(camera_lines))
+    write_text(folder / "images.txt", lines_to_text(image_lines))
+    write_text(folder / "points3D.txt", "# no points\n")
+
+
+def _text_cameras(path: Path) -> dict[int, Camera]:
+    cameras: dict[int, Camera] = {}
+    for where, line in content(path):
+        with Place(where, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"):
+            words = line.split()
+            if len(words) < 5:
+                raise LodbenchError(f"{len(words)} values, too few for a camera")
+            params = [float(word) for word in words[4:]]
+            cameras[int(words[0])] = Camera.from_colmap(words[1], int(words[2]), int(words[3]), params)
+    return cameras
+
+
+def _text_images(path: Path, cameras: Mapping[int, Camera] | None) -> Iterator[FoundPose]:
+    lines = content(path, keep_empty=True)
+    for where, line in lines:
+        if not line.strip():
+            continue
+        with Place(where, _IMAGE_LAYOUT):
+            words = line.split(maxsplit=9)
+            if len(words) != 10:
+                raise LodbenchError(f"{len(words)} values instead of 10")
+            pose = parse_pose(words[1:8])
+            camera = None if cameras is None else _camera_of(cameras, int(words[8]))
+        # The line of the image's points, which may be empty.
+        next(lines, None)
+        yield FoundPose(words[9].strip(), where, pose, camera)
+
+
+def _camera_of(cameras: Mapping[int, Camera], number: int) -> Camera:
+    if number not in cameras:
+        raise LodbenchError(f"there is no camera {number}")
+    return cameras[number]
+
+
+class _Bytes:
+    """A binary file read from the front; running out of bytes is an error that names the file."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._data = path.read_bytes()
+        except OSError as error:
+            raise DatasetError(f"{path} cannot be read: {error.strerror}.") from error
+        self._path, self._at = path, 0
+
+    @property
+    def where(self) -> str:
+        return f"{self._path}, byte {self._at}"
+
+    def take(self, layout: str) -> tuple[Any, ...]:
+        values = self._checked(struct.calcsize(layout))
+        return struct.unpack(layout, values)
+
+    def skip(self, count: int) -> None:
+        self._checked(count)
+
+    def take_text(self) -> str:
+        end = self._data.find(b"\0", self._at)
+        if end < 0:
+            raise DatasetError(f"{self.where}: the file is cut off.", "Copy it again.")
+        raw = self._data[self._at : end]
+        self._at = end + 1
+        return raw.decode("utf-8")
+
+    def _checked(self, count: int) -> bytes:
+        if count > len(self._data) - self._at:
+            raise DatasetError(f"{self.where}: the file is cut off.", "Copy it again.")
+        self._at += count
+        return self._data[self._at - count : self._at]
+
+
+def _binary_cameras(path: Path) -> dict[int, Camera]:
+    data, cameras = _Bytes(path), {}
+    (count,) = data.take("<Q")
+    for _ in range(count):
+        with Place(data.where, "a camera of COLMAP's binary format"):
+            number, model, width, height = data.take("<iiQQ")
+            if model not in _MODEL_NAMES:
+                raise LodbenchError(f"the camera model number {model} is not known")
+            name = _MODEL_NAMES[model]
+            params = data.take(f"<{len(colmap_parameters(name))}d")
+            cameras[number] = Camera.from_colmap(name, width, height, params)
+    return cameras
+
+
+def _binary_images(path: Path, cameras: Mapping[int, Camera] | None) -> Iterator[FoundPose]:
+    data = _Bytes(path)
+    (count,) = data.take("<Q")
+    for _ in range(count):
+        where = data.where
+        with Place(where, "an image of COLMAP's binary format"):
+            _, *numbers, camera_number = data.take("<i7di")
+            name = data.take_text()
+            pose = Pose.from_quaternion(numbers[:4], numbers[4:])
+            camera = None if cameras is None else _camera_of(cameras, camera_number)
+            (num_points,) = data.take("<Q")
+            data.skip(num_points * _BYTES_PER_POINT)
+        yield FoundPose(name, where, pose, camera)
