@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import fields
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
-from numpy.typing import NDArray
+import numpy as np
 
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.gml_batch import read_batch
 from lodbench.citymodel.gml_links import LinkResolver
 from lodbench.citymodel.gml_names import BUILDINGS, GML_IDS, MEMBERS, PARTS, is_building_tag
 from lodbench.citymodel.gml_walk import GeometryWalk
-from lodbench.citymodel.raw import NotACity, RawCity, join_blocks, starts_of
+from lodbench.citymodel.growing import GrowingArray
+from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
 from lodbench.findings import Findings
 
@@ -55,7 +55,15 @@ class _Reader:
         self._building_ids: list[str] = []
         self._num_parts = 0
         self._others: Counter[str] = Counter()
-        self._blocks: defaultdict[str, list[NDArray[Any]]] = defaultdict(list)
+        self._columns = {
+            "points": GrowingArray(np.float64, (3,)),
+            "ring_lengths": GrowingArray(np.int32),
+            "ring_counts": GrowingArray(np.int32),
+            "building": GrowingArray(np.int32),
+            "lod": GrowingArray(np.int16),
+            "kind": GrowingArray(np.uint8),
+            "srs": GrowingArray(np.int16),
+        }
         self._version: str | None = None
         self._srs_name: str | None = None
 
@@ -115,12 +123,11 @@ class _Reader:
             self.links.resolve_member(member, self._building_ids)
 
     def _flush(self) -> None:
-        """Reads the numbers gathered so far, if there are any or none ever were."""
         batch = self.walk.take_batch()
-        if batch.owners or not self._blocks:
+        if batch.owners:
             arrays = read_batch(batch, self._building_ids, self.findings, is_strict=self._is_strict)
-            for field in fields(arrays):
-                self._blocks[field.name].append(getattr(arrays, field.name))
+            for name, column in self._columns.items():
+                column.extend(getattr(arrays, name))
 
     def result(self) -> RawCity:
         self.links.report_unresolved(self._building_ids)
@@ -129,7 +136,7 @@ class _Reader:
                 self.findings.add(NOT_A_BUILDING, name, f"{count} of them")
         if not self._building_ids:
             raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
-        joined = {name: join_blocks(blocks) for name, blocks in self._blocks.items()}
+        joined = {name: column.finish() for name, column in self._columns.items()}
         return RawCity(
             source=self._source,
             format="CityGML",

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import DUPLICATE_ID
+from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.options import AxisOrder
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
@@ -81,6 +81,10 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
     for name, count in Counter(building_ids).items():
         if count > 1:
             findings.add(DUPLICATE_ID, name, f"in {count} tiles")
+    points = GrowingArray(np.float64, (3,))
+    for city in cities:
+        points.extend(city.points)
+        city.points = np.zeros((0, 3))
     before = starts_of(np.asarray([len(city.building_ids) for city in cities]))
     return RawCity(
         source=source,
@@ -90,7 +94,7 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         building_ids=building_ids,
         num_parts=sum(city.num_parts for city in cities),
         lods=lods,
-        points=join_blocks([_taken_points(city) for city in cities]),
+        points=points.finish(),
         ring_starts=starts_of(np.concatenate([np.diff(city.ring_starts) for city in cities])),
         polygon_starts=starts_of(np.concatenate([np.diff(city.polygon_starts) for city in cities])),
         building=np.concatenate([c.building + n for c, n in zip(cities, before, strict=False)]).astype(
@@ -105,36 +109,11 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
     )
 
 
-def _taken_points(city: RawCity) -> NDArray[np.float64]:
-    points, city.points = city.points, np.zeros((0, 3))
-    return points
-
-
 def _renamed(
     indices: NDArray[np.int16], names: tuple[str | None, ...], all_names: tuple[str | None, ...]
 ) -> NDArray[np.int16]:
     table = np.asarray([all_names.index(name) for name in names], np.int16)
     return table[indices] if len(table) else indices
-
-
-def join_blocks(blocks: list[NDArray[Any]]) -> NDArray[Any]:
-    """Returns one or more blocks in a row; each is let go of once it is copied, and the list ends empty.
-
-    Memory stays at that of the result: pages of it are first touched when those of a block are free.
-
-    Example:
-        >>> join_blocks([np.array([1, 2]), np.array([3])])
-        array([1, 2, 3])
-    """
-    if len(blocks) == 1:
-        return blocks.pop()
-    joined = np.empty((sum(map(len, blocks)), *blocks[0].shape[1:]), blocks[0].dtype)
-    end = len(joined)
-    while blocks:
-        block = blocks.pop()
-        joined[end - len(block) : end] = block
-        end -= len(block)
-    return joined
 
 
 def starts_of(lengths: NDArray[np.integer]) -> NDArray[np.int64]:

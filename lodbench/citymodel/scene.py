@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.identity import number_rows, point_bits
-from lodbench.citymodel.raw import join_blocks, starts_of
+from lodbench.citymodel.raw import starts_of
 from lodbench.citymodel.selection import group_cuts
 from lodbench.errors import CityModelError
 
@@ -77,8 +78,8 @@ class SceneBuilder:
 
     def __init__(self, building_ids: tuple[str, ...]) -> None:
         self._building_ids = building_ids
-        self._vertices: list[NDArray[np.float32]] = []
-        self._triangles: list[NDArray[np.int32]] = []
+        self._vertices = GrowingArray(np.float32, (3,))
+        self._triangles = GrowingArray(np.int32, (3,))
         self._num_vertices = 0
         self._vertex_counts = np.zeros(len(building_ids), np.int64)
         self._triangle_counts = np.zeros(len(building_ids), np.int64)
@@ -98,8 +99,8 @@ class SceneBuilder:
         for first, last in pairwise(group_cuts(building, _CHUNK_TRIANGLES)):
             owner = building[first:last].astype(np.int64)
             vertices, indices, vertex_building, kept_building = _merge(single, triangles[first:last], owner)
-            self._vertices.append(vertices)
-            self._triangles.append((indices + self._num_vertices).astype(np.int32))
+            self._vertices.extend(vertices)
+            self._triangles.extend(indices + self._num_vertices)
             self._num_vertices += len(vertices)
             self._vertex_counts += np.bincount(vertex_building, minlength=count)
             self._triangle_counts += np.bincount(kept_building, minlength=count)
@@ -110,11 +111,11 @@ class SceneBuilder:
         Raises:
             CityModelError: There is no triangle.
         """
-        if not self._triangles:
+        if self._num_vertices == 0:
             raise CityModelError("The city model has no surfaces to render.", "Ask for another lod.")
         return Scene(
-            vertices=join_blocks(self._vertices),
-            triangles=join_blocks(self._triangles),
+            vertices=self._vertices.finish(),
+            triangles=self._triangles.finish(),
             vertex_starts=starts_of(self._vertex_counts),
             triangle_starts=starts_of(self._triangle_counts),
             building_ids=self._building_ids,

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
 from lodbench.citymodel.lods import choose_lod
 from lodbench.citymodel.mesh import mesh_model
 from lodbench.citymodel.model import CityModel, Polygons
-from lodbench.citymodel.raw import join_blocks
 from lodbench.citymodel.scene import build_scene
 from lodbench.citymodel.selection import group_cuts
 from lodbench.errors import CityModelError
@@ -146,7 +146,12 @@ class TestBlocks:
         assert whole.findings.counts() == {"LB104 ZERO_AREA": 1, "LB401 LOD_ABSENT": 1}
 
 
-def test_join_blocks_lets_go() -> None:
-    blocks = [np.arange(3), np.arange(0), np.arange(2)]
-    assert join_blocks(blocks).tolist() == [0, 1, 2, 0, 1]
-    assert blocks == []
+@given(st.lists(st.integers(0, 40), max_size=20))
+def test_growing_array(sizes: list[int]) -> None:
+    blocks = [np.random.default_rng(size).normal(size=(size, 3)) for size in sizes]
+    array = GrowingArray(np.float32, (3,))
+    for _ in range(2):  # once finished it begins anew
+        for block in blocks:
+            array.extend(block)
+        rows = array.finish()
+        assert np.array_equal(rows, np.concatenate([np.zeros((0, 3)), *blocks]).astype(np.float32))
