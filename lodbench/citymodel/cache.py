@@ -19,7 +19,8 @@ from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_extra, 
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import CityModelError
 from lodbench.storage import digest_of, file_digest
-from lodbench.storage.paths import cache_root
+from lodbench.storage.paths import cache_limit_bytes, cache_root
+from lodbench.storage.pruning import mark_used, prune_cache
 
 _LOGGER = logging.getLogger(__name__)
 # What decides the numbers besides our own code.
@@ -63,7 +64,7 @@ def open_cached_city(
 
     The key is made of the content of every file, the options and the code that reads, so a file that
     changes is read again and a copy under another name is not. A cache that cannot be written costs
-    nothing but the time.
+    nothing but the time. Beyond ``LODBENCH_CACHE_GB`` the scenes used longest ago are removed.
 
     Args:
         path: As for ``read_city_model``; or a scene that ``lodbench city convert`` wrote.
@@ -74,20 +75,26 @@ def open_cached_city(
 
     Raises:
         CityModelError: The file cannot be read, or has no building at that level.
+        ConfigError: ``LODBENCH_CACHE_GB`` is no size.
     """
     path, options = Path(path), options or ReadOptions()
     if is_scene(path):
         return _open_scene_folder(path, lod)
+    limit_bytes = cache_limit_bytes()
     folder = cache_root() / "scenes" / scene_key(path, lod, options, roof_height)
     try:
-        return _load(folder)
+        known = _load(folder)
     except CityModelError:
         pass  # not there, damaged, or of another version: made anew
+    else:
+        mark_used(folder)
+        return known
     model = read_city_model(path, options=options, progress=progress)
     city = open_city(model, mesh_model(model, lod, roof_height=roof_height))
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         store_city(city, folder)
+        prune_cache(folder.parent, limit_bytes, keep=folder)
     except OSError as error:
         _LOGGER.info("The scene cache %s cannot be written: %s", folder.parent, error)
     return city

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
+
+from lodbench.errors import ConfigError
+
+_DEFAULT_CACHE_GB = 20.0
 
 
 def data_root() -> Path:
@@ -22,3 +27,19 @@ def cache_root() -> Path:
         return Path(configured).expanduser()
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(base).expanduser() / "lodbench"
+
+
+def cache_limit_bytes() -> int:
+    """Returns how large the cache of scenes may grow: ``LODBENCH_CACHE_GB`` (10^9 bytes), 20 by default.
+
+    Raises:
+        ConfigError: It is no number, or negative.
+    """
+    configured = os.environ.get("LODBENCH_CACHE_GB") or str(_DEFAULT_CACHE_GB)
+    try:
+        gigabytes = float(configured)
+    except ValueError:
+        gigabytes = math.nan
+    if not 0.0 <= gigabytes < math.inf:
+        raise ConfigError(f"LODBENCH_CACHE_GB={configured} is no size.", "It takes gigabytes, such as 20.")
+    return int(gigabytes * 1e9)

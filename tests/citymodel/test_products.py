@@ -247,6 +247,16 @@ class TestCache:
             file.write_bytes(b"")
         assert open_cached_scene(path).num_buildings == 1
 
+    def test_beyond_its_size_the_oldest_goes(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        path = write(tmp_path / "a.gml", gable())
+        first = open_cached_scene(path)
+        monkeypatch.setenv("LODBENCH_CACHE_GB", "0")
+        second = open_cached_scene(path, lod="1", roof_height="max")
+        assert len(list((tmp_path / "cache/scenes").iterdir())) == 1
+        assert open_cached_scene(path, lod="1", roof_height="max").digest() == second.digest()
+        # What is mapped stays readable, and a scene that is gone is made anew.
+        assert open_cached_scene(path).digest() == first.digest()
+
     def test_unwritable_cache_is_no_fault(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("LODBENCH_CACHE", str(write(tmp_path / "file", "x")))
         assert open_cached_scene(write(tmp_path / "a.gml", box_city())).num_buildings == 1

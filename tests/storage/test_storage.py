@@ -1,8 +1,13 @@
+import os
+import time
+
 import numpy as np
 import pytest
 
+from lodbench.errors import ConfigError
 from lodbench.storage import digest_of, file_digest, random_stream, write_bytes, write_text
-from lodbench.storage.paths import cache_root, data_root
+from lodbench.storage.paths import cache_limit_bytes, cache_root, data_root
+from lodbench.storage.pruning import mark_used, prune_cache
 
 
 class TestAtomicWrite:
@@ -62,3 +67,44 @@ def test_roots_follow_the_environment(monkeypatch, tmp_path):
     monkeypatch.delenv("LODBENCH_DATA")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "x"))
     assert data_root() == tmp_path / "x" / "lodbench"
+
+
+class TestPruning:
+    @staticmethod
+    def fill(root, names, age_s=0.0):
+        for n, name in enumerate(names):
+            (root / name).mkdir()
+            (root / name / "data").write_bytes(bytes(100))
+            used = time.time() - age_s - 10 * (len(names) - n)
+            os.utime(root / name, (used, used))
+
+    def test_longest_unused_goes_first(self, tmp_path):
+        self.fill(tmp_path, "abcd")
+        mark_used(tmp_path / "a")
+        assert prune_cache(tmp_path, 250, keep=tmp_path / "d") == [tmp_path / "b", tmp_path / "c"]
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "d"]
+
+    def test_keeps_what_fits_and_what_it_must(self, tmp_path):
+        self.fill(tmp_path, "ab")
+        assert prune_cache(tmp_path, 200, keep=tmp_path / "b") == []
+        assert prune_cache(tmp_path, 0, keep=tmp_path / "a") == [tmp_path / "b"]
+
+    def test_parts_of_a_dead_process_go_and_those_of_a_living_stay(self, tmp_path):
+        self.fill(tmp_path, [".new.1"])
+        self.fill(tmp_path, [".old.1"], age_s=2 * 24 * 3600)
+        assert prune_cache(tmp_path, 0, keep=tmp_path) == [tmp_path / ".old.1"]
+
+    def test_what_is_no_folder_of_ours_stays(self, tmp_path):
+        (tmp_path / "note.txt").write_text("mine")
+        assert prune_cache(tmp_path, 0, keep=tmp_path) == []
+        mark_used(tmp_path / "absent")
+
+    def test_limit(self, monkeypatch):
+        monkeypatch.delenv("LODBENCH_CACHE_GB", raising=False)
+        assert cache_limit_bytes() == 20_000_000_000
+        monkeypatch.setenv("LODBENCH_CACHE_GB", "0.5")
+        assert cache_limit_bytes() == 500_000_000
+        for wrong in ("much", "-1", "nan", "inf"):
+            monkeypatch.setenv("LODBENCH_CACHE_GB", wrong)
+            with pytest.raises(ConfigError, match="is no size"):
+                cache_limit_bytes()
