@@ -137,8 +137,8 @@ def time_cjio(path: Path) -> tuple[float, float] | str:
             return f"cjio failed ({error})"
         seconds = time.perf_counter() - start
         if done.returncode != 0 or not target.is_file():
-            last = done.stdout.decode(errors="replace").strip().splitlines()[-3:]
-            return f"cjio failed: {' '.join(last)[-200:]}"
+            last = done.stdout.decode(errors="replace").strip().rpartition("\n")[2]
+            return f"cjio failed, exit code {done.returncode}: {last[:60]}"
         return seconds, obj_area(target)
 
 

@@ -79,6 +79,15 @@ def test_cjio_that_is_absent_is_named(city: Path, monkeypatch: pytest.MonkeyPatc
     assert time_cjio(city) == "cjio is not installed"
 
 
+def test_cjio_that_fails_is_named(city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "bin" / "cjio"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\necho first\necho the last words\nexit 3\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}:/bin:/usr/bin")
+    assert time_cjio(city) == "cjio failed, exit code 3: the last words"
+
+
 def test_obj_area(tmp_path: Path) -> None:
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 2 0 0\nv 0 2 0\nf 1/1/1 2//2 3\n")
