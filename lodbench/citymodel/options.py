@@ -36,6 +36,8 @@ class ReadOptions:
             ``sunk`` raises what lies within ``sunk_m`` of a building's lowest point, for walls that
             the publisher drew into the ground.
         sunk_m: How deep.
+        ecef_origin: Latitude and longitude, degrees, of the origin of coordinates that are
+            earth-centred minus its own: they are turned to east, north, up there. None for others.
     """
 
     crs: str | None = None
@@ -53,6 +55,7 @@ class ReadOptions:
     default_height_m: float | None = None
     base: Literal["as_given", "ground", "sunk"] = "as_given"
     sunk_m: float = 3.0
+    ecef_origin: tuple[float, float] | None = None
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> ReadOptions:
@@ -107,12 +110,14 @@ def _fitting(name: str, value: Any, hint: Any) -> Any:
         return str(value)  # a column may be called 2020
     if hint is bool and isinstance(value, bool):
         return value
-    if name == "origin" and isinstance(value, list | tuple) and len(value) == 3:
+    numbers = _NUMBERS.get(name, ())
+    if numbers and isinstance(value, list | tuple) and len(value) == len(numbers):
         return tuple(_fitting(name, number, float) for number in value)
-    wanted = "three numbers: east, north, up" if name == "origin" else _TYPE_NAMES[kinds[0]]
+    wanted = f"{len(numbers)} numbers: {', '.join(numbers)}" if numbers else _TYPE_NAMES[kinds[0]]
     raise ConfigError(f"The option {name}={value!r} of a source has the wrong type.", f"It takes {wanted}.")
 
 
+_NUMBERS = {"origin": ("east", "north", "up"), "ecef_origin": ("latitude", "longitude")}
 _TYPE_NAMES = {float: "a number", str: "text", bool: "true or false"}
 _WORDS = {
     name: get_args(hint) for name, hint in get_type_hints(ReadOptions).items() if get_origin(hint) is Literal

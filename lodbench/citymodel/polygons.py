@@ -17,6 +17,7 @@ from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity
 from lodbench.errors import CityModelError
+from lodbench.geometry.frames import ShiftedEcef
 
 # Far more than any false easting; float32 and projections stay sound below it.
 _MAX_COORDINATE_M = 1e9
@@ -46,6 +47,8 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     polygons_read = np.bincount(raw.lod, minlength=len(order))[order]
     polygons, kept = clean_polygons(raw)
     label = _bring_to_metres(polygons, raw.srs[kept], raw, options)
+    if options.ecef_origin is not None:
+        polygons.points[:] = ShiftedEcef(*options.ecef_origin).points_to_enu(polygons.points)
     move_bases(polygons, raw.building_ids, label, options, raw.findings)
     origin = _subtract_origin(polygons.points, label, raw, options)
     rank = np.argsort(np.asarray(order, np.int64)).astype(np.int16)

@@ -31,6 +31,7 @@ PATH_KEYS = frozenset(
         "out",
         "data",
         "paths.runs",
+        "paths.data_root",
     }
 )
 # Below these any key may be set: ReadOptions checks them, profiles name only those they change.

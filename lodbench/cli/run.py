@@ -23,7 +23,8 @@ from lodbench.harness.gallery import write_overlays
 from lodbench.reporting.tables import format_text, tables_of
 
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
-_PATHS_IN_DATASET = {"root", "city_model"}
+# The origin of a published dataset is withheld for privacy, so it is not written down either.
+_PATHS_IN_DATASET = {"root", "city_model", "origin"}
 _PATHS_IN_OPTIONS = {"terrain"}
 _SECTIONS = {"method", "dataset", "segmenter", "source", "prior", "executor", "paths"}
 
@@ -64,9 +65,11 @@ class PathParams:
 
     Attributes:
         runs: Folder that run folders are made in.
+        data_root: Folder of the published datasets; None for ``LODBENCH_DATA`` or the user's own.
     """
 
     runs: str = "runs"
+    data_root: str | None = None
 
     def __post_init__(self) -> None:
         if not self.runs:
@@ -234,4 +237,6 @@ def with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
     """Returns a dataset whose city is read as the source says; the dataset's own words go before it."""
     source = profile_of(values, dataset.city_options.crs)
     lod = source.lod if dataset.lod is None else dataset.lod
-    return replace(dataset, lod=lod, city_options=source.options)
+    # The frame of the data is no habit of a publisher: it was told by the data.
+    options = replace(source.options, ecef_origin=dataset.city_options.ecef_origin)
+    return replace(dataset, lod=lod, city_options=options)

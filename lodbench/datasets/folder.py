@@ -80,7 +80,7 @@ def open_folder(params: FolderParams) -> Dataset:
 
 
 def select_splits(dataset: Dataset, wanted: Sequence[str]) -> tuple[str, ...]:
-    """Returns the splits to run, in the dataset's order; an empty list means all.
+    """Returns the splits to run, in the dataset's order; an empty list means its default ones.
 
     Raises:
         ConfigError: A name is not a split of the dataset.
@@ -90,7 +90,8 @@ def select_splits(dataset: Dataset, wanted: Sequence[str]) -> tuple[str, ...]:
             raise ConfigError(
                 f"Dataset {dataset.name} has no split {name!r}.", nearest_names(name, dataset.splits)
             )
-    return tuple(name for name in dataset.splits if not wanted or name in wanted)
+    chosen = wanted or dataset.default_splits or dataset.splits
+    return tuple(name for name in dataset.splits if name in chosen)
 
 
 def _split_folders(root: Path) -> list[Path]:

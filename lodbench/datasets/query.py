@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
+from lodbench.findings import Finding
 from lodbench.geometry import Camera, Pose
 
 
@@ -23,6 +24,7 @@ class Query:
         prior: The rough pose to start from.
         building_probability: (H, W) float32 in [0, 1], what the segmenter said.
         image: The photo, or None where the dataset has none.
+        hypotheses: All rough poses, the prior first, where the dataset states several; else empty.
     """
 
     name: str
@@ -31,6 +33,7 @@ class Query:
     prior: Pose
     building_probability: NDArray[np.float32]
     image: Path | None = None
+    hypotheses: tuple[Pose, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +47,7 @@ class Entry:
         prior: Rough pose.
         image: The photo.
         mask: A building mask made beforehand.
+        hypotheses: All rough poses, the prior first, where there are several or one; may be empty.
     """
 
     name: str
@@ -52,6 +56,7 @@ class Entry:
     prior: Pose | None
     image: Path | None
     mask: Path | None
+    hypotheses: tuple[Pose, ...] = ()
 
     @property
     def key(self) -> str:
@@ -75,6 +80,11 @@ class Dataset:
         notes: What the reader should know, for example names that occur in one file only.
         city_options: How to read the city model.
         roof_height: Rule by which an absent level 1 is derived, or None.
+        default_splits: Splits to run where none is named; empty for all.
+        city_hint: What to do where the city model is missing.
+        findings: What was met while reading, one by one; ``notes`` count them.
+        photo_crs: CRS of which the frame is a shift, where that is known apart from the city model.
+        photo_origin: East, north and height of the frame's zero in ``photo_crs``, or None.
     """
 
     name: str
@@ -88,3 +98,8 @@ class Dataset:
     notes: tuple[str, ...] = ()
     city_options: ReadOptions = field(default_factory=ReadOptions)
     roof_height: str | None = None
+    default_splits: tuple[str, ...] = ()
+    city_hint: str = "Set dataset.city_model=FILE."
+    findings: tuple[Finding, ...] = ()
+    photo_crs: str | None = None
+    photo_origin: tuple[float, ...] | None = None

@@ -63,12 +63,25 @@ class Preparation:
         if prior is None:
             raise QueryFault("no prior pose")
         probability = check_mask(self.segmenter.segment(entry), entry.camera)
-        return Query(entry.name, entry.split, entry.camera, self.local(prior), probability, entry.image)
+        return Query(
+            name=entry.name,
+            split=entry.split,
+            camera=entry.camera,
+            prior=self.local(prior),
+            building_probability=probability,
+            image=entry.image,
+            hypotheses=tuple(
+                self.local(tilted(pose, self.dataset.truth[entry.key], self.tilt))
+                for pose in entry.hypotheses
+            ),
+        )
 
 
 def prior_of(entry: Entry, dataset: Dataset, tilt: str) -> Pose | None:
     """Returns an entry's prior, with the true pitch and roll if ``tilt`` is ``truth``; None without one."""
-    truth = dataset.truth.get(entry.key)
-    if entry.prior is None or truth is None or tilt == "prior":
-        return entry.prior
-    return entry.prior.with_tilt_of(truth)
+    return None if entry.prior is None else tilted(entry.prior, dataset.truth.get(entry.key), tilt)
+
+
+def tilted(prior: Pose, truth: Pose | None, tilt: str) -> Pose:
+    """Returns a prior with the true pitch and roll if ``tilt`` is ``truth`` and the truth is known."""
+    return prior if truth is None or tilt == "prior" else prior.with_tilt_of(truth)

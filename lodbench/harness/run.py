@@ -142,7 +142,7 @@ def scene_digest(scene: Scene) -> str:
 def _open_city(dataset: Dataset) -> tuple[Scene, Dataset]:
     """Returns a dataset's scene, and the dataset with what was met in its city added to the notes."""
     if dataset.city_model is None:
-        raise ConfigError("There is no city model to localise against.", "Set dataset.city_model=FILE.")
+        raise ConfigError("There is no city model to localise against.", dataset.city_hint)
     city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
     return city.scene, replace(dataset, notes=dataset.notes + city.notes())
 

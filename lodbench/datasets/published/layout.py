@@ -1,0 +1,209 @@
+"""Where the parts of a published dataset lie, and what to tell a person who lacks some."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from lodbench.datasets.published.specs import (
+    CAMERA_FILES,
+    IMAGE_FOLDERS,
+    MODEL_FOLDERS,
+    PREFIXES,
+    PRIOR_FILES,
+    TRUTH_FILES,
+    PublishedSpec,
+    SplitSpec,
+)
+from lodbench.errors import DatasetError
+from lodbench.storage.paths import data_root
+
+
+@dataclass(frozen=True, slots=True)
+class SplitFiles:
+    """The parts of one split; what is not there is None.
+
+    Attributes:
+        spec: The split.
+        folder: Its folder.
+        truth: True poses: a text file, a folder of 4 x 4 matrices, or COLMAP's ``images.txt``.
+        truth_folder: The folder of 4 x 4 matrices, where both are there.
+        priors: The priors, likewise.
+        other_priors: Files that could be the priors too.
+        cameras: Intrinsics: a text file, a folder of 3 x 4 matrices, or COLMAP's ``cameras.txt``.
+        images: The photos.
+        names: What lists the queries: a split JSON or ``dataset_test.txt``.
+    """
+
+    spec: SplitSpec
+    folder: Path
+    truth: Path | None
+    truth_folder: Path | None
+    priors: Path | None
+    other_priors: tuple[Path, ...]
+    cameras: Path | None
+    images: Path | None
+    names: Path | None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether poses can be scored and queries made."""
+        return self.truth is not None and self.cameras is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What is there of a dataset.
+
+    Attributes:
+        spec: The dataset.
+        root: Where it was looked for.
+        splits: The splits that are there, in order.
+        city_model: The city model, or None.
+        unreadable_city: A city model in a format that is not read, or None.
+    """
+
+    spec: PublishedSpec
+    root: Path
+    splits: tuple[SplitFiles, ...]
+    city_model: Path | None
+    unreadable_city: Path | None
+
+    def missing(self) -> list[str]:
+        """Returns what a run needs and is not there: one line each."""
+        found = {files.spec.name: files for files in self.splits}
+        lines = []
+        for split in self.spec.splits:
+            files = found.get(split.name)
+            if files is None and split.is_test:
+                lines.append(f"split {split.name}: no folder {split.folders[0]}")
+            if files is not None:
+                wanted = {TRUTH_FILES[0]: files.truth, CAMERA_FILES[0]: files.cameras}
+                if split.is_test:
+                    wanted[PRIOR_FILES[0]] = files.priors
+                lines += [f"split {split.name}: no {name}" for name, path in wanted.items() if path is None]
+        if self.city_model is None:
+            also = f"; {self.unreadable_city.name} is not read" if self.unreadable_city else ""
+            lines.append(f"city model: none of {', '.join(self.spec.city_files)}{also}")
+        return lines
+
+
+def survey(spec: PublishedSpec, root: str | None, city: str | None, prior_file: str | None = None) -> Survey:
+    """Returns what is there of a dataset.
+
+    Args:
+        spec: The dataset.
+        root: Where to look; None for the user's data folder.
+        city: The city model; None to look for it.
+        prior_file: Name of the file or folder of priors; None for the first known one.
+    """
+    base = data_root() if root is None else Path(root).expanduser()
+    splits = tuple(
+        files for split in spec.splits if (files := _find_split(base, split, prior_file)) is not None
+    )
+    folders = list(dict.fromkeys([base, *(parent for s in splits for parent in list(s.folder.parents)[:3])]))
+    places = [folder / name for folder in folders for name in (*MODEL_FOLDERS, spec.folder)]
+    given = None if city is None else Path(city).expanduser()
+    return Survey(
+        spec,
+        base,
+        splits,
+        _first(place / name for name in spec.city_files for place in places) if given is None else given,
+        _first(place / name for name in spec.unreadable_city_files for place in places),
+    )
+
+
+def require_data(found: Survey) -> None:
+    """Makes sure that there are queries.
+
+    Raises:
+        DatasetError: No test split is there, one lacks its poses or cameras, or the city model that
+            was named does not exist. The hint is a screen of text: what is missing, the expected tree,
+            where to get it, what to do next.
+    """
+    if found.city_model is not None and not found.city_model.exists():
+        raise DatasetError(
+            f"The city model {found.city_model} does not exist.", "Set dataset.city_model=FILE."
+        )
+    has_test = any(files.spec.is_test for files in found.splits)
+    broken = any(not files.is_complete for files in found.splits)
+    if has_test and not broken:
+        return
+    raise DatasetError(f"{found.spec.id}: not all of {found.spec.title} is in {found.root}.", advice(found))
+
+
+def advice(found: Survey) -> str:
+    """Returns what to do about missing parts, for a screen of 24 lines."""
+    spec = found.spec
+    tests = [split for split in spec.splits if split.is_test]
+    parts = ", ".join((TRUTH_FILES[0], PRIOR_FILES[0], CAMERA_FILES[0]))
+    lists = ", ".join(split.split_files[0] for split in tests)
+    where = "" if found.root == data_root() else f" --root {found.root}"
+    lines = [
+        "missing:",
+        *(f"  {line}" for line in found.missing()[:6]),
+        f"expected, in {found.root} or dataset.root=DIR:",
+        f"  {tests[0].folders[0]}/{{{parts}, {IMAGE_FOLDERS[0]}/, masks/}}",
+        *(f"  {split.folders[0]}/{{the same}}" for split in tests[1:]),
+        f"  {spec.folder}/split/{{{lists}}}   (else all poses are queries)",
+        f"  {MODEL_FOLDERS[0]}/{spec.city_files[0]}   (or dataset.city_model=FILE)",
+        "  masks/ is not published: building masks (255 = building) by any network, named as the photos",
+        "get it:",
+        *(f"  {source.what}: {source.url}\n    {source.how}" for source in spec.sources),
+        "check it:",
+        f"  lodbench dataset check {spec.id}{where}",
+    ]
+    return "\n".join(lines)
+
+
+def _find_split(base: Path, spec: SplitSpec, prior_file: str | None) -> SplitFiles | None:
+    folder = next(
+        (
+            base / prefix / name
+            for name in spec.folders
+            for prefix in PREFIXES
+            if (base / prefix / name).is_dir()
+        ),
+        None,
+    )
+    if folder is None:
+        return None
+    colmap = _colmap_folder(folder)
+    names = (prior_file,) if prior_file is not None else (*PRIOR_FILES, *spec.prior_files)
+    priors = [folder / name for name in names if (folder / name).exists()]
+    truth_folder = _first([folder / "GT_pose"])
+    return SplitFiles(
+        spec=spec,
+        folder=folder,
+        truth=_first(
+            [*(folder / n for n in TRUTH_FILES), folder / "GT_pose", *_in(colmap, "images.txt")],
+        ),
+        truth_folder=truth_folder,
+        priors=_first([*priors, *([] if prior_file else [folder / "GPS_pose"])]),
+        other_priors=tuple(priors[1:]),
+        cameras=_first(
+            [*(folder / n for n in CAMERA_FILES), folder / "intrinsic", *_in(colmap, "cameras.txt")]
+        ),
+        images=_first(folder / name for name in IMAGE_FOLDERS),
+        names=_first(
+            [
+                *(folder.parent / "split" / name for name in spec.split_files),
+                *([folder / "dataset_test.txt"] if spec.is_test else []),
+            ]
+        ),
+    )
+
+
+def _colmap_folder(folder: Path) -> Path | None:
+    """Returns where LoD-Loc v2's code keeps the COLMAP model of a scene folder."""
+    path = folder.parent.parent / "all_colmaps" / folder.parent.name / folder.name / "colmap_320"
+    return path if path.is_dir() else None
+
+
+def _in(folder: Path | None, name: str) -> list[Path]:
+    return [] if folder is None else [folder / name]
+
+
+def _first(paths: Iterable[Path]) -> Path | None:
+    return next((path for path in paths if path.exists()), None)

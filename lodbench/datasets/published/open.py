@@ -1,0 +1,137 @@
+"""``dataset=uavd4l_lod | uavd4l_lodv2 | swiss_epfl | swiss_epflv2``: the papers' datasets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from lodbench.citymodel.cache import open_cached_scene
+from lodbench.citymodel.options import ReadOptions
+from lodbench.datasets.codes import FRAME_ASSUMED, FRAMES_DIFFER, SPLIT_MISSING, TURNED_TO_ENU
+from lodbench.datasets.published.frames import ENU, SHIFTED_ECEF, frame_of_city, frame_of_poses
+from lodbench.datasets.published.layout import Survey, advice, require_data, survey
+from lodbench.datasets.published.read import SplitContent, read_split
+from lodbench.datasets.published.specs import spec_of
+from lodbench.datasets.query import Dataset
+from lodbench.errors import ConfigError, nearest_names
+from lodbench.findings import Findings
+from lodbench.geometry import Pose
+from lodbench.geometry.frames import ShiftedEcef
+
+_FRAMES = ("auto", ENU, SHIFTED_ECEF)
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedParams:
+    """Settings of a published dataset.
+
+    Attributes:
+        name: Which one.
+        root: The folder it was unpacked in; None for the user's data folder.
+        city_model: The city model; None to look for the names it is known by.
+        frame: ``auto``: told by the walls and cameras; ``enu`` or ``shifted_ecef`` to say it.
+        prior_file: Name of the file of priors in each split's folder; None for the first known one.
+        origin: Easting, northing and height that the local frame's zero has, to place photos by their
+            GPS; the publishers withhold that of UAVD4L-LoD.
+    """
+
+    name: str
+    root: str | None = None
+    city_model: str | None = None
+    frame: str = "auto"
+    prior_file: str | None = None
+    origin: list[float] | None = None
+
+
+def open_published(params: PublishedParams) -> Dataset:
+    """Returns a published dataset in east, north, up; its city model may be missing.
+
+    Raises:
+        DatasetError: Parts are missing (the hint says which, and where to get them), or malformed.
+        ConfigError: The name or frame is unknown.
+    """
+    spec = spec_of(params.name)
+    if params.frame not in _FRAMES:
+        raise ConfigError(f"dataset.frame={params.frame} is unknown.", nearest_names(params.frame, _FRAMES))
+    if params.origin is not None and len(params.origin) != 3:
+        raise ConfigError("dataset.origin takes three numbers: easting, northing, height.")
+    found = survey(spec, params.root, params.city_model, params.prior_file)
+    require_data(found)
+    findings = Findings()
+    for split in spec.splits:
+        if split.is_test and split.name not in {files.spec.name for files in found.splits}:
+            findings.add(SPLIT_MISSING, split.name, f"no folder {split.folders[0]}")
+    complete = [files for files in found.splits if files.is_complete]
+    contents = [read_split(files, findings) for files in complete]
+    options = ReadOptions()
+    if spec.ecef is not None:
+        contents, options = _to_enu(contents, found, params.frame, spec.ecef, findings)
+    return Dataset(
+        name=spec.id,
+        version="",
+        root=found.root,
+        city_model=found.city_model,
+        city_hint=advice(found),
+        lod=None,
+        splits=tuple(files.spec.name for files in complete),
+        entries=tuple(entry for content in contents for entry in content.entries),
+        truth={key: pose for content in contents for key, pose in content.truth.items()},
+        notes=notes_of(findings),
+        city_options=options,
+        default_splits=tuple(files.spec.name for files in complete if files.spec.is_test),
+        findings=tuple(findings.items),
+        photo_crs=spec.photo_crs,
+        photo_origin=None if params.origin is None else tuple(params.origin),
+    )
+
+
+def notes_of(findings: Findings) -> tuple[str, ...]:
+    """Returns one line per kind of finding: how often, and the first of its details."""
+    lines = []
+    for name, count in findings.counts().items():
+        first = next(item for item in findings.items if str(item.code) == name)
+        detail = f": {first.detail}" if first.detail else ""
+        lines.append(f"{count} x {name}, first {first.object_id}{detail}")
+    return tuple(lines)
+
+
+def _to_enu(
+    contents: list[SplitContent], found: Survey, frame: str, ecef: ShiftedEcef, findings: Findings
+) -> tuple[list[SplitContent], ReadOptions]:
+    """Returns splits in east, north, up, and how to read the city likewise; says what was turned."""
+    poses = [pose for content in contents for pose in content.truth.values()]
+    city = _city_frame(found.city_model, ecef) if frame == "auto" else frame
+    cameras = frame_of_poses(poses, ecef) if frame == "auto" else frame
+    if city is None and cameras is None:
+        findings.add(FRAME_ASSUMED, found.spec.id)
+    elif None not in (city, cameras) and city != cameras:
+        findings.add(FRAMES_DIFFER, found.spec.id, f"city {city}, poses {cameras}")
+    city, cameras = city or cameras or ENU, cameras or city or ENU
+    options = ReadOptions()
+    if city == SHIFTED_ECEF:
+        told = "as told" if frame != "auto" else "by its walls"
+        findings.add(TURNED_TO_ENU, "city model", told)
+        options = ReadOptions(ecef_origin=(ecef.lat_deg, ecef.lon_deg))
+    if cameras == SHIFTED_ECEF:
+        findings.add(TURNED_TO_ENU, "poses", "as told" if frame != "auto" else "by the level of the pictures")
+        contents = [_turned(content, ecef) for content in contents]
+    return contents, options
+
+
+def _city_frame(city: Path | None, ecef: ShiftedEcef) -> str | None:
+    return None if city is None else frame_of_city(open_cached_scene(city), ecef)
+
+
+def _turned(content: SplitContent, ecef: ShiftedEcef) -> SplitContent:
+    def turn(pose: Pose | None) -> Pose | None:
+        return None if pose is None else ecef.pose_to_enu(pose)
+
+    entries = tuple(
+        replace(
+            entry,
+            prior=turn(entry.prior),
+            hypotheses=tuple(ecef.pose_to_enu(pose) for pose in entry.hypotheses),
+        )
+        for entry in content.entries
+    )
+    return SplitContent(entries, {key: ecef.pose_to_enu(pose) for key, pose in content.truth.items()})
