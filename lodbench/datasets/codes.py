@@ -60,11 +60,12 @@ COUNT_UNEXPECTED = _code(
 )
 CHECKSUM_DIFFERS = _code(521, "CHECKSUM_DIFFERS", _W, "A file is not the published one: its SHA-256 differs.")
 IMAGE_SIZE = _code(522, "IMAGE_SIZE", _E, "An image has another size than its intrinsics.")
-IMAGE_UNREADABLE = _code(523, "IMAGE_UNREADABLE", _E, "An image cannot be read.")
-IMAGE_HUGE = _code(524, "IMAGE_HUGE", _W, "An image is too large to decode safely; only its header was read.")
+IMAGE_UNREADABLE = _code(
+    523, "IMAGE_UNREADABLE", _E, "An image cannot be read, or has too many pixels to be one."
+)
 GPS_IN_IMAGE = _code(
-    525, "GPS_IN_IMAGE", _W, "A photo carries its GPS position; strip it before you publish the photo."
+    524, "GPS_IN_IMAGE", _W, "A photo carries its GPS position; strip it before you publish the photo."
 )
 PRIORS_UNLIKE_PAPER = _code(
-    526, "PRIORS_UNLIKE_PAPER", _W, "The priors' median errors differ from the paper's by more than 10 %."
+    525, "PRIORS_UNLIKE_PAPER", _W, "The priors' median errors differ from the paper's by more than 10 %."
 )

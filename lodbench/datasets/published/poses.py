@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from lodbench.datasets.codes import POSES_DISAGREE, STEM_AMBIGUOUS
-from lodbench.datasets.image_header import read_image_header
+from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.pose_files import FoundPose, read_pose_file
 from lodbench.datasets.pose_text import read_cameras
 from lodbench.errors import DatasetError, LodbenchError
@@ -37,10 +37,9 @@ def read_names(path: Path, scene: str, keys: tuple[str, ...]) -> list[str]:
     try:
         text = path.read_text(encoding="utf-8-sig")
         if path.suffix != ".json":
-            lines = [line for line in text.splitlines() if line.strip()]
-            if lines and lines[0].startswith("Visual Landmark"):
-                lines = lines[_VISUAL_LANDMARK_LINES:]
-            names = [line.split()[0] for line in lines]
+            has_head = text.startswith("Visual Landmark")
+            lines = text.splitlines()[_VISUAL_LANDMARK_LINES if has_head else 0 :]
+            names = [line.split()[0] for line in lines if line.strip()]
         else:
             parts = json.loads(text)
             names = [name for key in keys for name in parts.get(key, {}).get(scene, ())]
@@ -164,7 +163,7 @@ def _matrix_camera(path: Path, image: Path) -> Camera:
         (fx, skew, cx, _), (_, fy, cy, _), (*_, one, _) = rows
         if skew != 0 or one != 1:
             raise LodbenchError("a camera matrix without skew ends in 0 0 1 0")
-        header = read_image_header(image)
+        header = read_photo_metadata(image)
         return Camera(header.width, header.height, fx, fy, cx, cy)
     except DatasetError:
         raise
