@@ -9,8 +9,10 @@ from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from lodbench.datasets.codes import POSES_DISAGREE, STEM_AMBIGUOUS
+from lodbench.datasets.exchange.colmap import read_colmap
+from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.pose_files import FoundPose, read_pose_file
+from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_cameras
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.findings import Findings
@@ -175,18 +177,5 @@ def _matrix_camera(path: Path, image: Path) -> Camera:
 
 def _colmap_cameras(path: Path) -> dict[str, Camera]:
     """Returns the cameras of a COLMAP text model by image base name."""
-    cameras: dict[str, Camera] = {}
-    try:
-        for line in path.read_text(encoding="utf-8").splitlines():
-            words = line.split()
-            if words and not words[0].startswith("#"):
-                size, params = (int(words[2]), int(words[3])), [float(word) for word in words[4:]]
-                cameras[words[0]] = Camera.from_colmap(words[1], *size, params)
-        rows = [
-            line for line in (path.parent / "images.txt").read_text("utf-8").splitlines() if line[:1] != "#"
-        ]
-        # Every other line holds an image's points, and may be empty.
-        pairs = [row.split(maxsplit=9) for row in rows[::2] if row.strip()]
-        return {PurePosixPath(pair[9]).name: cameras[pair[8]] for pair in pairs}
-    except (LodbenchError, OSError, ValueError, IndexError, KeyError) as error:
-        raise DatasetError(f"{path}: {str(error).rstrip('.')}.", "Expected: a COLMAP text model.") from error
+    images = read_colmap(path.with_name("images.txt"))
+    return {PurePosixPath(image.name).name: image.camera for image in images if image.camera is not None}
