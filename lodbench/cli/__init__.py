@@ -11,6 +11,7 @@ from importlib import import_module
 COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
     "basin": ("lodbench.cli.basin", "recall over the error of the prior; the cost around the truth"),
+    "localize": ("lodbench.cli.localize", "find where one photo was taken: place, overlay, map"),
     "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
     "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),

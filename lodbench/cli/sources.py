@@ -69,7 +69,16 @@ def load_profile(name: str, words: Sequence[str] = (), crs: str | None = None) -
         raise ConfigError(f"There is no source {name!r}.", nearest_names(name, known))
     loaded = OmegaConf.to_container(OmegaConf.create(known[name].read_text(encoding="utf-8")))
     values = cast(dict[str, Any], loaded)
-    return profile_of({**values, "options": {**(values["options"] or {}), **dict(map(_pair, words))}}, crs)
+    return profile_of({**values, "options": {**(values["options"] or {}), **option_pairs(words)}}, crs)
+
+
+def option_pairs(words: Sequence[str]) -> dict[str, Any]:
+    """Returns the values of options written as ``key=value``.
+
+    Raises:
+        ConfigError: One has no value.
+    """
+    return dict(map(_pair, words))
 
 
 def _pair(word: str) -> tuple[str, Any]:

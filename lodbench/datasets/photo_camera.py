@@ -101,7 +101,7 @@ def _focal_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float, flo
         return focal, focal, "35mm"
     raise DatasetError(
         f"{photo.name} does not say its camera's focal length.",
-        "Give --camera 'MODEL W H PARAMETERS', as in intrinsic.txt, or --focal-px.",
+        "Give --camera 'MODEL W H PARAMETERS', as in intrinsic.txt.",
     )
 
 
@@ -110,6 +110,6 @@ def _checked(photo: PhotoMetadata, camera: Camera) -> Camera:
     if not _FIELD_DEG[0] <= field <= _FIELD_DEG[1]:
         raise DatasetError(
             f"{photo.name}: a focal length of {camera.fx:.0f} px sees {field:.1f} degrees; no photo does.",
-            "Give --camera or --focal-px.",
+            "Give --camera 'MODEL W H PARAMETERS'.",
         )
     return camera if camera.width == photo.width else camera.scaled(photo.width, photo.height)

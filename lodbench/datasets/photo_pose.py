@@ -102,28 +102,44 @@ def pose_from_photo(
             height cannot be converted.
     """
     given = given or RoughPlace()
-    latitude, longitude = (
-        _first(given.latitude_deg, photo.latitude_deg),
-        _first(given.longitude_deg, photo.longitude_deg),
-    )
+    latitude = _first(given.latitude_deg, photo.latitude_deg)
+    longitude = _first(given.longitude_deg, photo.longitude_deg)
     if latitude is None or longitude is None:
         raise DatasetError(f"{photo.name} does not say where it was taken.", "Give --lat and --lon.")
-    yaw, pitch = (
-        _first(given.heading_deg, photo.gimbal_yaw_deg),
-        _first(given.pitch_deg, photo.gimbal_pitch_deg),
-    )
+    east, north = frame.east_north(latitude, longitude)
+    height = given.height_m
+    if height is None:
+        height = _height(photo, frame, heights or HeightOptions(), latitude, longitude)
+    return pose_at((east, north, height), frame.convergence_deg(east, north), photo, given)
+
+
+def pose_at(
+    center: tuple[float, float, float],
+    convergence_deg: float,
+    photo: PhotoMetadata,
+    given: RoughPlace | None = None,
+) -> Pose:
+    """Returns the pose at a known place in the city's coordinates, looking as the photo or the user says.
+
+    Args:
+        center: East, north, up, metres.
+        convergence_deg: Clockwise angle from true to grid north there; 0 where headings are the grid's.
+        photo: What the photo states.
+        given: Angles that are known better.
+
+    Raises:
+        DatasetError: The heading or the pitch is neither in the photo nor given.
+    """
+    given = given or RoughPlace()
+    yaw = _first(given.heading_deg, photo.gimbal_yaw_deg)
+    pitch = _first(given.pitch_deg, photo.gimbal_pitch_deg)
     if yaw is None or pitch is None:
         raise DatasetError(
             f"{photo.name} does not say where its camera looked (DJI's gimbal angles).",
             "Give --heading and --pitch (0 at the horizon, -90 straight down).",
         )
     roll = _first(given.roll_deg, photo.gimbal_roll_deg) or 0.0
-    east, north = frame.east_north(latitude, longitude)
-    height = given.height_m
-    if height is None:
-        height = _height(photo, frame, heights or HeightOptions(), latitude, longitude)
-    rotation = rotation_from_dji(yaw, pitch, roll, frame.convergence_deg(east, north))
-    return Pose.from_center(rotation, (east, north, height))
+    return Pose.from_center(rotation_from_dji(yaw, pitch, roll, convergence_deg), center)
 
 
 def datum_note(frame: MapFrame) -> str | None:

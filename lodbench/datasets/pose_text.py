@@ -34,7 +34,7 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     Raises:
         DatasetError: As for ``read_poses``.
     """
-    return _read_lines(Path(path), _parse_camera, "name PINHOLE W H fx fy cx cy")
+    return _read_lines(Path(path), parse_camera, "name PINHOLE W H fx fy cx cy")
 
 
 def format_pose(name: str, pose: Pose) -> str:
@@ -102,7 +102,13 @@ def _parse_place(words: list[str]) -> Pose:
     return pose
 
 
-def _parse_camera(words: list[str]) -> Camera:
+def parse_camera(words: list[str]) -> Camera:
+    """Returns the camera of the words ``MODEL W H params...`` (COLMAP's models).
+
+    Raises:
+        LodbenchError: There are too few, the model is unknown, or they are no camera.
+        ValueError: A word is no number.
+    """
     if len(words) < 4:
         raise LodbenchError("too few values")
     return Camera.from_colmap(words[0], int(words[1]), int(words[2]), [float(word) for word in words[3:]])

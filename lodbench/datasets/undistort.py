@@ -53,6 +53,8 @@ def undistorted(picture: NDArray[Any], camera: Camera, pinhole: Camera) -> NDArr
     """
     import cv2
 
+    if not camera.distortion:
+        return picture
     height, width = picture.shape[:2]
     source = _source_pixels(camera.scaled(width, height), pinhole.scaled(width, height))
     # OpenCV counts from pixel centres, COLMAP from corners. A mask may be half a pixel short: repeat it.

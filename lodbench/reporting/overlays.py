@@ -30,7 +30,7 @@ class OverlayInput:
     Attributes:
         camera: Intrinsics of the full-size image.
         mask: (H, W) query mask of any size of the same aspect, or None.
-        image: The photo, or None.
+        image: The photo, as a file or its pixels, or None.
         prior: Where the method started.
         estimate: What it answered.
         truth: Where the camera was.
@@ -39,7 +39,7 @@ class OverlayInput:
 
     camera: Camera
     mask: Mask | None
-    image: Path | None
+    image: Path | Picture | None
     prior: Pose | None
     estimate: Pose | None
     truth: Pose | None
@@ -89,26 +89,31 @@ def is_readable_picture(path: Path) -> bool:
     return path.is_file() and bool(cv2.haveImageReader(str(path)))
 
 
-def read_background(image: Path | None, camera: Camera) -> Picture:
+def read_background(image: Path | Picture | None, camera: Camera) -> Picture:
     """Returns a photo at the camera's size, (H, W, 3) BGR; plain grey if it is none or unreadable."""
     import cv2
 
-    canvas = np.full((camera.height, camera.width, 3), 58, dtype=np.uint8)
-    if image is None:
-        return canvas
-    # A picture must not cost the table: a photo that cannot be read leaves the ground grey.
-    try:
-        content = np.frombuffer(image.read_bytes(), dtype=np.uint8)
-    except OSError:
-        return canvas
-    if len(content) == 0:
-        return canvas
-    # The intrinsics belong to the pixels as stored, so an EXIF turn is not applied.
-    photo = cv2.imdecode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    photo = read_photo(image) if isinstance(image, Path) else image
     if photo is None:
-        return canvas
+        # A picture must not cost the table: a photo that cannot be read leaves the ground grey.
+        return np.full((camera.height, camera.width, 3), 58, dtype=np.uint8)
     resized = cv2.resize(photo, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     return np.asarray(resized, dtype=np.uint8)
+
+
+def read_photo(path: Path) -> Picture | None:
+    """Returns a photo's pixels as stored, (H, W, 3) BGR; None if it cannot be read or decoded."""
+    import cv2
+
+    try:
+        content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    except OSError:
+        return None
+    if len(content) == 0:
+        return None
+    # The intrinsics belong to the pixels as stored, so an EXIF turn is not applied.
+    photo = cv2.imdecode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return None if photo is None else np.asarray(photo)
 
 
 def _caption(text: str, width: int) -> Picture:

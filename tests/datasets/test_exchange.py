@@ -96,11 +96,12 @@ def test_two_images_of_one_name_are_refused(tmp_path, name):
         write([images()[0]] * 2, tmp_path / file)
 
 
-class TestColmap:
-    @pytest.fixture(scope="class")
-    def pycolmap(self):
-        return pytest.importorskip("pycolmap")
+@pytest.fixture(scope="module")
+def pycolmap():
+    return pytest.importorskip("pycolmap")
 
+
+class TestColmap:
     def test_pycolmap_reads_what_we_write(self, tmp_path, pycolmap):
         given = images()
         write_colmap(given, tmp_path)

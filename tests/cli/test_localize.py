@@ -1,0 +1,262 @@
+"""One photo, end to end: real city models, photos and masks made at a known pose, metadata as a drone's."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from pyproj import Transformer
+from scipy.spatial.transform import Rotation
+
+from lodbench.citymodel import open_scene
+from lodbench.cli import main as cli
+from lodbench.cli.localize import main
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.evaluation import pose_error
+from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.rendering import make_renderer
+from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
+from tests.town import box_obj
+
+WIDTH, HEIGHT = 684, 456
+DISTORTION = (-0.2651, 0.1123, 0.0002, -0.0004, -0.0331)
+PINHOLE = Camera(WIDTH, HEIGHT, 460.0, 459.0, 340.0, 230.0)
+# Real files and a view of each: where to look, how high above the lowest roof, angles.
+CITIES = {
+    "nrw": ("germany_lod2/LoD2_32_280_5657_1_NW.gml", "EPSG:25832+7837", 110.0, (32.0, 0.6, 40.0)),
+    "plateau": ("plateau/53395404_bldg_6697_op.gml", "EPSG:6677+6695", 130.0, (28.0, -0.5, -70.0)),
+    "3dbag": ("3dbag/3dbag_v210908_fd2cee53_5907_subset.json", "EPSG:7415", 120.0, (35.0, 0.4, 160.0)),
+}
+
+_PLANE = {"EPSG:7415": "EPSG:28992"}
+
+
+@dataclass
+class Case:
+    """A photo, its mask, and the truth behind them."""
+
+    photo: Path
+    mask: Path
+    city: Path
+    truth: Pose
+    frame: MapFrame
+
+
+def lens_of_pixels() -> tuple[np.ndarray, np.ndarray]:
+    """Returns the pinhole's pixels that the lens's pixels show: Brown's formula undone by iteration."""
+    k1, k2, p1, p2, k3 = DISTORTION
+    u, v = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    seen_x, seen_y = (u - PINHOLE.cx) / PINHOLE.fx, (v - PINHOLE.cy) / PINHOLE.fy
+    x, y = seen_x, seen_y
+    for _ in range(60):
+        r2 = x * x + y * y
+        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        x, y = (
+            (seen_x - 2 * p1 * x * y - p2 * (r2 + 2 * x * x)) / radial,
+            (seen_y - 2 * p2 * x * y - p1 * (r2 + 2 * y * y)) / radial,
+        )
+    return x, y
+
+
+def make_case(
+    folder: Path, shared_data: Path, name: str, *, distorted: bool = False, tilt_deg: float = 0.0
+) -> Case:
+    """Writes a photo over a real city, its metadata off by what GPS, a barometer and a compass are."""
+    file, crs, above_m, angles = CITIES[name]
+    city = shared_data / "city" / file
+    scene = open_scene(city)
+    assert scene.crs == crs
+    middle = np.median(scene.vertices.astype(float), axis=0)
+    pitch, _, yaw = angles
+    back = np.tan(np.radians(pitch)) * above_m
+    center = middle + np.array([np.sin(np.radians(yaw)) * back, -np.cos(np.radians(yaw)) * back, above_m])
+    local = Pose.from_euler(EulerAngles(*angles), center)
+    # Wider than the photo, so that the lens's corners have something to show.
+    wide = Camera(3 * WIDTH, 3 * HEIGHT, 2 * 460.0, 2 * 459.0, 1.5 * WIDTH, 1.5 * HEIGHT)
+    mask = make_renderer("silhouette", scene).render(wide, local).astype(np.uint8) * 255
+    if distorted:
+        x, y = lens_of_pixels()
+    else:
+        u, v = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+        x, y = (u - PINHOLE.cx) / PINHOLE.fx, (v - PINHOLE.cy) / PINHOLE.fy
+    at = [(wide.fx * x + wide.cx - 0.5).astype(np.float32), (wide.fy * y + wide.cy - 0.5).astype(np.float32)]
+    mask = cv2.remap(mask, *at, cv2.INTER_LINEAR)
+    folder.mkdir(exist_ok=True)
+    cv2.imwrite(str(folder / "mask.png"), mask)
+    photo = write_photo(
+        folder / "DJI_0001.JPG",
+        (90 + mask // 3).astype(np.uint8),
+        exif_of(model="FC6310R"),
+        xmp_packet(stated(local.shifted(scene.origin), crs, distorted, tilt_deg)),
+    )
+    return Case(photo, folder / "mask.png", city, local.shifted(scene.origin), MapFrame(crs))
+
+
+def stated(truth: Pose, crs: str, distorted: bool, tilt_deg: float) -> dict[str, str]:
+    """Returns DJI's properties of a pose 8 m beside the truth, 11 m above it and 3 degrees turned."""
+    east, north, up = truth.center + np.array([6.0, -5.0, 11.0])
+    lon, lat = Transformer.from_crs(
+        _PLANE.get(crs, crs.split("+")[0]), "EPSG:4326", always_xy=True
+    ).transform(east, north)
+    # A gimbal turns its body (forward, right, down) by yaw, pitch and roll from north, east, down.
+    body_from_camera = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    ned_from_enu = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    turn = ned_from_enu @ truth.rotation.T @ body_from_camera.T
+    yaw, pitch, roll = Rotation.from_matrix(turn).as_euler("ZYX", degrees=True)
+    heading = yaw + MapFrame(crs).convergence_deg(east, north) + 3.0
+    values = {
+        "GpsLatitude": f"{lat:+.9f}", "GpsLongitude": f"{lon:+.9f}", "AbsoluteAltitude": f"{up:+.3f}",
+        "GimbalYawDegree": f"{heading:+.4f}", "GimbalPitchDegree": f"{pitch + tilt_deg:+.4f}",
+        "GimbalRollDegree": f"{roll:+.4f}",
+    }  # fmt: skip
+    numbers = ",".join(
+        str(v) for v in (PINHOLE.fx, PINHOLE.fy, PINHOLE.cx - WIDTH / 2, PINHOLE.cy - HEIGHT / 2, *DISTORTION)
+    )
+    return {**values, "DewarpData": f"2023-01-01;{numbers}", "DewarpFlag": "0" if distorted else "1"}
+
+
+def localize(capsys, case: Case, out: Path, *words: str) -> dict:
+    assert main([str(case.photo), "--city", str(case.city), "--out", str(out), "--json", *words]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def pose_of(values: dict) -> Pose:
+    return Pose.from_quaternion(values["quat_wxyz"], values["translation_m"])
+
+
+@pytest.mark.parametrize(
+    ("name", "distorted", "tilt_deg", "within_m", "within_deg"),
+    [
+        ("nrw", False, 0.0, 2.0, 1.0),
+        ("nrw", True, 0.0, 2.0, 1.0),
+        ("plateau", True, 0.0, 2.0, 1.0),
+        ("3dbag", False, 0.0, 2.0, 1.0),
+        ("3dbag", True, 0.7, 5.0, 2.0),
+    ],
+)
+def test_the_camera_is_found(capsys, tmp_path, shared_data, name, distorted, tilt_deg, within_m, within_deg):
+    case = make_case(tmp_path, shared_data, name, distorted=distorted, tilt_deg=tilt_deg)
+    found = localize(capsys, case, tmp_path / "out", "--mask", str(case.mask))
+    off = pose_error(pose_of(found["prior"]), case.truth)
+    assert off.translation_m == pytest.approx(np.linalg.norm([6, -5, 11]), abs=0.05)
+    assert 2.5 < off.rotation_deg < 3.5
+    error = pose_error(pose_of(found["pose"]), case.truth)
+    assert error.translation_m < within_m
+    assert error.rotation_deg < within_deg
+    expected = case.frame.place_of(case.truth)
+    place = found["place"]
+    assert place["latitude_deg"] == pytest.approx(expected.latitude_deg, abs=within_m / 111_000)
+    assert place["longitude_deg"] == pytest.approx(expected.longitude_deg, abs=within_m / 60_000)
+    assert place["height_m"] == pytest.approx(expected.height_m, abs=within_m)
+    assert (place["heading_deg"] - expected.heading_deg + 180) % 360 - 180 == pytest.approx(0, abs=within_deg)
+    assert any("distortion" in note for note in found["notes"]) == distorted
+    assert cv2.imread(found["overlay"]).shape[1] == WIDTH
+    points = {
+        f["properties"].get("kind"): f["geometry"]["coordinates"]
+        for f in json.loads(Path(found["geojson"]).read_text())["features"]
+    }
+    assert points["estimate"] == pytest.approx([place["longitude_deg"], place["latitude_deg"]], abs=1e-7)
+    # What the middle of the picture shows lies ahead of the camera.
+    (lon, lat), (lon2, lat2) = points["view"]
+    bearing = np.degrees(np.arctan2((lon2 - lon) * np.cos(np.radians(lat)), lat2 - lat))
+    assert (bearing - place["heading_deg"] + 180) % 360 - 180 == pytest.approx(0, abs=1.0)
+
+
+def test_leaving_the_distortion_in_the_mask_is_worse(capsys, tmp_path, shared_data):
+    case = make_case(tmp_path, shared_data, "nrw", distorted=True)
+    good = localize(capsys, case, tmp_path / "a", "--mask", str(case.mask))
+    pinhole = f"PINHOLE {WIDTH} {HEIGHT} {PINHOLE.fx} {PINHOLE.fy} {PINHOLE.cx} {PINHOLE.cy}"
+    bad = localize(capsys, case, tmp_path / "b", "--mask", str(case.mask), "--camera", pinhole)
+    assert bad["score"] < good["score"] - 0.05
+
+
+class TestWithoutMetadata:
+    @pytest.fixture
+    def case(self, tmp_path, shared_data):
+        case = make_case(tmp_path, shared_data, "nrw")
+        write_photo(case.photo, np.full((HEIGHT, WIDTH), 99, np.uint8))
+        return case
+
+    camera = f"PINHOLE {WIDTH} {HEIGHT} {PINHOLE.fx} {PINHOLE.fy} {PINHOLE.cx} {PINHOLE.cy}"
+
+    def test_all_from_flags(self, capsys, tmp_path, case):
+        place = case.frame.place_of(case.truth)
+        words = [
+            "--lat",
+            place.latitude_deg + 3e-5,
+            "--lon",
+            place.longitude_deg,
+            "--height",
+            place.height_m + 5,
+        ]
+        words += ["--heading", place.heading_deg - 2, "--pitch", place.pitch_deg, "--roll", 0.5]
+        found = localize(
+            capsys, case, tmp_path / "o", "--mask", str(case.mask), "--camera", self.camera, *map(str, words)
+        )
+        assert pose_error(pose_of(found["pose"]), case.truth).translation_m < 2.0
+
+    def test_a_place_in_the_city_s_own_coordinates(self, capsys, tmp_path, case):
+        center = [str(v) for v in case.truth.center + np.array([4.0, 4.0, -6.0])]
+        place = case.frame.place_of(case.truth)
+        words = ["--center", *center, "--heading", str(place.heading_deg), "--pitch", str(place.pitch_deg)]
+        assert main([
+            str(case.photo), "--city", str(case.city), "--mask", str(case.mask), "--camera", self.camera,
+            "--out", str(tmp_path / "o"), *words,
+        ]) == 0  # fmt: skip
+        told = capsys.readouterr().out
+        assert f"latitude   {place.latitude_deg:.3f}"[:16] in told
+        assert "EPSG:25832+7837" in told
+
+
+@pytest.fixture(scope="module")
+def plain_case(tmp_path_factory, shared_data):
+    return make_case(tmp_path_factory.mktemp("photo"), shared_data, "nrw")
+
+
+class TestFaults:
+    @pytest.mark.parametrize(
+        ("words", "expected"),
+        [
+            ([], ["no mask", "--mask", "--segmenter"]),
+            (["--segmenter", "fishy"], ["fishy"]),
+            (["--mask", "nowhere.png"], ["nowhere.png"]),
+            (["--mask", "MASK", "--camera", "PINHOLE 1 2"], ["--camera"]),
+            (["--mask", "MASK", "--camera", "PINHOLE 640 480 500 500 320 240"], ["640 x 480", "684 x 456"]),
+            (["--mask", "MASK", "--lat", "52", "--lon", "7"], ["km outside"]),
+            (["--mask", "MASK", "--heights", "takeoff"], ["take-off", "--takeoff"]),
+            (["--mask", "MASK", "--heights", "ellipsoid"], ["geoid", "--geoid"]),
+            (["--mask", "MASK", "--lod", "7"], ["7"]),
+        ],
+    )
+    def test_each_is_one_line_and_a_hint(self, capsys, tmp_path, monkeypatch, plain_case, words, expected):
+        monkeypatch.chdir(tmp_path)
+        words = [str(plain_case.mask) if word == "MASK" else word for word in words]
+        assert cli(["localize", str(plain_case.photo), "--city", str(plain_case.city), *words]) == 2
+        told = capsys.readouterr().err
+        assert told.startswith("lodbench: ")
+        assert len(told.splitlines()) <= 2
+        for word in expected:
+            assert word in told
+        assert not (tmp_path / "localized").exists()
+
+    def test_a_city_without_a_reference_system(self, capsys, tmp_path, plain_case):
+        (tmp_path / "city.obj").write_text(box_obj())
+        words = [str(plain_case.photo), "--city", str(tmp_path / "city.obj"), "--mask", str(plain_case.mask)]
+        assert cli(["localize", *words]) == 2
+        assert "--center" in capsys.readouterr().err
+
+
+def test_in_a_process_of_its_own(lodbench, tmp_path, plain_case):
+    done = lodbench(
+        "localize", str(plain_case.photo), "--city", str(plain_case.city), "--mask", str(plain_case.mask)
+    )
+    assert done.returncode == 0, done.stderr
+    assert "latitude" in done.stdout
+    assert {path.name for path in (tmp_path / "localized").iterdir()} == {
+        "DJI_0001.geojson",
+        "DJI_0001_overlay.png",
+    }
