@@ -22,6 +22,8 @@ from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
 
 from lodbench.rendering.bits import words_per_row
+from lodbench.rendering.lane_kernels import mark_lines, set_up_lines
+from lodbench.rendering.lanes import LANES
 
 # A sum is read as 16 bits: it is looked at before more triangles than this could pile up.
 MAX_LAYERS = 30_000
@@ -30,13 +32,15 @@ _STRIP = 64
 
 
 class Coverage(NamedTuple):
-    """Marks of one view, in strips of 64 columns.
+    """Marks of one view, in strips of 64 columns, and where eight hypotheses may have some.
+
+    Hypotheses take turns with the marks: each is swept, and so cleared, before the next.
 
     Attributes:
-        marks: (S * (H + 1) * 64,) int16, strip by strip, row by row: how much the sum changes at each
-            pixel. Row H takes what lies below the view.
-        low: (S,) int64, first marked row of each strip.
-        high: (S,) int64, last marked row of each strip, -1 for none.
+        marks: (S * (H + 1) * 64 + 8,) int16, strip by strip, row by row: how much the sum changes at each
+            pixel. Row H takes what lies below the view; the last eight are no pixels.
+        low: (8, S) int64, first row of each strip that may be marked.
+        high: (8, S) int64, last row of each strip that may be marked, -1 for none.
     """
 
     marks: NDArray[np.int16]
@@ -48,20 +52,20 @@ def blank_coverage(width: int, height: int) -> Coverage:
     """Returns the coverage of an empty view."""
     strips = words_per_row(width)
     return Coverage(
-        np.zeros(strips * (height + 1) * _STRIP, dtype=np.int16),
-        np.full(strips, height, dtype=np.int64),
-        np.full(strips, -1, dtype=np.int64),
+        np.zeros(strips * (height + 1) * _STRIP + LANES, dtype=np.int16),
+        np.full((LANES, strips), height, dtype=np.int64),
+        np.full((LANES, strips), -1, dtype=np.int64),
     )
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def first_centre_at(position):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the first row or column whose centre is at or after a position in sub-pixels."""
-    return np.int64(np.ceil((position - 128.0) * (1.0 / 256.0)))
+    return (np.int64(position) + 127) >> 8
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def expect_marks(coverage, left, right, top, bottom, width, height):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def expect_marks(coverage, lane, left, right, top, bottom, width, height):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Notes that marks may follow within bounds in sub-pixels; tells whether the view sees any of them."""
     first_column = max(np.int64(0), first_centre_at(left))
     last_column = min(np.int64(width), first_centre_at(right)) - 1
@@ -70,70 +74,80 @@ def expect_marks(coverage, left, right, top, bottom, width, height):  # type: ig
     if first_column > last_column or first_row >= height or last_row < 1:
         return False
     for strip in range(first_column >> 6, (last_column >> 6) + 1):
-        coverage.low[strip] = min(coverage.low[strip], first_row)
-        coverage.high[strip] = max(coverage.high[strip], last_row)
+        coverage.low[lane, strip] = min(coverage.low[lane, strip], first_row)
+        coverage.high[lane, strip] = max(coverage.high[lane, strip], last_row)
     return True
 
 
-class EdgeLines(NamedTuple):
-    """Edges of a view, ready to be marked.
+class EdgeLists(NamedTuple):
+    """Outline edges of eight hypotheses, and room to prepare those of one for marking.
 
     Attributes:
-        span: (E, 3) int32: first column met, first column no longer met, weight.
-        line: (E, 3) float64: numerator at the first column, its step per column, 1 / denominator.
+        left: (8 * capacity,) int64, list after list: each edge's left corner and weight, see
+            ``pack_corner``.
+        right: Likewise its right corner.
+        counts: (8,) int64 lengths of the lists.
+        weight: (capacity,) int32 what the sum changes by below an edge.
+        column: (capacity,) int32 first column an edge meets.
+        meets: (capacity,) int32 how many columns it meets.
+        row: (capacity,) float64 row at the first column.
+        step: (capacity,) float64 rows from one column to the next.
     """
 
-    span: NDArray[np.int32]
-    line: NDArray[np.float64]
+    left: NDArray[np.int64]
+    right: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    weight: NDArray[np.int32]
+    column: NDArray[np.int32]
+    meets: NDArray[np.int32]
+    row: NDArray[np.float64]
+    step: NDArray[np.float64]
 
 
-def edge_lines(max_edges: int) -> EdgeLines:
-    """Returns room for ``max_edges`` edges."""
-    return EdgeLines(np.zeros((max_edges, 3), dtype=np.int32), np.zeros((max_edges, 3)))
+def edge_lists(capacity: int) -> EdgeLists:
+    """Returns empty lists with room for ``capacity`` edges each, a multiple of 8."""
+    return EdgeLists(
+        np.zeros(LANES * capacity, dtype=np.int64),
+        np.zeros(LANES * capacity, dtype=np.int64),
+        np.zeros(LANES, dtype=np.int64),
+        np.zeros(capacity, dtype=np.int32),
+        np.zeros(capacity, dtype=np.int32),
+        np.zeros(capacity, dtype=np.int32),
+        np.zeros(capacity),
+        np.zeros(capacity),
+    )
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def add_line(lines, count, width, height, ua, va, ub, vb, weight):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Adds an edge, from snapped corner a to b, as number ``count``; returns the new number of edges.
+def pack_corner(u, v, weight):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns a snapped corner, each way within 2**23, and a weight in [-128, 127] as one int64.
 
-    An edge that meets no column's centre, or lies wholly below the view, is not counted in.
-
-    The first row at or below where an edge crosses a column is ``ceil(n / d)`` for integers n, d
-    below 2**53. ``floor((n + d - 0.5) * (1 / d))`` equals it: the half keeps the real value at least
-    0.5 / d (2**-32) from a whole number, and two float64 roundings of a value below 2**15 err by
-    less. From column to column n changes by an integer, so stepping is exact too.
+    From the top: 32 bits row, 8 bits weight, 24 bits column.
     """
-    is_leftward = ua > ub
-    left, right = (ub, ua) if is_leftward else (ua, ub)
-    v_left, v_right = (vb, va) if is_leftward else (va, vb)
-    first = max(0.0, np.ceil((left - 128.0) * (1.0 / 256.0)))
-    stop = min(float(width), np.ceil((right - 128.0) * (1.0 / 256.0)))
-    du, dv = right - left, v_right - v_left
-    d = 256.0 * du
-    lines.span[count, 0] = np.int32(first)
-    lines.span[count, 1] = np.int32(stop)
-    lines.span[count, 2] = -weight if is_leftward else weight
-    lines.line[count, 0] = (v_left - 128.0) * du + (256.0 * first + 128.0 - left) * dv + d - 0.5
-    lines.line[count, 1] = 256.0 * dv
-    lines.line[count, 2] = 1.0 / d
-    below = 256.0 * height
-    return count + np.int64((first < stop) & ((va < below) | (vb < below)))
+    return (np.int64(v) << 32) | ((np.int64(weight) & 0xFF) << 24) | (np.int64(u) & 0xFFFFFF)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mark_lines(lines, count, height, marks):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Marks the first ``count`` edges in every column they meet."""
-    lowest = float(height)
-    # Unsigned, so that no index needs a look at its sign.
-    strip_size = np.uint64((height + 1) * _STRIP)
-    for i in range(count):
-        weight = np.int16(lines.span[i, 2])
-        n, step, inverse = lines.line[i, 0], lines.line[i, 1], lines.line[i, 2]
-        for column in range(np.uint64(lines.span[i, 0]), np.uint64(lines.span[i, 1])):
-            row = np.uint64(np.int32(min(max(np.floor(n * inverse), 0.0), lowest)))
-            n += step
-            place = (column >> np.uint64(6)) * strip_size + row * np.uint64(_STRIP)
-            marks[place + (column & np.uint64(63))] += weight
+def append_edge(lists, lane, width, ua, va, ub, vb, weight):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Appends an edge from snapped corner a to b to a hypothesis's list, unless it meets no column."""
+    if ua > ub:
+        ua, va, ub, vb, weight = ub, vb, ua, va, -weight
+    if max(first_centre_at(ua), 0) >= min(first_centre_at(ub), width):
+        return
+    at = lane * lists.column.shape[0] + lists.counts[lane]
+    lists.left[at] = pack_corner(ua, va, weight)
+    lists.right[at] = pack_corner(ub, vb, weight)
+    lists.counts[lane] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mark_edges(lists, lane, width, height, marks):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Marks a hypothesis's edges in every column they meet, and empties its list."""
+    start, count = lane * lists.column.shape[0], lists.counts[lane]
+    prepared = lists.weight, lists.column, lists.meets, lists.row, lists.step
+    set_up_lines(lists.left, lists.right, start, count, width, *prepared)  # type: ignore[call-arg]
+    mark_lines(*prepared, count, height, marks, marks.shape[0] - LANES)  # type: ignore[call-arg]
+    lists.counts[lane] = 0
 
 
 @intrinsic
@@ -169,11 +183,11 @@ def _sweep_strip(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sweep(coverage, height, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Sets the bits of ``words``, (H, S) uint64, where the sums are not zero, and clears all marks."""
-    strips = coverage.low.shape[0]
+def sweep(coverage, lane, height, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Sets the bits of ``words``, (H, S) uint64, where a hypothesis's sums are not zero; clears all marks."""
+    strips = coverage.low.shape[1]
     for strip in range(strips):
-        low, high = coverage.low[strip], coverage.high[strip]
+        low, high = coverage.low[lane, strip], coverage.high[lane, strip]
         if high < 0:
             continue
         start = strip * (height + 1) * _STRIP
@@ -181,5 +195,5 @@ def sweep(coverage, height, words):  # type: ignore[no-untyped-def]  # noqa: ANN
         rows = min(high, height - 1) + 1 - low
         _sweep_strip(coverage.marks, start + low * _STRIP, rows, words, low * strips + strip, strips)  # type: ignore[call-arg]
         coverage.marks[start + height * _STRIP : start + (height + 1) * _STRIP] = 0
-        coverage.low[strip] = height
-        coverage.high[strip] = -1
+        coverage.low[lane, strip] = height
+        coverage.high[lane, strip] = -1

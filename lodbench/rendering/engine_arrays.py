@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.rendering.coverage import Coverage, EdgeLines
+from lodbench.rendering.coverage import Coverage, EdgeLists, blank_coverage, edge_lists
+from lodbench.rendering.lanes import LANES
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.uint32]
@@ -72,24 +73,44 @@ class View(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Working memory of one thread, for the largest building.
+    """Working memory of one thread, for eight hypotheses of the largest building.
 
     Attributes:
-        u: (V,) float64 snapped columns, sub-pixels.
-        v: (V,) float64 snapped rows, sub-pixels.
-        depth: (V,) float64 distances along the optical axis, metres.
-        facing: (T,) int32, which way each triangle turns on the screen.
-        weights: (E,) int32 of each edge.
-        outline: (E + 1,) uint32 edges whose weight is not zero.
-        lines: The edges of one building.
-        coverage: The view's marks.
+        poses: (12 * 8,) float64, the nine numbers of cam_from_world and three of the centre, by lane.
+        u: (8 V,) int32 snapped columns, sub-pixels.
+        v: (8 V,) int32 snapped rows, sub-pixels.
+        extent: (4 * 8,) float64 least and greatest column, least and greatest row of a building.
+        nearest: (8,) float64 least distance of a building along the optical axis, metres.
+        facing: (8 T,) int32, which way each triangle turns on the screen.
+        lists: Outline edges gathered for each hypothesis.
+        coverage: The marks of one view.
     """
 
-    u: Floats
-    v: Floats
-    depth: Floats
+    poses: Floats
+    u: NDArray[np.int32]
+    v: NDArray[np.int32]
+    extent: Floats
+    nearest: Floats
     facing: NDArray[np.int32]
-    weights: NDArray[np.int32]
-    outline: Indices
-    lines: EdgeLines
+    lists: EdgeLists
     coverage: Coverage
+
+
+# Room in a hypothesis's list of edges: more than most views have, and small enough for the cache.
+_LIST_CAPACITY = 8192
+
+
+def blank_scratch(scene: SceneArrays, width: int, height: int) -> Scratch:
+    """Returns working memory for a scene and a size of image, pixels."""
+    vertices, triangles, edges = (int(n) for n in np.diff(scene.starts, axis=0).max(axis=0, initial=0))
+    capacity = max(_LIST_CAPACITY, -(-(edges + 1) // LANES) * LANES)
+    return Scratch(
+        poses=np.zeros(12 * LANES),
+        u=np.zeros(LANES * vertices, dtype=np.int32),
+        v=np.zeros(LANES * vertices, dtype=np.int32),
+        extent=np.zeros(4 * LANES),
+        nearest=np.zeros(LANES),
+        facing=np.zeros(LANES * triangles, dtype=np.int32),
+        lists=edge_lists(capacity),
+        coverage=blank_coverage(width, height),
+    )

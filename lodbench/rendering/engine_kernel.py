@@ -1,4 +1,9 @@
-"""The silhouette engine's hot loop: views of a scene into bit-packed rows, on one core."""
+"""The silhouette engine's hot loop: views of a scene into bit-packed rows, on one core.
+
+Eight hypotheses are drawn together: a building is projected, its triangles faced and its outline found
+for all eight (``lane_kernels``), each hypothesis gathering the edges of its outlines in a list. Then each
+in turn has its edges marked and swept into words (``coverage``), while its marks fit the cache.
+"""
 
 from __future__ import annotations
 
@@ -9,42 +14,19 @@ from lodbench.rendering.bits import intersect_and_clear
 from lodbench.rendering.clipping import MAX_CORNERS, clip_polygon
 from lodbench.rendering.coverage import (
     MAX_LAYERS,
-    add_line,
+    append_edge,
     expect_marks,
-    mark_lines,
+    mark_edges,
     sweep,
 )
-from lodbench.rendering.projection import camera_axes, is_outside, snap
+from lodbench.rendering.lane_kernels import collect_outline, face_triangles, project_vertices
+from lodbench.rendering.lanes import LANES
+from lodbench.rendering.projection import camera_axes, snap
 from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
 from lodbench.rendering.selection import select_buildings
 
 # A building whose snapped corners all stay this far inside the guard band needs no clipping.
-_SAFE_SUBPIXELS = (GUARD_PX - 2.0) * 256.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _project(scene, first, stop, r, c, f, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Projects vertices to snapped u, v and to depth; those beside the camera, at depth 0, to infinity.
-
-    Kept free of anything but arithmetic, so that the compiler can do several vertices at a time.
-    """
-    xs, ys, zs, u, v, depth = scene.x, scene.y, scene.z, scratch.u, scratch.v, scratch.depth
-    for i in range(np.uint64(stop - first)):
-        k = i + np.uint64(first)
-        x, y, z = camera_axes(xs[k], ys[k], zs[k], r, c)
-        u[i], v[i] = snap(x, y, z, f)
-        depth[i] = z
-
-
-# The flags let the compiler reorder minima, which changes none of them; there is no NaN to find,
-# because screen positions are read only when every depth is positive.
-@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
-def _bounds(values, count):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns the least and the greatest of the first ``count`` float64 values, count >= 1."""
-    low = high = values[0]
-    for i in range(np.uint64(count)):
-        low, high = min(low, values[i]), max(high, values[i])
-    return low, high
+_SAFE_SUBPIXELS = int((GUARD_PX - 2.0) * 256.0)
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
@@ -55,55 +37,32 @@ def _side(ua, va, ub, vb, uc, vc):  # type: ignore[no-untyped-def]  # noqa: ANN0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _face(scene, b, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Writes which way each triangle of a building turns on the screen."""
-    u, v, facing = scratch.u, scratch.v, scratch.facing
-    first, stop = np.uint64(scene.starts[b, 1]), np.uint64(scene.starts[b + 1, 1])
-    for t in range(stop - first):
-        i, j, k = scene.corner_a[first + t], scene.corner_b[first + t], scene.corner_c[first + t]
-        facing[t] = _side(u[i], v[i], u[j], v[j], u[k], v[k])
+def _flush(view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Draws the edges gathered so far into each hypothesis's words."""
+    for lane in range(words.shape[0]):
+        mark_edges(scratch.lists, lane, view.width, view.height, scratch.coverage.marks)
+        sweep(scratch.coverage, lane, view.height, words[lane])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _find_outline(scene, b, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Writes the weight of each edge of a building, and which are not zero; returns how many."""
-    facing, weights, outline = scratch.facing, scratch.weights, scratch.outline
-    first, stop = np.uint64(scene.starts[b, 2]), np.uint64(scene.starts[b + 1, 2])
-    for e in range(stop - first):
-        one, other = facing[scene.side_a[first + e]], facing[scene.side_b[first + e]]
-        weights[e] = one + scene.second_weight[first + e] * other
-    count = np.uint64(0)
-    # Written at every turn and kept by the count: no branch to guess wrong.
-    for e in range(stop - first):
-        outline[count] = e
-        count += np.uint64(weights[e] != 0)
-    return count
+def _has_room(lists, edges, hypotheses):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Tells whether every hypothesis's list has room for so many edges more, and one."""
+    most = np.int64(0)
+    for lane in range(hypotheses):
+        most = max(most, lists.counts[lane])
+    return most + edges < lists.column.shape[0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw_building(scene, b, view, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Marks the edges of a building whose two triangles do not cancel out."""
-    u, v, lines = scratch.u, scratch.v, scratch.lines
-    _face(scene, b, scratch)
-    found = _find_outline(scene, b, scratch)
-    first = np.uint64(scene.starts[b, 2])
-    count = 0
-    for n in range(found):
-        e = scratch.outline[n]
-        i, j = scene.tail[first + e], scene.head[first + e]
-        weight = scratch.weights[e]
-        count = add_line(lines, count, view.width, view.height, u[i], v[i], u[j], v[j], weight)
-    mark_lines(lines, count, view.height, scratch.coverage.marks)
+def _gather_clipped(scene, b, lane, rotation, center, view, scratch, words, layers):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Gathers a building's edges triangle by triangle, clipped; returns how many layers there may be now.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _draw_clipped(scene, b, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Draws a building triangle by triangle, clipped: slow, for the few at the edge of the view."""
-    f, coverage, lines = view.intrinsics, scratch.coverage, scratch.lines
+    Slow, for the few buildings at the edge of the view, and for those with more triangles than fit.
+    """
+    f, coverage, lists = view.intrinsics, scratch.coverage, scratch.lists
     polygon, clipped = np.zeros((MAX_CORNERS, 3)), np.zeros((MAX_CORNERS, 3))
     u, v = np.zeros(3), np.zeros(3)
     v0 = scene.starts[b, 0]
-    layers = 0
     for t in range(scene.starts[b, 1], scene.starts[b + 1, 1]):
         corners = (scene.corner_a[t], scene.corner_b[t], scene.corner_c[t])
         for i in range(3):
@@ -116,81 +75,129 @@ def _draw_clipped(scene, b, rotation, center, view, scratch, words):  # type: ig
             for k, m in enumerate((0, i, i + 1)):
                 u[k], v[k] = snap(polygon[m, 0], polygon[m, 1], polygon[m, 2], f)
             side = _side(u[0], v[0], u[1], v[1], u[2], v[2])
-            bounds = (u.min(), u.max(), v.min(), v.max())
-            if side == 0 or not expect_marks(coverage, *bounds, view.width, view.height):
+            if side == 0:
                 continue
-            count = 0
+            if layers == MAX_LAYERS or not _has_room(lists, 3, words.shape[0]):
+                _flush(view, scratch, words)
+                layers = 0
+            if not expect_marks(coverage, lane, u.min(), u.max(), v.min(), v.max(), view.width, view.height):
+                continue
             for k in range(3):
                 n = k + 1 if k < 2 else 0
-                count = add_line(lines, count, view.width, view.height, u[k], v[k], u[n], v[n], side)
-            mark_lines(lines, count, view.height, coverage.marks)
+                append_edge(lists, lane, view.width, u[k], v[k], u[n], v[n], side)
             layers += 1
-            if layers == MAX_LAYERS:
-                sweep(coverage, view.height, words)
-                layers = 0
-    sweep(coverage, view.height, words)
+    return layers
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw_view(scene, buildings, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Draws the silhouette of some buildings into ``words``, which must be clear.
+def _sort_out(scene, b, view, scratch, hypotheses):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns bit masks of the hypotheses that see a projected building whole, and that must clip it."""
+    whole, cut = np.int64(0), np.int64(0)
+    is_large = scene.starts[b + 1, 1] - scene.starts[b, 1] > MAX_LAYERS
+    extent = scratch.extent
+    for lane in range(hypotheses):
+        left, right, top, bottom = extent[lane], extent[8 + lane], extent[16 + lane], extent[24 + lane]
+        if (
+            is_large
+            or scratch.nearest[lane] < NEAR_M
+            or min(left, top) < -_SAFE_SUBPIXELS
+            or max(right, bottom) > _SAFE_SUBPIXELS
+        ):
+            cut |= np.int64(1) << lane
+        elif expect_marks(scratch.coverage, lane, left, right, top, bottom, view.width, view.height):
+            whole |= np.int64(1) << lane
+    return whole, cut
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gather_whole(scene, b, whole, view, scratch):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Gathers a projected building's outline for the hypotheses that see it whole."""
+    u, v, lists, capacity = scratch.u, scratch.v, scratch.lists, scratch.lists.column.shape[0]
+    face_triangles(  # type: ignore[call-arg]
+        scene.corner_a, scene.corner_b, scene.corner_c, scene.starts[b, 1], scene.starts[b + 1, 1], u, v,
+        scratch.facing,
+    )  # fmt: skip
+    collect_outline(  # type: ignore[call-arg]
+        scene.tail, scene.head, scene.side_a, scene.side_b, scene.second_weight, scene.starts[b, 2],
+        scene.starts[b + 1, 2], scratch.facing, u, v, whole, view.width, view.height, lists.left, lists.right,
+        lists.counts, capacity,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_group(scene, buildings, rotations, centers, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Draws the silhouettes of some buildings seen from 1 to 8 poses into ``words``, which must be clear.
 
     Args:
         scene: SceneArrays.
-        buildings: (N,) indices of the buildings to draw.
-        rotation: (3, 3) float64 cam_from_world.
-        center: (3,) float64 camera centre, local metres.
+        buildings: (K,) indices of the buildings to draw.
+        rotations: (N, 3, 3) float64 cam_from_world.
+        centers: (N, 3) float64 camera centres, local metres.
         view: View.
         scratch: Scratch.
-        words: (H, ceil(W / 64)) uint64.
+        words: (N, H, ceil(W / 64)) uint64.
     """
-    u, v, depth, coverage = scratch.u, scratch.v, scratch.depth, scratch.coverage
+    hypotheses = words.shape[0]
+    for lane in range(LANES):
+        source = min(lane, hypotheses - 1)
+        for i in range(9):
+            scratch.poses[8 * i + lane] = rotations[source, i // 3, i % 3]
+        for i in range(3):
+            scratch.poses[8 * (9 + i) + lane] = centers[source, i]
     layers = 0
     for b in buildings:
-        if is_outside(scene.spheres[b], rotation, center, view.planes):
-            continue
-        v0, v1 = scene.starts[b, 0], scene.starts[b + 1, 0]
-        n = v1 - v0
-        _project(scene, v0, v1, rotation, center, view.intrinsics, scratch)
-        needs_clipping = _bounds(depth, n)[0] < NEAR_M
-        if not needs_clipping:
-            left, right = _bounds(u, n)
-            top, bottom = _bounds(v, n)
-            needs_clipping = min(left, top) < -_SAFE_SUBPIXELS or max(right, bottom) > _SAFE_SUBPIXELS
-        triangles = scene.starts[b + 1, 1] - scene.starts[b, 1]
-        if layers + triangles > MAX_LAYERS or needs_clipping:
-            sweep(coverage, view.height, words)
+        project_vertices(  # type: ignore[call-arg]
+            scene.x, scene.y, scene.z, scene.starts[b, 0], scene.starts[b + 1, 0], scratch.poses,
+            view.intrinsics, scratch.u, scratch.v, scratch.extent, scratch.nearest,
+        )  # fmt: skip
+        triangles, edges = (
+            scene.starts[b + 1, 1] - scene.starts[b, 1],
+            scene.starts[b + 1, 2] - scene.starts[b, 2],
+        )
+        if layers + triangles > MAX_LAYERS or not _has_room(scratch.lists, edges, hypotheses):
+            _flush(view, scratch, words)
             layers = 0
-        if needs_clipping or triangles > MAX_LAYERS:
-            _draw_clipped(scene, b, rotation, center, view, scratch, words)
-        elif expect_marks(coverage, left, right, top, bottom, view.width, view.height):
-            _draw_building(scene, b, view, scratch)
+        whole, cut = _sort_out(scene, b, view, scratch, hypotheses)
+        if whole != 0:
+            _gather_whole(scene, b, whole, view, scratch)
             layers += triangles
-    sweep(coverage, view.height, words)
+        for lane in range(hypotheses):
+            if (cut >> lane) & 1:
+                layers = _gather_clipped(
+                    scene, b, lane, rotations[lane], centers[lane], view, scratch, words, layers
+                )
+    _flush(view, scratch, words)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def draw_view(scene, rotation, center, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Draws the silhouette of a scene into ``words``, (H, ceil(W / 64)) uint64, which must be clear."""
-    seen = select_buildings(scene, rotation.reshape(1, 3, 3), center.reshape(1, 3), view.planes)
-    _draw_view(scene, seen, rotation, center, view, scratch, words)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def score_views(scene, rotations, centers, view, scratch, words, query, intersections, areas):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Draws N views and counts, for each, the pixels it shares with the query and its own pixels.
-
-    The views should lie close together: they share one selection of buildings.
-    """
-    chosen = select_buildings(scene, rotations, centers, view.planes)
-    for i in range(rotations.shape[0]):
-        _draw_view(scene, chosen, rotations[i], centers[i], view, scratch, words)
-        intersections[i], areas[i] = intersect_and_clear(words, query)
+    shape = (1, words.shape[0], words.shape[1])
+    draw_views(scene, rotation.reshape(1, 3, 3), center.reshape(1, 3), view, scratch, words.reshape(shape))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def draw_views(scene, rotations, centers, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Draws N views, which should lie close together, into ``words``, (N, H, S), which must be clear."""
-    chosen = select_buildings(scene, rotations, centers, view.planes)
-    for i in range(rotations.shape[0]):
-        _draw_view(scene, chosen, rotations[i], centers[i], view, scratch, words[i])
+    """Draws N views, neighbours of which should lie close together, into ``words``, (N, H, S), which must be clear."""
+    for i in range(0, rotations.shape[0], LANES):
+        r, c = rotations[i : i + LANES], centers[i : i + LANES]
+        seen = select_buildings(scene, r, c, view.planes)
+        _draw_group(scene, seen, r, c, view, scratch, words[i : i + LANES])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def score_views(scene, rotations, centers, view, scratch, words, query):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Draws N views; returns (N,) int64 pixels that each shares with the query, and its own pixels.
+
+    Each eight views in turn should lie close together: they share a selection of buildings. ``words``,
+    (8, H, S), must be clear, and is again afterwards.
+    """
+    count = rotations.shape[0]
+    shared, areas = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    for i in range(0, count, LANES):
+        r, c = rotations[i : i + LANES], centers[i : i + LANES]
+        seen = select_buildings(scene, r, c, view.planes)
+        _draw_group(scene, seen, r, c, view, scratch, words[: r.shape[0]])
+        for lane in range(r.shape[0]):
+            shared[i + lane], areas[i + lane] = intersect_and_clear(words[lane], query)
+    return shared, areas

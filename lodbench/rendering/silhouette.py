@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
-from lodbench.rendering.coverage import blank_coverage, edge_lines
-from lodbench.rendering.engine_arrays import Scratch, View
+from lodbench.rendering.engine_arrays import Scratch, View, blank_scratch
 from lodbench.rendering.engine_kernel import draw_view, draw_views, score_views
 from lodbench.rendering.engine_layout import scene_arrays
 from lodbench.rendering.fit import Fit, IouFit
+from lodbench.rendering.lanes import LANES
+from lodbench.rendering.nearby import nearby_order
 from lodbench.rendering.projection import (
     pose_arrays,
     require_pinhole,
@@ -28,10 +29,11 @@ from lodbench.rendering.projection import (
 from lodbench.rendering.protocol import IouCounts
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
-# Hypotheses handed to a thread at a time: enough to hide the hand-over (about 50 us), few enough
-# to share a filter step of 52 evenly between cores.
-_CHUNK = 13
+# Groups of eight hypotheses handed to a thread at a time: enough to hide the hand-over (about 50 us), few
+# enough to see much the same buildings.
+_MOST_GROUPS = 8
 
 
 class SilhouetteRenderer:
@@ -52,7 +54,6 @@ class SilhouetteRenderer:
         self.scene = scene
         self.threads = max(1, threads or os.cpu_count() or 1)
         self._arrays = scene_arrays(scene)
-        self._largest = np.diff(self._arrays.starts, axis=0).max(axis=0)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._of_thread = threading.local()
 
@@ -90,12 +91,12 @@ class SilhouetteRenderer:
         shared = np.zeros(len(centers), dtype=np.int64)
         area = np.zeros(len(centers), dtype=np.int64)
 
-        def work(part: slice) -> None:
+        def work(part: Indices) -> None:
             memory, words = self._working_memory(camera)
             poses = rotations[part], centers[part]
-            score_views(self._arrays, *poses, view, memory, words, query, shared[part], area[part])
+            shared[part], area[part] = score_views(self._arrays, *poses, view, memory, words, query)
 
-        self._spread(work, len(centers))
+        self._share_out(work, nearby_order(rotations, centers))
         return IouCounts(shared, area + count_bits(query) - shared)
 
     def measure(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
@@ -117,18 +118,18 @@ class SilhouetteRenderer:
         rotations, centers = require_poses(rotations, centers)
         values = np.zeros(len(centers))
 
-        def work(part: slice) -> None:
-            memory, blank = self._working_memory(camera)
-            words = np.zeros((len(centers[part]), *blank.shape), dtype=np.uint64)
-            draw_views(self._arrays, rotations[part], centers[part], view, memory, words)
-            values[part] = fit(words)
+        def work(part: Indices) -> None:
+            memory, words = self._working_memory(camera)
+            views = np.zeros((len(part), *words.shape[1:]), dtype=np.uint64)
+            draw_views(self._arrays, rotations[part], centers[part], view, memory, views)
+            values[part] = fit(views)
 
-        self._spread(work, len(centers))
+        self._share_out(work, nearby_order(rotations, centers))
         return values
 
-    def _spread(self, work: Callable[[slice], None], count: int) -> None:
-        """Does the work on so many hypotheses, in parts, on this renderer's threads."""
-        parts = _chunks(count, self.threads)
+    def _share_out(self, work: Callable[[Indices], None], order: Indices) -> None:
+        """Does the work on hypotheses, given by index, in parts on this renderer's threads."""
+        parts = _parts(order, self.threads)
         if self._pool is None:
             for part in parts:
                 work(part)
@@ -139,25 +140,16 @@ class SilhouetteRenderer:
         """Returns this thread's scratch and blank words for a size of image, made on first use."""
         size = camera.width, camera.height
         if getattr(self._of_thread, "size", None) != size:
-            vertices, triangles, edges = (int(n) for n in self._largest)
-            scratch = Scratch(
-                np.zeros(vertices),
-                np.zeros(vertices),
-                np.zeros(vertices),
-                np.zeros(triangles, dtype=np.int32),
-                np.zeros(edges, dtype=np.int32),
-                np.zeros(edges + 1, dtype=np.uint32),
-                edge_lines(max(3, edges) + 1),
-                blank_coverage(*size),
-            )
-            self._of_thread.size, self._of_thread.memory = size, (scratch, _blank(camera))
+            scratch = blank_scratch(self._arrays, *size)
+            words = np.zeros((LANES, *_blank(camera).shape), dtype=np.uint64)
+            self._of_thread.size, self._of_thread.memory = size, (scratch, words)
         memory: tuple[Scratch, Words] = self._of_thread.memory
         return memory
 
 
 def _view(camera: Camera) -> View:
     require_pinhole(camera)
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float64)
     return View(camera.width, camera.height, intrinsics, view_planes(camera, 0, camera.width))
 
 
@@ -165,7 +157,9 @@ def _blank(camera: Camera) -> Words:
     return np.zeros((camera.height, words_per_row(camera.width)), dtype=np.uint64)
 
 
-def _chunks(count: int, threads: int) -> Iterator[slice]:
-    size = max(1, min(_CHUNK, -(-count // threads)))
-    for start in range(0, count, size):
-        yield slice(start, start + size)
+def _parts(order: Indices, threads: int) -> Iterator[Indices]:
+    """Returns groups of eight, several at a time while there are many for each thread."""
+    fair_share = -(-len(order) // (4 * threads))
+    size = min(max(-(-fair_share // LANES), 1), _MOST_GROUPS) * LANES
+    for start in range(0, len(order), size):
+        yield order[start : start + size]

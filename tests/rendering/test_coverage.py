@@ -23,11 +23,12 @@ def test_sweep_is_a_cumulative_sum_and_clears_up(width, height, seed):
     generator = np.random.default_rng(seed)
     changes = generator.integers(-1, 2, (height, width)) * (generator.random((height, width)) < 0.3)
     coverage = blank_coverage(width, height)
-    assert expect_marks(coverage, 0.0, width * 256.0, 0.0, height * 256.0, width, height)
+    assert expect_marks(coverage, 3, 0.0, width * 256.0, 0.0, height * 256.0, width, height)
+    marks = coverage.marks[:-8].reshape(-1, height + 1, 64)
     for row, column in np.argwhere(changes):
-        coverage.marks.reshape(-1, height + 1, 64)[column // 64, row, column % 64] = changes[row, column]
+        marks[column // 64, row, column % 64] = changes[row, column]
     words = np.zeros((height, words_per_row(width)), dtype=np.uint64)
-    sweep(coverage, height, words)
+    sweep(coverage, 3, height, words)
     np.testing.assert_array_equal(unpack_mask(words, width), np.cumsum(changes, axis=0) != 0)
     assert not coverage.marks.any()
     assert (coverage.high == -1).all()
@@ -41,7 +42,7 @@ def test_bounds_outside_the_view_expect_nothing():
         (0, 900, -900, -1),
         (0, 900, 12_800, 13_000),
     ):
-        assert not expect_marks(coverage, *map(float, bounds), 70, 50)
+        assert not expect_marks(coverage, 0, *map(float, bounds), 70, 50)
     assert (coverage.high == -1).all()
 
 
