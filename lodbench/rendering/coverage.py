@@ -146,7 +146,7 @@ def mark_edges(lists, lane, width, height, marks):  # type: ignore[no-untyped-de
     start, count = lane * lists.column.shape[0], lists.counts[lane]
     prepared = lists.weight, lists.column, lists.meets, lists.row, lists.step
     set_up_lines(lists.left, lists.right, start, count, width, *prepared)  # type: ignore[call-arg]
-    mark_lines(*prepared, count, height, marks, marks.shape[0] - LANES)  # type: ignore[call-arg]
+    mark_lines(*prepared, count, height, marks, marks.shape[0] - LANES)
     lists.counts[lane] = 0
 
 

@@ -117,7 +117,7 @@ def _gather_whole(scene, b, whole, view, scratch):  # type: ignore[no-untyped-de
         scene.corner_a, scene.corner_b, scene.corner_c, scene.starts[b, 1], scene.starts[b + 1, 1], u, v,
         scratch.facing,
     )  # fmt: skip
-    collect_outline(  # type: ignore[call-arg]
+    collect_outline(
         scene.tail, scene.head, scene.side_a, scene.side_b, scene.second_weight, scene.starts[b, 2],
         scene.starts[b + 1, 2], scratch.facing, u, v, whole, view.width, view.height, lists.left, lists.right,
         lists.counts, capacity,
@@ -178,7 +178,7 @@ def draw_view(scene, rotation, center, view, scratch, words):  # type: ignore[no
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def draw_views(scene, rotations, centers, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Draws N views, neighbours of which should lie close together, into ``words``, (N, H, S), which must be clear."""
+    """Draws N views into ``words``, (N, H, S), which must be clear; see ``score_views``."""
     for i in range(0, rotations.shape[0], LANES):
         r, c = rotations[i : i + LANES], centers[i : i + LANES]
         seen = select_buildings(scene, r, c, view.planes)
