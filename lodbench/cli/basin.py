@@ -18,7 +18,7 @@ from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness.basin import Basin, write_basin
 from lodbench.harness.cost_maps import CostGrid
 from lodbench.localization.method import Reaching
-from lodbench.reporting.tables import format_text
+from lodbench.reporting.table_formats import format_text
 
 
 @dataclass(frozen=True, slots=True)

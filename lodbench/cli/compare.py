@@ -1,21 +1,123 @@
-"""`lodbench compare RUN ...`: finished runs side by side."""
+"""`lodbench compare RUN ...`: finished runs side by side, with paired tests."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from lodbench.reporting.tables import FORMATS, read_summary, tables_of
+from lodbench.errors import ConfigError
+from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
+from lodbench.evaluation.rows import summarize_rows
+from lodbench.harness.compare import paired_comparison, require_same_queries
+from lodbench.harness.stored import StoredRun, read_run
+from lodbench.reporting.comparison import format_comparison
+from lodbench.reporting.table_formats import FORMATS
+from lodbench.reporting.tables import (
+    RecallTable,
+    detail_columns,
+    interval_columns,
+    paper_columns,
+    segmenter_columns,
+    tables_of,
+    with_seconds,
+)
+
+_COLUMNS = {
+    "paper": paper_columns,
+    "details": detail_columns,
+    "intervals": interval_columns,
+    "segmenter": segmenter_columns,
+}
+_FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
+_EPILOG = """\
+Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed agree; --free lets some of
+these differ, and the rows then say which they have. Examples:
+  lodbench compare RUN RUN                               # side by side, and whether they differ
+  lodbench compare runs/demo/lodlocv2/* --over-seeds     # mean and spread over seeds
+  lodbench compare RUN ... --free lod --columns details  # levels of detail in one table
+"""
 
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    parser = argparse.ArgumentParser("lodbench compare", description="Put finished runs side by side.")
+    options = _parser().parse_args(argv)
+    runs = [read_run(folder) for folder in options.runs]
+    thresholds = parse_thresholds(options.thresholds)
+    summaries = [_summary(run, thresholds) for run in runs]
+    tables = tables_of(summaries, options.free, options.over_seeds)
+    shown = [_with_columns(table, columns) for table in tables for columns in options.columns]
+    sys.stdout.write("\n".join(FORMATS[options.format](table) for table in shown))
+    if options.format == "text" and len(runs) > 1 and not options.over_seeds:
+        sys.stdout.write(_tests(runs, options.runs, thresholds))
+    return 0
+
+
+def parse_thresholds(words: Sequence[str]) -> tuple[Threshold, ...]:
+    """Returns thresholds written as ``metres/degrees``.
+
+    Raises:
+        ConfigError: A word is not two positive numbers.
+    """
+    thresholds = []
+    for word in words:
+        try:
+            metres, degrees = (float(part) for part in word.split("/"))
+        except ValueError:
+            metres = degrees = 0.0
+        if not (0 < metres < float("inf") and 0 < degrees < float("inf")):
+            raise ConfigError(f"The threshold {word!r} is not METRES/DEGREES.", "For example 2/2 or 0.5/1.")
+        thresholds.append(Threshold(metres, degrees))
+    return tuple(thresholds) or DEFAULT_THRESHOLDS
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        "lodbench compare",
+        description="Put finished runs side by side.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
     parser.add_argument("--format", choices=sorted(FORMATS), default="text")
-    options = parser.parse_args(argv)
-    tables = tables_of([read_summary(folder) for folder in options.runs])
-    sys.stdout.write("\n".join(FORMATS[options.format](table) for table in tables))
-    return 0
+    parser.add_argument(
+        "--columns", nargs="+", choices=sorted(_COLUMNS), default=["paper"], help="what to show (paper)"
+    )
+    parser.add_argument(
+        "--thresholds", nargs="+", default=[], metavar="M/DEG", help="where to measure recall (2/2 3/3 5/5)"
+    )
+    parser.add_argument("--free", nargs="+", choices=_FREE, default=[], help="what may differ within a table")
+    parser.add_argument(
+        "--over-seeds", action="store_true", help="one row for runs that differ in their seed: mean +- spread"
+    )
+    return parser
+
+
+def _summary(run: StoredRun, thresholds: tuple[Threshold, ...]) -> dict[str, Any]:
+    """Returns a run's summary at some thresholds, computed from its rows, with its times."""
+    splits, priors = {}, {}
+    for split in run.summary["splits"]:
+        estimates, prior = summarize_rows(run.rows, split, thresholds)
+        splits[split], priors[split] = estimates.to_json(), prior.to_json()
+    seconds = run.provenance.get("seconds_per_query", {})
+    return with_seconds({**run.summary, "splits": splits, "prior": priors}, seconds)
+
+
+def _with_columns(table: RecallTable, columns: str) -> RecallTable:
+    return replace(table, columns=_COLUMNS[columns](table.labels()))
+
+
+def _tests(runs: Sequence[StoredRun], folders: Sequence[Path], thresholds: tuple[Threshold, ...]) -> str:
+    """Returns the paired tests of each run against the first, or why there are none."""
+    parts = []
+    for run, folder in zip(runs[1:], folders[1:], strict=True):
+        reason = require_same_queries(runs[0], run)
+        head = f"\n{folder} against {folders[0]}"
+        if reason:
+            parts.append(f"{head}: no paired test: {reason}\n")
+        else:
+            parts.append(f"{head}\n\n{format_comparison(paired_comparison(runs[0], run, thresholds))}\n")
+    return "".join(parts)

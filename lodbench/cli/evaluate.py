@@ -15,7 +15,8 @@ from lodbench.harness.artefacts import summary_of, write_artefacts
 from lodbench.harness.evaluate import EvaluateSettings, evaluate_poses
 from lodbench.harness.result import Result
 from lodbench.reporting.safe_text import plain_text
-from lodbench.reporting.tables import format_text, tables_of
+from lodbench.reporting.table_formats import format_text
+from lodbench.reporting.tables import tables_of
 
 
 @dataclass(frozen=True, slots=True)

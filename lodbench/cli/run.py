@@ -20,7 +20,8 @@ from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.artefacts import summary_of, write_artefacts
 from lodbench.harness.gallery import write_overlays
-from lodbench.reporting.tables import format_text, tables_of
+from lodbench.reporting.table_formats import format_text
+from lodbench.reporting.tables import tables_of
 
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
 # The origin of a published dataset is withheld for privacy, so it is not written down either.

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lodbench.evaluation.errors import PoseError
+from lodbench.evaluation.errors import ErrorParts, PoseError
+from lodbench.evaluation.statistics import Interval, bootstrap_mean, bootstrap_median, wilson_interval
 
 # Raised whenever the same poses would score otherwise: results of two versions do not compare.
 EVALUATOR_VERSION = 1
-
-# Two-sided 95 % quantile of the normal distribution.
-_Z = 1.959963984540054
 
 
 class Threshold(NamedTuple):
@@ -45,25 +44,49 @@ class SplitSummary:
         median_translation_m: Median over all queries.
         median_rotation_deg: Median over all queries.
         hypotheses_per_query: Mean over answered queries; NaN if there is none.
+        answered_recall: Percent of the answered queries, by threshold label; NaN if there is none.
+        auc: Area under the recall as both thresholds grow together from 0 to the label's, percent.
+        median_interval: 95 % bootstrap intervals of the two medians, by name.
+        auc_interval: 95 % bootstrap interval of each area.
+        median_horizontal_m: Median distance along the ground.
+        median_vertical_m: Median of the height error's size.
+        median_yaw_deg: Median of the yaw error's size.
+        mask_iou: Mean IoU of the query masks with the model's silhouette at the truth; NaN if unknown.
     """
 
     num_queries: int
     num_failed: int
     recall: dict[str, float]
-    interval: dict[str, tuple[float, float]]
+    interval: dict[str, Interval]
     median_translation_m: float
     median_rotation_deg: float
     hypotheses_per_query: float
+    answered_recall: dict[str, float] = field(default_factory=dict)
+    auc: dict[str, float] = field(default_factory=dict)
+    median_interval: dict[str, Interval] = field(default_factory=dict)
+    auc_interval: dict[str, Interval] = field(default_factory=dict)
+    median_horizontal_m: float = math.nan
+    median_vertical_m: float = math.nan
+    median_yaw_deg: float = math.nan
+    mask_iou: float = math.nan
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON object in which what is not finite is null."""
         return {
             "num_queries": self.num_queries,
             "num_failed": self.num_failed,
-            "recall": self.recall,
-            "recall_interval_95": {label: list(bounds) for label, bounds in self.interval.items()},
+            "recall": _all_finite(self.recall),
+            "recall_interval_95": _bounds(self.interval),
             "median_translation_m": _finite(self.median_translation_m),
             "median_rotation_deg": _finite(self.median_rotation_deg),
+            "median_interval_95": _bounds(self.median_interval),
+            "recall_of_answered": _all_finite(self.answered_recall),
+            "auc": _all_finite(self.auc),
+            "auc_interval_95": _bounds(self.auc_interval),
+            "median_horizontal_m": _finite(self.median_horizontal_m),
+            "median_vertical_m": _finite(self.median_vertical_m),
+            "median_yaw_deg": _finite(self.median_yaw_deg),
+            "mask_iou": _finite(self.mask_iou),
             "hypotheses_per_query": _finite(self.hypotheses_per_query),
         }
 
@@ -72,6 +95,9 @@ def summarize(
     errors: Sequence[PoseError],
     hypotheses: Sequence[int] = (),
     thresholds: Sequence[Threshold] = DEFAULT_THRESHOLDS,
+    *,
+    parts: Sequence[ErrorParts] = (),
+    mask_ious: Sequence[float] = (),
 ) -> SplitSummary:
     """Returns the summary of one split.
 
@@ -79,40 +105,68 @@ def summarize(
         errors: One per query of the truth list, ``FAILED`` for those without an answer.
         hypotheses: Poses scored, one number per answered query.
         thresholds: Where to measure recall.
+        parts: The same errors taken apart, ``FAILED_PARTS`` for those without an answer; or none.
+        mask_ious: IoU of each query mask that there is.
     """
     table = np.array(errors, dtype=np.float64).reshape(-1, 2)
-    found = {t.label: (table[:, 0] < t.translation_m) & (table[:, 1] < t.rotation_deg) for t in thresholds}
+    answered = np.isfinite(table[:, 0])
+    found = {t.label: hits_of(table, t) for t in thresholds}
+    areas = {t.label: _area_shares(table, t) for t in thresholds}
+    sizes = np.abs(np.array(parts, dtype=np.float64).reshape(-1, 3))
     return SplitSummary(
         num_queries=len(table),
-        num_failed=int(np.isinf(table[:, 0]).sum()),
+        num_failed=int((~answered).sum()),
         recall={label: _percent(hit) for label, hit in found.items()},
         interval={label: wilson_interval(hit) for label, hit in found.items()},
-        median_translation_m=float(np.median(table[:, 0])) if len(table) else math.nan,
-        median_rotation_deg=float(np.median(table[:, 1])) if len(table) else math.nan,
+        median_translation_m=_median(table[:, 0]),
+        median_rotation_deg=_median(table[:, 1]),
         hypotheses_per_query=float(np.mean(hypotheses)) if len(hypotheses) else math.nan,
+        answered_recall={label: _percent(hit[answered]) for label, hit in found.items()},
+        auc={label: _percent(np.sort(share)) for label, share in areas.items()},
+        median_interval={
+            name: bootstrap_median(table[:, column])
+            for column, name in enumerate(("translation_m", "rotation_deg"))
+        },
+        auc_interval={label: bootstrap_mean(100.0 * share) for label, share in areas.items()},
+        median_horizontal_m=_median(sizes[:, 0]),
+        median_vertical_m=_median(sizes[:, 1]),
+        median_yaw_deg=_median(sizes[:, 2]),
+        mask_iou=float(np.mean(mask_ious)) if len(mask_ious) else math.nan,
     )
 
 
-def wilson_interval(hits: np.typing.NDArray[np.bool_]) -> tuple[float, float]:
-    """Returns the 95 % Wilson score interval of the mean of (N,) hits, percent; NaN for none.
+def hits_of(errors: NDArray[np.float64], threshold: Threshold) -> NDArray[np.bool_]:
+    """Returns which of (N, 2) errors in metres and degrees lie strictly below a threshold."""
+    return np.asarray((errors[:, 0] < threshold.translation_m) & (errors[:, 1] < threshold.rotation_deg))
 
-    Unlike a bootstrap it does not collapse to a point when all queries, or none, are found.
+
+def _area_shares(errors: NDArray[np.float64], threshold: Threshold) -> NDArray[np.float64]:
+    """Returns each query's part of the area under the recall curve: how early it is found, 0 to 1.
+
+    With both thresholds scaled by s from 0 to 1 a query is found from s = max(e_t / a, e_R / b) on;
+    the mean of 1 - s is the exact area, without steps.
     """
-    n = len(hits)
-    if n == 0:
-        return math.nan, math.nan
-    share = float(hits.mean())
-    middle = share + _Z * _Z / (2 * n)
-    spread = _Z * math.sqrt(share * (1 - share) / n + _Z * _Z / (4 * n * n))
-    scale = 100.0 / (1 + _Z * _Z / n)
-    # At 0 and 100 % an end of the interval is the share itself, but for rounding.
-    low = min(max(0.0, scale * (middle - spread)), 100.0 * share)
-    return low, max(min(100.0, scale * (middle + spread)), 100.0 * share)
+    with np.errstate(all="ignore"):
+        first = (errors / np.array(threshold)).max(axis=1, initial=0.0)
+    shares = np.clip(1.0 - np.nan_to_num(first, nan=np.inf), 0.0, 1.0)
+    return np.asarray(shares, dtype=np.float64)
 
 
-def _percent(hits: np.typing.NDArray[np.bool_]) -> float:
+def _median(values: NDArray[np.float64]) -> float:
+    return float(np.median(values)) if len(values) else math.nan
+
+
+def _percent(hits: NDArray[np.bool_] | NDArray[np.float64]) -> float:
     return float(hits.mean() * 100.0) if len(hits) else math.nan
 
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def _all_finite(values: dict[str, float]) -> dict[str, float | None]:
+    return {name: _finite(value) for name, value in values.items()}
+
+
+def _bounds(intervals: dict[str, Interval]) -> dict[str, list[float | None]]:
+    return {name: [_finite(end) for end in ends] for name, ends in intervals.items()}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from lodbench.evaluation.errors import FAILED, PoseError
+from lodbench.evaluation.errors import FAILED, FAILED_PARTS, ErrorParts, PoseError
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, SplitSummary, Threshold, summarize
 from lodbench.geometry import Pose
 
@@ -28,6 +28,9 @@ class QueryRow:
         error: Error of the estimate; ``FAILED`` without one, None where there is no truth.
         prior_error: Error of the prior, likewise.
         seconds: Wall time by stage.
+        parts: The estimate's error taken apart; ``FAILED_PARTS`` without one, None without a truth.
+        mask_iou: IoU of the query mask with the model's silhouette at the truth, or None.
+        trace: Best score after each step, by stage; empty where the method tells none.
     """
 
     name: str
@@ -39,6 +42,9 @@ class QueryRow:
     error: PoseError | None
     prior_error: PoseError | None
     seconds: dict[str, float]
+    parts: ErrorParts | None = None
+    mask_iou: float | None = None
+    trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def key(self) -> str:
@@ -59,7 +65,19 @@ def summarize_rows(
     estimates = [row.error for row in mine if row.error is not None]
     priors = [row.prior_error or FAILED for row in mine if row.error is not None]
     hypotheses = [row.hypotheses for row in mine if row.is_answered and row.hypotheses is not None]
-    return summarize(estimates, hypotheses, thresholds), summarize(priors, (), thresholds)
+    scored = [row for row in mine if row.error is not None]
+    # Rows of another source than a run may not have their errors taken apart.
+    is_apart = all(row.parts is not None for row in scored)
+    return (
+        summarize(
+            estimates,
+            hypotheses,
+            thresholds,
+            parts=[row.parts or FAILED_PARTS for row in scored] if is_apart else (),
+            mask_ious=[row.mask_iou for row in mine if row.mask_iou is not None],
+        ),
+        summarize(priors, (), thresholds),
+    )
 
 
 def seconds_per_query(rows: Sequence[QueryRow], split: str) -> float:

@@ -15,13 +15,12 @@ from typing import Any
 from lodbench import __version__
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.priors import UniformPrior
-from lodbench.evaluation.errors import PoseError
+from lodbench.evaluation.errors import ErrorParts, PoseError
 from lodbench.evaluation.rows import seconds_per_query, summarize_rows
 from lodbench.harness.result import Result
 from lodbench.harness.run import Run
+from lodbench.reporting.tables import SUMMARY_SCHEMA
 from lodbench.storage import write_text
-
-SCHEMA = 1
 
 
 def write_artefacts(run: Result, config_yaml: str) -> None:
@@ -55,9 +54,13 @@ def summary_of(run: Result) -> dict[str, Any]:
             failures[row.failure] = failures.get(row.failure, 0) + 1
     config = run.config
     return {
-        "schema": SCHEMA,
+        "schema": SUMMARY_SCHEMA,
         "dataset": {"name": run.dataset.name, "version": run.dataset.version, **run.inputs},
-        "method": {"name": config["method"]["name"], "variant": config["method"].get("variant", "")},
+        "method": {
+            "name": config["method"]["name"],
+            "variant": config["method"].get("variant", ""),
+            "params": {k: v for k, v in config["method"].items() if k not in ("name", "variant", "notes")},
+        },
         "protocol": {
             "tilt": config["tilt"],
             "seed": config["seed"],
@@ -99,6 +102,10 @@ def _queries_csv(run: Result) -> str:
         "prior_translation_error_m",
         "prior_rotation_error_deg",
         "tilt",
+        "horizontal_error_m",
+        "vertical_error_m",
+        "yaw_error_deg",
+        "mask_iou",
     ]
     rows = [
         [
@@ -110,6 +117,8 @@ def _queries_csv(run: Result) -> str:
             row.failure,
             *_error_cells(row.prior_error),
             run.config["tilt"],
+            *_part_cells(row.parts),
+            "" if row.mask_iou is None else repr(row.mask_iou),
         ]
         for row in run.rows
     ]
@@ -121,6 +130,12 @@ def _error_cells(error: PoseError | None) -> list[str]:
     if error is None or math.isinf(error.translation_m):
         return ["", ""]
     return [repr(error.translation_m), repr(error.rotation_deg)]
+
+
+def _part_cells(parts: ErrorParts | None) -> list[str]:
+    if parts is None or math.isinf(parts.horizontal_m):
+        return ["", "", ""]
+    return [repr(value) for value in parts]
 
 
 def _timings_csv(run: Result) -> str:

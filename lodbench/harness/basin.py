@@ -15,7 +15,8 @@ from lodbench.harness.cost_maps import CostGrid, cost_csv_rows, measure_cost_map
 from lodbench.harness.result import chosen_entries
 from lodbench.harness.run import Run
 from lodbench.reporting.basin_figures import RecallCurve, draw_cost_maps, draw_recall_curves
-from lodbench.reporting.tables import RecallTable, cells_of, format_latex, format_markdown, title_of
+from lodbench.reporting.table_formats import format_latex, format_markdown
+from lodbench.reporting.tables import RecallTable, TableRow, cells_of, title_of
 from lodbench.storage import digest_of, write_bytes, write_text
 
 _AXES = {
@@ -66,7 +67,7 @@ def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
     """
     first = basin.steps[0][1]
     name = digest_of([run.folder.name for _, run in basin.steps])
-    folder = first.folder.parent / f"basin-{name}"
+    folder = first.folder.parent.parent / "basin" / f"{first.folder.parent.name}-{name}"
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "protocol.txt", "\n".join(basin.protocol) + "\n")
     write_text(folder / "basin.csv", csv_text(*_csv_rows(basin)))
@@ -108,16 +109,16 @@ def _write_figure(stem: Path, pictures: dict[str, bytes]) -> None:
 def _table(basin: Basin, kind: str) -> RecallTable:
     rows = basin.of_kind(kind)
     summary = summary_of(rows[0][1])
-    summary["protocol"]["prior"] = "dataset"  # which is each row's own
     splits = tuple(dict.fromkeys(split for _, run in rows for split in run.splits))
     body = []
     for step, run in rows:
         cells = {split: cells_of(basin.summary(step, split).to_json()) for split in run.splits}
         counts = {cell.num_queries for cell in cells.values()}
         queries = "" if len(rows) == 1 else f" ({'/'.join(map(str, sorted(counts)))} queries)"
-        body.append((f"{step.label}{queries}", cells))
-    method = " ".join(filter(None, summary["method"].values()))
-    return RecallTable(f"{method}, {kind} of the prior · {title_of(summary)}", splits, tuple(body))
+        body.append(TableRow(f"{step.label}{queries}", cells))
+    method = f"{summary['method']['name']} {summary['method']['variant']}".strip()
+    title = f"{method}, {kind} of the prior · {title_of(summary, {'prior'})}"
+    return RecallTable(title, splits, tuple(body))
 
 
 def _curves(basin: Basin, kind: str) -> list[RecallCurve]:

@@ -16,7 +16,7 @@ from lodbench.evaluation.pose_matching import match_poses, suspect_convention
 from lodbench.evaluation.rows import NO_TRUTH, QueryRow
 from lodbench.geometry import Pose
 from lodbench.harness.prepare import TILTS
-from lodbench.harness.result import Result, chosen_entries, errors_of, pose_numbers, queries_digest
+from lodbench.harness.result import Result, chosen_entries, errors_of, parts_of, pose_numbers, queries_digest
 from lodbench.storage import digest_of
 
 NO_POSE = "no pose in the pose file"
@@ -107,4 +107,5 @@ def _row(entry: Entry, pose: Pose | None, dataset: Dataset, tilt: str) -> QueryR
     pose = pose if is_known else None
     failure = NO_TRUTH if not is_known else NO_POSE if pose is None else ""
     error, prior_error = errors_of(entry, pose, dataset, tilt)
-    return QueryRow(entry.name, entry.split, pose, None, None, failure, error, prior_error, {})
+    parts = parts_of(entry, pose, dataset)
+    return QueryRow(entry.name, entry.split, pose, None, None, failure, error, prior_error, {}, parts)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.evaluation.errors import FAILED, PoseError, pose_error
+from lodbench.evaluation.errors import FAILED, FAILED_PARTS, ErrorParts, PoseError, error_parts, pose_error
 from lodbench.evaluation.rows import NO_TRUTH, QueryRow
 from lodbench.geometry import Pose
 from lodbench.harness.prepare import prior_of
@@ -88,6 +88,14 @@ def errors_of(
         FAILED if pose is None else pose_error(pose, truth),
         FAILED if prior is None else pose_error(prior, truth),
     )
+
+
+def parts_of(entry: Entry, pose: Pose | None, dataset: Dataset) -> ErrorParts | None:
+    """Returns an estimate's error taken apart; None where there is no truth."""
+    truth = dataset.truth.get(entry.key)
+    if truth is None:
+        return None
+    return FAILED_PARTS if pose is None else error_parts(pose, truth)
 
 
 def is_without_truth(failure: str) -> bool:

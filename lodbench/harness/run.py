@@ -15,7 +15,7 @@ import numpy as np
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import select_splits
-from lodbench.datasets.query import Dataset, Entry
+from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.evaluation.rows import QueryRow
 from lodbench.execution import Ledger, Progress
@@ -23,11 +23,14 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.code_digest import code_digest
 from lodbench.harness.prepare import Preparation
-from lodbench.harness.result import Result, chosen_entries, errors_of, pose_numbers, queries_digest
+from lodbench.harness.result import Result, chosen_entries, errors_of, parts_of, pose_numbers, queries_digest
 from lodbench.localization import Method
 from lodbench.rendering import Scorer, make_renderer
-from lodbench.segmentation import Segmenter
+from lodbench.segmentation import Segmenter, binary_mask
 from lodbench.storage import digest_of, random_stream
+
+# Masks are compared with the truth at most at this width, pixels: the paper's fine size.
+_IOU_WIDTH = 602
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,13 +165,32 @@ def _answer(
         reason = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")
         return {"failure": reason, "pose": None, "score": None, "hypotheses": 0, "seconds": {}}
     seconds = {"prepare": prepared - started, **estimate.seconds}
+    # Once the clock has stopped: what only the evaluator may compute.
+    mask_iou = mask_iou_at_truth(query, preparation, scorer)
     return {
+        "mask_iou": mask_iou,
+        "trace": {stage: [float(v) for v in scores] for stage, scores in estimate.trace.items()},
         "failure": "",
         "pose": pose_numbers(pose),
         "score": float(estimate.score) if math.isfinite(estimate.score) else None,
         "hypotheses": int(estimate.hypotheses),
         "seconds": seconds,
     }
+
+
+def mask_iou_at_truth(query: Query, preparation: Preparation, scorer: Scorer) -> float | None:
+    """Returns the IoU of a query's mask with the model's silhouette at the truth (paper, Table 4).
+
+    At the mask's own size, or at 602 pixels' width if it is larger.
+    """
+    key = f"{query.split}/{query.name}"
+    truth = preparation.local(preparation.dataset.truth[key])
+    height, width = query.building_probability.shape
+    if width > _IOU_WIDTH:
+        height, width = max(1, round(_IOU_WIDTH * height / width)), _IOU_WIDTH
+    mask = binary_mask(query.building_probability, width, height)
+    camera = query.camera.scaled(width, height)
+    return float(scorer.score(camera, truth.rotation[None], truth.center[None], mask).iou()[0])
 
 
 def _row(entry: Entry, answer: dict[str, Any], preparation: Preparation) -> QueryRow:
@@ -188,4 +210,7 @@ def _row(entry: Entry, answer: dict[str, Any], preparation: Preparation) -> Quer
         error,
         prior_error,
         answer["seconds"],
+        parts_of(entry, pose, preparation.dataset),
+        answer.get("mask_iou"),
+        {stage: tuple(scores) for stage, scores in answer.get("trace", {}).items()},
     )

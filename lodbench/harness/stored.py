@@ -12,7 +12,7 @@ from typing import Any
 
 from lodbench.datasets.pose_text import parse_pose
 from lodbench.errors import DatasetError, LodbenchError
-from lodbench.evaluation.errors import FAILED, PoseError
+from lodbench.evaluation.errors import FAILED, FAILED_PARTS, ErrorParts, PoseError
 from lodbench.evaluation.rows import QueryRow
 from lodbench.geometry import Pose
 from lodbench.harness.result import is_without_truth
@@ -21,6 +21,7 @@ from lodbench.reporting.tables import read_summary
 _FOLDER_HINT = "Name a folder that `lodbench run` or `lodbench evaluate` made."
 _ERROR_COLUMNS = ("translation_error_m", "rotation_error_deg")
 _PRIOR_COLUMNS = ("prior_translation_error_m", "prior_rotation_error_deg")
+_PART_COLUMNS = ("horizontal_error_m", "vertical_error_m", "yaw_error_deg")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,11 +108,12 @@ def _read_poses(path: Path) -> dict[str, Pose]:
 
 def _read_table(path: Path) -> list[dict[str, str]]:
     reader = csv.DictReader(_read(path).splitlines(), strict=True)
-    needed = {"query", "split", "score", "hypotheses", "failure", "tilt", *_ERROR_COLUMNS, *_PRIOR_COLUMNS}
+    needed = {"query", "split", "score", "hypotheses", "failure", "tilt", "mask_iou"}
     try:
         rows = list(reader)
     except csv.Error as error:
         raise DatasetError(f"{path}, line {reader.line_num}: {error}.", _FOLDER_HINT) from error
+    needed |= {*_ERROR_COLUMNS, *_PRIOR_COLUMNS, *_PART_COLUMNS}
     lacking = sorted(needed - set(reader.fieldnames or ()))
     if lacking:
         raise DatasetError(f"{path} has no column {lacking[0]}.", _FOLDER_HINT)
@@ -134,6 +136,8 @@ def _row(cells: dict[str, str], pose: Pose | None, where: str) -> QueryRow:
             error=None if no_truth else _error([cells[name] for name in _ERROR_COLUMNS]),
             prior_error=None if no_truth else _error([cells[name] for name in _PRIOR_COLUMNS]),
             seconds={},
+            parts=None if no_truth else _parts([cells[name] for name in _PART_COLUMNS]),
+            mask_iou=_number(cells["mask_iou"]) if cells["mask_iou"] else None,
         )
     except ValueError as error:
         raise DatasetError(f"{where}: {error}.", _FOLDER_HINT) from error
@@ -141,6 +145,10 @@ def _row(cells: dict[str, str], pose: Pose | None, where: str) -> QueryRow:
 
 def _error(cells: list[str]) -> PoseError:
     return PoseError(_number(cells[0]), _number(cells[1])) if any(cells) else FAILED
+
+
+def _parts(cells: list[str]) -> ErrorParts:
+    return ErrorParts(*map(_number, cells)) if any(cells) else FAILED_PARTS
 
 
 def _number(text: str) -> float:

@@ -16,11 +16,19 @@ from typing import Any
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
-from lodbench.evaluation.errors import PoseError
+from lodbench.evaluation.errors import ErrorParts, PoseError
 from lodbench.evaluation.rows import QueryRow
+from lodbench.geometry import wrap_deg
 from lodbench.harness.artefacts import summary_of
 from lodbench.harness.city import open_city
-from lodbench.harness.result import Result, chosen_entries, errors_of, is_without_truth, queries_digest
+from lodbench.harness.result import (
+    Result,
+    chosen_entries,
+    errors_of,
+    is_without_truth,
+    parts_of,
+    queries_digest,
+)
 from lodbench.harness.run import scene_digest
 from lodbench.harness.stored import StoredRun, read_run
 from lodbench.segmentation import Segmenter
@@ -156,6 +164,7 @@ def _changed_errors(stored: StoredRun, entries: tuple[Entry, ...], dataset: Data
             error, prior_error = errors_of(entry, row.pose, dataset, tilt)
             lines += _error_lines(row, "error", row.error, error)
             lines += _error_lines(row, "prior error", row.prior_error, prior_error)
+            lines += _part_lines(row, parts_of(entry, row.pose, dataset))
             if (error is None) != is_without_truth(row.failure):
                 lines.append(f"queries.csv: {row.key} fails with {row.failure!r}, against the truth list")
     return lines
@@ -176,6 +185,24 @@ def _error_lines(row: QueryRow, what: str, found: PoseError | None, expected: Po
     ):
         if not abs(a - b) <= tolerance:
             lines.append(f"queries.csv: {row.key}: {what} is {a!r} {unit}, its pose says {b!r}")
+    return lines
+
+
+def _part_lines(row: QueryRow, expected: ErrorParts | None) -> list[str]:
+    found = row.parts
+    if (
+        found is None
+        or expected is None
+        or math.isinf(found.horizontal_m)
+        or math.isinf(expected.horizontal_m)
+    ):
+        # Whether there is an error at all was looked at with the error as a whole.
+        return []
+    lines = []
+    for name, a, b in zip(ErrorParts._fields, found, expected, strict=True):
+        distance = abs(wrap_deg(a - b)) if name == "yaw_deg" else abs(a - b)
+        if not distance <= TOLERANCE_M:
+            lines.append(f"queries.csv: {row.key}: {name} error is {a!r}, its pose says {b!r}")
     return lines
 
 

@@ -10,13 +10,22 @@ import csv
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.safe_text import csv_cell, plain_text
-from lodbench.reporting.tables import RecallTable, SplitCells, format_latex, format_markdown
+from lodbench.reporting.table_formats import format_latex, format_markdown
+from lodbench.reporting.tables import (
+    Column,
+    RecallTable,
+    SplitCells,
+    TableRow,
+    cells_of,
+    paper_columns,
+    segmenter_columns,
+)
 from lodbench.storage import digest_of
 
 # What must agree for two rows to rank together. Renderer and seed may differ: they are the method's own.
@@ -175,35 +184,34 @@ def _standing(entry: Entry) -> tuple[float | str, ...]:
 
 def _table(block: Block) -> RecallTable:
     splits = tuple(dict.fromkeys(name for entry in block.entries for name in entry["splits"]))
-    rows = []
-    for entry, rank in zip(block.entries, block.ranks, strict=True):
-        cells = {name: _cells(split) for name, split in entry["splits"].items()}
-        rows.append((_label(entry, rank), cells))
-    return RecallTable(plain_text(block.title), splits, tuple(rows))
+    rows = [
+        _row(entry, rank, {name: _cells(split) for name, split in entry["splits"].items()})
+        for entry, rank in zip(block.entries, block.ranks, strict=True)
+    ]
+    return RecallTable(plain_text(block.title), splits, tuple(rows), _columns(block))
 
 
-def _label(entry: Entry, rank: int | None) -> str:
-    method, ious = entry["method"], [split.get("mask_iou") for split in entry["splits"].values()]
-    words = [f"{rank}." if rank else "", method["name"], method["variant"].replace("_", " ")]
-    words += [f"({method['map']})" if method["map"] else "", entry["protocol"]["condition"]]
-    if None not in ious:
-        words.append("IoU " + "/".join(str(split["printed"]["IoU"]) for split in entry["splits"].values()))
-    return plain_text(" ".join(filter(None, words)))
+def _columns(block: Block) -> tuple[Column, ...]:
+    """Returns the paper's columns; of reported rows only those that the paper printed."""
+    if any(entry["source"] != "reported" for entry in block.entries):
+        return paper_columns(LABELS)
+    splits = [split for entry in block.entries for split in entry["splits"].values()]
+    printed = {name for split in splits for name in split["printed"]}
+    columns = {column.head: column for column in (*paper_columns(LABELS), *segmenter_columns(LABELS))}
+    return tuple(column for head, column in columns.items() if head in printed)
+
+
+def _row(entry: Entry, rank: int | None, cells: dict[str, SplitCells]) -> TableRow:
+    """Returns an entry's line; reported ones stand in groups of one method and map, as in the paper."""
+    method, condition = entry["method"], entry["protocol"]["condition"]
+    variant = method["variant"].replace("_", " ")
+    if entry["source"] == "reported" and method["map"]:
+        label = " ".join(filter(None, [variant, condition])) or "-"
+        return TableRow(plain_text(label), cells, f"{plain_text(method['name'])} | {method['map']}")
+    words = [f"{rank}." if rank else "", method["name"], variant]
+    words += [f"({method['map']})" if method["map"] else "", condition]
+    return TableRow(plain_text(" ".join(filter(None, words))), cells)
 
 
 def _cells(split: dict[str, Any]) -> SplitCells:
-    def number(name: str) -> float:
-        value = split.get(name)
-        return math.nan if value is None else float(value)
-
-    printed = split.get("printed", {})
-    cells = [printed.get(name, "-") for name in (*LABELS, "T.e./R.e.")]
-    return SplitCells(
-        recall={label: split["recall"].get(label, math.nan) for label in LABELS},
-        translation_m=number("median_translation_m"),
-        rotation_deg=number("median_rotation_deg"),
-        num_queries=split["num_queries"] or 0,
-        num_failed=split["num_failed"] or 0,
-        hypotheses=number("hypotheses_per_query"),
-        printed=(*cells, "-") if printed else (),
-    )
+    return replace(cells_of(split), printed=split.get("printed", {}))

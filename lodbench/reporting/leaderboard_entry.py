@@ -17,7 +17,7 @@ Entry = dict[str, Any]
 
 ENTRY_SCHEMA = 1
 # Digests of what went into a run that are part of its protocol.
-_INPUTS = ("queries", "scene", "masks", "poses")
+_INPUTS = ("queries", "scene", "masks", "poses", "code")
 
 
 def entry_schema() -> dict[str, Any]:
@@ -103,6 +103,7 @@ def measured_entry(
             "segmenter": protocol["segmenter"],
             "renderer": protocol["renderer"],
             "lod": protocol["lod"],
+            "priors": protocol["prior"],
             "seeds": [protocol["seed"]] if isinstance(protocol["seed"], int) else [],
             "evaluator": EVALUATOR_VERSION,
         },

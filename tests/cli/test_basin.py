@@ -42,7 +42,7 @@ def test_a_basin_leaves_tables_maps_and_runs_that_verify(lodbench, tmp_path, dat
     for axis in ("xy", "z", "yaw"):
         best = max((line for line in costs if line["map"] == axis), key=lambda line: float(line["mean_iou"]))
         assert [float(best[name]) for name in ("x_m", "y_m", "z_m", "yaw_deg")] == [0, 0, 0, 0]
-    verified = lodbench("verify", str(folder.parent / lines[0]["run"]))
+    verified = lodbench("verify", str(folder.parent.parent / "lodlocv2" / lines[0]["run"]))
     assert verified.returncode == 0, verified.stdout + verified.stderr
     # The same command again finds every query done, and writes the same bytes.
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -54,7 +54,7 @@ def test_a_basin_leaves_tables_maps_and_runs_that_verify(lodbench, tmp_path, dat
 def test_a_row_is_the_run_with_the_same_settings(lodbench, tmp_path, data):
     done = lodbench("basin", *data, "method=prior_only", "ranges=[20]", "yaw_ranges=[]", "maps=false")
     assert done.returncode == 0, done.stderr
-    (folder,) = (tmp_path / "runs" / "folder" / "prior_only").glob("basin-*")
+    (folder,) = (tmp_path / "runs" / "folder" / "basin").iterdir()
     (line,) = csv.DictReader((folder / "basin.csv").open())
     widths = [f"prior.{axis}_m=20" for axis in "xyz"]
     run = lodbench("run", *data, "method=prior_only", "prior=uniform", *widths)

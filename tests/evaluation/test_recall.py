@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from lodbench.evaluation import DEFAULT_THRESHOLDS, PoseError, Threshold, summarize
-from lodbench.evaluation.errors import FAILED
-from lodbench.evaluation.recall import wilson_interval
+from lodbench.evaluation import DEFAULT_THRESHOLDS, PoseError, Threshold, pose_error, summarize
+from lodbench.evaluation.errors import FAILED, FAILED_PARTS, ErrorParts, error_parts
+from lodbench.evaluation.statistics import wilson_interval
+from lodbench.geometry import EulerAngles, Pose
 
 errors = st.lists(
     st.builds(PoseError, st.floats(0, 20), st.floats(0, 20)) | st.just(FAILED), min_size=1, max_size=40
@@ -119,3 +120,38 @@ class TestInterval:
 
     def test_of_nothing(self):
         assert all(math.isnan(v) for v in wilson_interval(np.zeros(0, dtype=bool)))
+
+
+class TestMoreThanThePaper:
+    @given(errors)
+    def test_the_area_is_the_integral_of_recall(self, rows):
+        steps = (np.arange(2000) + 0.5) / 2000
+        for t in DEFAULT_THRESHOLDS:
+            recalls = [
+                np.mean(
+                    [
+                        e.translation_m < s * t.translation_m and e.rotation_deg < s * t.rotation_deg
+                        for e in rows
+                    ]
+                )
+                for s in steps[::40]
+            ]
+            coarse = 100 * np.mean(recalls)
+            assert summarize(rows).auc[t.label] == pytest.approx(coarse, abs=2.1)
+
+    def test_by_hand(self):
+        rows = [PoseError(1.0, 0.2), PoseError(4.0, 1.0), FAILED]
+        parts = [ErrorParts(0.6, -0.8, 0.1), ErrorParts(4.0, 0.0, -1.0), FAILED_PARTS]
+        found = summarize(rows, parts=parts, mask_ious=[0.8, 0.9])
+        assert found.answered_recall == {"2m-2deg": 50.0, "3m-3deg": 50.0, "5m-5deg": 100.0}
+        assert found.auc["2m-2deg"] == pytest.approx(100 * 0.5 / 3)
+        assert found.auc["5m-5deg"] == pytest.approx(100 * (0.8 + 0.2) / 3)
+        assert (found.median_horizontal_m, found.median_vertical_m, found.median_yaw_deg) == (4.0, 0.8, 1.0)
+        assert found.mask_iou == pytest.approx(0.85)
+
+    def test_parts_come_from_the_poses(self):
+        truth = Pose.from_euler(EulerAngles(40, 1, 179), [10, 20, 100])
+        estimate = Pose.from_euler(EulerAngles(40, 1, -179), [13, 24, 98])
+        parts = error_parts(estimate, truth)
+        assert parts == pytest.approx((5.0, -2.0, 2.0))
+        assert pose_error(estimate, truth).translation_m == pytest.approx(math.hypot(*parts[:2]))

@@ -119,12 +119,17 @@ def test_values_are_the_numbers_printed(table):
 def test_markdown_and_latex_hold_every_recall_and_median(table, ending):
     text = "\n".join(path.read_text(encoding="utf-8") for path in sorted(ROOT.glob(f"*.{ending}")))
     rows = [
-        [cell.strip(" |\\") for cell in line.split("|" if ending == "md" else "&")]
-        for line in text.splitlines()
+        [_plain(cell) for cell in line.split("|" if ending == "md" else "&")] for line in text.splitlines()
     ]
     for row in expected(table):
         cells = [cell for i, cell in enumerate(row) if not (table == "table_4" and i % 4 == 3)]
         assert any(is_within(cells, line) for line in rows), cells
+
+
+def _plain(cell: str) -> str:
+    """Returns a cell without its row's end and without bold type, which marks the best."""
+    text = cell.strip(" |").rstrip("\\ ")
+    return text.removeprefix("\\textbf{").removesuffix("}") if text.startswith("\\textbf{") else text
 
 
 def is_within(cells: list[str], line: list[str]) -> bool:

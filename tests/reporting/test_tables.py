@@ -1,11 +1,13 @@
 import csv
 import io
 import json
+from dataclasses import replace
 
 import pytest
 
 from lodbench.errors import DatasetError
-from lodbench.reporting.tables import FORMATS, format_csv, format_text, read_summary, tables_of
+from lodbench.reporting.table_formats import FORMATS, format_csv, format_text
+from lodbench.reporting.tables import detail_columns, read_summary, tables_of, with_seconds
 
 
 def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q", masks: str = "m") -> dict:
@@ -30,7 +32,7 @@ def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q"
 
 def test_runs_of_one_protocol_share_a_table_under_the_prior():
     (table,) = tables_of([summary("no_refine", 11.68), summary("full", 97.9)])
-    assert [label for label, _ in table.rows] == ["Prior", "lodlocv2 no refine", "lodlocv2 full"]
+    assert [row.label for row in table.rows] == ["Prior", "lodlocv2 no refine", "lodlocv2 full"]
     assert table.splits == ("in_place", "out_of_place")
 
 
@@ -43,7 +45,7 @@ def test_other_protocols_and_other_queries_never_share_a_table(other):
 def test_every_format_holds_every_number(name):
     (table,) = tables_of([summary("full", 97.9)])
     text = FORMATS[name](table)
-    for number in ("97.90", "48.95", "100.00"):
+    for number in ("97.9", "48.95", "100") if name == "csv" else ("97.90", "48.95", "100.00"):
         assert number in text
 
 
@@ -58,9 +60,9 @@ def test_csv_has_a_line_per_method_and_split():
     (table,) = tables_of([summary("full", 97.9)])
     rows = list(csv.DictReader(io.StringIO(format_csv(table))))
     assert [(row["method"], row["split"], row["2m-2deg"]) for row in rows] == [
-        ("Prior", "in_place", "0.00"),
-        ("Prior", "out_of_place", "0.00"),
-        ("lodlocv2 full", "in_place", "97.90"),
+        ("Prior", "in_place", "0"),
+        ("Prior", "out_of_place", "0"),
+        ("lodlocv2 full", "in_place", "97.9"),
         ("lodlocv2 full", "out_of_place", "48.95"),
     ]
 
@@ -70,4 +72,70 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
         read_summary(tmp_path)
     (tmp_path / "summary.json").write_text(json.dumps([1]))
     with pytest.raises(DatasetError, match="not a run summary"):
+        read_summary(tmp_path)
+
+
+def test_runs_of_one_method_are_told_apart_by_what_differs():
+    runs = [summary("full", 90.0), summary("full", 95.0)]
+    for run, steps in zip(runs, (10, 40), strict=True):
+        run["method"]["params"] = {"steps": steps, "beams": 2}
+    (table,) = tables_of(runs)
+    assert [row.label for row in table.rows] == ["Prior", "lodlocv2 full steps=10", "lodlocv2 full steps=40"]
+
+
+def test_seeds_become_one_row_with_mean_and_spread():
+    runs = [summary("full", value) for value in (90.0, 94.0, 98.0)]
+    for seed, run in enumerate(runs):
+        run["protocol"]["seed"] = seed
+    assert len(tables_of(runs)) == 3
+    (table,) = tables_of(runs, over_seeds=True)
+    assert [row.label for row in table.rows] == ["Prior", "lodlocv2 full (3 seeds)"]
+    assert "94.00 ±4.00" in format_text(table)
+    assert r"94.00 $\pm$4.00" in FORMATS["latex"](table)
+
+
+def test_what_is_freed_stands_in_the_row():
+    runs = [summary("full", 90.0), summary("full", 95.0)]
+    runs[1]["protocol"]["lod"] = "2"
+    runs[1]["dataset"]["scene"] = "other"
+    assert len(tables_of(runs)) == 2
+    (table,) = tables_of(runs, free=["lod"])
+    assert [row.label for row in table.rows[1:]] == ["lodlocv2 full lod=1", "lodlocv2 full lod=2"]
+
+
+def test_detail_columns_show_areas_parts_and_cost():
+    run = summary("full", 97.9)
+    run["splits"]["in_place"] |= {
+        "auc": {"2m-2deg": 61.5, "5m-5deg": 80.0},
+        "recall_of_answered": {"2m-2deg": 99.1, "5m-5deg": 100.0},
+        "median_horizontal_m": 0.31,
+        "median_vertical_m": 0.62,
+        "median_yaw_deg": 0.04,
+    }
+    (table,) = tables_of([with_seconds(run, {"in_place": 0.51})])
+    text = format_text(replace(table, columns=detail_columns(table.labels())))
+    for cell in ("61.50", "99.10", "0.31", "0.62", "0.04", "2425", "0.51"):
+        assert cell in text
+
+
+def test_hostile_names_are_harmless_in_every_format():
+    run = summary("full", 97.9)
+    run["method"]["name"] = "=<script>\x1b[31m&%_"
+    (table,) = tables_of([run])
+    texts = {name: render(table) for name, render in FORMATS.items()}
+    assert not any("\x1b" in text for text in texts.values())
+    assert "<script>" not in texts["html"] + texts["markdown"]
+    assert "\n'=<script>" in texts["csv"].replace(",'=", "\n'=")
+    assert r"\&\%\_" in texts["latex"]
+
+
+def test_best_numbers_are_bold_in_latex():
+    (table,) = tables_of([summary("no_refine", 11.68), summary("full", 97.9)])
+    assert r"\textbf{97.90}" in FORMATS["latex"](table)
+    assert r"\textbf{11.68}" not in FORMATS["latex"](table)
+
+
+def test_runs_of_another_schema_are_refused(tmp_path):
+    (tmp_path / "summary.json").write_text(json.dumps({**summary("full", 1.0), "schema": 1}))
+    with pytest.raises(DatasetError, match="schema 1"):
         read_summary(tmp_path)

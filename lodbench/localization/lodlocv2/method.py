@@ -84,7 +84,8 @@ class LodLocV2:
             seconds["coarse"] = time.perf_counter() - started
         if self.params.variant != "no_refine":
             judge = Judge(query, scorer, self.params.fine_size, self.params.fit)
-            best, trace["fine"] = refine(judge, best, self.params, streams)
+            best, traces = refine(judge, best, self.params, streams)
+            trace |= traces
             hypotheses += judge.scored
             seconds["fine"] = time.perf_counter() - started - seconds.get("coarse", 0.0)
         if best.scores[0] <= 0:
@@ -102,24 +103,28 @@ def select(judge: Judge, centers: Floats, yaws_deg: Floats) -> Particles:
 
 def refine(
     judge: Judge, start: Particles, params: Params, streams: Streams
-) -> tuple[Particles, tuple[float, ...]]:
+) -> tuple[Particles, dict[str, tuple[float, ...]]]:
     """Returns the best pose after the filter's last step, and the best score after each step.
+
+    The scores are those of all beams (``fine``) and of each (``fine beam 1`` and so on).
 
     Every beam starts from the same pose. In each step it keeps its best poses unchanged, so that
     its score never falls, and adds moved copies of each; beams never mix (paper section 3.3).
     """
     first = judge(start.centers, start.yaws_deg)
     beams = [_take(first, np.zeros(params.kept, dtype=np.int64)) for _ in range(params.beams)]
-    trace: list[float] = []
+    traces: list[list[float]] = [[] for _ in beams]
     for step in range(params.steps):
         children = judge(*_moved(beams, params, params.scale(step), streams("fine", step)))
         per_beam = len(children.scores) // params.beams
         for b, kept in enumerate(beams):
             mine = _take(children, np.arange(b * per_beam, (b + 1) * per_beam))
             beams[b] = _best(_joined(kept, mine), params.kept)
-        trace.append(max(float(beam.scores[0]) for beam in beams))
+            traces[b].append(float(beams[b].scores[0]))
     winner = int(np.argmax([beam.scores[0] for beam in beams]))
-    return _take(beams[winner], np.zeros(1, dtype=np.int64)), tuple(trace)
+    named = {f"fine beam {b}": tuple(scores) for b, scores in enumerate(traces, start=1)}
+    best_of_all = tuple(max(scores) for scores in zip(*traces, strict=True))
+    return _take(beams[winner], np.zeros(1, dtype=np.int64)), {"fine": best_of_all, **named}
 
 
 def _moved(

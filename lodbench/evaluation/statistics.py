@@ -1,0 +1,176 @@
+"""How sure a number is, and whether two runs differ: intervals by query, and paired tests.
+
+Recalls get Wilson intervals: a bootstrap of a share that is 0 or 1 collapses to a point and claims
+certainty. Medians, areas and differences have no such formula and get a bootstrap over queries. A
+fixed stream draws it, so the same numbers give the same interval.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.storage import random_stream
+
+Floats = NDArray[np.float64]
+Interval = tuple[float, float]
+
+RESAMPLES = 1000
+_PERMUTATIONS = 1999
+# Ends of a 95 % interval.
+_ENDS = (2.5, 97.5)
+# Two-sided 95 % quantile of the normal distribution.
+_Z = 1.959963984540054
+
+
+class PairedTest(NamedTuple):
+    """Whether a number differs between two runs over the same queries.
+
+    Attributes:
+        difference: Second run less the first.
+        interval: 95 % bootstrap interval of it, by query.
+        p: Two-sided p value.
+    """
+
+    difference: float
+    interval: Interval
+    p: float
+
+
+class Comparison(NamedTuple):
+    """One number of two runs on one split.
+
+    Attributes:
+        split: Name of the split.
+        name: The number.
+        unit: Its unit.
+        first: The first run's.
+        second: The second run's.
+        test: Whether they differ.
+    """
+
+    split: str
+    name: str
+    unit: str
+    first: float
+    second: float
+    test: PairedTest
+
+
+def wilson_interval(hits: NDArray[np.bool_]) -> Interval:
+    """Returns the 95 % Wilson score interval of the mean of (N,) hits, percent; NaN for none.
+
+    Unlike a bootstrap it does not collapse to a point when all queries, or none, are found.
+    """
+    n = len(hits)
+    if n == 0:
+        return math.nan, math.nan
+    share = float(hits.mean())
+    middle = share + _Z * _Z / (2 * n)
+    spread = _Z * math.sqrt(share * (1 - share) / n + _Z * _Z / (4 * n * n))
+    scale = 100.0 / (1 + _Z * _Z / n)
+    # At 0 and 100 % an end of the interval is the share itself, but for rounding.
+    low = min(max(0.0, scale * (middle - spread)), 100.0 * share)
+    return low, max(min(100.0, scale * (middle + spread)), 100.0 * share)
+
+
+def bootstrap_mean(values: Floats) -> Interval:
+    """Returns the 95 % percentile interval of the mean of (N,) finite values; NaN for none."""
+    if len(values) == 0:
+        return math.nan, math.nan
+    return _ends(_weights(len(values)) @ np.sort(values) / len(values))
+
+
+def bootstrap_median(values: Floats) -> Interval:
+    """Returns the 95 % percentile interval of the median of (N,) values, infinite ones included."""
+    if len(values) == 0:
+        return math.nan, math.nan
+    return _ends(_resampled_medians(np.sort(values), _weights(len(values))))
+
+
+def mcnemar(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> PairedTest:
+    """Returns the exact McNemar test of two runs' hits on the same (N,) queries, in percent points.
+
+    Only queries that one run finds and the other does not tell anything; under the null hypothesis
+    either run is as likely to be the one.
+    """
+    gained, lost = int((second & ~first).sum()), int((first & ~second).sum())
+    difference = 100.0 * (second.astype(np.float64) - first.astype(np.float64))
+    mean = float(difference.mean()) if len(difference) else math.nan
+    return PairedTest(mean, bootstrap_mean(difference), _binomial_p(min(gained, lost), gained + lost))
+
+
+def paired_medians(first: Floats, second: Floats) -> PairedTest:
+    """Returns whether the medians of two runs' errors on the same (N,) queries differ.
+
+    The interval is a bootstrap over queries; the p value comes from swapping the two errors of each
+    query at random. Where both medians are infinite the difference is NaN.
+    """
+    if len(first) == 0:
+        return PairedTest(math.nan, (math.nan, math.nan), math.nan)
+    observed = _difference(np.median(first), np.median(second))
+    weights = _weights(len(first))
+    orders = np.argsort(first, kind="stable"), np.argsort(second, kind="stable")
+    medians = [
+        _resampled_medians(values[order], weights[:, order])
+        for values, order in zip((first, second), orders, strict=True)
+    ]
+    resampled = np.array([_difference(a, b) for a, b in zip(*medians, strict=True)])
+    swaps = random_stream(0, "permutation", len(first)).random((_PERMUTATIONS, len(first))) < 0.5
+    one = np.median(np.where(swaps, second, first), axis=1)
+    two = np.median(np.where(swaps, first, second), axis=1)
+    with np.errstate(invalid="ignore"):
+        as_far = np.abs(np.nan_to_num(two - one, nan=0.0, posinf=np.inf)) >= abs(observed) - 1e-12
+    p = (1 + int(as_far.sum())) / (1 + _PERMUTATIONS)
+    return PairedTest(observed, _ends(resampled), p if math.isfinite(observed) else math.nan)
+
+
+def mean_and_spread(values: Sequence[float]) -> tuple[float, float]:
+    """Returns mean and sample standard deviation of runs that differ in their seed; NaN spread for one."""
+    spread = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
+    return float(np.mean(values)), spread
+
+
+@lru_cache(maxsize=8)
+def _weights(count: int) -> Floats:
+    """Returns (RESAMPLES, count): how often each of ``count`` sorted queries is drawn in a resample."""
+    generator = random_stream(0, "bootstrap", count)
+    drawn = generator.integers(count, size=(RESAMPLES, count))
+    rows = np.arange(RESAMPLES)[:, None] * count
+    counts = np.bincount((rows + drawn).ravel(), minlength=RESAMPLES * count)
+    return counts.reshape(RESAMPLES, count).astype(np.float64)
+
+
+def _resampled_medians(ordered: Floats, weights: Floats) -> Floats:
+    """Returns the median of each resample of (N,) ascending values, (R, N) times each."""
+    reached = np.cumsum(weights, axis=1)
+    n = len(ordered)
+    low, high = ((reached <= rank).sum(axis=1) for rank in ((n - 1) // 2, n // 2))
+    with np.errstate(invalid="ignore"):
+        return np.asarray((ordered[low] + ordered[high]) / 2)
+
+
+def _difference(first: float, second: float) -> float:
+    """Returns second less first; infinite medians of both are no difference that can be told."""
+    return math.nan if math.isinf(first) and math.isinf(second) else float(second - first)
+
+
+def _ends(values: Floats) -> Interval:
+    if np.isnan(values).any():
+        return math.nan, math.nan
+    # By rank, not between ranks: between a number and infinity lies nothing.
+    low, high = np.percentile(values, _ENDS, method="nearest")
+    return float(low), float(high)
+
+
+def _binomial_p(fewer: int, total: int) -> float:
+    """Returns the two-sided p value of ``fewer`` heads in ``total`` throws of a fair coin."""
+    if total == 0:
+        return 1.0
+    tail = sum(math.comb(total, k) for k in range(fewer + 1))
+    return float(min(1.0, 2 * tail / 2**total))

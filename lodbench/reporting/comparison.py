@@ -1,0 +1,33 @@
+"""Paired comparisons as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from lodbench.evaluation.statistics import Comparison
+from lodbench.reporting.columns import format_columns
+from lodbench.reporting.tables import finite_text
+
+
+def format_comparison(rows: Iterable[Comparison]) -> str:
+    """Returns the tests of two runs as a table with a line that says what they are."""
+    head = ["", "first", "second", "difference", "95 % interval", "p"]
+    body = [head]
+    for row in rows:
+        low, high = row.test.interval
+        bounds = f"[{low:+.2f}, {high:+.2f}]" if math.isfinite(low) and math.isfinite(high) else "-"
+        values = [finite_text(value, ".2f") for value in (row.first, row.second)]
+        difference = finite_text(row.test.difference, "+.2f")
+        body.append([f"{row.split} {row.name} {row.unit}", *values, difference, bounds, _p_text(row.test.p)])
+    note = (
+        "Paired by query. Recall: exact McNemar test. Medians: permutation test (1,999 swaps). Intervals: "
+        "bootstrap over queries. No correction for the number of tests."
+    )
+    return f"{format_columns(body)}\n\n{note}"
+
+
+def _p_text(p: float) -> str:
+    if not math.isfinite(p):
+        return "-"
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"

@@ -1,0 +1,50 @@
+"""`lodbench compare`: side by side from the rows, with tests over the same queries."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.town import write_dataset
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> tuple[Path, Path]:
+    return write_dataset(tmp_path_factory.mktemp("town"), count=4)
+
+
+def scored(lodbench, data, poses: Path, name: str) -> str:
+    words = ["evaluate", f"poses={poses}", "dataset=folder", f"dataset.root={data[0]}", f"method_name={name}"]
+    return re.search(r"results: (\S+)", lodbench(*words).stdout)[1]
+
+
+def test_two_runs_are_tested_query_by_query(lodbench, data):
+    prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
+    truth = scored(lodbench, data, data[0] / "GT_pose.txt", "perfect")
+    done = lodbench("compare", prior, truth, "--thresholds", "1/1", "20/10", "--columns", "paper", "details")
+    assert done.returncode == 0, done.stderr
+    # 4 of 4 queries gained: p = 2 / 2^4.
+    line = next(line for line in done.stdout.splitlines() if "recall 1m-1deg" in line)
+    assert re.search(r"0\.00\s+100\.00\s+\+100\.00\s+\[\+100\.00, \+100\.00\]\s+0\.125", line)
+    assert "20m-10deg" in done.stdout
+    assert "horizontal m" in done.stdout
+    assert lodbench("compare", prior, truth, "--format", "html").stdout.count("<table") == 1
+
+
+def test_other_queries_are_not_tested_and_say_so(lodbench, data, tmp_path):
+    prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
+    words = ["evaluate", f"poses={data[0] / 'GPS_pose.txt'}", "dataset=folder", f"dataset.root={data[0]}"]
+    fewer = re.search(r"results: (\S+)", lodbench(*words, "limit=2").stdout)[1]
+    assert (
+        "no paired test: the queries differ: 2 are in one run only"
+        in lodbench("compare", prior, fewer).stdout
+    )
+
+
+@pytest.mark.parametrize("word", ["2", "0/1", "a/b", "inf/2", "-1/2"])
+def test_a_bad_threshold_is_one_line(lodbench, data, word):
+    prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
+    done = lodbench("compare", prior, f"--thresholds={word}")
+    assert (done.returncode, "is not METRES/DEGREES" in done.stderr) == (2, True), done.stderr
