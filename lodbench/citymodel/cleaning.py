@@ -34,8 +34,8 @@ def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
     new_lengths = np.zeros(len(lengths), np.int64)
     _mark_points(raw.points, raw.ring_starts, is_kept, new_lengths, is_closed, is_repeated)
     np.less(new_lengths, 3, out=is_short)
-    if not raw.has_closing_points:
-        is_repeated |= is_closed  # in formats without closing points a closing point is a repeat
+    # In formats without closing points a closing point is a repeat.
+    is_repeated |= is_closed & np.logical_not(raw.has_closing_points)
     is_lost = _lost_polygons(raw, is_short)
     _report_rings(raw, marks, lengths, is_lost)
 
@@ -110,8 +110,7 @@ def _report_rings(
     """Adds the findings of rings, and of polygons that had none."""
     is_closed, is_repeated, is_short = marks
     ring_building = np.repeat(raw.building, np.diff(raw.polygon_starts))
-    if raw.has_closing_points:
-        _report(raw, RING_NOT_CLOSED, ring_building[~is_closed & (lengths > 0)])
+    _report(raw, RING_NOT_CLOSED, ring_building[~is_closed & (lengths > 0) & raw.has_closing_points])
     _report(raw, DUPLICATE_POINTS, ring_building[is_repeated])
     _report(raw, RING_TOO_SHORT, ring_building[is_short])
     _report(raw, RING_TOO_SHORT, raw.building[is_lost & (np.diff(raw.polygon_starts) == 0)])

@@ -116,7 +116,7 @@ def _blocks(
         has_closing_points=False,
         findings=findings,
         # Vector files keep longitude or easting first whatever their reference system declares.
-        axis_order="east_first",
+        axis_orders=("east_first",),
     )
 
 

@@ -112,19 +112,22 @@ def _bring_to_metres(
     override, points = options.crs, polygons.points
     if not raw.srs_names and options.origin is not None:
         return None if override is None else require_crs(override).label
-    order = options.axis_order if options.axis_order != "auto" else raw.axis_order
     if not raw.srs_names and override is None:
         return None  # a format that cannot name a reference system
+    systems = raw.systems()
+    if options.axis_order != "auto":
+        systems = tuple((name, options.axis_order) for name, _ in systems)
     used = np.unique(srs)
-    if len(used) <= 1 or override is not None:
-        name = raw.srs_names[used[0]] if len(used) and raw.srs_names else None
+    if len({systems[n] if override is None else systems[n][1] for n in used}) <= 1:
+        name, order = systems[used[0]] if len(used) else (None, "auto")
         return to_metres(points, name, override, raw.findings, order)
     point_srs = np.repeat(srs, np.diff(polygons.ring_starts[polygons.polygon_starts]))
     first_label: str | None = None
     for rank, number in enumerate([int(srs[0]), *(int(s) for s in used if s != srs[0])]):
         is_chosen = point_srs == number
         part = points[is_chosen]
-        label = to_metres(part, raw.srs_names[number], None, raw.findings, order)
+        name, order = systems[number]
+        label = to_metres(part, name, override, raw.findings, order)
         if rank == 0:
             first_label = label
         elif label is not None and first_label is not None and label != first_label:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,9 +43,11 @@ class RawCity:
         lod: (N,) int16.
         kind: (N,) uint8 ``SurfaceKind``.
         srs: (N,) int16 index into ``srs_names``.
-        has_closing_points: Rings end with their first point again, as GML asks.
+        has_closing_points: Rings end with their first point again, as GML asks; (R,) where the tiles of
+            a city differ.
         findings: What was met while reading.
-        axis_order: Which of the first two columns is the easting, where the format settles it.
+        axis_orders: For each of ``srs_names``, which of the first two columns is the easting, where the
+            format settles it; empty where it never does.
     """
 
     source: str
@@ -61,9 +64,15 @@ class RawCity:
     lod: NDArray[np.int16]
     kind: NDArray[np.uint8]
     srs: NDArray[np.int16]
-    has_closing_points: bool
+    has_closing_points: bool | NDArray[np.bool_]
     findings: Findings
-    axis_order: AxisOrder = "auto"
+    axis_orders: tuple[AxisOrder, ...] = ()
+
+    def systems(self) -> tuple[tuple[str | None, AxisOrder], ...]:
+        """Returns name and axis order of each reference system; one without a name where there is none."""
+        names = self.srs_names or (None,)
+        undecided: AxisOrder = "auto"
+        return tuple(zip(names, self.axis_orders or (undecided,) * len(names), strict=True))
 
 
 def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
@@ -74,7 +83,7 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         cities: One or more tiles, of any format; their points are taken from them.
     """
     first = cities[0]
-    srs_names = tuple(dict.fromkeys(name for city in cities for name in city.srs_names or (None,)))
+    systems = tuple(dict.fromkeys(system for city in cities for system in city.systems()))
     lods = tuple(dict.fromkeys(name for city in cities for name in city.lods))
     findings = Findings([item for city in cities for item in city.findings.items])
     building_ids = tuple(name for city in cities for name in city.building_ids)
@@ -90,7 +99,7 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         source=source,
         format=first.format,
         version=first.version,
-        srs_names=srs_names,
+        srs_names=tuple(name for name, _ in systems),
         building_ids=building_ids,
         num_parts=sum(city.num_parts for city in cities),
         lods=lods,
@@ -102,15 +111,17 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         ),
         lod=np.concatenate([_renamed(c.lod, c.lods, lods) for c in cities]),
         kind=np.concatenate([city.kind for city in cities]),
-        srs=np.concatenate([_renamed(c.srs, c.srs_names or (None,), srs_names) for c in cities]),
-        has_closing_points=all(city.has_closing_points for city in cities),
+        srs=np.concatenate([_renamed(c.srs, c.systems(), systems) for c in cities]),
+        has_closing_points=np.concatenate(
+            [np.broadcast_to(city.has_closing_points, len(city.ring_starts) - 1) for city in cities]
+        ),
         findings=findings,
-        axis_order=first.axis_order,
+        axis_orders=tuple(order for _, order in systems),
     )
 
 
 def _renamed(
-    indices: NDArray[np.int16], names: tuple[str | None, ...], all_names: tuple[str | None, ...]
+    indices: NDArray[np.int16], names: tuple[Hashable, ...], all_names: tuple[Hashable, ...]
 ) -> NDArray[np.int16]:
     table = np.asarray([all_names.index(name) for name in names], np.int16)
     return table[indices] if len(table) else indices

@@ -38,5 +38,5 @@ def surfaces_as_read(polygons: WkbPolygons, ids: list[str], source: str, crs: st
         srs=np.zeros(count, np.int16),
         has_closing_points=True,
         findings=Findings(),
-        axis_order="east_first",
+        axis_orders=("east_first",),
     )

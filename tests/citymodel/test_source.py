@@ -5,9 +5,10 @@ import json
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from lodbench.citymodel import read_city_model
+from lodbench.citymodel import mesh_city, read_city_model
 from lodbench.errors import CityModelError
 
 from .gml_text import box_city, box_rings, city, member, polygon, solid, surface_members, write
@@ -145,6 +146,28 @@ class TestFolder:
         model = read_city_model(tmp_path)
         assert model.lods == ("1", "3")
         assert len(model.building_ids) == 4
+        # Rings that end with their first point are as right in one as rings that do not in the other.
+        assert model.findings.counts() == {}
+
+    @pytest.mark.parametrize("footprints", ["1.geojson", "3.geojson"])
+    @pytest.mark.parametrize("crs", [None, "EPSG:6697"])
+    def test_each_format_keeps_its_axis_order(self, tmp_path: Path, footprints: str, crs: str | None) -> None:
+        """CityGML in degrees begins with the latitude, GeoJSON with the longitude, whichever is first."""
+        pytest.importorskip("pyogrio")
+        lon, lat, size = 139.55, 35.75, 1e-4
+        faces = [
+            [(lat + y / 10 * size, lon + x / 10 * size, z) for x, y, z in ring] for ring in box_rings(0, 0, 0)
+        ]
+        text = city(member(solid(surface_members(map(polygon, faces)))), srs="EPSG:6697")
+        write(tmp_path / "2.gml", text)
+        ring = [[lon, lat], [lon + size, lat], [lon + size, lat + size], [lon, lat + size], [lon, lat]]
+        shape = {"type": "Polygon", "coordinates": [ring]}
+        feature = {"type": "Feature", "properties": {"height": 6}, "geometry": shape}
+        write(tmp_path / footprints, json.dumps({"type": "FeatureCollection", "features": [feature]}))
+        model = read_city_model(tmp_path, crs=crs)
+        low, high = mesh_city(model).extent_m
+        assert np.abs(low[:2]).max() < 2
+        assert np.abs(high - low - (9.0, 11.1, 6.0)).max() < 0.5  # grid north, two datums
 
     def test_empty(self, tmp_path: Path) -> None:
         with pytest.raises(CityModelError, match="holds no city file"):
