@@ -41,7 +41,7 @@ def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
 
     polygon_counts = np.diff(raw.polygon_starts)
     is_ring_kept = ~is_short & ~np.repeat(is_lost, polygon_counts)
-    if not is_ring_kept.all():
+    if is_short.any() or is_lost.any():  # a polygon without a ring is lost, and no ring with it
         is_kept &= np.repeat(is_ring_kept, lengths)
         new_lengths = new_lengths[is_ring_kept]
         ring_polygon = np.repeat(np.arange(len(polygon_counts)), polygon_counts)

@@ -41,11 +41,11 @@ def surface_kind(prop: Element, building: Element) -> int:
 
 
 def is_in_ring(element: Element) -> bool:
-    """Tells whether a curve is a piece of a ring (``Ring/curveMember/LineString``)."""
+    """Tells whether a curve or point belongs to a ring (``curveMember``, ``pointProperty``)."""
     node = element.getparent()
     while node is not None:
         name = local_name(node.tag)
-        if name == "Ring":
+        if name in ("Ring", "LinearRing"):
             return True
         if name in ("MultiGeometry", "MultiCurve", "Polygon"):
             return False

@@ -43,16 +43,18 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
             f"{raw.source} has coordinates that are not finite numbers.",
             "See which: lodbench city check FILE.",
         )
-    order = sorted(range(len(raw.lods)), key=lambda i: raw.lods[i])
-    polygons_read = np.bincount(raw.lod, minlength=len(order))[order]
+    num_read = np.bincount(raw.lod, minlength=len(raw.lods))
+    # A level that only empty elements name is none: by default the lowest there is would be taken.
+    order = sorted(np.flatnonzero(num_read).tolist(), key=lambda i: raw.lods[i])
     polygons, kept = clean_polygons(raw)
     label = _bring_to_metres(polygons, raw.srs[kept], raw, options)
     if options.ecef_origin is not None:
         polygons.points[:] = ShiftedEcef(*options.ecef_origin).points_to_enu(polygons.points)
     move_bases(polygons, raw.building_ids, label, options, raw.findings)
     origin = _subtract_origin(polygons.points, label, raw, options)
-    rank = np.argsort(np.asarray(order, np.int64)).astype(np.int16)
-    polygons = replace(polygons, lod=rank[polygons.lod] if order else polygons.lod)
+    rank = np.zeros(len(raw.lods), np.int16)
+    rank[order] = np.arange(len(order))
+    polygons = replace(polygons, lod=rank[polygons.lod])
     return CityModel(
         source=raw.source,
         format=raw.format,
@@ -63,7 +65,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         num_parts=raw.num_parts,
         lods=tuple(raw.lods[i] for i in order),
         polygons=drop_repeated_solids(polygons, raw.building_ids, raw.findings),
-        polygons_read=tuple(polygons_read.tolist()),
+        polygons_read=tuple(num_read[order].tolist()),
         findings=raw.findings,
     )
 

@@ -63,8 +63,12 @@ class TestGeometry:
             "".join(f"<gml:pos>{p}</gml:pos>" for p in ("0 0 0", "4 0 0", "4 4 0", "0 0 0")),
             "<gml:coordinates>0,0,0 4,0,0 4,4,0 0,0,0</gml:coordinates>",
             '<gml:coordinates decimal="," cs=" " ts=";">0,0 0 0;4,0 0 0;4 4 0;0 0 0</gml:coordinates>',
+            "".join(
+                f"<gml:pointProperty><gml:Point><gml:pos>{p}</gml:pos></gml:Point></gml:pointProperty>"
+                for p in ("0 0 0", "4 0 0", "4 4 0", "0 0 0")
+            ),
         ],
-        ids=["posList", "dimension", "pos", "coordinates", "separators"],
+        ids=["posList", "dimension", "pos", "coordinates", "separators", "points"],
     )
     def test_ring_notations(self, tmp_path: Path, ring: str) -> None:
         model = model_of(tmp_path, city(member(multi_surface(surface_members([polygon(ring)])))))
@@ -385,6 +389,21 @@ class TestFiles:
         text = city(other + member("<bldg:lod4MultiSurface/>" + solid(surface_members(map(polygon, BOX)))))
         model = model_of(tmp_path, text)
         assert codes(model) == {"LB207": 1, "LB209": 1}
+
+    def test_an_empty_level_is_none(self, tmp_path: Path) -> None:
+        walls = bounded_by("WallSurface", multi_surface(surface_members(map(polygon, BOX))))
+        model = model_of(tmp_path, city(member("<bldg:lod1Solid/>" + walls)))
+        assert (model.lods, model.polygons_read) == (("2",), (6,))
+        assert mesh_city(model).lod == "2"
+        assert codes(model) == {"LB207": 1}
+
+    def test_a_polygon_without_a_ring_is_told_and_shifts_no_other(self, tmp_path: Path) -> None:
+        faces = [*map(polygon, BOX[:2]), "<gml:Polygon/>", *map(polygon, BOX[2:])]
+        model = model_of(tmp_path, city(member(solid(surface_members(faces)))))
+        assert np.diff(model.polygons.polygon_starts).tolist() == [1] * 6
+        assert model.polygons_read == (7,)
+        assert codes(model) == {"LB101": 1}
+        assert mesh_model(model).meshed_m2 == pytest.approx(box_area())
 
     def test_info(self, tmp_path: Path) -> None:
         info = city_info(model_of(tmp_path, box_city()))
