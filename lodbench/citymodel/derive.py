@@ -50,15 +50,7 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     """
     if roof_height not in ROOF_HEIGHTS:
         raise ConfigError(f"roof_height={roof_height} is unknown.", f"Known: {', '.join(ROOF_HEIGHTS)}.")
-    finer = [name for name in model.lods if name and name[0] in "234"]
-    if not finer:
-        raise CityModelError(
-            "There is no level of detail 2 or finer to derive level 1 from.",
-            "See the levels there are: lodbench city info FILE.",
-        )
-    at_level = model.polygons.lod == model.lods.index(finer[0])
-    is_outside = model.polygons.kind != SurfaceKind.INTERIOR
-    source = select_polygons(model.polygons, np.flatnonzero(at_level & is_outside))
+    finer, source = _finer_level(model)
     count = len(model.building_ids)
     bottom = np.full(count, np.inf)
     np.minimum.at(bottom, np.repeat(source.building, _point_counts(source)), source.points[:, 2])
@@ -67,14 +59,14 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     top = _roof_heights(source, slope, count, ROOF_HEIGHTS[roof_height])
     chosen = _footprints(source, slope, areas, count)
     for building in np.setdiff1d(np.arange(count), source.building[chosen]):
-        findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer[0]}")
+        findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer}")
     chosen = chosen[np.isfinite(top)[source.building[chosen]]]
     if len(chosen) == 0:
         raise CityModelError(
             "No building has a footprint and a roof to derive level 1 from.",
             "Take a level that is there: lodbench city info FILE.",
         )
-    findings.add(LOD_DERIVED, "", f"from LoD{finer[0]}, roof_height={roof_height}")
+    findings.add(LOD_DERIVED, "", f"from LoD{finer}, roof_height={roof_height}")
     plans = select_polygons(source, chosen)
     owner = plans.building
     blocks = extrude(plans.points[:, :2], plans.ring_starts, plans.polygon_starts, bottom[owner], top[owner])
@@ -86,6 +78,19 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
         lod=np.zeros(len(blocks.kind), np.int16),
         kind=blocks.kind,
     )
+
+
+def _finer_level(model: CityModel) -> tuple[str, Polygons]:
+    """Returns the lowest level above 1 and its outer polygons."""
+    finer = [name for name in model.lods if name and name[0] in "234"]
+    if not finer:
+        raise CityModelError(
+            "There is no level of detail 2 or finer to derive level 1 from.",
+            "See the levels there are: lodbench city info FILE.",
+        )
+    at_level = model.polygons.lod == model.lods.index(finer[0])
+    is_outside = model.polygons.kind != SurfaceKind.INTERIOR
+    return finer[0], select_polygons(model.polygons, np.flatnonzero(at_level & is_outside))
 
 
 def _point_counts(polygons: Polygons) -> NDArray[np.int64]:

@@ -30,19 +30,7 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
     Raises:
         CityModelError: The mesh cannot be read, is not finite, or has no triangles.
     """
-    import trimesh
-
-    try:
-        # From memory, so that trimesh knows no folder to look for other files in.
-        loaded = trimesh.load_scene(io.BytesIO(stream.read()), file_type=suffix[1:], process=False)
-        parts = _parts_in_order(loaded)
-    except Exception as error:  # trimesh lets the errors of every parser it uses through
-        raise CityModelError(
-            f"{source} cannot be read as a {MESH_FORMATS[suffix]} mesh ({error}).",
-            "A .gltf that refers to other files must be one .glb.",
-        ) from None
-    if not parts:
-        raise CityModelError(f"{source} has no triangles.", "Point clouds and lines are no city model.")
+    parts = _load_parts(stream, source, suffix)
     corners = np.concatenate([np.asarray(part.vertices, np.float64)[part.faces] for part in parts])
     points = corners.reshape(-1, 3)
     if not np.isfinite(points).all():
@@ -76,6 +64,24 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
         has_closing_points=False,
         findings=Findings(),
     )
+
+
+def _load_parts(stream: BinaryIO, source: str, suffix: str) -> list[Any]:
+    """Returns the meshes of a file, at least one, or raises as ``read_mesh`` does."""
+    import trimesh
+
+    try:
+        # From memory, so that trimesh knows no folder to look for other files in.
+        loaded = trimesh.load_scene(io.BytesIO(stream.read()), file_type=suffix[1:], process=False)
+        parts = _parts_in_order(loaded)
+    except Exception as error:  # trimesh lets the errors of every parser it uses through
+        raise CityModelError(
+            f"{source} cannot be read as a {MESH_FORMATS[suffix]} mesh ({error}).",
+            "A .gltf that refers to other files must be one .glb.",
+        ) from None
+    if not parts:
+        raise CityModelError(f"{source} has no triangles.", "Point clouds and lines are no city model.")
+    return parts
 
 
 def _parts_in_order(loaded: Any) -> list[Any]:
