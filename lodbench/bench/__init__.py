@@ -4,6 +4,8 @@ from lodbench.bench.accuracy import AccuracyOptions, measure_accuracy
 from lodbench.bench.accuracy_report import AccuracyReport
 from lodbench.bench.city import CityBench, CityOptions, measure_city
 from lodbench.bench.figures import Figure
+from lodbench.bench.scale import ScaleOptions, measure_scale
+from lodbench.bench.scale_report import ScaleReport
 from lodbench.bench.silhouette_report import SilhouetteReport
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 
@@ -13,9 +15,12 @@ __all__ = [
     "CityBench",
     "CityOptions",
     "Figure",
+    "ScaleOptions",
+    "ScaleReport",
     "SilhouetteOptions",
     "SilhouetteReport",
     "measure_accuracy",
     "measure_city",
+    "measure_scale",
     "measure_silhouettes",
 ]

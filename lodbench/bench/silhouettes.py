@@ -145,10 +145,11 @@ def make_swarms(scene: Scene, engine: Scorer, options: SilhouetteOptions) -> tup
     camera = RGB_CAMERA.scaled(*FINE_SIZE)
     sampling = ViewSampling(seed=options.seed)
     views = sample_views(scene, engine, camera, sampling, options.num_views, "silhouettes")
-    return [_swarm(pose, i, options) for i, pose in enumerate(views.poses)], views.rejections
+    return [make_swarm(pose, i, options) for i, pose in enumerate(views.poses)], views.rejections
 
 
-def _swarm(pose: Pose, index: int, options: SilhouetteOptions) -> Swarm:
+def make_swarm(pose: Pose, index: int, options: SilhouetteOptions) -> Swarm:
+    """Returns a view with hypotheses around it, which depend on the seed and the view's number only."""
     spread = UniformPrior()
     half = np.array([spread.x_m, spread.y_m, spread.z_m, spread.yaw_deg])
     stream = random_stream(options.seed, "silhouettes", index)

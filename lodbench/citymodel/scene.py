@@ -35,6 +35,7 @@ class Scene:
         lod: The level of detail meshed, or "" where the source has none.
         crs: CRS of ``vertices + origin``, or None for a local frame.
         origin: (3,) float64.
+        stored_digest: ``digest`` as the folder says from which the arrays are mapped; "" in memory.
     """
 
     vertices: NDArray[np.float32]
@@ -45,6 +46,7 @@ class Scene:
     lod: str
     crs: str | None
     origin: NDArray[np.float64]
+    stored_digest: str = ""
 
     @property
     def num_buildings(self) -> int:

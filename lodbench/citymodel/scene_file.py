@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import shutil
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ import numpy as np
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.spatial import SpatialIndex, index_scene
 from lodbench.errors import CityModelError
+from lodbench.storage import new_folder
 
 # Raise it whenever the arrays or their meaning change: older folders are then read no more.
 FORMAT_VERSION = 2
@@ -35,8 +34,7 @@ def write_scene(scene: Scene, folder: Path, extra: dict[str, Any] | None = None)
     """
     if folder.exists() and not _is_ours(folder):
         raise FileExistsError(errno.EEXIST, "something else is there already")
-    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
+    with new_folder(folder) as partial:
         for name in _ARRAYS:
             np.save(partial / f"{name}.npy", getattr(scene, name), allow_pickle=False)
         index = index_scene(scene)
@@ -52,13 +50,6 @@ def write_scene(scene: Scene, folder: Path, extra: dict[str, Any] | None = None)
             "extra": extra or {},
         }
         (partial / _META).write_text(json.dumps(meta), encoding="utf-8")
-        partial.chmod(0o755)
-        if folder.exists():
-            shutil.rmtree(folder)
-        partial.rename(folder)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
 
 
 def is_scene(path: Path) -> bool:
@@ -87,6 +78,7 @@ def read_scene(folder: Path) -> Scene:
             lod=str(meta["lod"]),
             crs=meta["crs"],
             origin=np.asarray(meta["origin"], np.float64).reshape(3),
+            stored_digest=str(meta["digest"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise CityModelError(f"The scene in {folder} is damaged ({error}).", "Delete the folder.") from None

@@ -1,4 +1,4 @@
-"""`lodbench bench silhouettes|accuracy|city`: measure speed and accuracy on this machine."""
+"""`lodbench bench silhouettes|scale|accuracy|city`: measure speed and accuracy on this machine."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from lodbench.bench import (
     AccuracyReport,
     CityBench,
     CityOptions,
+    ScaleOptions,
+    ScaleReport,
     SilhouetteOptions,
     SilhouetteReport,
     measure_accuracy,
     measure_city,
+    measure_scale,
     measure_silhouettes,
 )
 from lodbench.execution import ProgressCallback
@@ -25,9 +28,8 @@ from lodbench.execution import ProgressCallback
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
-    city = options.city or _demo_town()
     with ProgressCallback(f"bench {options.what}") as steps:
-        report = MEASURES[options.what](city, options, steps)
+        report = MEASURES[options.what](options, steps)
     if options.json:
         for figure in report.figures():
             sys.stdout.write(json.dumps(figure.to_json()) + "\n")
@@ -36,28 +38,36 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def _silhouettes(city: Path, options: argparse.Namespace, steps: ProgressCallback) -> SilhouetteReport:
+def _silhouettes(options: argparse.Namespace, steps: ProgressCallback) -> SilhouetteReport:
     peers = tuple(options.peers.split(",")) if options.peers else ()
     asked = SilhouetteOptions(
         num_views=options.views, hypotheses=options.hypotheses, peers=peers, seed=options.seed
     )
-    return measure_silhouettes(city, asked, steps)
+    return measure_silhouettes(_city_file(options), asked, steps)
 
 
-def _accuracy(city: Path, options: argparse.Namespace, steps: ProgressCallback) -> AccuracyReport:
+def _scale(options: argparse.Namespace, steps: ProgressCallback) -> ScaleReport:
+    asked = ScaleOptions(
+        buildings=options.buildings, num_views=options.views, hypotheses=options.hypotheses, seed=options.seed
+    )
+    return measure_scale(asked, steps)
+
+
+def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> AccuracyReport:
     asked = AccuracyOptions(
         num_views=options.views, mask_iou=options.mask_iou, tilt_deg=options.tilt_deg, seed=options.seed
     )
-    return measure_accuracy(city, asked, steps)
+    return measure_accuracy(_city_file(options), asked, steps)
 
 
-def _city(city: Path, options: argparse.Namespace, steps: ProgressCallback) -> CityBench:
+def _city(options: argparse.Namespace, steps: ProgressCallback) -> CityBench:
     asked = CityOptions(lod=options.lod, repeats=options.repeats, large_mb=options.large_mb)
-    return measure_city(city, asked, steps)
+    return measure_city(_city_file(options), asked, steps)
 
 
-MEASURES: dict[str, Callable[..., SilhouetteReport | AccuracyReport | CityBench]] = {
+MEASURES: dict[str, Callable[..., SilhouetteReport | ScaleReport | AccuracyReport | CityBench]] = {
     "silhouettes": _silhouettes,
+    "scale": _scale,
     "accuracy": _accuracy,
     "city": _city,
 }
@@ -70,6 +80,12 @@ def _parser() -> argparse.ArgumentParser:
     speed.add_argument("--views", type=int, default=20, help="seeded views (20)")
     speed.add_argument("--hypotheses", type=int, default=2000, help="around each view (2000)")
     speed.add_argument("--peers", default="pyrender", help="renderers to stand beside, comma-separated")
+    scale = actions.add_parser(
+        "scale", help="a city of a million buildings beside its core: cost per hypothesis, opening, memory"
+    )
+    scale.add_argument("--buildings", type=int, default=1_000_000, help="of the large city (1000000: 1.7 GB)")
+    scale.add_argument("--views", type=int, default=10, help="seeded views of each kind (10)")
+    scale.add_argument("--hypotheses", type=int, default=400, help="around each view (400)")
     accuracy = actions.add_parser("accuracy", help="recall of LoD-Loc v2 on synthetic views of a real model")
     accuracy.add_argument("--views", type=int, default=200, help="seeded views (200)")
     accuracy.add_argument("--mask-iou", type=float, default=0.88, help="of the roughened masks (0.88)")
@@ -80,15 +96,19 @@ def _parser() -> argparse.ArgumentParser:
     city.add_argument("--lod", help="level of detail (lowest with walls)")
     city.add_argument("--repeats", type=int, default=5, help="passes, the fastest counts (5)")
     city.add_argument("--large-mb", type=int, default=137, help="file made for the memory figure; 0 for none")
-    for action in (speed, accuracy):
+    for action in (speed, scale, accuracy):
         action.add_argument("--seed", type=int, default=0)
     for action in (speed, accuracy, city):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
+    for action in (speed, scale, accuracy, city):
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser
 
 
-def _demo_town() -> Path:
+def _city_file(options: argparse.Namespace) -> Path:
+    """Returns the city asked for, or the demo town's."""
+    if options.city is not None:
+        return Path(options.city)
     from lodbench.datasets.demo.build import CITY_FILE
     from lodbench.datasets.demo.open import DemoParams, open_demo
 

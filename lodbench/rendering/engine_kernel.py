@@ -125,7 +125,7 @@ def _gather_whole(scene, b, whole, view, scratch):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw_group(scene, buildings, rotations, centers, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def draw_group(scene, buildings, rotations, centers, view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Draws the silhouettes of some buildings seen from 1 to 8 poses into ``words``, which must be clear.
 
     Args:
@@ -182,7 +182,7 @@ def draw_views(scene, rotations, centers, view, scratch, words):  # type: ignore
     for i in range(0, rotations.shape[0], LANES):
         r, c = rotations[i : i + LANES], centers[i : i + LANES]
         seen = select_buildings(scene, r, c, view.planes)
-        _draw_group(scene, seen, r, c, view, scratch, words[i : i + LANES])
+        draw_group(scene, seen, r, c, view, scratch, words[i : i + LANES])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -197,7 +197,7 @@ def score_views(scene, rotations, centers, view, scratch, words, query):  # type
     for i in range(0, count, LANES):
         r, c = rotations[i : i + LANES], centers[i : i + LANES]
         seen = select_buildings(scene, r, c, view.planes)
-        _draw_group(scene, seen, r, c, view, scratch, words[: r.shape[0]])
+        draw_group(scene, seen, r, c, view, scratch, words[: r.shape[0]])
         for lane in range(r.shape[0]):
             shared[i + lane], areas[i + lane] = intersect_and_clear(words[lane], query)
     return shared, areas

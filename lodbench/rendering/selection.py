@@ -110,12 +110,25 @@ def _spread_of(rotations, centers):  # type: ignore[no-untyped-def]  # noqa: ANN
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _any_sees(sphere, rotations, centers, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Tells whether a sphere is not outside of one of N views at least."""
+    for i in range(rotations.shape[0]):
+        c = centers[i]
+        distance = abs(sphere[0] - c[0]) + abs(sphere[1] - c[1]) + abs(sphere[2] - c[2])
+        wider = (sphere[0], sphere[1], sphere[2], sphere[3] + 1e-6 * distance)
+        if not is_outside(wider, rotations[i], c, planes):
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def select_buildings(tree, rotations, centers, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the buildings, (K,) int64, that any of N nearby views may see.
 
     Seen from the first view, a point at distance s moves by at most ``d + 2 sin(a / 2) (s + d)`` for
-    a view that is d away and turned by the angle a: so much wider is each sphere made. A node's is made
-    wider by what its furthest point may move, so it is never passed over for a child that is not.
+    a view that is d away and turned by the angle a: so much wider is each sphere made, by what its
+    furthest point may move, so a node is never passed over for a child that is not. Views that differ
+    by 15 degrees would so take in the city up to the horizon: groups are looked at from each view.
 
     Args:
         tree: SphereTree, or whatever has its arrays.
@@ -141,8 +154,12 @@ def select_buildings(tree, rotations, centers, planes):  # type: ignore[no-untyp
                 )
                 slack = away + turned * (furthest + away) + 1e-6 * furthest
                 wider = (sphere[0], sphere[1], sphere[2], sphere[3] + slack)
+                if is_outside(wider, rotations[0], centers[0], planes):
+                    continue
+                if level > 0 and not _any_sees(sphere, rotations, centers, planes):
+                    continue
                 kept[count] = node
-                count += not is_outside(wider, rotations[0], centers[0], planes)
+                count += 1
     for i in range(count):
         kept[i] = tree.order[kept[i]]
     return kept[:count]

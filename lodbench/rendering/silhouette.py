@@ -15,8 +15,9 @@ from lodbench.geometry import Camera, Pose
 from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, words_per_row
 from lodbench.rendering.engine_arrays import Scratch, View, blank_scratch
 from lodbench.rendering.engine_kernel import draw_view, draw_views, score_views
-from lodbench.rendering.engine_layout import scene_arrays
+from lodbench.rendering.engine_store import open_arrays
 from lodbench.rendering.fit import Fit, IouFit
+from lodbench.rendering.instances import Instances, draw_instances
 from lodbench.rendering.lanes import LANES
 from lodbench.rendering.nearby import nearby_order
 from lodbench.rendering.projection import (
@@ -27,6 +28,7 @@ from lodbench.rendering.projection import (
     view_planes,
 )
 from lodbench.rendering.protocol import IouCounts
+from lodbench.rendering.selection import select_buildings
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -39,9 +41,9 @@ _MOST_GROUPS = 8
 class SilhouetteRenderer:
     """Renders the union of a scene's projected faces, and counts its overlap with a query mask.
 
-    The scene is prepared once (edges, bounding spheres); rendering holds no state of its own, and the
-    result does not depend on the number of threads or on how hypotheses are batched. Each thread keeps
-    its working memory, which every view leaves cleared.
+    The scene is prepared once (edges, bounding spheres), one of a large city on disk for good. Rendering
+    holds no state of its own, and the result does not depend on the number of threads or on how
+    hypotheses are batched. Each thread keeps its working memory, which every view leaves cleared.
 
     Args:
         scene: The city, local metric frame.
@@ -53,7 +55,7 @@ class SilhouetteRenderer:
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
         self.scene = scene
         self.threads = max(1, threads or os.cpu_count() or 1)
-        self._arrays = scene_arrays(scene)
+        self._arrays = open_arrays(scene)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._of_thread = threading.local()
 
@@ -72,6 +74,23 @@ class SilhouetteRenderer:
         view, words = _view(camera), _blank(camera)
         draw_view(self._arrays, *pose_arrays(pose), view, self._working_memory(camera)[0], words)
         return words
+
+    def instances(self, camera: Camera, pose: Pose) -> Instances:
+        """Returns the silhouette of each building that covers a pixel, none hidden by another.
+
+        Their union is ``render``'s silhouette, to the bit.
+
+        Raises:
+            RenderingError: As for ``render``.
+        """
+        view, (rotation, center) = _view(camera), pose_arrays(pose)
+        poses = rotation[None], center[None]
+        seen = np.sort(select_buildings(self._arrays, *poses, view.planes))
+        scratch, words = self._working_memory(camera)
+        return Instances(
+            (camera.width, camera.height),
+            *draw_instances(self._arrays, seen, *poses, view, scratch, words[:1]),
+        )
 
     def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
         """Counts how N hypotheses' silhouettes overlap a query mask.

@@ -1,7 +1,7 @@
 """Files written safely, random streams, digests, and where data and caches live."""
 
-from lodbench.storage.atomic import write_bytes, write_text
+from lodbench.storage.atomic import new_folder, write_bytes, write_text
 from lodbench.storage.digest import digest_of, file_digest
 from lodbench.storage.streams import random_stream
 
-__all__ = ["digest_of", "file_digest", "random_stream", "write_bytes", "write_text"]
+__all__ = ["digest_of", "file_digest", "new_folder", "random_stream", "write_bytes", "write_text"]

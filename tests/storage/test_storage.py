@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError
-from lodbench.storage import digest_of, file_digest, random_stream, write_bytes, write_text
+from lodbench.storage import digest_of, file_digest, new_folder, random_stream, write_bytes, write_text
 from lodbench.storage.paths import cache_limit_bytes, cache_root, data_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
@@ -108,3 +108,21 @@ class TestPruning:
             monkeypatch.setenv("LODBENCH_CACHE_GB", wrong)
             with pytest.raises(ConfigError, match="is no size"):
                 cache_limit_bytes()
+
+
+class TestNewFolder:
+    def test_appears_whole_in_place_of_the_old(self, tmp_path):
+        path = tmp_path / "folder"
+        for text in ("old", "new"):
+            with new_folder(path) as partial:
+                (partial / text).write_text(text)
+                assert not (path / text).exists()
+        assert [file.name for file in path.iterdir()] == ["new"]
+        assert path.stat().st_mode & 0o777 == 0o755
+
+    def test_a_fault_leaves_the_old_one_and_nothing_else(self, tmp_path):
+        path = tmp_path / "folder"
+        path.mkdir()
+        with pytest.raises(FileNotFoundError), new_folder(path) as partial:
+            (partial / "absent" / "half").write_text("")
+        assert [entry.name for entry in tmp_path.rglob("*")] == ["folder"]

@@ -1,0 +1,179 @@
+"""What a hypothesis costs in a city of a million buildings, beside the same views of its core alone.
+
+Views whose whole field of view meets the ground inside the core show the same in both cities: every
+count must agree, and any difference in time is the price of the buildings that are not seen. Views to
+the horizon show more of the larger city, and are reported apart.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.bench.figures import Progress, no_progress
+from lodbench.bench.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
+from lodbench.bench.opening import open_apart
+from lodbench.bench.scale_report import ScaleReport, ScaleTimings
+from lodbench.bench.silhouettes import SilhouetteOptions, Swarm, make_swarm
+from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene_file import read_scene
+from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.geometry import Camera
+from lodbench.rendering.engine_store import arrays_folder
+from lodbench.rendering.silhouette import SilhouetteRenderer
+
+Floats = NDArray[np.float64]
+
+STEEP_DEG = (20.0, 60.0)
+HORIZON_DEG = (60.0, 75.0)
+# Views aim near the middle, or few would keep their footprint within the core.
+_AIM_M = (-150.0, -150.0, 150.0, 150.0)
+_MAX_DRAWS_PER_VIEW = 50
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleOptions:
+    """What to measure.
+
+    Attributes:
+        buildings: Of the large city, of which the first 1,000 are the core.
+        num_views: Seeded views of each kind: footprint inside the core, and to the horizon.
+        hypotheses: Around each view.
+        horizon_hypotheses: Around each view to the horizon, which shows a good part of the whole city.
+        repeats: Passes over each view, the cities in turn; the fastest counts.
+        seed: Of city, views and hypotheses.
+    """
+
+    buildings: int = 1_000_000
+    num_views: int = 10
+    hypotheses: int = 400
+    horizon_hypotheses: int = 13
+    repeats: int = 3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.buildings < TILE_BUILDINGS:
+            raise ConfigError(f"buildings={self.buildings}: the core alone has {TILE_BUILDINGS}.")
+        if min(self.num_views, self.hypotheses, self.horizon_hypotheses, self.repeats) < 1:
+            raise ConfigError("num_views, hypotheses, horizon_hypotheses and repeats are at least 1.")
+
+
+def measure_scale(options: ScaleOptions | None = None, progress: Progress = no_progress) -> ScaleReport:
+    """Returns what a large city costs: to open, on disk, and per hypothesis beside its core.
+
+    The large city is made and stored in the cache when it is not there.
+
+    Args:
+        options: What to measure.
+        progress: Called after each tile made, then after each view.
+
+    Raises:
+        DatasetError: Hardly any view keeps its footprint within the core.
+        OSError: The cache cannot be written.
+    """
+    options = options or ScaleOptions()
+    started = time.perf_counter()
+    folder = open_grown_city(options.buildings, options.seed, progress)
+    # Lays the scene out for the engine and stores that too, unless it is there.
+    whole = SilhouetteRenderer(read_scene(folder), 1)
+    making = time.perf_counter() - started
+    opening = open_apart(folder)
+    core = SilhouetteRenderer(grown_city(TILE_BUILDINGS, options.seed), 1)
+    camera = RGB_CAMERA.scaled(*FINE_SIZE)
+    inside, rejections = swarms_inside(core, camera, options)
+    few = replace(options, hypotheses=options.horizon_hypotheses)
+    horizon = _swarms(core, camera, few, HORIZON_DEG, options.num_views)[0]
+    timings = []
+    for name, swarms in (("footprint in the core", inside), ("to the horizon", horizon)):
+        timings.append(_time_views(name, core, whole, camera, swarms, options.repeats, progress))
+    return ScaleReport(
+        buildings=options.buildings,
+        triangles=len(whole.scene.triangles),
+        hypotheses=options.hypotheses,
+        horizon_hypotheses=options.horizon_hypotheses,
+        making_s=making,
+        disk_mb=_size_mb(folder) + _size_mb(arrays_folder(whole.scene)),
+        opening=opening,
+        rejections=rejections,
+        timings=tuple(timings),
+    )
+
+
+def swarms_inside(core: SilhouetteRenderer, camera: Camera, options: ScaleOptions) -> tuple[list[Swarm], int]:
+    """Returns views whose hypotheses all see ground of the core only, and how many draws were rejected.
+
+    Raises:
+        DatasetError: Hardly any do.
+    """
+    count = options.num_views
+    while count <= options.num_views * _MAX_DRAWS_PER_VIEW:
+        swarms, rejections = _swarms(core, camera, options, STEEP_DEG, count)
+        kept = [i for i, swarm in enumerate(swarms) if is_inside(core.scene, camera, swarm)]
+        if len(kept) >= options.num_views:
+            last = kept[options.num_views - 1]
+            return [swarms[i] for i in kept[: options.num_views]], rejections + last + 1 - options.num_views
+        count *= 2
+    raise DatasetError("Hardly any view keeps its whole footprint within the core.")
+
+
+def is_inside(core: Scene, camera: Camera, swarm: Swarm) -> bool:
+    """Tells whether all that a swarm's hypotheses see of the ground, z = 0, lies within a city's extent."""
+    x = (np.array([0, camera.width, camera.width, 0]) - camera.cx) / camera.fx
+    y = (np.array([0, 0, camera.height, camera.height]) - camera.cy) / camera.fy
+    rays = np.stack([x, y, np.ones(4)], axis=1) @ swarm.rotations
+    if (rays[:, :, 2] >= 0).any():
+        return False
+    ground = swarm.centers[:, None] - rays * swarm.centers[:, None, 2:] / rays[:, :, 2:]
+    low, high = core.extent_m
+    seen = np.concatenate([ground[:, :, :2].reshape(-1, 2), swarm.centers[:, :2]])
+    return bool((seen > low[:2]).all() and (seen < high[:2]).all())
+
+
+def _swarms(
+    core: SilhouetteRenderer,
+    camera: Camera,
+    options: ScaleOptions,
+    pitch_deg: tuple[float, float],
+    count: int,
+) -> tuple[list[Swarm], int]:
+    sampling = ViewSampling(pitch_deg=pitch_deg, area_m=_AIM_M, seed=options.seed)
+    views = sample_views(core.scene, core, camera, sampling, count, "scale", int(pitch_deg[0]))
+    asked = SilhouetteOptions(hypotheses=options.hypotheses, seed=options.seed)
+    return [make_swarm(pose, i, asked) for i, pose in enumerate(views.poses)], views.rejections
+
+
+def _time_views(
+    name: str,
+    core: SilhouetteRenderer,
+    whole: SilhouetteRenderer,
+    camera: Camera,
+    swarms: list[Swarm],
+    repeats: int,
+    progress: Progress,
+) -> ScaleTimings:
+    """Times both cities on the same views, in turns, and compares their counts."""
+    microseconds = np.full((2, len(swarms)), np.inf)
+    different = 0
+    for i, swarm in enumerate(swarms):
+        mask = core.render(camera, swarm.pose)
+        for _ in range(repeats):
+            counts = []
+            for k, engine in enumerate((core, whole)):
+                started = time.perf_counter()
+                counts.append(engine.score(camera, swarm.rotations, swarm.centers, mask))
+                taken = (time.perf_counter() - started) / len(swarm.centers) * 1e6
+                microseconds[k, i] = min(microseconds[k, i], taken)
+        different += int(
+            ((counts[0].intersection != counts[1].intersection) | (counts[0].union != counts[1].union)).sum()
+        )
+        progress(i + 1, len(swarms))
+    return ScaleTimings(name, tuple(microseconds[0]), tuple(microseconds[1]), different)
+
+
+def _size_mb(folder: Path) -> float:
+    return sum(file.stat().st_size for file in folder.glob("*")) / 1e6

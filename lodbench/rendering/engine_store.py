@@ -1,0 +1,69 @@
+"""The engine's arrays of large scenes, kept on disk: laid out once, and mapped ever after."""
+
+from __future__ import annotations
+
+import logging
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from lodbench.citymodel.scene import Scene
+from lodbench.rendering import engine_arrays, engine_layout, selection, topology
+from lodbench.rendering.engine_arrays import SceneArrays
+from lodbench.storage import digest_of, file_digest, new_folder
+from lodbench.storage.paths import cache_limit_bytes, cache_root
+from lodbench.storage.pruning import mark_used, prune_cache
+
+_LOGGER = logging.getLogger(__name__)
+
+# Fewer triangles are laid out in a second or two: not worth their place on disk.
+_STORED_FROM_TRIANGLES = 500_000
+
+
+def open_arrays(scene: Scene) -> SceneArrays:
+    """Returns a scene laid out for the kernel, mapped from the cache where that is worth it.
+
+    Only scenes that are themselves mapped from disk are kept: their digest is known without reading
+    them. A cache that cannot be written costs nothing but the time.
+    """
+    if not scene.stored_digest or len(scene.triangles) < _STORED_FROM_TRIANGLES:
+        return engine_layout.scene_arrays(scene)
+    folder = arrays_folder(scene)
+    try:
+        arrays = _read(folder)
+        mark_used(folder)
+        return arrays
+    except (OSError, ValueError, EOFError):
+        pass  # not there, or damaged: made anew
+    arrays = engine_layout.scene_arrays(scene)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with new_folder(folder) as partial:
+            for name, array in arrays._asdict().items():
+                np.save(partial / f"{name}.npy", array, allow_pickle=False)
+        prune_cache(folder.parent, cache_limit_bytes(), keep=folder)
+        return _read(folder)
+    except OSError as error:
+        _LOGGER.info("The engine's cache %s cannot be written: %s", folder.parent, error)
+        return arrays
+
+
+def arrays_folder(scene: Scene) -> Path:
+    """Returns where the arrays of a scene that is mapped from disk are kept."""
+    return cache_root() / "engine" / digest_of([scene.stored_digest, _code_digest()], length=24)
+
+
+def _read(folder: Path) -> SceneArrays:
+    mapped = (
+        np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False) for name in SceneArrays._fields
+    )
+    # As plain arrays: compiled code is chosen by type, and a memmap is another.
+    return SceneArrays(*(np.asarray(array) for array in mapped))
+
+
+@cache
+def _code_digest() -> str:
+    """Returns a digest of the code that lays scenes out: no version number has to be remembered."""
+    modules = (engine_arrays, engine_layout, selection, topology)
+    return digest_of([file_digest(Path(str(module.__file__))) for module in modules])
