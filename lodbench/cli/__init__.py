@@ -20,6 +20,10 @@ COMMANDS = {
         "lodbench.cli.render",
         "draw a city from given poses: silhouette, depth, label, colour, overlay",
     ),
+    "generate-training-data": (
+        "lodbench.cli.generate_training_data",
+        "picture a city from many places, with masks and poses, to train on",
+    ),
     "city": ("lodbench.cli.city", "look into a city model: info, check; write it in another format: convert"),
     "dataset": ("lodbench.cli.dataset", "write the demo dataset to a folder"),
     "bench": (
@@ -83,6 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         report_fault(LodbenchError(reason, "Check the path, its permissions and the free space."))
         return 2
     except KeyboardInterrupt:
-        again = " The same command again goes on from here." if words[0] in ("run", "basin") else ""
+        is_resumed = words[0] in ("run", "basin", "generate-training-data")
+        again = " The same command again goes on from here." if is_resumed else ""
         sys.stderr.write(f"\nlodbench: stopped.{again}\n")
         return 130

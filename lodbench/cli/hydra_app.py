@@ -30,6 +30,9 @@ PATH_KEYS = frozenset(
         "images",
         "out",
         "data",
+        "texture_model",
+        "props",
+        "terrain",
         "paths.runs",
         "paths.data_root",
     }

@@ -3,10 +3,10 @@
 ::
 
     ROOT/                       or one such folder per split: ROOT/in_place, ROOT/out_of_place, ...
-        GT_pose.txt             name qw qx qy qz tx ty tz, world to camera
+        GT_pose.txt             name qw qx qy qz tx ty tz, world to camera (or poses.txt)
         GPS_pose.txt            the priors, likewise
         intrinsic.txt           name PINHOLE W H fx fy cx cy
-        Query_image/            the photos (optional)
+        Query_image/            the photos (optional; or images/)
         masks/                  building masks, 255 = building (optional)
 """
 
@@ -23,6 +23,8 @@ from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, Pose
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
+# What training data calls the same: nothing there was measured on the ground.
+RENDERED_TRUTH_FILE, RENDERED_IMAGES = "poses.txt", "images"
 _LAYOUT_HINT = (
     f"A dataset folder holds {TRUTH_FILE}, {PRIOR_FILE} and {CAMERA_FILE}, or such folders as splits."
 )
@@ -61,7 +63,7 @@ def open_folder(params: FolderParams) -> Dataset:
         raise DatasetError(f"{root} is not a folder.", "Set dataset.root=FOLDER.")
     if city is not None and not city.exists():
         raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
-    folders = [root] if (root / TRUTH_FILE).is_file() else _split_folders(root)
+    folders = [root] if _truth_file(root) else _split_folders(root)
     names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]
     parts = [_read_split(folder, name) for folder, name in zip(folders, names, strict=True)]
     return Dataset(
@@ -95,18 +97,19 @@ def select_splits(dataset: Dataset, wanted: Sequence[str]) -> tuple[str, ...]:
 
 
 def _split_folders(root: Path) -> list[Path]:
-    folders = sorted(child for child in root.iterdir() if (child / TRUTH_FILE).is_file())
+    folders = sorted(child for child in root.iterdir() if _truth_file(child))
     if not folders:
         raise DatasetError(f"{root} holds no {TRUTH_FILE}.", _LAYOUT_HINT)
     return folders
 
 
 def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose], list[str]]:
-    truth = read_poses(folder / TRUTH_FILE)
+    truth_file = _truth_file(folder) or folder / TRUTH_FILE
+    truth = read_poses(truth_file)
     priors = read_poses(folder / PRIOR_FILE)
     cameras = read_cameras(folder / CAMERA_FILE)
     if not truth:
-        raise DatasetError(f"{folder / TRUTH_FILE} holds no poses.", _LAYOUT_HINT)
+        raise DatasetError(f"{truth_file} holds no poses.", _LAYOUT_HINT)
     names = list(dict.fromkeys([*truth, *priors]))
     notes = [
         f"{split}: {name} has a camera but no pose"
@@ -123,10 +126,14 @@ def _entry(folder: Path, split: str, name: str, cameras: dict[str, Camera], prio
         split=split,
         camera=cameras.get(name),
         prior=priors.get(name),
-        image=_first_file(folder / "Query_image", [name]),
+        image=_first_file(folder / "Query_image", [name]) or _first_file(folder / RENDERED_IMAGES, [name]),
         # A mask is stored under the photo's name, or under its stem as PNG.
         mask=_first_file(folder / "masks", [name, Path(name).stem + ".png"]),
     )
+
+
+def _truth_file(folder: Path) -> Path | None:
+    return _first_file(folder, [TRUTH_FILE, RENDERED_TRUTH_FILE])
 
 
 def _first_file(folder: Path, names: list[str]) -> Path | None:

@@ -66,13 +66,13 @@ class RasterRenderer:
         def resolve(band: Band, buffer: Buffer) -> None:
             resolve_layers(self._mesh, self._appearance, center, band, buffer, planes)
 
-        self._draw(camera, pose, resolve)
+        self.draw_bands(camera, pose, resolve)
         return Layers(*planes)
 
     def depth(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing."""
         depth = np.empty((camera.height, camera.width), dtype=np.float32)
-        self._draw(camera, pose, lambda band, buffer: resolve_depth(band, buffer, depth))
+        self.draw_bands(camera, pose, lambda band, buffer: resolve_depth(band, buffer, depth))
         return depth
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
@@ -82,11 +82,11 @@ class RasterRenderer:
         def resolve(band: Band, buffer: Buffer) -> None:
             mask[:, band.first : band.stop] = buffer.winner[:, : band.height].T >= 0
 
-        self._draw(camera, pose, resolve)
+        self.draw_bands(camera, pose, resolve)
         return mask
 
-    def _draw(self, camera: Camera, pose: Pose, resolve: Callable[[Band, Buffer], None]) -> None:
-        """Draws a view band by band, and hands each to ``resolve``."""
+    def draw_bands(self, camera: Camera, pose: Pose, resolve: Callable[[Band, Buffer], None]) -> None:
+        """Draws a view band by band, 64 columns each, and hands each to ``resolve``; see ``Band``."""
         require_pinhole(camera)
         rotation, center = pose_arrays(pose)
         planes = view_planes(camera, 0, camera.width)

@@ -1,0 +1,54 @@
+"""`lodbench generate-training-data`: pictures, masks and poses of any city."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from omegaconf import DictConfig
+
+from lodbench.cli.hydra_app import plain, run_hydra, section, to_params
+from lodbench.cli.sources import profile_of
+from lodbench.rendering.photo import LookRanges
+from lodbench.training.generate import Generated, generate_training_data
+from lodbench.training.params import TrainingParams
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    return run_hydra("generate-training-data", "generate-training-data", task, argv)
+
+
+def task(config: DictConfig) -> None:
+    """Generates the set of one configuration."""
+    values = plain(config)
+    source = profile_of(values.pop("source"), values.get("crs"))
+    params = params_of(values)
+    params = params if params.lod else replace(params, lod=source.lod)
+    sys.stdout.write(report(generate_training_data(params, source.options)))
+
+
+def params_of(values: dict[str, Any]) -> TrainingParams:
+    """Returns the settings of a resolved configuration.
+
+    Raises:
+        ConfigError: A name is unknown, or a value of the wrong type or out of range.
+    """
+    look = to_params(section(values, "look"), LookRanges, "look")
+    return replace(
+        to_params({key: value for key, value in values.items() if key != "look"}, TrainingParams, ""),
+        look=look,
+    )
+
+
+def report(made: Generated) -> str:
+    """Returns what is said at the end."""
+    views = ", ".join(f"{count} {split}" for split, count in made.views.items())
+    resumed = f" ({made.resumed} were there already)" if made.resumed else ""
+    lines = [f"note: {note}" for note in made.notes]
+    lines += [f"views: {views}{resumed}"]
+    lines += [f"skipped: {count} {reason}" for reason, count in made.skipped.items()]
+    lines += [f"folder: {made.out}", f"sheet:  {made.out / 'overview.png'}"]
+    return "\n".join(lines) + "\n"

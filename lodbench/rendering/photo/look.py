@@ -1,0 +1,221 @@
+"""The look of one picture: sun, air, season, surfaces and camera, drawn from seeded ranges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import ConfigError
+
+Range = tuple[float, float]
+Triple = tuple[float, float, float]
+
+# What a value of a range may be; others are shares, 0 to 1.
+_LIMITS: dict[str, Range] = {
+    "sun_elevation_deg": (5.0, 90.0),
+    "sun_azimuth_deg": (-360.0, 360.0),
+    "sun_warmth": (-1.0, 1.0),
+    "haze_range_m": (200.0, 1e6),
+    "exposure": (0.2, 4.0),
+    "contrast": (0.3, 3.0),
+    "saturation": (0.0, 3.0),
+    "white_balance": (-0.5, 0.5),
+    "blur_px": (0.0, 10.0),
+    "noise": (0.0, 0.2),
+    "jpeg_quality": (5.0, 100.0),
+    "storey_m": (2.0, 6.0),
+    "window_spacing_m": (1.2, 10.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LookRanges:
+    """From what the look of a picture is drawn: each value uniform between two bounds, ends included.
+
+    Attributes:
+        sun_elevation_deg: Height of the sun above the horizon.
+        sun_azimuth_deg: Where it stands, clockwise from grid north.
+        sun_share: Share of the light that comes from the sun: 0 an overcast sky without shadows.
+        sun_warmth: Colour of the sun, -1 bluish to 1 orange.
+        haze_range_m: Distance at which two thirds of the contrast are lost.
+        sky_white: How white the sky is at the zenith, 0 deep blue to 1 overcast.
+        dryness: Grass and leaves from green, 0, to straw, 1.
+        texture: Strength of the patterns on all surfaces.
+        tint_jitter: How far an object's base colour strays, share of full brightness.
+        dirt: Strength of stains on walls, roofs and roads.
+        windows: Share of facades that have windows.
+        window_light: How light window panes are.
+        storey_m: Height of a storey.
+        window_spacing_m: Distance between window axes.
+        skylights: Share of places on pitched roofs taken by skylights and solar panels.
+        roof_units: Share of places on flat roofs taken by machines and hatches.
+        exposure: Factor of the brightness.
+        contrast: Power of the tone curve around middle grey.
+        saturation: Of colours, 0 grey.
+        white_balance: Red against blue.
+        vignette: Darkening of the corners.
+        blur_px: Standard deviation of the lens, pixels.
+        noise: Standard deviation of the sensor at middle grey, share of white.
+        jpeg_quality: Of the file, where it is a JPEG.
+
+    Raises:
+        ConfigError: A range is not ascending, or out of bounds.
+    """
+
+    sun_elevation_deg: Range = (20.0, 68.0)
+    sun_azimuth_deg: Range = (-180.0, 180.0)
+    sun_share: Range = (0.25, 0.85)
+    sun_warmth: Range = (-0.1, 0.5)
+    haze_range_m: Range = (1200.0, 9000.0)
+    sky_white: Range = (0.1, 0.9)
+    dryness: Range = (0.0, 0.8)
+    texture: Range = (0.6, 1.3)
+    tint_jitter: Range = (0.02, 0.14)
+    dirt: Range = (0.1, 0.9)
+    windows: Range = (0.7, 1.0)
+    window_light: Range = (0.0, 0.5)
+    storey_m: Range = (2.7, 3.6)
+    window_spacing_m: Range = (2.0, 3.8)
+    skylights: Range = (0.0, 0.14)
+    roof_units: Range = (0.0, 0.3)
+    exposure: Range = (0.75, 1.3)
+    contrast: Range = (0.9, 1.25)
+    saturation: Range = (0.6, 1.2)
+    white_balance: Range = (-0.08, 0.08)
+    vignette: Range = (0.0, 0.25)
+    blur_px: Range = (0.0, 0.9)
+    noise: Range = (0.002, 0.025)
+    jpeg_quality: Range = (78.0, 97.0)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            low, high = getattr(self, field.name)
+            least, most = _LIMITS.get(field.name, (0.0, 1.5))
+            if not least <= low <= high <= most:
+                raise ConfigError(
+                    f"look.{field.name} is [{low:g}, {high:g}], not an ascending range within "
+                    f"{least:g} to {most:g}."
+                )
+
+
+def _fixed(**values: float) -> LookRanges:
+    return LookRanges(**{name: (value, value) for name, value in values.items()})
+
+
+# A clear noon without sensor faults: what a picture looks like when nothing is drawn.
+PLAIN_LOOK = _fixed(
+    sun_elevation_deg=50.0,
+    sun_azimuth_deg=-135.0,
+    sun_share=0.7,
+    sun_warmth=0.15,
+    haze_range_m=6000.0,
+    sky_white=0.35,
+    dryness=0.3,
+    texture=1.0,
+    tint_jitter=0.05,
+    dirt=0.4,
+    windows=1.0,
+    window_light=0.15,
+    storey_m=3.1,
+    window_spacing_m=2.8,
+    skylights=0.05,
+    roof_units=0.12,
+    exposure=1.0,
+    contrast=1.05,
+    saturation=0.9,
+    white_balance=0.0,
+    vignette=0.05,
+    blur_px=0.35,
+    noise=0.004,
+    jpeg_quality=95.0,
+)
+
+
+class Look(NamedTuple):
+    """The look of one picture, for the kernel; see ``LookRanges`` for what is not explained here.
+
+    Attributes:
+        sun: Unit vector towards the sun, world axes.
+        sun_rgb: Its light, linear.
+        sky_rgb: Light of the whole sky on level ground, linear.
+        haze_rgb: Colour of far air, linear.
+        zenith_rgb: Colour of the sky straight up, linear.
+        haze_per_m: Share of contrast lost per metre.
+        seed: Of patterns and of objects' colours.
+    """
+
+    sun: Triple
+    sun_rgb: Triple
+    sky_rgb: Triple
+    haze_rgb: Triple
+    zenith_rgb: Triple
+    haze_per_m: float
+    dryness: float
+    texture: float
+    tint_jitter: float
+    dirt: float
+    windows: float
+    window_light: float
+    storey_m: float
+    window_spacing_m: float
+    skylights: float
+    roof_units: float
+    seed: int
+
+
+class Development(NamedTuple):
+    """How light becomes a picture file; see ``LookRanges``."""
+
+    exposure: float
+    contrast: float
+    saturation: float
+    white_balance: float
+    vignette: float
+    blur_px: float
+    noise: float
+    jpeg_quality: int
+    seed: int
+
+
+def draw_look(ranges: LookRanges, generator: np.random.Generator) -> tuple[Look, Development]:
+    """Returns a look drawn from ranges; always as many draws, so that one range changes nothing else."""
+    names = [field.name for field in fields(ranges)]
+    drawn = {name: float(generator.uniform(*getattr(ranges, name))) for name in names}
+    seeds = generator.integers(1 << 30, size=2)
+    elevation, azimuth = math.radians(drawn["sun_elevation_deg"]), math.radians(drawn["sun_azimuth_deg"])
+    level = math.cos(elevation)
+    sun = np.array([level * math.sin(azimuth), level * math.cos(azimuth), math.sin(elevation)])
+    # A low sun is weaker and redder; together with the sky it lights level ground about alike.
+    warmth = drawn["sun_warmth"] + 0.5 * max(0.0, 0.45 - math.sin(elevation))
+    sun_colour = np.array([1.0 + 0.22 * warmth, 1.0, 1.0 - 0.38 * warmth])
+    share, white = drawn["sun_share"], drawn["sky_white"]
+    sun_rgb = sun_colour * share * 1.15 / max(0.45, math.sin(elevation))
+    blue, grey = np.array([0.75, 0.95, 1.3]), np.ones(3)
+    sky_rgb = (1.05 - share) * (white * grey + (1.0 - white) * blue)
+    brightness = 0.55 + 0.35 * share
+    haze_rgb = brightness * (
+        white * np.array([0.92, 0.94, 0.96]) + (1 - white) * np.array([0.66, 0.78, 0.94])
+    )
+    zenith = brightness * (white * np.array([0.8, 0.84, 0.9]) + (1 - white) * np.array([0.16, 0.33, 0.72]))
+    light = Look(
+        sun=_triple(sun),
+        sun_rgb=_triple(sun_rgb),
+        sky_rgb=_triple(sky_rgb),
+        haze_rgb=_triple(haze_rgb),
+        zenith_rgb=_triple(zenith),
+        haze_per_m=1.0 / drawn["haze_range_m"],
+        seed=int(seeds[0]),
+        **{name: drawn[name] for name in Look._fields[6:-1]},
+    )
+    camera = {name: drawn[name] for name in Development._fields[:-2]}
+    quality = round(drawn["jpeg_quality"])
+    return light, Development(**camera, jpeg_quality=quality, seed=int(seeds[1]))
+
+
+def _triple(values: NDArray[np.float64]) -> Triple:
+    # Not an array: the kernel would count references to it at every pixel.
+    return float(values[0]), float(values[1]), float(values[2])
