@@ -15,6 +15,7 @@ COMMANDS = {
     "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
     "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),
+    "report": ("lodbench.cli.report", "write one HTML page of a run: tables, figures, pictures, every query"),
     "leaderboard": ("lodbench.cli.leaderboard", "add a verified run; build the CSV, Markdown and LaTeX"),
     "render": (
         "lodbench.cli.render",

@@ -9,10 +9,11 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from lodbench.cli.hydra_app import plain, run_hydra, section, to_params
+from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
 from lodbench.cli.run import data_identity, dataset_opener, with_source
+from lodbench.errors import LodbenchError
 from lodbench.harness.artefacts import summary_of, write_artefacts
-from lodbench.harness.evaluate import EvaluateSettings, evaluate_poses
+from lodbench.harness.evaluate import EvaluateSettings, draw_scored, evaluate_poses
 from lodbench.harness.result import Result
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_formats import format_text
@@ -62,6 +63,14 @@ def task(config: DictConfig) -> None:
     )
     result = evaluate_poses(dataset, settings)
     write_artefacts(result, OmegaConf.to_yaml(OmegaConf.create(result.config), sort_keys=True))
+    city = result.dataset.city_model
+    if city is not None and city.exists():
+        kind = load_plugin("segmenters", "masks")
+        try:
+            draw_scored(result, kind(kind.params_type()), settings.tilt)
+        except LodbenchError as fault:
+            # The table stands; only the pictures need the city.
+            sys.stderr.write(f"lodbench: no pictures: {fault.message}\n")
     sys.stdout.write(report(result))
 
 

@@ -31,7 +31,7 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("run", type=Path, metavar="RUN", help="run folder")
     add.add_argument("--map", default="", help="what the method localises against, for example 'LoD model'")
     add_path_options(add)
-    build = actions.add_parser("build", help="write CSV, Markdown and LaTeX from the entries")
+    build = actions.add_parser("build", help="write CSV, Markdown, LaTeX and pages from the entries")
     build.add_argument(
         "--check", action="store_true", help="write nothing; fail if a file is not what they make"
     )

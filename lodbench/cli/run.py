@@ -128,7 +128,7 @@ def run_config(values: dict[str, Any]) -> Run:
     )
     run = run_method(method, dataset, segmenter, settings)
     write_artefacts(run, OmegaConf.to_yaml(OmegaConf.create(config), sort_keys=True))
-    write_overlays(run)
+    write_overlays(run, run.preparation, run.scorer)
     return run
 
 

@@ -15,8 +15,12 @@ from lodbench.errors import ConfigError
 from lodbench.evaluation.pose_matching import match_poses, suspect_convention
 from lodbench.evaluation.rows import NO_TRUTH, QueryRow
 from lodbench.geometry import Pose
-from lodbench.harness.prepare import TILTS
+from lodbench.harness.city import open_city
+from lodbench.harness.gallery import write_overlays
+from lodbench.harness.prepare import TILTS, Preparation
 from lodbench.harness.result import Result, chosen_entries, errors_of, parts_of, pose_numbers, queries_digest
+from lodbench.rendering import make_renderer
+from lodbench.segmentation import Segmenter
 from lodbench.storage import digest_of
 
 NO_POSE = "no pose in the pose file"
@@ -81,6 +85,20 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
     rows = tuple(_row(entry, matched.poses.get(entry.key), dataset, settings.tilt) for entry in entries)
     told = replace(dataset, notes=dataset.notes + notes)
     return Result(folder, config, told, splits, rows, inputs, lod=None)
+
+
+def draw_scored(result: Result, segmenter: Segmenter, tilt: str) -> list[Path]:
+    """Draws the overlays of scored poses over the dataset's city; returns their files.
+
+    Raises:
+        CityModelError: The city cannot be read.
+    """
+    dataset = result.dataset
+    if dataset.city_model is None:
+        return []
+    city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
+    preparation = Preparation(dataset, city.scene, segmenter, tilt)
+    return write_overlays(result, preparation, make_renderer("silhouette", city.scene, None))
 
 
 def _method_name(settings: EvaluateSettings) -> str:

@@ -1,54 +1,68 @@
-"""The overlays of a run: its worst and its best queries."""
+"""The overlays of scored poses: the worst and the best queries."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
 from lodbench.evaluation.rows import QueryRow
-from lodbench.harness.run import Run
+from lodbench.harness.prepare import Preparation
+from lodbench.harness.result import Result
+from lodbench.rendering import Renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.segmentation import binary_mask
 
+# Pictures of each kind and split.
+COUNT = 3
 
-def write_overlays(run: Run, count: int = 3) -> list[Path]:
-    """Writes pictures of the ``count`` worst and best queries of each split; returns their files."""
-    folder = run.folder / "overlays"
+
+def write_overlays(result: Result, preparation: Preparation, renderer: Renderer) -> list[Path]:
+    """Writes pictures of the worst and best queries of each split; returns their files."""
+    folder = result.folder / "overlays"
     folder.mkdir(exist_ok=True)
-    entries = {entry.key: entry for entry in run.dataset.entries}
+    entries = {entry.key: entry for entry in result.dataset.entries}
     written = []
-    for split in run.splits:
-        rows = [row for row in run.rows if row.split == split and row.error is not None]
-        rows.sort(key=lambda row: (_translation(row), row.name))
-        best, worst = rows[:count], rows[max(count, len(rows) - count) :][::-1]
-        for kind, chosen in (("best", best), ("worst", worst)):
+    for split in result.splits:
+        for kind, chosen in chosen_rows(result.rows, split).items():
             for rank, row in enumerate(chosen, start=1):
                 entry = entries[row.key]
                 # A camera that cannot be drawn is that query's fault already.
                 if entry.camera is None or entry.camera.distortion:
                     continue
-                path = folder / f"{_file_name(f'{split}_{kind}_{rank}_{Path(row.name).stem}')}.png"
-                write_picture(path, draw_overlay(_shown(run, entry, row), run.scorer))
+                path = folder / overlay_name(split, kind, rank, row.name)
+                write_picture(path, draw_overlay(_shown(preparation, entry, row), renderer))
                 written.append(path)
     return written
+
+
+def chosen_rows(rows: Sequence[QueryRow], split: str, count: int = COUNT) -> dict[str, list[QueryRow]]:
+    """Returns the ``best`` and the ``worst`` queries of a split, most extreme first; no query is both."""
+    mine = [row for row in rows if row.split == split and row.error is not None]
+    mine.sort(key=lambda row: (_translation(row), row.name))
+    return {"best": mine[:count], "worst": mine[max(count, len(mine) - count) :][::-1]}
+
+
+def overlay_name(split: str, kind: str, rank: int, name: str) -> str:
+    """Returns the file name of an overlay."""
+    return re.sub(r"[^\w.-]+", "_", f"{split}_{kind}_{rank}_{Path(name).stem}") + ".png"
 
 
 def _translation(row: QueryRow) -> float:
     return math.inf if row.error is None else row.error.translation_m
 
 
-def _shown(run: Run, entry: Entry, row: QueryRow) -> OverlayInput:
+def _shown(preparation: Preparation, entry: Entry, row: QueryRow) -> OverlayInput:
     assert entry.camera is not None  # noqa: S101 - the caller has looked
-    preparation = run.preparation
     try:
         probability = preparation.segmenter.segment(entry)
         mask = binary_mask(probability, probability.shape[1], probability.shape[0])
     except QueryFault:
         mask = None
-    prior, truth = preparation.prior(entry), run.dataset.truth.get(entry.key)
+    prior, truth = preparation.prior(entry), preparation.dataset.truth.get(entry.key)
     return OverlayInput(
         camera=entry.camera,
         mask=mask,
@@ -71,7 +85,3 @@ def _caption(row: QueryRow) -> str:
         f"{row.key}: {error.translation_m:.2f} m, {error.rotation_deg:.2f} deg{score}"
         f" (prior {prior.translation_m:.1f} m, {prior.rotation_deg:.1f} deg)"
     )
-
-
-def _file_name(text: str) -> str:
-    return re.sub(r"[^\w.-]+", "_", text)

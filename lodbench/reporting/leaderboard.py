@@ -9,12 +9,14 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
+from lodbench.reporting.leaderboard_page import INDEX, dataset_page, index_page
 from lodbench.reporting.safe_text import csv_cell, plain_text
 from lodbench.reporting.table_formats import format_latex, format_markdown
 from lodbench.reporting.tables import (
@@ -58,14 +60,24 @@ def build_leaderboard(root: Path) -> dict[Path, str]:
     datasets: dict[str, list[Entry]] = {}
     for entry in read_entries(root):
         datasets.setdefault(slug(entry["dataset"]["name"]), []).append(entry)
-    texts = {}
+    if not datasets:
+        return {}
+    texts = {root / INDEX: index_page({name: _sources(entries) for name, entries in datasets.items()})}
     for name, entries in datasets.items():
         blocks = blocks_of(entries)
         tables = [_table(block) for block in blocks]
         texts[root / f"{name}.csv"] = format_leaderboard_csv(blocks)
         texts[root / f"{name}.md"] = f"# {name}\n\n" + "\n".join(map(format_markdown, tables))
         texts[root / f"{name}.tex"] = "\n".join(map(format_latex, tables))
+        files = [
+            path.relative_to(root).as_posix() for path in sorted((root / "entries" / name).glob("*.json"))
+        ]
+        texts[root / f"{name}.html"] = dataset_page(name, tables, files)
     return texts
+
+
+def _sources(entries: Sequence[Entry]) -> dict[str, int]:
+    return dict(Counter(entry["source"] for entry in entries))
 
 
 def blocks_of(entries: Sequence[Entry]) -> list[Block]:

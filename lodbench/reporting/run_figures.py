@@ -1,0 +1,161 @@
+"""Figures of one run: how its errors spread, where its cameras are, how its scores rose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.reporting.figures import SERIES, draw_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+PRIOR, ESTIMATE, TRUTH = SERIES[1], SERIES[0], "#222222"
+# Where a camera error stops mattering: beyond this it is just lost.
+_FURTHEST_M, _FURTHEST_DEG = 100.0, 180.0
+
+
+class ErrorSample(NamedTuple):
+    """Errors of one split: (N, 2) metres and degrees, failures being (inf, 180)."""
+
+    split: str
+    estimates: Floats
+    priors: Floats
+
+
+class Places(NamedTuple):
+    """Where cameras are, (N, 2) metres each in the same order; a row of NaN where there is none."""
+
+    priors: Floats
+    estimates: Floats
+    truths: Floats
+
+
+class Trace(NamedTuple):
+    """Best score after each step, by stage, of one query."""
+
+    name: str
+    stages: dict[str, tuple[float, ...]]
+
+
+def draw_error_curves(samples: Sequence[ErrorSample]) -> dict[str, bytes]:
+    """Returns the share of queries below each error, in metres and in degrees, prior and estimate."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(1, 2, sharey=True)
+        for axis, column, unit, furthest in zip(
+            axes, (0, 1), ("m", "deg"), (_FURTHEST_M, _FURTHEST_DEG), strict=True
+        ):
+            for style, sample in zip(("-", "--", ":", "-."), samples, strict=False):
+                for what, errors, colour in (
+                    ("estimate", sample.estimates, ESTIMATE),
+                    ("prior", sample.priors, PRIOR),
+                ):
+                    _draw_share(axis, errors[:, column], colour, style, f"{what}, {sample.split}")
+            axis.set_xscale("log")
+            axis.set(xlim=(0.01, furthest), ylim=(0, 101), xlabel=f"error below, {unit}")
+        axes[0].set_ylabel("queries, %")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+
+    return draw_figure(8.6, 3.4, draw)
+
+
+def _draw_share(axis: Axes, errors: Floats, colour: str, style: str, label: str) -> None:
+    # Failed queries count in the denominator and never show up on the left.
+    ordered = np.sort(errors[np.isfinite(errors)])
+    shares = 100.0 * np.arange(1, len(ordered) + 1) / max(1, len(errors))
+    axis.step(np.maximum(ordered, 1e-3), shares, where="post", color=colour, linestyle=style, label=label)
+
+
+def draw_top_view(
+    places: Places, vertices: Floats | None, triangles: NDArray[np.int32] | None
+) -> dict[str, bytes]:
+    """Returns the city from above with each camera's prior, estimate and truth.
+
+    Args:
+        places: The cameras.
+        vertices: (V, 2) the city's vertices from above, or None to leave the city out.
+        triangles: (T, 3) their indices.
+    """
+    everything = np.concatenate(places)
+    known = everything[np.isfinite(everything).all(axis=1)]
+    low, high = known.min(axis=0), known.max(axis=0)
+    margin = 0.08 * float((high - low).max()) + 20.0
+    width, height = high - low + 2 * margin
+    scale = 7.0 / max(width, height)
+
+    def draw(figure: Figure) -> None:
+        from matplotlib.collections import LineCollection, PolyCollection
+
+        axis = figure.subplots()
+        if vertices is not None and triangles is not None:
+            corners = vertices[triangles]
+            inside = ((corners.min(axis=1) < high + margin) & (corners.max(axis=1) > low - margin)).all(
+                axis=1
+            )
+            axis.add_collection(
+                PolyCollection(
+                    list(corners[inside]),
+                    facecolor="#d5d9de",
+                    edgecolor="#c2c7cd",
+                    linewidth=0.2,
+                    rasterized=True,
+                )
+            )
+        for start, colour in ((places.priors, PRIOR), (places.estimates, ESTIMATE)):
+            lines = np.stack([start, places.truths], axis=1)
+            lines = lines[np.isfinite(lines).all(axis=(1, 2))]
+            axis.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.7, alpha=0.7))
+        for points, colour, marker, size, name in (
+            (places.truths, TRUTH, "o", 14, "truth"),
+            (places.priors, PRIOR, "x", 14, "prior"),
+            (places.estimates, ESTIMATE, ".", 14, "estimate"),
+        ):
+            axis.scatter(
+                points[:, 0],
+                points[:, 1],
+                c=colour,
+                marker=marker,
+                s=size,
+                linewidths=0.8,
+                label=name,
+                zorder=3,
+            )
+        axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        axis.set(xlabel="east, m", ylabel="north, m", aspect="equal")
+        axis.ticklabel_format(useOffset=False, style="plain")
+        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+
+    return draw_figure(max(4.0, width * scale), max(3.0, height * scale), draw)
+
+
+def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:
+    """Returns the best score after each step of each query, all beams and the best of them."""
+    columns = min(3, len(traces))
+    rows = -(-len(traces) // columns)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+        for axis, trace in zip(axes, traces, strict=False):
+            stages = {name: scores for name, scores in trace.stages.items() if len(scores) > 1}
+            for number, (name, scores) in enumerate(
+                sorted(stages.items(), key=lambda item: "beam" not in item[0])
+            ):
+                is_beam = "beam" in name
+                colour = SERIES[number % len(SERIES)] if is_beam else TRUTH
+                style = {"linewidth": 1.2} if is_beam else {"linewidth": 0.8, "linestyle": ":"}
+                axis.plot(range(1, len(scores) + 1), scores, color=colour, label=name, **style)
+            axis.set_title(trace.name, fontsize=8)
+        for axis in axes[len(traces) :]:
+            axis.set_visible(False)
+        handles = axes[0].get_legend_handles_labels()
+        figure.legend(*handles, loc="outside upper center", ncols=4)
+        figure.supxlabel("step", fontsize=9)
+        figure.supylabel("score", fontsize=9)
+
+    return draw_figure(2.9 * columns + 0.3, 2.0 * rows + 0.4, draw)

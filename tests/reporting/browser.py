@@ -1,0 +1,57 @@
+"""A real headless Chromium for tests of pages."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+PHONE = {"width": 390, "height": 844}
+DESK = {"width": 1280, "height": 900}
+
+
+@contextmanager
+def opened(
+    page_file: Path, size: dict[str, int] = DESK, scheme: str = "light"
+) -> Iterator[tuple[Any, list[str]]]:
+    """Opens a page from disk without a network; yields it and everything it complains about."""
+    sync_api = pytest.importorskip("playwright.sync_api")
+    binary = next(filter(None, map(shutil.which, _NAMES)), None)
+    if binary is None:
+        pytest.skip("there is no Chromium on this machine (apt-get install chromium)")
+    complaints: list[str] = []
+    with sync_api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=binary, args=["--no-sandbox"])
+        page = browser.new_context(viewport=size, color_scheme=scheme, offline=True).new_page()
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda request: complaints.extend(_asked(request.url)))
+        page.goto(page_file.resolve().as_uri())
+        yield page, complaints
+        browser.close()
+
+
+def column_texts(page: Any, table: int, column: int) -> list[str]:
+    """Returns the cells of a column of a page's table, top to bottom."""
+    rows = page.locator("table").nth(table).locator("tbody tr")
+    texts = rows.evaluate_all("(all, c) => all.map(r => r.cells[c].innerText)", column)
+    return [str(text).strip() for text in texts]
+
+
+def press(page: Any, table: int, column: int) -> None:
+    """Presses the head of a column."""
+    page.locator("table").nth(table).locator("thead tr:last-child th").nth(column).locator("button").click()
+
+
+def fits(page: Any) -> bool:
+    """Tells whether nothing sticks out sideways."""
+    return bool(page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth"))
+
+
+def _asked(url: str) -> list[str]:
+    return [] if url.startswith(("file:", "data:")) else [f"asked for {url}"]

@@ -1,0 +1,58 @@
+"""The committed leaderboard pages in a real browser."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+
+from tests.reporting.browser import DESK, PHONE, column_texts, fits, opened, press
+
+ROOT = Path(__file__).resolve().parents[2] / "leaderboard"
+PAGE = ROOT / "uavd4l_lodv2.html"
+
+
+@pytest.mark.parametrize(("size", "scheme"), [(DESK, "light"), (PHONE, "dark")])
+def test_the_page_is_readable_and_quiet(size, scheme):
+    with opened(PAGE, size, scheme) as (page, complaints):
+        assert "1.13/044" in page.inner_text("main")
+        assert fits(page)
+        ink, paper = page.evaluate("(s => [s.color, s.backgroundColor])(getComputedStyle(document.body))")
+        assert brightness(ink) > 0.7 if scheme == "dark" else brightness(paper) > 0.9
+        assert abs(brightness(ink) - brightness(paper)) > 0.7
+        assert complaints == []
+
+
+def test_columns_sort_by_number_and_unknown_ones_stay_last():
+    with opened(PAGE) as (page, complaints):
+        before = column_texts(page, 0, 1)
+        press(page, 0, 1)
+        rising = column_texts(page, 0, 1)
+        assert rising == sorted(before, key=float)
+        press(page, 0, 1)
+        assert column_texts(page, 0, 1) == sorted(before, key=float, reverse=True)
+        press(page, 0, 4)
+        medians = column_texts(page, 0, 4)
+        known = [float(cell.split("/")[0]) for cell in medians if cell != "-"]
+        assert known == sorted(known)
+        assert medians[len(known) :] == ["-"] * (len(medians) - len(known))
+        press(page, 0, 0)
+        names = column_texts(page, 0, 0)
+        assert names == sorted(names, key=str.lower)
+        assert complaints == []
+
+
+def test_every_link_leads_somewhere():
+    for file in ROOT.glob("*.html"):
+        targets = re.findall(r'<a href="([^"#]+)', file.read_text(encoding="utf-8"))
+        assert targets
+        assert [t for t in targets if not (ROOT / unquote(unescape(t))).is_file()] == []
+
+
+def brightness(colour: str) -> float:
+    """Returns the mean of the channels of ``rgb(r, g, b)``, 0 to 1."""
+    channels = [float(word) for word in colour[colour.index("(") + 1 : -1].split(",")[:3]]
+    return sum(channels) / (3 * 255)
