@@ -1,4 +1,4 @@
-"""One building of the town, at two levels of detail."""
+"""One building of the town, at three levels of detail."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ Points = NDArray[np.float64]
 # LoD1 outlines are generalised: corners snap to this grid, and courtyards below this size are filled.
 LOD1_GRID_M = 0.5
 LOD1_COURTYARD_M2 = 120.0
-# LoD1 boxes end this share of the way from the eaves to the ridge.
+# LoD1 boxes end this share of the way from the eaves to the ridge, more or less.
 LOD1_HEIGHT_SHARE = 0.5
+LOD1_HEIGHT_SIGMA_M = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +33,7 @@ class Plan:
         roof: Its roof, heights above the base.
         function: ``residential``, ``commercial``, ``public``, ``church``, ``industrial``, ``garage``.
         district: Where in town it stands.
-        details: What only LoD2 shows.
+        details: Annexes and lift houses, which LoD2 shows, and dormers, which only LoD3 shows.
     """
 
     strip: Strip
@@ -49,14 +50,19 @@ class Building:
     Attributes:
         identifier: Unique and stable for a seed.
         plan: What it was built from.
-        lod1: A box over the generalised outline, from the ground to between eaves and ridge.
-        lod2: Walls, roof faces and details.
+        lod1: A box over the generalised outline, from the ground to between eaves and ridge, its
+            height as wrong as measured ones are.
+        lod2: Walls, roof faces, annexes and lift houses.
+        lod3: The same with eaves that stand out, dormers, windows and doors.
+        installations: Chimneys and balconies of LoD3, each a closed body of its own.
     """
 
     identifier: str
     plan: Plan
     lod1: Solid
     lod2: Solid
+    lod3: Solid
+    installations: tuple[Solid, ...]
 
 
 def pieces_of(plan: Plan) -> list[Points]:
@@ -66,16 +72,25 @@ def pieces_of(plan: Plan) -> list[Points]:
     return [*plan.strip.pieces, *[annex.plan(body) for annex in annexes if body is not None]]
 
 
-def erect(identifier: str, plan: Plan, terrain: Terrain) -> Building:
-    """Returns a building on the lowest ground under its outline: no side floats."""
-    base = float(terrain.height(np.concatenate(plan.strip.rings)).min())
-    base = round(base, 2)
-    body = Body(plan.strip, plan.roof, base)
-    for detail in plan.details:
-        detail.add_to(body)
+def base_of(plan: Plan, terrain: Terrain) -> float:
+    """Returns the height a building stands on: the lowest ground under its outline, so no side floats."""
+    return round(float(terrain.height(np.concatenate(plan.strip.rings)).min()), 2)
+
+
+def coarse_box(plan: Plan, base_m: float, height_error_m: float) -> Solid:
+    """Returns the LoD1 box of a plan, its height off by an error, at least 2 m high."""
     rise = plan.roof.ridge_m - plan.roof.eave_m
-    top = round(base + plan.roof.eave_m + LOD1_HEIGHT_SHARE * rise, 2)
-    return Building(identifier, plan, prism(_generalised(plan.strip.rings), base, top), body.builder.build())
+    height = max(plan.roof.eave_m + LOD1_HEIGHT_SHARE * rise + height_error_m, 2.0)
+    return prism(_generalised(plan.strip.rings), base_m, round(base_m + height, 2))
+
+
+def plain_body(plan: Plan, base_m: float) -> Solid:
+    """Returns the LoD2 solid of a plan."""
+    body = Body(plan.strip, plan.roof, base_m)
+    for detail in plan.details:
+        if not (isinstance(detail, RoofBox) and detail.is_dormer):
+            detail.add_to(body)
+    return body.builder.build()
 
 
 def _generalised(rings: list[Points]) -> list[Points]:

@@ -84,6 +84,11 @@ class RoofBox:
     depth_m: float
     rise_m: float = 0.0
 
+    @property
+    def is_dormer(self) -> bool:
+        """Whether it sits in a slope: only level of detail 3 shows it."""
+        return self.rise_m == 0.0
+
     def fits(self, body: Body) -> bool:
         """Returns whether it lies within its roof face, a margin from every edge."""
         face = self._corners(body)
@@ -107,7 +112,9 @@ class RoofBox:
         for k in range(4):
             m = (k + 1) % 4
             if foot[k] != top[k] or foot[m] != top[m]:
-                builder.face(SurfaceKind.WALL, [foot[k], foot[m], top[m], top[k]])
+                wall = builder.face(SurfaceKind.WALL, [foot[k], foot[m], top[m], top[k]])
+                if k == 0:
+                    body.dormers.append(wall)
 
     def _corners(self, body: Body) -> Points:
         """Returns the corners of the roof face, (N, 3), the lower edge first."""

@@ -11,19 +11,31 @@ class Roof:
     """The cross-section of a roof, and how its ends are closed.
 
     Attributes:
-        name: ``flat``, ``gabled``, ``hipped``, ``mansard``, ``pavilion`` or ``serrated``.
+        name: ``flat``, ``shed``, ``gabled``, ``hipped``, ``half-hipped``, ``mansard``, ``pavilion`` or
+            ``serrated``.
         profile: (share of the way across, height above the base in metres) from eave to eave.
         hips_m: How far the ridge stops short of the first and last end; 0 is a gable.
+        hip_from: At which share of the rise hips begin: 0 at the eaves, above that below them is a gable.
     """
 
     name: str
     profile: tuple[tuple[float, float], ...]
     hips_m: tuple[float, float] = (0.0, 0.0)
+    hip_from: float = 0.0
 
     @property
     def eave_m(self) -> float:
         """Lowest height of the roof above the base."""
         return min(height for _, height in self.profile)
+
+    def height_at(self, share: float) -> float:
+        """Returns the height above the base at a share of the way across, hips left aside."""
+        shares, heights = zip(*self.profile, strict=True)
+        for k in range(len(shares) - 1):
+            if share <= shares[k + 1]:
+                t = (share - shares[k]) / (shares[k + 1] - shares[k])
+                return float(heights[k] + t * (heights[k + 1] - heights[k]))
+        return float(heights[-1])
 
     @property
     def ridge_m(self) -> float:
@@ -50,6 +62,17 @@ def hipped(
     hip = min(depth_m / 2, length_m / 2)
     name = "pavilion" if all(ends) and length_m - 2 * hip < 0.05 else "hipped"
     return Roof(name, ridge.profile, (hip if ends[0] else 0.0, hip if ends[1] else 0.0))
+
+
+def half_hipped(roof: Roof, depth_m: float, hip_from: float = 0.55) -> Roof:
+    """Returns a gabled roof, its ridge in the middle, with both gables cut off near the top."""
+    hip = 0.45 * (1 - hip_from) * depth_m
+    return Roof("half-hipped", roof.profile, (hip, hip), hip_from)
+
+
+def shed(eave_m: float, pitch_deg: float, depth_m: float) -> Roof:
+    """Returns a roof of one slope that rises from the outer side."""
+    return Roof("shed", ((0.0, eave_m), (1.0, eave_m + depth_m * math.tan(math.radians(pitch_deg)))))
 
 
 def mansard(eave_m: float, depth_m: float) -> Roof:

@@ -19,10 +19,18 @@ class Face:
     """A planar polygon: rings of point indices, the outline first, then holes.
 
     Seen from outside the solid the outline runs counter-clockwise and holes clockwise.
+
+    Attributes:
+        kind: What it is part of.
+        rings: Its rings.
+        host: Of an opening, the number of the face whose hole it fills.
+        is_door: Whether an opening is a door, not a window.
     """
 
     kind: SurfaceKind
     rings: tuple[Ring, ...]
+    host: int | None = None
+    is_door: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +38,7 @@ class Solid:
     """A body bounded by faces.
 
     Attributes:
-        points: (P, 3) float64 local metres, rounded to millimetres.
+        points: (P, 3) float64 local metres, rounded to millimetres or tenths of them.
         faces: Its faces, normals outward.
     """
 
@@ -52,15 +60,27 @@ class Solid:
 
 @dataclass(slots=True)
 class SolidBuilder:
-    """Collects points and faces; equal points, to the millimetre, are one."""
+    """Collects points and faces; equal points, to the millimetre, are one.
 
+    Attributes:
+        per_metre: Steps that coordinates are rounded to. Walls with many windows need finer ones: where
+            the edges of windows line up their triangles are slivers, whose area a millimetre changes.
+    """
+
+    per_metre: int = 1000
     _index: dict[tuple[int, int, int], int] = field(default_factory=dict)
+    _points: list[tuple[int, int, int]] = field(default_factory=list)
     _faces: list[tuple[SurfaceKind, list[list[int]]]] = field(default_factory=list)
+    _openings: dict[int, tuple[int, bool]] = field(default_factory=dict)
 
     def point(self, x: float, y: float, z: float) -> int:
         """Returns the index of a point in local metres."""
-        key = (round(x * 1000), round(y * 1000), round(z * 1000))
-        return self._index.setdefault(key, len(self._index))
+        n = self.per_metre
+        key = (round(x * n), round(y * n), round(z * n))
+        number = self._index.setdefault(key, len(self._points))
+        if number == len(self._points):
+            self._points.append(key)
+        return number
 
     def points(self, plan: Points, height: float) -> list[int]:
         """Returns the indices of plan positions, (N, 2), at one height."""
@@ -68,7 +88,7 @@ class SolidBuilder:
 
     def position(self, index: int) -> Points:
         """Returns a point, (3,) local metres."""
-        return np.array(list(self._index)[index]) / 1000.0
+        return np.array(self._points[index]) / self.per_metre
 
     def face(self, kind: SurfaceKind, outline: Sequence[int], *holes: Sequence[int]) -> int:
         """Adds a face, leaving out corners that fell together, and returns its number."""
@@ -83,6 +103,11 @@ class SolidBuilder:
         """Cuts a hole into a face; the ring runs clockwise seen from outside."""
         self._faces[face][1].append(list(ring))
 
+    def add_opening(self, face: int, ring: Sequence[int], *, is_door: bool = False) -> None:
+        """Cuts a window or a door into a face; the ring runs counter-clockwise seen from outside."""
+        self.add_hole(face, ring[::-1])
+        self._openings[self.face(SurfaceKind.OPENING, ring)] = face, is_door
+
     def detour(self, face: int, start: int, end: int, way: Sequence[int]) -> None:
         """Leads the edge from ``start`` to ``end`` of a face's rings over other points."""
         for ring in self._faces[face][1]:
@@ -94,30 +119,36 @@ class SolidBuilder:
 
     def build(self) -> Solid:
         """Returns the solid."""
-        points = np.array(list(self._index), dtype=np.float64) / 1000.0
-        faces = tuple(Face(kind, tuple(tuple(ring) for ring in rings)) for kind, rings in self._faces)
-        return Solid(points, faces)
+        points = np.array(self._points, dtype=np.float64) / self.per_metre
+        faces = []
+        for number, (kind, rings) in enumerate(self._faces):
+            host, is_door = self._openings.get(number, (None, False))
+            faces.append(Face(kind, tuple(tuple(ring) for ring in rings), host, is_door))
+        return Solid(points, tuple(faces))
 
 
 def _without_repeats(ring: Sequence[int]) -> list[int]:
     return [point for k, point in enumerate(ring) if point != ring[k - 1]]
 
 
-def prism(rings: Sequence[Points], base_m: float, top_m: float) -> Solid:
+def prism(
+    rings: Sequence[Points], base_m: float, top_m: float, kind: SurfaceKind | None = None
+) -> Solid:
     """Returns a flat-roofed block.
 
     Args:
         rings: Plan rings, (N, 2): the outline counter-clockwise, then holes clockwise.
         base_m: Height of the ground face.
         top_m: Height of the roof face.
+        kind: What all its faces are; None for ground, walls and roof.
     """
     builder = SolidBuilder()
     low = [builder.points(ring, base_m) for ring in rings]
     high = [builder.points(ring, top_m) for ring in rings]
-    builder.face(SurfaceKind.GROUND, *[ring[::-1] for ring in low])
-    builder.face(SurfaceKind.ROOF, *high)
+    builder.face(kind or SurfaceKind.GROUND, *[ring[::-1] for ring in low])
+    builder.face(kind or SurfaceKind.ROOF, *high)
     for bottom, top in zip(low, high, strict=True):
         for k in range(len(bottom)):
             ahead = (k + 1) % len(bottom)
-            builder.face(SurfaceKind.WALL, [bottom[k], bottom[ahead], top[ahead], top[k]])
+            builder.face(kind or SurfaceKind.WALL, [bottom[k], bottom[ahead], top[ahead], top[k]])
     return builder.build()

@@ -1,26 +1,30 @@
 """The demo town: a made-up European town of some 900 buildings, the same for a seed everywhere.
 
 Order of work: streets cut the land into blocks, each block gets a district and plans, each plan is
-erected on the terrain at two levels of detail. Further levels and a relief hang on `Building` and
-`Terrain`.
+erected on the terrain beside its neighbours at three levels of detail.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lodbench.datasets.demo.building import Building, Plan, erect
+from lodbench.datasets.demo.building import Building, Plan, pieces_of
 from lodbench.datasets.demo.districts import build_up, building_line, district_of
+from lodbench.datasets.demo.erection import erect_all
 from lodbench.datasets.demo.landmarks import church, town_hall
+from lodbench.datasets.demo.looks import TEST, Look
+from lodbench.datasets.demo.occupancy import Occupancy, occupancy_of
 from lodbench.datasets.demo.streets import StreetPlan, draw_streets
 from lodbench.datasets.demo.terrain import Terrain
 from lodbench.storage import random_stream
 
 # Raise it whenever a seed gives another town, queries included: results of two versions do not compare.
-TOWN_VERSION = "1"
+TOWN_VERSION = "2"
 
 # The church stands on the first of the middle blocks that has room for it; block 0 is the market.
 _CHURCH_BLOCKS = range(1, 12)
+# No building stands farther out than this.
+_REACH_M = 640.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,36 +33,44 @@ class Town:
 
     Attributes:
         seed: What it grew from.
+        look: What it looks like.
         buildings: Its buildings, block by block from the middle outward.
         streets: Its street plan.
+        districts: District of each block of ``streets``.
         terrain: Its ground.
+        occupancy: Which building stands where.
     """
 
     seed: int
+    look: Look
     buildings: tuple[Building, ...]
     streets: StreetPlan
+    districts: tuple[str, ...]
     terrain: Terrain
+    occupancy: Occupancy
 
 
-def grow_town(seed: int) -> Town:
-    """Returns the town of a seed."""
-    streets = draw_streets(random_stream(seed, "demo", "streets"))
+def grow_town(seed: int, look: Look = TEST) -> Town:
+    """Returns the town of a seed and a look."""
+    streets = draw_streets(random_stream(seed, "demo", "streets"), look.rings)
     ground = random_stream(seed, "demo", "ground")
-    terrain = Terrain.draw(ground, -streets.to_river)
+    terrain = Terrain.draw(ground, streets.river, look.relief)
     blocks = _landmarks(seed, streets)
     estate_turn = float(ground.uniform(-1.2, 1.2))
-    for number, block in enumerate(streets.blocks):
-        district = district_of(block, streets.to_river, estate_turn)
+    districts = tuple(district_of(block, streets.to_river, estate_turn) for block in streets.blocks)
+    for number, (block, district) in enumerate(zip(streets.blocks, districts, strict=True)):
         ring = building_line(block, district)
         if number not in blocks and ring is not None:
             chances = random_stream(seed, "demo", "block", number)
             blocks[number] = build_up(number, ring, district, chances)
-    buildings = [
-        erect(f"DEMO_{number:03d}_{k:02d}", plan, terrain)
+    named = [
+        (f"DEMO_{number:03d}_{k:02d}", plan)
         for number in sorted(blocks)
         for k, plan in enumerate(blocks[number])
     ]
-    return Town(seed, tuple(buildings), streets, terrain)
+    occupancy = occupancy_of([pieces_of(plan) for _, plan in named], _REACH_M)
+    buildings = tuple(erect_all(named, seed, look, terrain, occupancy))
+    return Town(seed, look, buildings, streets, districts, terrain, occupancy)
 
 
 def _landmarks(seed: int, streets: StreetPlan) -> dict[int, list[Plan]]:
