@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,50 +15,75 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel import open_scene
-from lodbench.datasets.demo.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text
+from lodbench.datasets.demo.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text, fine_citygml_text
+from lodbench.datasets.demo.looks import look_named
+from lodbench.datasets.demo.props import demo_props
 from lodbench.datasets.demo.queries import QUERY_CAMERA, TARGET_IOU, DemoQuery, DemoSplit, make_splits
+from lodbench.datasets.demo.relief import ascii_grid_text, relief_text
 from lodbench.datasets.demo.town import TOWN_VERSION, Town, grow_town
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
+from lodbench.rendering.props import write_props
 from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.storage import digest_of, file_digest
 
 CITY_FILE = "town.gml"
+FINE_CITY_FILE = "town_lod3.gml"
+RELIEF_FILE = "relief.gml"
+TERRAIN_FILE = "terrain.asc"
+PROPS_FILE = "props.npz"
 MANIFEST_FILE = "demo.json"
 
 
-def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0) -> Path:
+def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0, look: str = "test") -> Path:
     """Builds the demo dataset in a folder, unless the same one is there already.
 
-    The folder holds ``town.gml``, ``demo.json`` and per split ``in_place`` and ``out_of_place``
-    the files ``GT_pose.txt``, ``GPS_pose.txt``, ``intrinsic.txt`` and ``masks/``. Poses are world
-    to camera in the absolute coordinates of the city file. All bytes follow from the seed.
+    The folder holds ``town.gml`` (LoD1 and LoD2), ``town_lod3.gml``, the ground as ``relief.gml``
+    (CityGML) and ``terrain.asc`` (raster), ``props.npz`` (what a photo shows), ``demo.json``, and per
+    split ``in_place`` and ``out_of_place`` the files ``GT_pose.txt``, ``GPS_pose.txt``,
+    ``intrinsic.txt`` and ``masks/``. Poses are world to camera in the absolute coordinates of the
+    city file. All bytes follow from the seed and the look.
 
     Args:
         root: The folder to create; its parents are made where missing.
         num_queries: Queries over both splits.
         seed: Seed of the town and everything in it.
+        look: ``test`` or ``train``.
 
     Returns:
         ``root``.
 
     Raises:
-        DatasetError: Fewer than two queries, or something else stands at ``root``.
+        DatasetError: Fewer than two queries, an unknown look, or something else stands at ``root``.
     """
     if num_queries < 2:
         raise DatasetError(f"The demo has two splits, so it needs at least 2 queries, not {num_queries}.")
-    asked = {"town_version": TOWN_VERSION, "seed": seed, "num_queries": num_queries}
+    asked = {
+        "town_version": TOWN_VERSION,
+        "look": look_named(look).name,
+        "seed": seed,
+        "num_queries": num_queries,
+    }
     if root.exists() and _is_same_demo(root, asked):
         return root
     root.parent.mkdir(parents=True, exist_ok=True)
     building = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".part", dir=root.parent))
     try:
-        _write_demo(building, num_queries, seed, asked)
+        _write_demo(building, asked)
         # mkdtemp makes folders private; a dataset is as readable as any other folder of the user.
         building.chmod(0o755)
         _move_into_place(building, root, asked)
     finally:
         shutil.rmtree(building, ignore_errors=True)
     return root
+
+
+@cache
+def generator_digest() -> str:
+    """Returns a digest of the code that makes the demo: another generator, another town."""
+    here = Path(__file__).parent
+    others = [here.parent / f"{name}.py" for name in ("views", "roughening", "mask_errors", "priors")]
+    return digest_of([file_digest(file) for file in [*sorted(here.glob("*.py")), *others]], length=8)
 
 
 def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
@@ -88,19 +115,32 @@ def _move_into_place(building: Path, root: Path, asked: dict[str, Any]) -> None:
             raise
 
 
-def _write_demo(folder: Path, num_queries: int, seed: int, asked: dict[str, Any]) -> None:
-    town = grow_town(seed)
-    city = folder / CITY_FILE
-    city.write_text(citygml_text(town), encoding="utf-8", newline="\n")
+def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
+    town = grow_town(asked["seed"], look_named(asked["look"]))
+    _write_town(folder, town)
     # The queries see the town as a reader does: through the file, in the frame it gives the scene.
-    scene = open_scene(city, lod="2")
+    scene = open_scene(folder / FINE_CITY_FILE, lod="3")
     renderer = SilhouetteRenderer(scene, threads=1)
-    splits = make_splits(town, scene, renderer, ORIGIN_M - scene.origin, num_queries)
+    splits = make_splits(town, scene, renderer, ORIGIN_M - scene.origin, asked["num_queries"])
     for split in splits:
         _write_split(folder / split.name, split, scene.origin)
     manifest = asked | _manifest(town, splits)
     text = json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False)
-    (folder / MANIFEST_FILE).write_text(text + "\n", encoding="utf-8", newline="\n")
+    _write_text(folder / MANIFEST_FILE, text + "\n")
+
+
+def _write_town(folder: Path, town: Town) -> None:
+    """Writes the city files, the ground, and the props."""
+    name = f"lodbench demo town, version {TOWN_VERSION}, look {town.look.name}, seed {town.seed}"
+    _write_text(folder / CITY_FILE, citygml_text(town))
+    _write_text(folder / FINE_CITY_FILE, fine_citygml_text(town))
+    _write_text(folder / RELIEF_FILE, relief_text(town.terrain, f"{name}: relief"))
+    _write_text(folder / TERRAIN_FILE, ascii_grid_text(town.terrain))
+    write_props(demo_props(town), folder / PROPS_FILE)
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")
 
 
 def _write_split(folder: Path, split: DemoSplit, origin: NDArray[np.float64]) -> None:
@@ -115,7 +155,7 @@ def _write_split(folder: Path, split: DemoSplit, origin: NDArray[np.float64]) ->
         "intrinsic.txt": [f"{q.name} {camera}" for q in split.queries],
     }
     for name, lines in files.items():
-        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+        _write_text(folder / name, "\n".join(lines) + "\n")
     for query in split.queries:
         (masks / query.name).write_bytes(_png(query))
 
@@ -137,13 +177,21 @@ def _png(query: DemoQuery) -> bytes:
 def _manifest(town: Town, splits: list[DemoSplit]) -> dict[str, Any]:
     """Returns what there is to know about the demo besides its files."""
     return {
-        "city": {"file": CITY_FILE, "crs": CRS_NAME, "buildings": len(town.buildings), "lods": ["1", "2"]},
+        "city": {
+            "files": {"1": CITY_FILE, "2": CITY_FILE, "3": FINE_CITY_FILE},
+            "crs": CRS_NAME,
+            "buildings": len(town.mapped),
+            "buildings_lod3": len(town.standing),
+            "changed_since": dict(sorted(Counter(building.age.value for building in town.buildings).items())),
+            "ground": {"relief": RELIEF_FILE, "raster": TERRAIN_FILE},
+        },
+        "props": PROPS_FILE,
         "frame": "world to camera, absolute coordinates of the CRS, metres",
         "splits": {
             split.name: {
                 "queries": len(split.queries),
                 "rejected_views": split.rejections,
-                "target_iou": TARGET_IOU[split.name],
+                "target_iou": list(TARGET_IOU[split.name]),
                 "mask_iou": {query.name: round(query.mask_iou, 6) for query in split.queries},
             }
             for split in splits

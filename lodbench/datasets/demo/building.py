@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,15 @@ LOD1_COURTYARD_M2 = 120.0
 # LoD1 boxes end this share of the way from the eaves to the ridge, more or less.
 LOD1_HEIGHT_SHARE = 0.5
 LOD1_HEIGHT_SIGMA_M = 0.5
+
+
+class Age(Enum):
+    """What happened to a building between the survey of the coarse map and the photos."""
+
+    KNOWN = "known"
+    NEW = "new"  # built since: LoD3 only
+    GONE = "gone"  # pulled down since: LoD1 and LoD2 only
+    RAISED = "raised"  # got storeys since: LoD1 and LoD2 are lower
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +60,7 @@ class Building:
     Attributes:
         identifier: Unique and stable for a seed.
         plan: What it was built from.
+        age: Whether the coarse map still tells the truth about it.
         lod1: A box over the generalised outline, from the ground to between eaves and ridge, its
             height as wrong as measured ones are.
         lod2: Walls, roof faces, annexes and lift houses.
@@ -59,6 +70,7 @@ class Building:
 
     identifier: str
     plan: Plan
+    age: Age
     lod1: Solid
     lod2: Solid
     lod3: Solid

@@ -66,27 +66,28 @@ _BOUNDARIES = {
 _DESCRIPTION = (
     "A made-up town; it lies nowhere. LoD1 boxes end about halfway between eaves and ridge, their outlines "
     "snap to half a metre and leave out annexes and small courtyards. LoD3 adds eaves, dormers, windows, "
-    "doors, chimneys and balconies."
+    "doors, chimneys and balconies, and was surveyed later: some buildings are new, gone or higher."
 )
 
 
 def citygml_text(town: Town) -> str:
     """Returns the file with LoD1 and LoD2: coordinates in `CRS_NAME`, metres with three decimals."""
-    return _city_text(town, [(b.lod1, b.lod2) for b in town.buildings], _coarse_geometry)
+    return _city_text(town, town.mapped, _coarse_geometry)
 
 
 def fine_citygml_text(town: Town) -> str:
     """Returns the file with LoD3, likewise."""
-    return _city_text(town, [(b.lod3, *b.installations) for b in town.buildings], _fine_geometry)
+    return _city_text(town, town.standing, _fine_geometry)
 
 
 def _city_text(
-    town: Town, solids: Sequence[Sequence[Solid]], geometry: Callable[[Building], Iterator[str]]
+    town: Town, buildings: Sequence[Building], geometry: Callable[[Building], Iterator[str]]
 ) -> str:
     name = f"lodbench demo town, version {TOWN_VERSION}, look {town.look.name}, seed {town.seed}"
-    points = np.concatenate([solid.points for some in solids for solid in some])
+    # One envelope for both files, so that readers give them one frame.
+    points = np.concatenate([solid.points for b in town.buildings for solid in (b.lod1, b.lod2, b.lod3)])
     lines = [*document_start(_NAMESPACES, name, _DESCRIPTION), *envelope(points)]
-    for building in town.buildings:
+    for building in buildings:
         lines.append("<cityObjectMember>")
         lines += _building(building, geometry)
         lines.append("</cityObjectMember>")

@@ -9,15 +9,15 @@ import numpy as np
 
 from lodbench.datasets.demo.building import (
     LOD1_HEIGHT_SIGMA_M,
+    Age,
     Building,
     Plan,
     base_of,
     coarse_box,
-    pieces_of,
     plain_body,
 )
 from lodbench.datasets.demo.details import Annex
-from lodbench.datasets.demo.fittings import chance
+from lodbench.datasets.demo.fittings import STOREY_M, chance
 from lodbench.datasets.demo.installations import balconies, chimneys
 from lodbench.datasets.demo.looks import Look
 from lodbench.datasets.demo.occupancy import Occupancy
@@ -30,6 +30,8 @@ from lodbench.storage import random_stream
 
 # How far roofs stand out over walls.
 _OVERHANG_M = (0.25, 0.6)
+# Shares of buildings that were built, pulled down, and raised by storeys since the coarse map was made.
+_NEW, _GONE, _RAISED = 0.05, 0.04, 0.08
 # Precision of LoD3 points.
 _PER_METRE = 10_000
 
@@ -74,9 +76,29 @@ def _erect(name: str, plan: Plan, place: Neighbourhood, seed: int) -> Building:
     base_m = base_of(plan, place.terrain)
     height_error = float(chances.normal(0.0, LOD1_HEIGHT_SIGMA_M))
     lod3, installations = _fine_body(plan, base_m, place, chances)
-    return Building(
-        name, plan, coarse_box(plan, base_m, height_error), plain_body(plan, base_m), lod3, installations
-    )
+    age, mapped = _as_mapped(name, plan, seed)
+    box, body = coarse_box(mapped, base_m, height_error), plain_body(mapped, base_m)
+    return Building(name, plan, age, box, body, lod3, installations)
+
+
+def _as_mapped(name: str, plan: Plan, seed: int) -> tuple[Age, Plan]:
+    """Returns what became of a building since the coarse map was made, and its plan back then."""
+    chances = random_stream(seed, "demo", name, "age")
+    draw, storeys = float(chances.random()), int(chances.integers(1, 3))
+    if plan.function in ("church", "public"):
+        return Age.KNOWN, plan
+    if draw < _NEW:
+        return Age.NEW, plan
+    if draw < _NEW + _GONE:
+        return Age.GONE, plan
+    lower_m = storeys * STOREY_M
+    if (
+        draw > _NEW + _GONE + _RAISED
+        or plan.roof.eave_m - lower_m < 2.4
+        or any(isinstance(detail, Annex) for detail in plan.details)
+    ):
+        return Age.KNOWN, plan
+    return Age.RAISED, replace(plan, roof=plan.roof.lowered(lower_m))
 
 
 def _fine_body(

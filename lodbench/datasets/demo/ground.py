@@ -50,7 +50,9 @@ def add_ground(pile: PropPile, town: Town) -> None:
         # The market square, the first block, is paved all over.
         if yard is not None and number > 0:
             kind = _YARDS[district]
-            tint = {SurfaceClass.GRASS: _pick(chances, town.look.grass), SurfaceClass.GROUND: _EARTH}.get(kind, _STONE)
+            tint = {SurfaceClass.GRASS: _pick(chances, town.look.grass), SurfaceClass.GROUND: _EARTH}.get(
+                kind, _STONE
+            )
             _drape(pile, town, kind, yard, _YARD_M, tint * float(chances.uniform(0.92, 1.08)))
     for street in town.streets.streets:
         _add_markings(pile, town, street)
@@ -80,14 +82,19 @@ def _add_land(pile: PropPile, town: Town) -> None:
         distance = np.linalg.norm(middles, axis=1)
         far = np.maximum(_NEAR_M, _FAR_SHARE * (distance - 500.0))
         close = town.terrain.river_distance(middles)
-        return np.minimum(far, np.maximum(_BANK_EDGE_M, np.maximum(0.4 * (close - 22.0), 0.02 * distance - 8.0)))
+        bank = np.maximum(_BANK_EDGE_M, np.maximum(0.4 * (close - 22.0), 0.02 * distance - 8.0))
+        return np.asarray(np.minimum(far, bank))
 
     points, triangles = refined(*filled(square), longest)
     middles = points[triangles].mean(axis=1)
     river = town.terrain.river_distance(middles)
     chances = random_stream(town.seed, "demo", "fields")
-    parcels = chances.uniform(-_LAND_M, _LAND_M, (_NUM_FIELDS, 2)) * chances.uniform(0.2, 1.0, (_NUM_FIELDS, 1))
-    colours = _FIELDS[chances.integers(len(_FIELDS), size=_NUM_FIELDS)] * chances.uniform(0.9, 1.1, (_NUM_FIELDS, 1))
+    parcels = chances.uniform(-_LAND_M, _LAND_M, (_NUM_FIELDS, 2)) * chances.uniform(
+        0.2, 1.0, (_NUM_FIELDS, 1)
+    )
+    colours = _FIELDS[chances.integers(len(_FIELDS), size=_NUM_FIELDS)] * chances.uniform(
+        0.9, 1.1, (_NUM_FIELDS, 1)
+    )
     tint = colours[_nearest(middles, parcels)]
     surface = np.full(len(middles), SurfaceClass.FIELD, np.uint8)
     meadow = river < 36.0
@@ -164,11 +171,13 @@ def _add_markings(pile: PropPile, town: Town, street: Street) -> None:
             bars.append(_bars(lane, at + 2.5, 5.0, 0.13))
         stripes = np.arange(-0.5 * width + 0.8, 0.5 * width - 0.8, 1.1)
         for end in (4.5, length - 4.5):
-            bars += [_bars(offset_line(street.line, float(off)), np.array([end]), 3.0, 0.5) for off in stripes]
+            bars += [
+                _bars(offset_line(street.line, float(off)), np.array([end]), 3.0, 0.5) for off in stripes
+            ]
     quads = np.concatenate(bars)
     points = on_ground(town, quads.reshape(-1, 2), _MARKING_M)
     first = 4 * np.arange(len(quads))[:, None]
-    triangles = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
+    triangles = np.concatenate([first + np.array(fan) for fan in ((0, 1, 2), (0, 2, 3))])
     pile.add(SurfaceClass.MARKING, points, triangles, _PAINT)
 
 

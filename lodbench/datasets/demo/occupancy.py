@@ -48,8 +48,8 @@ class Occupancy:
         ring = np.linspace(0, 2 * np.pi, 8, endpoint=False)
         free = self.at(points) == NOBODY
         for x, y in gap_m * np.stack([np.cos(ring), np.sin(ring)], axis=1):
-            free &= self.at(points + (x, y)) == NOBODY
-        return free
+            free &= self.at(points + np.array([x, y])) == NOBODY
+        return np.asarray(free)
 
 
 def occupancy_of(pieces: Sequence[Sequence[Points]], reach_m: float) -> Occupancy:

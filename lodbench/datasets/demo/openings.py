@@ -142,23 +142,26 @@ def _add_windows(
     if wall.length < 2 * _MARGIN_M + style.width:
         return []
     first = 0.5 * (wall.length - (count - 1) * style.spacing)
-    middles = first + style.spacing * np.arange(count)
+    middles = np.asarray(first + style.spacing * np.arange(count), dtype=np.float64)
     ground, annexed, walled = _outside(wall, middles, style.width, place)
     cut = []
-    storeys = max(1, int((wall.top - body.base_m - 0.4) / style.storey))
-    for storey in range(storeys):
+    for storey in range(max(1, int((wall.top - body.base_m - 0.4) / style.storey))):
         low = body.base_m + 0.3 + storey * style.storey + style.sill
-        high = low + style.height
-        if high > wall.top - 0.3:
+        if low + style.height > wall.top - 0.3:
             continue
         for u, ground_m, is_annexed, is_walled in zip(middles.tolist(), ground, annexed, walled, strict=True):
-            meets_door = door is not None and abs(u - door[0]) < 0.5 * (style.width + _DOOR_M[0]) + 0.2
-            if is_walled or low < ground_m + _ABOVE_GROUND_M or (meets_door and low < door[1] + _DOOR_M[1] + 0.3):  # type: ignore[index]
-                continue
-            if is_annexed and low < body.base_m + place.annex_m + 0.3:
-                continue
-            cut.append(_cut(body, wall, (u, low), (style.width, style.height)))
+            is_buried = low < ground_m + _ABOVE_GROUND_M
+            is_behind_annex = is_annexed and low < body.base_m + place.annex_m + 0.3
+            if not (is_walled or is_buried or is_behind_annex or _meets(door, u, low, style.width)):
+                cut.append(_cut(body, wall, (u, low), (style.width, style.height)))
     return cut
+
+
+def _meets(door: tuple[float, float] | None, u: float, low: float, width: float) -> bool:
+    """Returns whether a window at a place on a wall would touch the door in it."""
+    if door is None:
+        return False
+    return abs(u - door[0]) < 0.5 * (width + _DOOR_M[0]) + 0.2 and low < door[1] + _DOOR_M[1] + 0.3
 
 
 def _outside(
@@ -183,7 +186,9 @@ def _door_place(
     if wall.length < size[0] + 2 * _MARGIN_M:
         return None
     for share in (0.5, 0.3, 0.7):
-        u = float(np.clip(share * wall.length, 0.5 * size[0] + _MARGIN_M, wall.length - 0.5 * size[0] - _MARGIN_M))
+        u = float(
+            np.clip(share * wall.length, 0.5 * size[0] + _MARGIN_M, wall.length - 0.5 * size[0] - _MARGIN_M)
+        )
         ground, annexed, walled = _outside(wall, np.array([u]), size[0], place)
         low = max(base_m, ground[0]) + _STEP_M
         if not annexed[0] and not walled[0] and low + size[1] < wall.top - 0.15:

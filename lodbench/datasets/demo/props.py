@@ -29,12 +29,18 @@ _CLASSES = {
     SurfaceKind.GROUND: SurfaceClass.FLOOR,
     SurfaceKind.FLOOR: SurfaceClass.FLOOR,
 }
-_CHIMNEY, _RAILING, _GLASS, _WOOD, _SOFFIT = (142, 92, 76), (196, 196, 192), (58, 68, 78), (96, 70, 52), (206, 200, 188)
+_CHIMNEY, _RAILING, _GLASS, _WOOD, _SOFFIT = (
+    (142, 92, 76),
+    (196, 196, 192),
+    (58, 68, 78),
+    (96, 70, 52),
+    (206, 200, 188),
+)
 
 
 def demo_props(town: Town) -> SceneProps:
     """Returns what a photo of the town shows, in the frame of ``ORIGIN_M``."""
-    pile = PropPile(len(town.buildings))
+    pile = PropPile(len(town.standing))
     _add_buildings(pile, town)
     add_ground(pile, town)
     add_greenery(pile, town)
@@ -49,7 +55,7 @@ def _add_buildings(pile: PropPile, town: Town) -> None:
     polygon_rings: list[int] = []
     owners: list[int] = []
     surfaces: list[int] = []
-    for number, building in enumerate(town.buildings):
+    for number, building in enumerate(town.standing):
         for solid, part in _solids(building):
             for face in solid.faces:
                 for ring in face.rings:
@@ -67,10 +73,12 @@ def _add_buildings(pile: PropPile, town: Town) -> None:
         lod=np.zeros(len(owners), np.int16),
         kind=np.array(surfaces, np.uint8),
     )
-    names = tuple(building.identifier for building in town.buildings)
+    names = tuple(building.identifier for building in town.standing)
     result = triangulate(polygons, names, Findings())
     surface = polygons.kind[result.polygon]
-    surface = np.where(_is_flat_roof(polygons.points[result.triangles], surface), SurfaceClass.ROOF_FLAT, surface)
+    surface = np.where(
+        _is_flat_roof(polygons.points[result.triangles], surface), SurfaceClass.ROOF_FLAT, surface
+    )
     owner = polygons.building[result.polygon].astype(np.int64)
     colours = np.stack([_colours(town.look, town.seed, name) for name in names])
     tint = colours[owner, surface - SurfaceClass.WALL]

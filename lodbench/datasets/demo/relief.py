@@ -27,7 +27,7 @@ _NAMESPACES = {
 def ascii_grid_text(terrain: Terrain) -> str:
     """Returns ground heights at the middles of cells, north to south, metres with two decimals."""
     count = round(2 * REACH_M / GRID_CELL_M)
-    heights = _heights(terrain, -REACH_M + GRID_CELL_M * (np.arange(count) + 0.5))
+    heights = _heights(terrain, np.linspace(-REACH_M, REACH_M, 2 * count + 1)[1::2])
     header = [
         f"ncols {count}",
         f"nrows {count}",
@@ -42,11 +42,14 @@ def ascii_grid_text(terrain: Terrain) -> str:
 
 def relief_text(terrain: Terrain, name: str) -> str:
     """Returns a CityGML file with one relief feature: a triangulated irregular network in `CRS_NAME`."""
-    axis = np.arange(-REACH_M, REACH_M + 0.5 * TIN_STEP_M, TIN_STEP_M)
+    axis = np.arange(-REACH_M, REACH_M + 0.5 * TIN_STEP_M, TIN_STEP_M, dtype=np.float64)
     heights = _heights(terrain, axis)
     x, y = np.meshgrid(axis, axis)
     grid = np.stack([x, y, heights], axis=2)
-    lines = [*document_start(_NAMESPACES, name, "The ground of a made-up town."), *envelope(grid.reshape(-1, 3))]
+    lines = [
+        *document_start(_NAMESPACES, name, "The ground of a made-up town."),
+        *envelope(grid.reshape(-1, 3)),
+    ]
     lines += _relief_feature(grid)
     lines.append("</CityModel>\n")
     return "\n".join(lines)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +36,10 @@ class Roof:
                 t = (share - shares[k]) / (shares[k + 1] - shares[k])
                 return float(heights[k] + t * (heights[k + 1] - heights[k]))
         return float(heights[-1])
+
+    def lowered(self, by_m: float) -> Roof:
+        """Returns the same roof over lower walls."""
+        return replace(self, profile=tuple((share, height - by_m) for share, height in self.profile))
 
     @property
     def ridge_m(self) -> float:

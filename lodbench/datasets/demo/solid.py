@@ -131,9 +131,7 @@ def _without_repeats(ring: Sequence[int]) -> list[int]:
     return [point for k, point in enumerate(ring) if point != ring[k - 1]]
 
 
-def prism(
-    rings: Sequence[Points], base_m: float, top_m: float, kind: SurfaceKind | None = None
-) -> Solid:
+def prism(rings: Sequence[Points], base_m: float, top_m: float, kind: SurfaceKind | None = None) -> Solid:
     """Returns a flat-roofed block.
 
     Args:

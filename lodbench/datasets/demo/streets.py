@@ -134,9 +134,7 @@ class _Divider:
         reach = (ring - through) @ left_of(across)
         whole = through + np.outer([reach.min() - 1.0, reach.max() + 1.0], left_of(across))
         self.streets.append(Street(_clipped(whole, ring), float(width)))
-        return [
-            block for half in halves if len(half) >= 3 for block in self.divide(half, generation + 1)
-        ]
+        return [block for half in halves if len(half) >= 3 for block in self.divide(half, generation + 1)]
 
     def _street_normal(self, along: Points, through: Points) -> Points:
         """Returns the normal of a street that cuts land across its length, (2,) unit.

@@ -52,7 +52,7 @@ class Terrain:
         return cls(base, float(rise), dry.waves, river, round(lowest - _BANK_HEIGHT_M - 1.0, 2))
 
     def height(self, points: Points) -> Points:
-        """Returns the ground height, (N,) metres, at local positions, (N, 2); the river's bed in the river."""
+        """Returns the ground height, (N,) metres, at local positions, (N, 2); the river's is its bed's."""
         distance = self.river_distance(points)
         bank = self.water_m + _BANK_HEIGHT_M
         share = np.clip((distance - _BANK_M) / (_VALLEY_M - _BANK_M), 0.0, 1.0)

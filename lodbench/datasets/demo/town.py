@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lodbench.datasets.demo.building import Building, Plan, pieces_of
+from lodbench.datasets.demo.building import Age, Building, Plan, pieces_of
 from lodbench.datasets.demo.districts import build_up, building_line, district_of
 from lodbench.datasets.demo.erection import erect_all
 from lodbench.datasets.demo.landmarks import church, town_hall
@@ -34,7 +34,8 @@ class Town:
     Attributes:
         seed: What it grew from.
         look: What it looks like.
-        buildings: Its buildings, block by block from the middle outward.
+        buildings: Its buildings, those pulled down before the photos included, block by block from the
+            middle outward.
         streets: Its street plan.
         districts: District of each block of ``streets``.
         terrain: Its ground.
@@ -48,6 +49,16 @@ class Town:
     districts: tuple[str, ...]
     terrain: Terrain
     occupancy: Occupancy
+
+    @property
+    def standing(self) -> tuple[Building, ...]:
+        """Returns the buildings that photos show and LoD3 holds."""
+        return tuple(building for building in self.buildings if building.age is not Age.GONE)
+
+    @property
+    def mapped(self) -> tuple[Building, ...]:
+        """Returns the buildings that LoD1 and LoD2 hold."""
+        return tuple(building for building in self.buildings if building.age is not Age.NEW)
 
 
 def grow_town(seed: int, look: Look = TEST) -> Town:

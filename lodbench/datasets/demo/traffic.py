@@ -15,7 +15,15 @@ from lodbench.storage import random_stream
 Points = NDArray[np.float64]
 
 _PAINTS = np.array(
-    [(232, 232, 232), (60, 62, 66), (150, 152, 156), (34, 36, 40), (150, 40, 36), (46, 70, 118), (196, 190, 178)],
+    [
+        (232, 232, 232),
+        (60, 62, 66),
+        (150, 152, 156),
+        (34, 36, 40),
+        (150, 40, 36),
+        (46, 70, 118),
+        (196, 190, 178),
+    ],
     float,
 )
 _GLASS = (52.0, 60.0, 68.0)
@@ -24,7 +32,8 @@ _GLASS = (52.0, 60.0, 68.0)
 def add_cars(pile: PropPile, town: Town) -> None:
     """Adds cars to all streets wide enough for them."""
     chances = random_stream(town.seed, "demo", "cars")
-    places, ways = [], []
+    places: list[Points] = []
+    ways: list[Points] = []
     for street in town.streets.streets:
         width = street.width_m
         kerb = 0.5 * width - 1.2
@@ -51,16 +60,19 @@ def _add(pile: PropPile, town: Town, places: Points, ways: Points, chances: np.r
     """Adds cars at places, (N, 2), that point along unit ways, (N, 2)."""
     count = len(places)
     size = np.stack(
-        [chances.uniform(3.8, 4.9, count), chances.uniform(1.7, 1.9, count), chances.uniform(1.4, 1.75, count)], 1
+        [
+            chances.uniform(3.8, 4.9, count),
+            chances.uniform(1.7, 1.9, count),
+            chances.uniform(1.4, 1.75, count),
+        ],
+        1,
     )
     foot = on_ground(town, places, 0.0)
     shape, faces, is_glass = _shape()
     local = shape[None] * size[:, None, :]
     points = np.empty_like(local)
     points[:, :, :2] = (
-        foot[:, None, :2]
-        + local[:, :, :1] * ways[:, None, :]
-        + local[:, :, 1:2] * left_of(ways)[:, None, :]
+        foot[:, None, :2] + local[:, :, :1] * ways[:, None, :] + local[:, :, 1:2] * left_of(ways)[:, None, :]
     )
     # A car stands on the slope of its street.
     ahead = town.terrain.height(places + 2.0 * ways) - town.terrain.height(places - 2.0 * ways)
