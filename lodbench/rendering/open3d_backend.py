@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
@@ -42,20 +43,18 @@ class Open3dRenderer:
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose."""
-        return np.asarray(np.isfinite(self._cast(camera, pose)))
+        hits = self._caster.test_occlusions(self._rays(camera, pose), nthreads=self._threads)
+        return np.asarray(hits.numpy(), dtype=np.bool_)
 
     def depth(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing."""
-        hits = self._cast(camera, pose)
+        found = self._caster.cast_rays(self._rays(camera, pose), nthreads=self._threads)["t_hit"]
+        hits = np.asarray(found.numpy(), dtype=np.float32)
         return np.where(np.isfinite(hits), hits + np.float32(NEAR_M), np.float32(0))
 
-    def _cast(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
-        """Returns (H, W) depths beyond the near plane, metres; infinity where nothing is hit."""
+    def _rays(self, camera: Camera, pose: Pose) -> Any:
         require_pinhole(camera)
-        pose_arrays(pose)
-        rays = self._library.core.Tensor(pixel_rays(camera, pose))
-        hits = self._caster.cast_rays(rays, nthreads=self._threads)["t_hit"]
-        return np.asarray(hits.numpy(), dtype=np.float32)
+        return self._library.core.Tensor.from_numpy(pixel_rays(camera, pose))
 
 
 def pixel_rays(camera: Camera, pose: Pose) -> NDArray[np.float32]:
@@ -63,12 +62,23 @@ def pixel_rays(camera: Camera, pose: Pose) -> NDArray[np.float32]:
 
     Directions are 1 m long along the optical axis, not in space: so the ray's parameter is depth.
     """
+    rays = np.empty((camera.height, camera.width, 6), dtype=np.float32)
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    r = pose.rotation
-    # The transposed rotation, applied to (x, y, 1).
-    along = x[None, :, None] * r[0] + y[:, None, None] * r[1] + r[2]
-    return np.concatenate([pose.center + NEAR_M * along, along], axis=2).astype(np.float32)
+    _fill_rays(x, y, *pose_arrays(pose), rays)
+    return rays
+
+
+@njit(cache=True, nogil=True)
+def _fill_rays(x, y, r, center, rays):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Writes the rays through columns x and rows y, in camera axes at 1 m, of a pose."""
+    for i in range(y.shape[0]):
+        for j in range(x.shape[0]):
+            for k in range(3):
+                # The transposed rotation, applied to (x, y, 1).
+                along = x[j] * r[0, k] + y[i] * r[1, k] + r[2, k]
+                rays[i, j, k] = center[k] + NEAR_M * along
+                rays[i, j, 3 + k] = along
 
 
 def _import_open3d() -> Any:
