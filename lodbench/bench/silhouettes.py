@@ -2,8 +2,9 @@
 
 Hypotheses lie uniformly around each seeded view, within the ranges of the published priors, and
 keep the view's tilt, as a localisation method's do. Every renderer draws the same views and counts
-the overlap with the same mask. Renderers take turns at every view, so that a machine that is busy
-for a while is busy for all of them; of several passes over a view the fastest counts.
+the overlap with the same mask. Views that look to the horizon are timed apart. Renderers take turns at
+every view, so that a machine that is busy for a while is busy for all of them; of several passes over
+a view the fastest counts.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.bench.figures import Progress, no_progress
-from lodbench.bench.silhouette_report import SilhouetteReport, Timing
+from lodbench.bench.silhouette_report import HORIZON, STEEP, SilhouetteReport, Timing
 from lodbench.citymodel import Scene, open_scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
@@ -31,27 +32,32 @@ Floats = NDArray[np.float64]
 
 ENGINE = "silhouette"
 
+# Pitch of the views, degrees from nadir, by kind.
+PITCHES = {STEEP: (20.0, 60.0), HORIZON: (60.0, 75.0)}
+
 
 @dataclass(frozen=True, slots=True)
 class SilhouetteOptions:
     """What to measure.
 
     Attributes:
-        num_views: Seeded views over the city.
+        num_views: Seeded views over the city, pitch 20 to 60 degrees from nadir.
+        num_horizon: Views with pitch 60 to 75, at the first size; 0 for none.
         hypotheses: Hypotheses around each view.
         sizes: Widths and heights of the masks, pixels.
         threads: Thread counts of the engine; () for one thread and one per core.
         peers: Renderers to stand beside; one that is absent is reported as such.
         peer_hypotheses: Hypotheses around each view for peers, the first of ours: they are slow.
-        repeats: Passes over each view; the fastest counts.
+        repeats: Passes over each view, peers included; the fastest counts.
         seed: Seed of views and hypotheses.
     """
 
     num_views: int = 20
+    num_horizon: int = 10
     hypotheses: int = 2000
     sizes: tuple[tuple[int, int], ...] = (FINE_SIZE, (301, 224))
     threads: tuple[int, ...] = ()
-    peers: tuple[str, ...] = ("pyrender",)
+    peers: tuple[str, ...] = ("pyrender", "open3d")
     peer_hypotheses: int = 20
     repeats: int = 3
     seed: int = 0
@@ -59,6 +65,8 @@ class SilhouetteOptions:
     def __post_init__(self) -> None:
         if min(self.num_views, self.hypotheses, self.peer_hypotheses, self.repeats) < 1:
             raise ConfigError("num_views, hypotheses, peer_hypotheses and repeats are at least 1.")
+        if self.num_horizon < 0:
+            raise ConfigError(f"num_horizon={self.num_horizon} is not a number of views.")
         if not self.sizes or min((side for size in self.sizes for side in size), default=0) < 1:
             raise ConfigError(f"sizes are widths and heights in pixels, not {self.sizes}.")
         if any(count < 1 for count in self.threads):
@@ -116,23 +124,28 @@ def measure_silhouettes(
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     scene = open_scene(city)
     engine = make_renderer(ENGINE, scene, 1)
-    swarms, rejections = make_swarms(scene, engine, options)
+    sets = {kind: make_swarms(scene, engine, options, kind) for kind in _kinds(options)}
     contenders, absent = _contenders(scene, options)
-    done = 0
+    jobs = [
+        (kind, size) for kind in sets for size in options.sizes if kind == STEEP or size == options.sizes[0]
+    ]
+    total, done = sum(len(sets[kind][0]) for kind, _ in jobs), 0
 
     def step() -> None:
         nonlocal done
         done += 1
-        progress(done, len(options.sizes) * len(swarms))
+        progress(done, total)
 
     timings: list[Timing] = []
-    for size in options.sizes:
-        timings += _time_size(contenders, swarms, RGB_CAMERA.scaled(*size), options.repeats, step)
+    for kind, size in jobs:
+        camera = RGB_CAMERA.scaled(*size)
+        timings += _time_views(kind, contenders, sets[kind][0], camera, options.repeats, step)
     return SilhouetteReport(
         city=Path(city).name,
         num_triangles=len(scene.triangles),
         hypotheses=options.hypotheses,
-        rejections=rejections,
+        peer_hypotheses=options.peer_hypotheses,
+        rejections={kind: rejections for kind, (_, rejections) in sets.items()},
         cores=os.cpu_count() or 1,
         load=load,
         timings=tuple(timings),
@@ -140,11 +153,19 @@ def measure_silhouettes(
     )
 
 
-def make_swarms(scene: Scene, engine: Scorer, options: SilhouetteOptions) -> tuple[list[Swarm], int]:
-    """Returns seeded views with their hypotheses, and how many draws of views were rejected."""
+def _kinds(options: SilhouetteOptions) -> list[str]:
+    return [STEEP, HORIZON] if options.num_horizon else [STEEP]
+
+
+def make_swarms(
+    scene: Scene, engine: Scorer, options: SilhouetteOptions, kind: str = STEEP
+) -> tuple[list[Swarm], int]:
+    """Returns seeded views of a kind with their hypotheses, and how many draws of views were rejected."""
     camera = RGB_CAMERA.scaled(*FINE_SIZE)
-    sampling = ViewSampling(seed=options.seed)
-    views = sample_views(scene, engine, camera, sampling, options.num_views, "silhouettes")
+    sampling = ViewSampling(seed=options.seed, pitch_deg=PITCHES[kind])
+    count = options.num_views if kind == STEEP else options.num_horizon
+    names = ["silhouettes"] if kind == STEEP else ["silhouettes", kind]
+    views = sample_views(scene, engine, camera, sampling, count, *names)
     return [make_swarm(pose, i, options) for i, pose in enumerate(views.poses)], views.rejections
 
 
@@ -178,7 +199,8 @@ def _contenders(scene: Scene, options: SilhouetteOptions) -> tuple[list[Contende
     return contenders, absent
 
 
-def _time_size(
+def _time_views(
+    kind: str,
     contenders: list[Contender],
     swarms: list[Swarm],
     camera: Camera,
@@ -187,28 +209,40 @@ def _time_size(
 ) -> list[Timing]:
     """Times every contender on every view at one size; the first one makes the masks."""
     microseconds: list[list[float]] = [[] for _ in contenders]
+    busy: list[list[float]] = [[] for _ in contenders]
     different: list[list[float]] = [[] for _ in contenders]
     for swarm in swarms:
         mask = contenders[0].scorer.render(camera, swarm.pose)
         for i, contender in enumerate(contenders):
             different[i].append(float((contender.scorer.render(camera, swarm.pose) != mask).mean()))
-            microseconds[i].append(_best_pass(contender, camera, swarm, mask, repeats))
+            taken, cores = _best_pass(contender, camera, swarm, mask, repeats)
+            microseconds[i].append(taken)
+            busy[i].append(cores)
         step()
-    size = (camera.width, camera.height)
     return [
-        Timing(c.scorer.name, c.threads, size, tuple(times), float(np.mean(unlike)))
-        for c, times, unlike in zip(contenders, microseconds, different, strict=True)
+        Timing(
+            renderer=contender.scorer.name,
+            threads=contender.threads,
+            size=(camera.width, camera.height),
+            views=kind,
+            microseconds=tuple(microseconds[i]),
+            cores=float(np.mean(busy[i])),
+            different=float(np.mean(different[i])),
+        )
+        for i, contender in enumerate(contenders)
     ]
 
 
 def _best_pass(
     contender: Contender, camera: Camera, swarm: Swarm, mask: NDArray[np.bool_], repeats: int
-) -> float:
-    """Returns microseconds per hypothesis of the fastest pass over a view's first hypotheses."""
+) -> tuple[float, float]:
+    """Returns microseconds per hypothesis of the fastest pass over a view, and the cores it kept busy."""
     rotations, centers = swarm.rotations[: contender.count], swarm.centers[: contender.count]
-    seconds = []
+    passes = []
     for _ in range(repeats):
-        started = time.perf_counter()
+        # The whole process: a library's own threads count too.
+        started, worked = time.perf_counter(), time.process_time()
         contender.scorer.score(camera, rotations, centers, mask)
-        seconds.append(time.perf_counter() - started)
-    return min(seconds) / len(centers) * 1e6
+        seconds = time.perf_counter() - started
+        passes.append((seconds / len(centers) * 1e6, (time.process_time() - worked) / seconds))
+    return min(passes)

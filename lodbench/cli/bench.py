@@ -22,6 +22,7 @@ from lodbench.bench import (
     measure_scale,
     measure_silhouettes,
 )
+from lodbench.bench.silhouette_pictures import write_pictures
 from lodbench.execution import ProgressCallback
 
 
@@ -41,9 +42,16 @@ def main(argv: Sequence[str]) -> int:
 def _silhouettes(options: argparse.Namespace, steps: ProgressCallback) -> SilhouetteReport:
     peers = tuple(options.peers.split(",")) if options.peers else ()
     asked = SilhouetteOptions(
-        num_views=options.views, hypotheses=options.hypotheses, peers=peers, seed=options.seed
+        num_views=options.views,
+        num_horizon=options.horizon_views,
+        hypotheses=options.hypotheses,
+        peers=peers,
+        seed=options.seed,
     )
-    return measure_silhouettes(_city_file(options), asked, steps)
+    report = measure_silhouettes(_city_file(options), asked, steps)
+    if options.pictures is not None:
+        write_pictures(report, options.pictures)
+    return report
 
 
 def _scale(options: argparse.Namespace, steps: ProgressCallback) -> ScaleReport:
@@ -79,7 +87,13 @@ def _parser() -> argparse.ArgumentParser:
     speed = actions.add_parser("silhouettes", help="time per hypothesis, beside other renderers")
     speed.add_argument("--views", type=int, default=20, help="seeded views (20)")
     speed.add_argument("--hypotheses", type=int, default=2000, help="around each view (2000)")
-    speed.add_argument("--peers", default="pyrender", help="renderers to stand beside, comma-separated")
+    speed.add_argument(
+        "--horizon-views", type=int, default=10, help="with pitch 60 to 75, reported apart (10)"
+    )
+    speed.add_argument(
+        "--peers", default="pyrender,open3d", help="renderers to stand beside, comma-separated"
+    )
+    speed.add_argument("--pictures", type=Path, help="folder for pictures of how costs and ratios spread")
     scale = actions.add_parser(
         "scale", help="a city of a million buildings beside its core: cost per hypothesis, opening, memory"
     )

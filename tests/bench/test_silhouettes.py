@@ -1,18 +1,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from lodbench.bench import silhouettes
-from lodbench.bench.silhouette_report import SilhouetteReport, Timing
+from lodbench.bench.silhouette_pictures import write_pictures
+from lodbench.bench.silhouette_report import HORIZON, STEEP, SilhouetteReport, Timing
 from lodbench.bench.silhouettes import SilhouetteOptions, make_swarms, measure_silhouettes
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.rendering import make_renderer
 
-QUICK = SilhouetteOptions(num_views=2, hypotheses=6, threads=(1, 2), peers=(), repeats=1)
+QUICK = SilhouetteOptions(num_views=2, num_horizon=1, hypotheses=6, threads=(1, 2), peers=(), repeats=1)
 
 
 class TestSwarms:
@@ -32,20 +35,41 @@ class TestMeasure:
     def test_every_thread_count_and_size(self, city):
         steps = []
         report = measure_silhouettes(city, QUICK, lambda *step: steps.append(step))
-        assert [(t.threads, t.size) for t in report.timings] == [
-            (1, (602, 448)),
-            (2, (602, 448)),
-            (1, (301, 224)),
-            (2, (301, 224)),
+        assert [(t.threads, t.size, t.views) for t in report.timings] == [
+            (1, (602, 448), STEEP),
+            (2, (602, 448), STEEP),
+            (1, (301, 224), STEEP),
+            (2, (301, 224), STEEP),
+            (1, (602, 448), HORIZON),
+            (2, (602, 448), HORIZON),
         ]
-        assert all(len(t.microseconds) == 2 and min(t.microseconds) > 0 for t in report.timings)
-        assert all(t.different == 0 for t in report.timings)
-        assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
+        for t in report.timings:
+            assert len(t.microseconds) == (2 if t.views == STEEP else 1)
+            assert min(t.microseconds) > 0
+            assert 0 < t.cores < 8
+            assert t.different == 0
+        assert steps == [(n, 5) for n in range(1, 6)]
+
+    def test_views_are_of_their_kind(self, city):
+        scene = open_scene(city)
+        engine = make_renderer("silhouette", scene, 1)
+        options = SilhouetteOptions(num_views=3, num_horizon=4, hypotheses=2)
+        for kind, count, low, high in ((STEEP, 3, 20, 60), (HORIZON, 4, 60, 75)):
+            swarms, rejections = make_swarms(scene, engine, options, kind)
+            assert len(swarms) == count
+            assert rejections >= 0
+            assert all(low <= swarm.pose.euler.pitch_deg <= high for swarm in swarms)
+
+    def test_one_thread_is_one_core(self, city):
+        # More could hide in a library's own threads; less is what a busy machine leaves of one.
+        options = SilhouetteOptions(num_views=1, num_horizon=0, hypotheses=400, threads=(1,), peers=())
+        assert all(t.cores < 1.2 for t in measure_silhouettes(city, options).timings)
 
     def test_a_peer_stands_beside(self, city):
         # The reference shares no code with the engine and needs no library.
         options = SilhouetteOptions(
             num_views=1,
+            num_horizon=0,
             hypotheses=3,
             sizes=((64, 48),),
             threads=(1,),
@@ -56,7 +80,7 @@ class TestMeasure:
         figure = report.figures()[0]
         assert figure.peer == "reference"
         assert figure.ratio == pytest.approx(figure.peer_value / figure.value)
-        assert report.peers_at((64, 48))[0].different == 0
+        assert report.peers_of(report.ours[0])[0].different == 0
         assert "x reference" in report.to_text()
 
     def test_an_absent_peer_is_named_with_the_reason(self, city, monkeypatch):
@@ -67,7 +91,10 @@ class TestMeasure:
 
         monkeypatch.setattr(silhouettes, "make_renderer", without_peers)
         report = measure_silhouettes(
-            city, SilhouetteOptions(num_views=1, hypotheses=2, threads=(1,), repeats=1)
+            city,
+            SilhouetteOptions(
+                num_views=1, num_horizon=0, hypotheses=2, threads=(1,), repeats=1, peers=("pyrender",)
+            ),
         )
         assert "pyrender is absent: The pyrender back end cannot be imported." in report.to_text()
         figure = report.figures()[0]
@@ -76,17 +103,21 @@ class TestMeasure:
 
 
 class TestReport:
-    SIZE = (602, 448)
+    SIZE, HALF = (602, 448), (301, 224)
     REPORT = SilhouetteReport(
         "city.obj",
         45774,
         2000,
-        4,
+        20,
+        {STEEP: 4, HORIZON: 7},
         2,
         1.5,
         (
-            Timing("silhouette", 1, SIZE, (100.0, 300.0), 0.0),
-            Timing("pyrender", None, SIZE, (8000.0, 12000.0), 0.005),
+            Timing("silhouette", 1, SIZE, STEEP, (100.0, 300.0), 0.99, 0.0),
+            Timing("pyrender", None, SIZE, STEEP, (8000.0, 12000.0), 1.9, 0.005),
+            Timing("silhouette", 1, HALF, STEEP, (60.0, 100.0), 0.99, 0.0),
+            Timing("silhouette", 1, SIZE, HORIZON, (500.0,), 0.99, 0.0),
+            Timing("pyrender", None, SIZE, HORIZON, (9000.0,), 1.9, 0.01),
         ),
     )
 
@@ -99,14 +130,32 @@ class TestReport:
         figures = [f.to_json() for f in self.REPORT.figures()]
         json.dumps(figures, allow_nan=False)
         assert {"figure", "value", "unit", "peer", "peer_value", "ratio"} == set(figures[0])
-        assert figures[-1] == {
-            "figure": "views rejected",
-            "value": 4,
-            "unit": "",
-            "peer": "",
-            "peer_value": None,
-            "ratio": None,
-        }
+        rejected = {f["figure"]: f["value"] for f in figures[-2:]}
+        assert rejected == {"views rejected, pitch 20 to 60": 4, "views rejected, pitch 60 to 75": 7}
+        names = [f["figure"] for f in figures if not f["peer"]]
+        assert len(names) == len(set(names))
+
+    def test_views_to_the_horizon_stand_apart(self):
+        figure = self.REPORT.figures()[2]
+        assert figure.figure == "render and IoU, 602x448, pitch 60 to 75, silhouette, 1 thread"
+        assert (figure.value, figure.peer_value, figure.ratio) == (500.0, 9000.0, 18.0)
+
+    def test_the_smaller_size_beside_the_larger(self):
+        figure = self.REPORT.figures()[3]
+        assert figure.figure == "render and IoU, 301x224 beside 602x448, silhouette, 1 thread"
+        assert (figure.value, figure.peer_value, figure.ratio) == (80.0, 200.0, 2.5)
+        assert "301x224 takes 0.40 of the time of 602x448, 2.50x as fast" in self.REPORT.to_text()
+
+    def test_pictures(self, tmp_path):
+        files = write_pictures(self.REPORT, tmp_path / "new")
+        assert [file.name for file in files] == ["costs.png", "ratios.png"]
+        for file in files:
+            picture = cv2.imread(str(file))
+            assert picture.shape[0] > 400
+            assert picture.shape[1] > 900
+            assert 0.02 < (picture < 250).any(axis=2).mean() < 0.5
+        alone = replace(self.REPORT, timings=tuple(self.REPORT.ours))
+        assert [file.name for file in write_pictures(alone, tmp_path)] == ["costs.png"]
 
     def test_text(self):
         text = self.REPORT.to_text()
@@ -114,10 +163,19 @@ class TestReport:
         assert "45,774 triangles" in text
         assert "0.50% of pixels differ" in text
         assert "2 cores, load 1.5" in text
+        assert "2 views of pitch 20 to 60 deg (4 draws rejected)" in text
 
 
 @pytest.mark.parametrize(
-    "values", [{"num_views": 0}, {"repeats": 0}, {"sizes": ()}, {"sizes": ((0, 4),)}, {"threads": (0,)}]
+    "values",
+    [
+        {"num_views": 0},
+        {"num_horizon": -1},
+        {"repeats": 0},
+        {"sizes": ()},
+        {"sizes": ((0, 4),)},
+        {"threads": (0,)},
+    ],
 )
 def test_options_that_make_no_sense(values):
     with pytest.raises(ConfigError, match=next(iter(values))):
