@@ -26,7 +26,10 @@ COMMANDS = {
         "picture a city from many places, with masks and poses, to train on",
     ),
     "city": ("lodbench.cli.city", "look into a city model: info, check; write it in another format: convert"),
-    "dataset": ("lodbench.cli.dataset", "write the demo dataset to a folder"),
+    "dataset": (
+        "lodbench.cli.dataset",
+        "make a dataset of your own: init, import; write the demo: make-demo",
+    ),
     "bench": (
         "lodbench.cli.bench",
         "measure speed and accuracy beside other programs: silhouettes, accuracy, city",

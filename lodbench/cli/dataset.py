@@ -1,4 +1,4 @@
-"""`lodbench dataset make-demo DIR`: write the demo dataset where it can be looked at."""
+"""`lodbench dataset`: write the demo dataset, or one of your own photos and poses."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from lodbench.cli.dataset_own import add_own_actions
 
 
 def main(argv: Sequence[str]) -> int:
@@ -16,8 +18,14 @@ def main(argv: Sequence[str]) -> int:
     make.add_argument("folder", type=Path)
     make.add_argument("--num-queries", type=int, default=40)
     make.add_argument("--seed", type=int, default=0)
+    make.set_defaults(make=_make_demo)
+    add_own_actions(actions)
     options = parser.parse_args(argv)
+    code: int = options.make(options)
+    return code
 
+
+def _make_demo(options: argparse.Namespace) -> int:
     from lodbench.datasets.demo.build import CITY_FILE, build_demo
 
     root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed)

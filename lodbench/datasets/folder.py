@@ -8,6 +8,9 @@
         intrinsic.txt           name PINHOLE W H fx fy cx cy
         Query_image/            the photos (optional; or images/)
         masks/                  building masks, 255 = building (optional)
+        dataset.json            where it came from, and whether it has a truth and priors (optional)
+
+Truth and priors may be missing only where ``dataset.json`` says so: a misspelt file is an error.
 """
 
 from __future__ import annotations
@@ -17,12 +20,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.citymodel.options import ReadOptions
+from lodbench.datasets.exchange.posed import read_json
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, Pose
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
+ABOUT_FILE = "dataset.json"
 # What training data calls the same: nothing there was measured on the ground.
 RENDERED_TRUTH_FILE, RENDERED_IMAGES = "poses.txt", "images"
 _LAYOUT_HINT = (
@@ -63,7 +68,7 @@ def open_folder(params: FolderParams) -> Dataset:
         raise DatasetError(f"{root} is not a folder.", "Set dataset.root=FOLDER.")
     if city is not None and not city.exists():
         raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
-    folders = [root] if _truth_file(root) else _split_folders(root)
+    folders = [root] if _is_split(root) else _split_folders(root)
     names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]
     parts = [_read_split(folder, name) for folder, name in zip(folders, names, strict=True)]
     return Dataset(
@@ -97,18 +102,24 @@ def select_splits(dataset: Dataset, wanted: Sequence[str]) -> tuple[str, ...]:
 
 
 def _split_folders(root: Path) -> list[Path]:
-    folders = sorted(child for child in root.iterdir() if _truth_file(child))
+    folders = sorted(child for child in root.iterdir() if _is_split(child))
     if not folders:
         raise DatasetError(f"{root} holds no {TRUTH_FILE}.", _LAYOUT_HINT)
     return folders
 
 
+def _is_split(folder: Path) -> bool:
+    return _truth_file(folder) is not None or (folder / ABOUT_FILE).is_file()
+
+
 def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose], list[str]]:
+    about = read_json(folder / ABOUT_FILE) if (folder / ABOUT_FILE).is_file() else {}
+    has_truth, has_priors = about.get("truth") is not False, about.get("priors") is not False
     truth_file = _truth_file(folder) or folder / TRUTH_FILE
-    truth = read_poses(truth_file)
-    priors = read_poses(folder / PRIOR_FILE)
+    truth = read_poses(truth_file) if has_truth else {}
+    priors = read_poses(folder / PRIOR_FILE) if has_priors else {}
     cameras = read_cameras(folder / CAMERA_FILE)
-    if not truth:
+    if has_truth and not truth:
         raise DatasetError(f"{truth_file} holds no poses.", _LAYOUT_HINT)
     names = list(dict.fromkeys([*truth, *priors]))
     notes = [
@@ -116,6 +127,10 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
         for name in cameras
         if name not in truth and name not in priors
     ]
+    if not has_truth:
+        notes.append(f"{split}: there is no truth, so nothing is scored")
+    if not has_priors:
+        notes.append(f"{split}: there are no priors; prior=uniform draws them around the truth")
     entries = [_entry(folder, split, name, cameras, priors) for name in names]
     return entries, {f"{split}/{name}": pose for name, pose in truth.items()}, notes
 

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from lodbench.citymodel.cache import OpenCity, open_cached_city
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
 from lodbench.execution import ProgressCallback
+from lodbench.geometry import Pose
+
+# A camera further from the city's outline than this sees none of it.
+FURTHEST_M = 2000.0
 
 
 def open_city(path: Path, lod: str | None, options: ReadOptions, roof_height: str | None) -> OpenCity:
@@ -23,3 +30,15 @@ def open_city(path: Path, lod: str | None, options: ReadOptions, roof_height: st
     """
     with ProgressCallback(f"reading {path.name}", "MB", 1_000_000) as progress:
         return open_cached_city(path, lod=lod, options=options, roof_height=roof_height, progress=progress)
+
+
+def distance_outside_m(pose: Pose, scene: Scene) -> float:
+    """Returns how far outside the city's bounding rectangle a camera is, metres; 0 above the city.
+
+    Args:
+        pose: In the city's own coordinates.
+        scene: The city.
+    """
+    low, high = (corner + scene.origin for corner in scene.extent_m)
+    beside = np.maximum(np.maximum(low - pose.center, pose.center - high), 0.0)[:2]
+    return float(np.hypot(beside[0], beside[1]))

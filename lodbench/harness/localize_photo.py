@@ -16,21 +16,20 @@ from lodbench.datasets.map_frame import MapFrame, Place
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, datum_note, pose_at, pose_from_photo
+from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Entry
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError
 from lodbench.evaluation import PoseError, pose_error
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.city import open_city
+from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.localization import Estimate, Method
 from lodbench.localization.api import localize
 from lodbench.rendering import make_renderer
-from lodbench.reporting.overlays import OverlayInput, draw_overlay, read_photo, write_picture
+from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.segmentation import Segmenter, binary_mask, check_mask
 from lodbench.segmentation.masks import read_mask
 
-# A camera further from the city's outline than this sees none of it.
-_FURTHEST_M = 2000.0
 # Below this overlap of mask and model a pose is not to be trusted.
 _POOR_FIT = 0.5
 
@@ -141,7 +140,7 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     prior = _prior(request, photo, frame)
     _check_distance(prior, city.scene, request.photo.name)
     estimate = localize(city.scene, pinhole, prior, mask, method=request.method, seed=request.seed)
-    photo_pixels = read_photo(request.photo)
+    photo_pixels = read_picture(request.photo)
     shown = OverlayInput(
         camera=pinhole,
         mask=binary_mask(mask, mask.shape[1], mask.shape[0]),
@@ -219,10 +218,8 @@ def _check_distance(prior: Pose, scene: Scene, name: str) -> None:
     Raises:
         DatasetError: It is kilometres away from it.
     """
-    low, high = (corner + scene.origin for corner in scene.extent_m)
-    away = np.maximum(np.maximum(low - prior.center, prior.center - high), 0.0)[:2]
-    distance = float(np.hypot(*away))
-    if distance > _FURTHEST_M:
+    distance = distance_outside_m(prior, scene)
+    if distance > FURTHEST_M:
         raise DatasetError(
             f"By its position {name} was taken {distance / 1000:.1f} km outside the city model.",
             "Is it the right tile, and its reference system right? lodbench city info says where it is.",

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.pictures import read_picture
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import Renderer
 from lodbench.storage import write_bytes
@@ -93,27 +94,12 @@ def read_background(image: Path | Picture | None, camera: Camera) -> Picture:
     """Returns a photo at the camera's size, (H, W, 3) BGR; plain grey if it is none or unreadable."""
     import cv2
 
-    photo = read_photo(image) if isinstance(image, Path) else image
+    photo = read_picture(image) if isinstance(image, Path) else image
     if photo is None:
         # A picture must not cost the table: a photo that cannot be read leaves the ground grey.
         return np.full((camera.height, camera.width, 3), 58, dtype=np.uint8)
     resized = cv2.resize(photo, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     return np.asarray(resized, dtype=np.uint8)
-
-
-def read_photo(path: Path) -> Picture | None:
-    """Returns a photo's pixels as stored, (H, W, 3) BGR; None if it cannot be read or decoded."""
-    import cv2
-
-    try:
-        content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError:
-        return None
-    if len(content) == 0:
-        return None
-    # The intrinsics belong to the pixels as stored, so an EXIF turn is not applied.
-    photo = cv2.imdecode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    return None if photo is None else np.asarray(photo)
 
 
 def _caption(text: str, width: int) -> Picture:

@@ -1,0 +1,135 @@
+"""`lodbench dataset init` and `lodbench dataset import`: one's own photos and poses into a dataset folder."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
+from lodbench.cli.sources import load_profile
+
+if TYPE_CHECKING:
+    from lodbench.harness.own_dataset import OwnDataset
+
+_INIT_EPILOG = """\
+Photos state where they were taken (EXIF, DJI's XMP): that becomes the rough pose. With --colmap the model's
+poses become the truth; it must be in the city's coordinates, less an --offset. Lens distortion is undone.
+
+examples:
+  lodbench dataset init town --images flight1 --city LoD2_32_280_5657_1_NW.gml --masks masks
+  lodbench dataset init town --images flight1 --city city.gml --colmap sparse/0 --offset 280000 5657000 0
+"""
+_IMPORT_EPILOG = """\
+FORMAT: colmap (text or binary), kapture, nerfstudio, tum, lines (visuallocalization.net), c2w, or auto.
+The poses become the truth; kapture's and COLMAP's images without a pose are not part of it.
+
+examples:
+  lodbench dataset import colmap sparse/0 town --images images
+  lodbench dataset import tum poses.tum town --camera 'PINHOLE 4000 3000 2900 2900 2000 1500'
+"""
+
+
+def add_own_actions(actions: Any) -> None:
+    """Adds the two commands to those of ``lodbench dataset``."""
+    raw = argparse.RawDescriptionHelpFormatter
+    init = actions.add_parser(
+        "init", help="a dataset from your photos and a city model", epilog=_INIT_EPILOG, formatter_class=raw
+    )
+    init.add_argument("folder", type=Path, metavar="DIR", help="new folder")
+    init.add_argument(
+        "--images", type=Path, required=True, metavar="DIR", help="photos, as the drone stored them"
+    )
+    init.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
+    init.add_argument("--colmap", type=Path, metavar="MODEL", help="folder of a COLMAP model: the truth")
+    add_city_options(init)
+    _add_common_options(init)
+    init.set_defaults(make=_init)
+    imported = actions.add_parser(
+        "import", help="a dataset from another program's poses", epilog=_IMPORT_EPILOG, formatter_class=raw
+    )
+    imported.add_argument("format", metavar="FORMAT", help="see below")
+    imported.add_argument("poses", type=Path, metavar="SOURCE", help="file or folder in that format")
+    imported.add_argument("folder", type=Path, metavar="DIR", help="new folder")
+    imported.add_argument(
+        "--images", type=Path, metavar="DIR", help="photos; without it poses and cameras only"
+    )
+    imported.add_argument("--cameras", type=Path, metavar="FILE", help="cameras, as in intrinsic.txt")
+    imported.add_argument(
+        "--city", type=Path, metavar="FILE", help="city model: to check where the cameras are, and for priors"
+    )
+    add_city_options(imported)
+    _add_common_options(imported)
+    imported.set_defaults(make=_import)
+
+
+def _add_common_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--masks", type=Path, metavar="DIR", help="building masks of the photos, white = building"
+    )
+    parser.add_argument(
+        "--camera", metavar="'MODEL W H ...'", help="of all images: COLMAP's model and parameters"
+    )
+    parser.add_argument(
+        "--offset",
+        type=float,
+        nargs=3,
+        default=(0.0, 0.0, 0.0),
+        metavar=("E", "N", "UP"),
+        help="added to positions: what was taken off the city's coordinates",
+    )
+    add_height_options(parser)
+    parser.add_argument("--json", action="store_true", help="for machines")
+
+
+def _init(asked: argparse.Namespace) -> int:
+    return _make(asked, poses=asked.colmap, format="colmap")
+
+
+def _import(asked: argparse.Namespace) -> int:
+    aliases = {"visuallocalization": "lines"}
+    return _make(
+        asked, poses=asked.poses, format=aliases.get(asked.format, asked.format), cameras=asked.cameras
+    )
+
+
+def _make(asked: argparse.Namespace, **sources: Any) -> int:
+    from lodbench.harness.own_dataset import OwnRequest, make_own_dataset, to_json
+
+    profile = load_profile(asked.source, asked.option, asked.crs)
+    made = make_own_dataset(
+        OwnRequest(
+            folder=asked.folder,
+            photos=asked.images,
+            masks=asked.masks,
+            camera=given_camera(asked.camera),
+            offset_m=tuple(asked.offset),
+            city=asked.city,
+            lod=asked.lod or profile.lod,
+            options=profile.options,
+            heights=height_options(asked),
+            **sources,
+        )
+    )
+    text = json.dumps(to_json(made), indent=2, ensure_ascii=False) if asked.json else _describe(made, asked)
+    sys.stdout.write(text + "\n")
+    return 0
+
+
+def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
+    """Returns what was made, what was not, and the next command."""
+    written = made.written
+    lines = [
+        f"{written.folder}: {len(written.names)} images, {made.num_priors} with a prior, "
+        f"{'with' if made.has_truth else 'without'} truth, {written.undistorted} undistorted"
+    ]
+    lines += [f"  left out: {name}: {reason}" for name, reason in written.left_out]
+    lines += [f"  note: {note}" for note in made.notes]
+    city = asked.city or "FILE"
+    prior = "" if made.num_priors else " prior=uniform"
+    lines.append(
+        f"Next: lodbench run dataset=folder dataset.root={written.folder} dataset.city_model={city}{prior}"
+    )
+    return "\n".join(lines)

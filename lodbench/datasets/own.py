@@ -1,0 +1,210 @@
+"""Writing anybody's photos, poses and masks as a dataset folder whose cameras are pinholes."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from lodbench.datasets.folder import ABOUT_FILE, CAMERA_FILE, PRIOR_FILE, TRUTH_FILE
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
+from lodbench.datasets.undistort import pinhole_of, undistorted
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.geometry import Camera, Pose
+from lodbench.storage import write_bytes, write_text
+
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+_JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnImage:
+    """One image to put into a dataset.
+
+    Attributes:
+        name: As its source calls it; folders and spaces do not survive in a dataset.
+        camera: Of the photo as stored, lens distortion included.
+        prior: Rough pose in the city's coordinates, or None.
+        truth: True pose, or None.
+        photo: Its file, or None.
+        mask: Building mask of the photo as stored, or None.
+    """
+
+    name: str
+    camera: Camera
+    prior: Pose | None = None
+    truth: Pose | None = None
+    photo: Path | None = None
+    mask: Path | None = None
+
+    @property
+    def file_name(self) -> str:
+        """Returns its name in a dataset: without folders and spaces, which text poses cannot hold."""
+        return re.sub(r"\s+", "_", PurePosixPath(self.name).name)
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What was written, and what was not.
+
+    Attributes:
+        folder: The dataset.
+        names: Images in it.
+        undistorted: How many photos or masks were undistorted.
+        left_out: Name and reason of each image that is not in it.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    undistorted: int
+    left_out: tuple[tuple[str, str], ...]
+
+
+def find_photos(folder: Path) -> list[Path]:
+    """Returns the photos of a folder and all below it, by name; or the one photo a path names.
+
+    Raises:
+        DatasetError: There are none.
+    """
+    if folder.is_file():
+        return [folder]
+    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES)
+    if not found:
+        raise DatasetError(f"{folder} holds no photos.", f"Looked for {', '.join(PHOTO_SUFFIXES)} files.")
+    return found
+
+
+def find_mask(folder: Path | None, name: str) -> Path | None:
+    """Returns the mask of an image: a file of its name, or of its stem as PNG."""
+    if folder is None:
+        return None
+    base = PurePosixPath(name).name
+    candidates = [folder / name, folder / base, folder / f"{Path(base).stem}.png"]
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def require_new_folder(folder: Path) -> None:
+    """Makes sure that nothing is written over.
+
+    Raises:
+        ConfigError: The folder exists and is not empty, or is a file.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ConfigError(f"{folder} is there already.", "Name a new folder: nothing is written over.")
+
+
+def write_dataset(
+    images: Sequence[OwnImage],
+    folder: Path,
+    about: Mapping[str, Any],
+    advance: Callable[[], None] = lambda: None,
+    left_out: Sequence[tuple[str, str]] = (),
+) -> Written:
+    """Writes a dataset folder: poses, cameras, photos and masks, undistorted where a lens has distortion.
+
+    Args:
+        images: What goes in.
+        folder: A new or empty folder.
+        about: What ``dataset.json`` should keep of where it came from.
+        advance: Called after each image.
+        left_out: Name and reason of images that were left out before.
+
+    Raises:
+        LodbenchError: The folder is not empty, two images have one name, or none could be written.
+    """
+    require_new_folder(folder)
+    names = _dataset_names(images)
+    folder.mkdir(parents=True, exist_ok=True)
+    left_out = list(left_out)
+    kept: list[tuple[str, OwnImage, Camera]] = []
+    num_undistorted = 0
+    for name, image in zip(names, images, strict=True):
+        try:
+            pinhole = pinhole_of(image.camera)
+            num_undistorted += _write_pictures(folder, name, image, pinhole)
+            kept.append((name, image, pinhole))
+        except LodbenchError as fault:
+            left_out.append((image.name, fault.message))
+        advance()
+    if not kept:
+        name, reason = left_out[0] if left_out else ("", "there are no images")
+        raise DatasetError(f"No image could be used; the first is {name}: {reason}")
+    _write_texts(folder, kept, {**about, "left_out": dict(left_out)})
+    return Written(folder, tuple(name for name, _, _ in kept), num_undistorted, tuple(left_out))
+
+
+def _dataset_names(images: Sequence[OwnImage]) -> list[str]:
+    """Returns a name without folders and spaces for each image.
+
+    Raises:
+        DatasetError: Two images would have the same.
+    """
+    names = [image.file_name for image in images]
+    name, count = Counter(names).most_common(1)[0] if names else ("", 0)
+    if count > 1:
+        raise DatasetError(
+            f"{count} images are called {name}.", "Make a dataset of each folder, or rename the images."
+        )
+    return names
+
+
+def _write_pictures(folder: Path, name: str, image: OwnImage, pinhole: Camera) -> int:
+    """Writes an image's photo and mask; returns 1 if they were undistorted.
+
+    Raises:
+        DatasetError: The photo is unreadable or of another size than its camera, or the mask is unreadable.
+    """
+    is_straight = not image.camera.distortion
+    contents: dict[Path, bytes] = {}
+    if image.photo is not None:
+        header = read_photo_metadata(image.photo)
+        size = image.camera.width, image.camera.height
+        if (header.width, header.height) != size:
+            raise DatasetError(
+                f"the photo is {header.width} x {header.height}, its camera {size[0]} x {size[1]}"
+            )
+        target = folder / "Query_image" / name
+        contents[target] = (
+            image.photo.read_bytes() if is_straight else _encoded(image.photo, image.camera, pinhole, target)
+        )
+    if image.mask is not None:
+        target = folder / "masks" / f"{Path(name).stem}.png"
+        contents[target] = _encoded(image.mask, image.camera, pinhole, target)
+    for target, content in contents.items():
+        target.parent.mkdir(exist_ok=True)
+        write_bytes(target, content)
+    return int(bool(contents) and not is_straight)
+
+
+def _encoded(source: Path, camera: Camera, pinhole: Camera, target: Path) -> bytes:
+    import cv2
+
+    is_mask = target.parent.name == "masks"
+    picture = read_picture(source, as_stored=is_mask)
+    if picture is None:
+        raise DatasetError(f"{source} cannot be decoded")
+    options = [] if is_mask else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    encoded = cv2.imencode(target.suffix, undistorted(picture, camera, pinhole), options)[1]
+    return bytes(encoded.tobytes())
+
+
+def _write_texts(
+    folder: Path, kept: Sequence[tuple[str, OwnImage, Camera]], about: Mapping[str, Any]
+) -> None:
+    truth = [format_pose(name, image.truth) for name, image, _ in kept if image.truth is not None]
+    priors = [format_pose(name, image.prior) for name, image, _ in kept if image.prior is not None]
+    for file, lines in (
+        (TRUTH_FILE, truth),
+        (PRIOR_FILE, priors),
+        (CAMERA_FILE, [format_camera(name, pinhole) for name, _, pinhole in kept]),
+    ):
+        if lines:
+            write_text(folder / file, lines_to_text(lines))
+    stated = {"truth": bool(truth), "priors": bool(priors), **about}
+    write_text(folder / ABOUT_FILE, json.dumps(stated, indent=2, ensure_ascii=False) + "\n")

@@ -1,0 +1,115 @@
+"""Where the images of one's own dataset come from: a drone's photos, or another program's model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.own import OwnImage, find_mask, find_photos
+from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.geometry import Camera, Pose
+
+LeftOut = list[tuple[str, str]]
+
+
+def images_from_photos(
+    folder: Path,
+    frame: MapFrame,
+    heights: HeightOptions,
+    *,
+    masks: Path | None = None,
+    camera: Camera | None = None,
+) -> tuple[list[OwnImage], LeftOut]:
+    """Returns the photos of a folder with the rough poses their metadata states, and those without one.
+
+    Args:
+        folder: Photos, in it or below it.
+        frame: The city's coordinates.
+        heights: How the drone's heights become the city's.
+        masks: Folder of masks of the photos as stored, or None.
+        camera: Intrinsics of all photos, before their own.
+
+    Raises:
+        LodbenchError: There are no photos, or no height of any could be converted.
+    """
+    images: list[OwnImage] = []
+    left_out: LeftOut = []
+    last = LodbenchError("")
+    for path in find_photos(folder):
+        name = path.name
+        try:
+            photo = read_photo_metadata(path)
+            found = camera or camera_from_photo(photo).camera
+            prior = pose_from_photo(photo, frame, heights)
+            images.append(OwnImage(name, found, prior=prior, photo=path, mask=find_mask(masks, name)))
+        except LodbenchError as fault:
+            # Should none be left, the last one's hint says what to do about all.
+            left_out.append((name, fault.message))
+            last = fault
+    if not images:
+        raise DatasetError(f"No photo of {folder} can be used; {last.message}", last.hint)
+    return images, left_out
+
+
+def images_from_poses(
+    found: Sequence[FoundPose],
+    *,
+    photos: Path | None = None,
+    masks: Path | None = None,
+    cameras: dict[str, Camera] | None = None,
+    offset_m: Sequence[float] = (0.0, 0.0, 0.0),
+    frame: MapFrame | None = None,
+    heights: HeightOptions | None = None,
+) -> tuple[list[OwnImage], LeftOut]:
+    """Returns posed images, their poses as the truth, with priors from the photos where these state one.
+
+    Args:
+        found: Images of another program's model.
+        photos: Folder that the image names are relative to, or None for poses alone.
+        masks: Folder of masks of the photos as stored, or None.
+        cameras: Intrinsics by image name, where the model has none.
+        offset_m: Added to positions: what was taken off the city's coordinates (east, north, up).
+        frame: The city's coordinates, to read the photos' own positions; None for no priors.
+        heights: How the drone's heights become the city's.
+
+    Raises:
+        ConfigError: The offset is not finite.
+    """
+    if not np.isfinite(offset_m).all():
+        raise ConfigError("The offset has values that are not finite.")
+    images: list[OwnImage] = []
+    left_out: LeftOut = []
+    for image in found:
+        camera = image.camera or (cameras or {}).get(Path(image.name).name)
+        photo = None if photos is None else _photo_of(photos, image.name)
+        if camera is None:
+            left_out.append((image.name, "no camera: the format has none, or not for this image"))
+        elif photos is not None and photo is None:
+            left_out.append((image.name, f"no such photo in {photos}"))
+        else:
+            prior = None
+            if frame is not None and photo is not None:
+                prior = _stated_pose(photo, frame, heights)
+            truth = image.pose.shifted(offset_m)
+            images.append(OwnImage(image.name, camera, prior, truth, photo, find_mask(masks, image.name)))
+    return images, left_out
+
+
+def _photo_of(folder: Path, name: str) -> Path | None:
+    candidates = (folder / name, folder / Path(name).name)
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _stated_pose(photo: Path, frame: MapFrame, heights: HeightOptions | None) -> Pose | None:
+    """Returns where a photo says it was taken, or None: such a query has no prior, which its row says."""
+    try:
+        return pose_from_photo(read_photo_metadata(photo), frame, heights)
+    except DatasetError:
+        return None

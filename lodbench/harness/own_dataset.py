@@ -1,0 +1,183 @@
+"""One's own photos or another program's poses, and a city, into a dataset folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lodbench import __version__
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.own import OwnImage, Written, require_new_folder, write_dataset
+from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
+from lodbench.datasets.photo_pose import HeightOptions, datum_note
+from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.pose_text import read_cameras
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.execution import Progress
+from lodbench.geometry import Camera
+from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+
+
+@dataclass(frozen=True, slots=True)
+class OwnRequest:
+    """What goes into a dataset folder.
+
+    Attributes:
+        folder: New folder.
+        photos: Folder of photos, or None for poses alone.
+        poses: Another program's poses, taken as the truth; None for photos alone.
+        format: Of ``poses``: a name in ``pose_files.READERS``, or ``auto``.
+        masks: Folder of building masks of the photos as they are stored, or None.
+        cameras: Camera file by image name, for formats without cameras; or None.
+        camera: Intrinsics of all images, or None.
+        offset_m: Added to the positions of ``poses`` (east, north, up).
+        city: City model, or None to trust that the poses are in its coordinates.
+        lod: Level of detail, or None.
+        options: How to read the city.
+        heights: How the drone's heights become the city's.
+    """
+
+    folder: Path
+    photos: Path | None = None
+    poses: Path | None = None
+    format: str = "auto"
+    masks: Path | None = None
+    cameras: Path | None = None
+    camera: Camera | None = None
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    city: Path | None = None
+    lod: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    heights: HeightOptions = field(default_factory=HeightOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnDataset:
+    """What was made.
+
+    Attributes:
+        written: The folder and its images.
+        has_truth: Whether there are true poses.
+        num_priors: How many images have a rough pose.
+        notes: What the reader should know.
+    """
+
+    written: Written
+    has_truth: bool
+    num_priors: int
+    notes: tuple[str, ...]
+
+
+def make_own_dataset(request: OwnRequest) -> OwnDataset:
+    """Writes a dataset folder and returns what is in it; what is not is named, with the reason.
+
+    Raises:
+        LodbenchError: The photos, poses or the city cannot be read, no image can be used, or the folder
+            is not new.
+    """
+    require_new_folder(request.folder)
+    for path in (request.photos, request.poses, request.masks, request.cameras):
+        if path is not None and not path.exists():
+            raise DatasetError(f"{path} does not exist.", "Check the path.")
+    scene, frame = _open_frame(request)
+    images, left_out, kind = _images(request, frame)
+    if scene is not None:
+        images, far = _near(images, scene)
+        left_out += far
+    about = {
+        "made_by": f"lodbench {__version__}",
+        "from": kind,
+        "crs": None if scene is None else scene.crs,
+        "city_model": None if request.city is None else request.city.name,
+    }
+    with Progress(f"writing {request.folder.name}", len(images)) as progress:
+        written = write_dataset(images, request.folder, about, progress.advance, left_out)
+    kept = set(written.names)
+    priors = sum(image.prior is not None for image in images if image.file_name in kept)
+    datum = None if frame is None or not priors else datum_note(frame)
+    return OwnDataset(written, request.poses is not None, priors, () if datum is None else (datum,))
+
+
+def _open_frame(request: OwnRequest) -> tuple[Scene | None, MapFrame | None]:
+    """Returns the city and its coordinates, each None where it is not there or not known."""
+    if request.city is None:
+        return None, None
+    scene = open_city(request.city, request.lod, request.options, None).scene
+    if scene.crs is not None:
+        return scene, MapFrame(scene.crs)
+    if request.poses is None:
+        raise DatasetError(
+            f"{request.city.name} names no reference system, so GPS means nothing in it.",
+            "Name it with --crs.",
+        )
+    return scene, None
+
+
+def _images(request: OwnRequest, frame: MapFrame | None) -> tuple[list[OwnImage], LeftOut, str]:
+    """Returns the images, those left out, and what they were read from."""
+    if request.poses is not None:
+        kind, found = read_pose_file(request.poses, request.format)
+        images, left_out = images_from_poses(
+            [_with_camera(image, request.camera) for image in found],
+            photos=request.photos,
+            masks=request.masks,
+            cameras=None if request.cameras is None else read_cameras(request.cameras),
+            offset_m=request.offset_m,
+            frame=frame,
+            heights=request.heights,
+        )
+        if not images:
+            name, reason = left_out[0]
+            hint = "Give --cameras FILE or --camera 'MODEL W H ...'." if "camera" in reason else ""
+            raise DatasetError(f"No image can be used; the first is {name}: {reason}.", hint)
+        return images, left_out, kind
+    if request.photos is None or frame is None:
+        raise ConfigError("There are no photos and no poses.", "Give --images DIR, --city FILE, or a model.")
+    images, left_out = images_from_photos(
+        request.photos, frame, request.heights, masks=request.masks, camera=request.camera
+    )
+    return images, left_out, "photos"
+
+
+def _with_camera(image: FoundPose, camera: Camera | None) -> FoundPose:
+    return image if camera is None else image._replace(camera=camera)
+
+
+def _near(images: Sequence[OwnImage], scene: Scene) -> tuple[list[OwnImage], LeftOut]:
+    """Returns the images near the city, and the others with how far off they are.
+
+    Raises:
+        DatasetError: All are far off.
+    """
+    kept, far = [], []
+    for image in images:
+        pose = image.truth or image.prior
+        away = 0.0 if pose is None else distance_outside_m(pose, scene)
+        if away > FURTHEST_M:
+            far.append((image.name, f"{away / 1000:.1f} km outside the city model"))
+        else:
+            kept.append(image)
+    if not kept:
+        raise DatasetError(
+            f"All cameras lie outside the city model; the first, {far[0][0]}, is {far[0][1]}.",
+            "Is it the right tile, its reference system right, and for poses --offset what was taken off?",
+        )
+    return kept, far
+
+
+def to_json(made: OwnDataset) -> dict[str, Any]:
+    """Returns plain values for JSON."""
+    return {
+        "folder": str(made.written.folder),
+        "images": list(made.written.names),
+        "undistorted": made.written.undistorted,
+        "left_out": [list(pair) for pair in made.written.left_out],
+        "truth": made.has_truth,
+        "priors": made.num_priors,
+        "notes": list(made.notes),
+    }
