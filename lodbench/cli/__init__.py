@@ -16,6 +16,10 @@ COMMANDS = {
     "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
     "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),
     "report": ("lodbench.cli.report", "write one HTML page of a run: tables, figures, pictures, every query"),
+    "export": (
+        "lodbench.cli.export",
+        "write a run's poses as COLMAP, kapture, TUM, nerfstudio, GeoJSON, ...",
+    ),
     "leaderboard": ("lodbench.cli.leaderboard", "add a verified run; build the CSV, Markdown and LaTeX"),
     "render": (
         "lodbench.cli.render",

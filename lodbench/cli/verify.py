@@ -72,6 +72,17 @@ def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str
     return verify_run(folder, config, dataset, segmenter)
 
 
+def reopen_dataset(folder: Path, dataset_root: str | None = None, city_model: str | None = None) -> Dataset:
+    """Returns the dataset of a run, from where it was, or is said to be, now.
+
+    Raises:
+        LodbenchError: The run or the data cannot be read.
+    """
+    provenance = read_run(folder).provenance
+    root, city = provenance.get("dataset_root"), provenance.get("city_model")
+    return _reopen(read_config(folder), dataset_root or root, city_model or city)
+
+
 def read_config(folder: Path) -> dict[str, Any]:
     """Returns the configuration of a run folder as JSON values.
 

@@ -41,8 +41,11 @@ def write_overlays(result: Result, preparation: Preparation, renderer: Renderer)
 
 def chosen_rows(rows: Sequence[QueryRow], split: str, count: int = COUNT) -> dict[str, list[QueryRow]]:
     """Returns the ``best`` and the ``worst`` queries of a split, most extreme first; no query is both."""
-    mine = [row for row in rows if row.split == split and row.error is not None]
-    mine.sort(key=lambda row: (_translation(row), row.name))
+    all_of_split = [row for row in rows if row.split == split]
+    # Without a truth the method's own score has to do.
+    mine = [row for row in all_of_split if row.error is not None]
+    mine = mine or [row for row in all_of_split if row.is_answered]
+    mine.sort(key=lambda row: (_badness(row), row.name))
     return {"best": mine[:count], "worst": mine[max(count, len(mine) - count) :][::-1]}
 
 
@@ -51,8 +54,10 @@ def overlay_name(split: str, kind: str, rank: int, name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", f"{split}_{kind}_{rank}_{Path(name).stem}") + ".png"
 
 
-def _translation(row: QueryRow) -> float:
-    return math.inf if row.error is None else row.error.translation_m
+def _badness(row: QueryRow) -> float:
+    if row.error is not None:
+        return row.error.translation_m
+    return math.inf if row.score is None else -row.score
 
 
 def _shown(preparation: Preparation, entry: Entry, row: QueryRow) -> OverlayInput:
@@ -75,7 +80,7 @@ def _shown(preparation: Preparation, entry: Entry, row: QueryRow) -> OverlayInpu
 
 
 def _caption(row: QueryRow) -> str:
-    if row.failure:
+    if row.failure and not row.is_answered:
         return f"{row.key}: {row.failure}"
     error, prior = row.error, row.prior_error
     score = "" if row.score is None else f", score {row.score:.3f}"

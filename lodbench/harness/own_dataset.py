@@ -10,6 +10,7 @@ from typing import Any
 from lodbench import __version__
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.exchange.kapture import unposed_images
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import OwnImage, Written, require_new_folder, write_dataset
@@ -131,6 +132,8 @@ def _images(request: OwnRequest, frame: MapFrame | None) -> tuple[list[OwnImage]
             frame=frame,
             heights=request.heights,
         )
+        if kind == "kapture":
+            left_out += [(name, "no pose in the kapture") for name in unposed_images(request.poses)]
         if not images:
             name, reason = left_out[0]
             hint = "Give --cameras FILE or --camera 'MODEL W H ...'." if "camera" in reason else ""

@@ -33,6 +33,8 @@ class Preparation:
     def __post_init__(self) -> None:
         if self.tilt not in TILTS:
             raise ConfigError(f"tilt={self.tilt} is not known.", nearest_names(self.tilt, TILTS))
+        if self.tilt == "truth" and not self.dataset.truth:
+            raise ConfigError("tilt=truth needs a truth, and the dataset has none.", "Leave it out.")
 
     def local(self, pose: Pose) -> Pose:
         """Returns a pose of the dataset's frame in the scene's local frame."""
@@ -53,12 +55,16 @@ class Preparation:
             QueryFault: The truth, camera or prior is missing, or the segmenter has no mask,
                 or one that is not fit for the camera.
         """
-        if entry.key not in self.dataset.truth:
+        # Where nothing has a truth, poses are wanted for their own sake.
+        if self.dataset.truth and entry.key not in self.dataset.truth:
             raise QueryFault(NO_TRUTH)
         if entry.camera is None:
             raise QueryFault("no camera in intrinsic.txt")
         if entry.camera.distortion:
-            raise QueryFault("the camera has lens distortion: undistort the image and the mask")
+            raise QueryFault(
+                "the camera has lens distortion: undistort the image and the mask",
+                "lodbench dataset init and import do.",
+            )
         prior = self.prior(entry)
         if prior is None:
             raise QueryFault("no prior pose")
@@ -71,7 +77,7 @@ class Preparation:
             building_probability=probability,
             image=entry.image,
             hypotheses=tuple(
-                self.local(tilted(pose, self.dataset.truth[entry.key], self.tilt))
+                self.local(tilted(pose, self.dataset.truth.get(entry.key), self.tilt))
                 for pose in entry.hypotheses
             ),
         )

@@ -100,4 +100,17 @@ def parts_of(entry: Entry, pose: Pose | None, dataset: Dataset) -> ErrorParts | 
 
 def is_without_truth(failure: str) -> bool:
     """Tells whether a row's reason is that nothing is known to compare with: it is in no denominator."""
-    return failure == NO_TRUTH
+    return failure.startswith(NO_TRUTH)
+
+
+def failure_of(key: str, failure: str, dataset: Dataset) -> str:
+    """Returns a row's reason: that there is no truth goes before why there is no estimate.
+
+    Args:
+        key: Of the query.
+        failure: Why there is no estimate, or "".
+        dataset: Whose truth counts.
+    """
+    if key in dataset.truth or is_without_truth(failure):
+        return failure
+    return f"{NO_TRUTH}; {failure}" if failure else NO_TRUTH

@@ -23,7 +23,15 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.code_digest import code_digest
 from lodbench.harness.prepare import Preparation
-from lodbench.harness.result import Result, chosen_entries, errors_of, parts_of, pose_numbers, queries_digest
+from lodbench.harness.result import (
+    Result,
+    chosen_entries,
+    errors_of,
+    failure_of,
+    parts_of,
+    pose_numbers,
+    queries_digest,
+)
 from lodbench.localization import Method
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.segmentation import Segmenter, binary_mask
@@ -181,10 +189,12 @@ def _answer(
 def mask_iou_at_truth(query: Query, preparation: Preparation, scorer: Scorer) -> float | None:
     """Returns the IoU of a query's mask with the model's silhouette at the truth (paper, Table 4).
 
-    At the mask's own size, or at 602 pixels' width if it is larger.
+    At the mask's own size, or at 602 pixels' width if it is larger; None where there is no truth.
     """
-    key = f"{query.split}/{query.name}"
-    truth = preparation.local(preparation.dataset.truth[key])
+    known = preparation.dataset.truth.get(f"{query.split}/{query.name}")
+    if known is None:
+        return None
+    truth = preparation.local(known)
     height, width = query.building_probability.shape
     if width > _IOU_WIDTH:
         height, width = max(1, round(_IOU_WIDTH * height / width)), _IOU_WIDTH
@@ -206,7 +216,7 @@ def _row(entry: Entry, answer: dict[str, Any], preparation: Preparation) -> Quer
         pose,
         answer["score"],
         answer["hypotheses"],
-        answer["failure"],
+        failure_of(entry.key, answer["failure"], preparation.dataset),
         error,
         prior_error,
         answer["seconds"],

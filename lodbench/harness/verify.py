@@ -17,7 +17,7 @@ from lodbench.datasets.folder import select_splits
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.errors import ErrorParts, PoseError
-from lodbench.evaluation.rows import QueryRow
+from lodbench.evaluation.rows import NO_TRUTH, QueryRow
 from lodbench.geometry import wrap_deg
 from lodbench.harness.artefacts import summary_of
 from lodbench.harness.city import open_city
@@ -141,7 +141,8 @@ def _changed_rows(stored: StoredRun, config: dict[str, Any]) -> list[str]:
     keys = [row.key for row in stored.rows]
     lines += [f"queries.csv: {key} occurs twice" for key in dict.fromkeys(keys) if keys.count(key) > 1]
     for row in stored.rows:
-        if row.failure and row.is_answered:
+        # A pose with nothing to compare it with is an answer all the same.
+        if row.failure not in ("", NO_TRUTH) and row.is_answered:
             lines.append(f"queries.csv: {row.key} has a failure, and a pose in poses.txt")
         if not row.failure and not row.is_answered:
             lines.append(f"queries.csv: {row.key} has no failure, and no pose in poses.txt")

@@ -52,11 +52,16 @@ def view_feature(frame: MapFrame, pose: Pose, properties: Mapping[str, Any]) -> 
     return _feature({"type": "LineString", "coordinates": line}, {**properties, "kind": "view"})
 
 
+def nowhere_feature(properties: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a feature without a place: a photo that was not found."""
+    return _feature(None, properties)
+
+
 def write_geojson(features: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Writes a feature collection."""
     values = {"type": "FeatureCollection", "features": list(features)}
     write_text(path, json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def _feature(geometry: dict[str, Any], properties: Mapping[str, Any]) -> dict[str, Any]:
+def _feature(geometry: dict[str, Any] | None, properties: Mapping[str, Any]) -> dict[str, Any]:
     return {"type": "Feature", "geometry": geometry, "properties": dict(properties)}

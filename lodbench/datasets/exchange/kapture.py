@@ -36,14 +36,23 @@ def read_kapture(path: Path) -> Iterator[FoundPose]:
         raise DatasetError(f"{path} has rigs.", "Turn them into camera poses first: kapture's rigs_remove.")
     cameras = _read_cameras(path / _SENSORS)
     poses = _read_poses(path / _TRAJECTORIES)
-    for where, line in content(path / _RECORDS):
-        with Place(where, "timestamp, device_id, image_path"):
-            timestamp, device, name = _cells(line, 3)
+    for where, timestamp, device, name in _records(path):
+        with Place(where, "a camera of sensors.txt"):
             if device not in cameras:
                 raise LodbenchError(f"there is no camera {device!r}")
         pose = poses.get((timestamp, device))
         if pose is not None:
             yield FoundPose(name, where, pose, cameras[device])
+
+
+def unposed_images(path: Path) -> list[str]:
+    """Returns the names of a kapture's images that have no pose.
+
+    Raises:
+        DatasetError: A file is missing or malformed.
+    """
+    poses = _read_poses(path / _TRAJECTORIES)
+    return [name for _, timestamp, device, name in _records(path) if (timestamp, device) not in poses]
 
 
 def write_kapture(images: Sequence[FoundPose], folder: Path) -> None:
@@ -78,6 +87,14 @@ def write_kapture(images: Sequence[FoundPose], folder: Path) -> None:
         (_RECORDS, "# timestamp, device_id, image_path", records),
     ):
         write_text(folder / name, lines_to_text([_VERSION, head, *lines]))
+
+
+def _records(path: Path) -> Iterator[tuple[str, str, str, str]]:
+    """Yields the place, timestamp, device and name of each image."""
+    for where, line in content(path / _RECORDS):
+        with Place(where, "timestamp, device_id, image_path"):
+            timestamp, device, name = _cells(line, 3)
+        yield where, timestamp, device, name
 
 
 def _cells(line: str, count: int) -> list[str]:

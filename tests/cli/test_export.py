@@ -1,0 +1,95 @@
+"""A run's poses in every format, read back by the readers that import them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lodbench.cli import main
+from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.pose_text import read_poses
+from lodbench.harness.export import FORMATS
+from tests.town import CAMERA, write_dataset
+
+# Where the boxes could stand: export needs a reference system, and boxes have none.
+CRS = "EPSG:25832"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A run of three queries, the last of which has no mask and so no pose."""
+    folder = tmp_path_factory.mktemp("export")
+    root, city = write_dataset(folder / "town", count=3)
+    (root / "masks" / "view_02.png").unlink()
+    words = ["run", "dataset=folder", f"dataset.root={root}", f"dataset.city_model={city}", "method.steps=2"]
+    assert main([*words, f"paths.runs={folder / 'runs'}"]) == 0
+    (found,) = (folder / "runs/folder/lodlocv2").iterdir()
+    return found
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name != "geojson"])
+def test_every_format_is_read_back(capsys, tmp_path, run, name):
+    assert main(["export", str(run), "--format", name, "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "2 poses" in told
+    assert "1 queries have no pose: view_02.png" in told
+    kind = "lines" if name == "visuallocalization" else name
+    path = tmp_path / "out"
+    if name == "nerfstudio":
+        path = path.rename(tmp_path / "transforms.json")
+    _, found = read_pose_file(path, kind)
+    expected = read_poses(run / "poses.txt")
+    assert [image.name for image in found] == list(expected)
+    for image in found:
+        np.testing.assert_allclose(image.pose.rotation, expected[image.name].rotation, atol=1e-14)
+        np.testing.assert_allclose(image.pose.center, expected[image.name].center, rtol=0, atol=1e-10)
+        assert image.camera == (CAMERA if name in ("colmap", "kapture", "nerfstudio") else None)
+
+
+def test_the_same_file_scores_the_same(capsys, tmp_path, run):
+    assert main(["export", str(run), "--format", "tum", "--out", str(tmp_path / "poses.tum")]) == 0
+    provenance = json.loads((run / "provenance.json").read_text())
+    root = provenance["dataset_root"]
+    words = ["evaluate", f"poses={tmp_path / 'poses.tum'}", "dataset=folder", f"dataset.root={root}"]
+    assert main([*words, f"paths.runs={tmp_path / 'runs'}"]) == 0
+    (folder,) = (tmp_path / "runs/folder/poses").iterdir()
+    ours, again = (
+        json.loads((path / "summary.json").read_text())["splits"]["data"] for path in (run, folder)
+    )
+    assert again["recall"] == ours["recall"]
+    assert again["median_translation_m"] == pytest.approx(ours["median_translation_m"], abs=1e-9)
+
+
+def test_a_map_of_every_query(capsys, tmp_path, run):
+    assert main(["export", str(run), "--format", "geojson", "--crs", CRS]) == 0
+    features = json.loads((run / "export/poses.geojson").read_text())["features"]
+    assert [f["properties"]["name"] for f in features] == ["view_00.png", "view_01.png", "view_02.png"]
+    assert [f["geometry"] is None for f in features] == [False, False, True]
+    assert "translation_error_m" in features[0]["properties"]
+    assert features[2]["properties"]["failure"] == "no mask in the masks folder"
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--format", "kaptur"], ["kaptur", "kapture"]),
+        (["--format", "geojson"], ["reference system", "--crs"]),
+        (["--format", "geojson", "--crs", "EPSG:4326"], ["degrees"]),
+        (["--format", "geojson", "--crs", "EPSG:1"], ["EPSG:1"]),
+        (["--format", "geojson", "--city-model", "nowhere.gml"], ["nowhere.gml"]),
+    ],
+)
+def test_faults(capsys, tmp_path, run, words, expected):
+    assert main(["export", str(run), *words, "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    for word in expected:
+        assert word in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_no_run(capsys, tmp_path):
+    assert main(["export", str(tmp_path), "--format", "tum"]) == 2
+    assert "run" in capsys.readouterr().err
