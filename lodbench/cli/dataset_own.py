@@ -127,9 +127,15 @@ def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
     ]
     lines += [f"  left out: {name}: {reason}" for name, reason in written.left_out]
     lines += [f"  note: {note}" for note in made.notes]
-    city = asked.city or "FILE"
-    prior = "" if made.num_priors else " prior=uniform"
-    lines.append(
-        f"Next: lodbench run dataset=folder dataset.root={written.folder} dataset.city_model={city}{prior}"
-    )
+    words = [
+        "dataset=folder",
+        f"dataset.root={written.folder}",
+        f"dataset.city_model={asked.city or 'FILE'}",
+        "" if made.num_priors else "prior=uniform",
+        # The run must read the city as it was read here.
+        f"dataset.crs={asked.crs}" if asked.crs else "",
+        f"source={asked.source}" if asked.source != "folder" else "",
+        *(f"source.options.{option}" for option in asked.option),
+    ]
+    lines.append("Next: lodbench run " + " ".join(word for word in words if word))
     return "\n".join(lines)

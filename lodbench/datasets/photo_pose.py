@@ -105,7 +105,9 @@ def pose_from_photo(
     latitude = _first(given.latitude_deg, photo.latitude_deg)
     longitude = _first(given.longitude_deg, photo.longitude_deg)
     if latitude is None or longitude is None:
-        raise DatasetError(f"{photo.name} does not say where it was taken.", "Give --lat and --lon.")
+        raise DatasetError(
+            f"{photo.name} does not say where it was taken.", "lodbench localize takes --lat and --lon."
+        )
     east, north = frame.east_north(latitude, longitude)
     height = given.height_m
     if height is None:
@@ -136,7 +138,7 @@ def pose_at(
     if yaw is None or pitch is None:
         raise DatasetError(
             f"{photo.name} does not say where its camera looked (DJI's gimbal angles).",
-            "Give --heading and --pitch (0 at the horizon, -90 straight down).",
+            "lodbench localize takes --heading and --pitch (0 at the horizon, -90 straight down).",
         )
     roll = _first(given.roll_deg, photo.gimbal_roll_deg) or 0.0
     return Pose.from_center(rotation_from_dji(yaw, pitch, roll, convergence_deg), center)
@@ -159,7 +161,8 @@ def _height(
     if stated is None:
         kind = "above its take-off point" if source == "takeoff" else "absolute"
         raise DatasetError(
-            f"{photo.name} does not say how high it was ({kind}).", "Give --height, in the city's heights."
+            f"{photo.name} does not say how high it was ({kind}).",
+            "lodbench localize takes --height, in the city's heights.",
         )
     if source == "takeoff" and options.takeoff_m is not None:
         height = options.takeoff_m + stated

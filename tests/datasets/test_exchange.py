@@ -220,6 +220,14 @@ def test_evo_reads_our_trajectory(tmp_path):
         np.testing.assert_allclose(matrix, image.pose.world_from_cam, rtol=1e-12, atol=1e-9)
 
 
+_TURN = "[[-1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]"
+_MIRRORED = f'{{"frames": [{{"file_path": "a", "transform_matrix": {_TURN}}}]}}'
+_NO_PICTURE = (
+    '{"w": 4, "h": 3, "fl_x": 1, "camera_model": "EQUIRECTANGULAR", "frames": [{"file_path": "a", '
+    '"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}'
+)
+
+
 class TestNerfstudio:
     def test_looks_down_minus_z_with_y_up(self, tmp_path):
         level = Pose.from_euler(EulerAngles(90.0, 0.0, 0.0), (3.0, 4.0, 5.0))
@@ -259,6 +267,8 @@ class TestNerfstudio:
             ('{"frames": [{"file_path": "a", "transform_matrix": [[NaN]]}]}', "NaN"),
             ('{"frames": [], "applied_transform": [[0,0,0,0],[0,0,0,0],[0,0,0,0]]}', "undone"),
             ("[" * 100_000, "nested"),
+            (_MIRRORED, "no rotation"),
+            (_NO_PICTURE, "EQUIRECTANGULAR"),
         ],
     )
     def test_malformed_files_are_named(self, tmp_path, text, match):
