@@ -84,9 +84,16 @@ def find_mask(folder: Path | None, name: str) -> Path | None:
     """Returns the mask of an image: a file of its name, or of its stem as PNG."""
     if folder is None:
         return None
-    base = PurePosixPath(name).name
-    candidates = [folder / name, folder / base, folder / f"{Path(base).stem}.png"]
-    return next((path for path in candidates if path.is_file()), None)
+    return find_inside(folder, name) or find_inside(folder, f"{PurePosixPath(name).stem}.png")
+
+
+def find_inside(folder: Path, name: str) -> Path | None:
+    """Returns the file that a model's name means: with its folders, or else without; never one outside."""
+    root = folder.resolve()
+    for path in (folder / name, folder / PurePosixPath(name).name):
+        if path.resolve().is_relative_to(root) and path.is_file():
+            return path
+    return None
 
 
 def require_new_folder(folder: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import OwnImage, find_mask, find_photos
+from lodbench.datasets.own import OwnImage, find_inside, find_mask, find_photos
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo
@@ -88,7 +88,7 @@ def images_from_poses(
     left_out: LeftOut = []
     for image in found:
         camera = image.camera or (cameras or {}).get(Path(image.name).name)
-        photo = None if photos is None else _photo_of(photos, image.name)
+        photo = None if photos is None else find_inside(photos, image.name)
         if camera is None:
             left_out.append((image.name, "no camera: the format has none, or not for this image"))
         elif photos is not None and photo is None:
@@ -100,11 +100,6 @@ def images_from_poses(
             truth = image.pose.shifted(offset_m)
             images.append(OwnImage(image.name, camera, prior, truth, photo, find_mask(masks, image.name)))
     return images, left_out
-
-
-def _photo_of(folder: Path, name: str) -> Path | None:
-    candidates = (folder / name, folder / Path(name).name)
-    return next((path for path in candidates if path.is_file()), None)
 
 
 def _stated_pose(photo: Path, frame: MapFrame, heights: HeightOptions | None) -> Pose | None:

@@ -169,7 +169,7 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
         camera_source=camera_source,
         overlay=overlay,
         geojson=geojson,
-        notes=(*city.notes(), *_notes(frame, camera, estimate, photo_pixels is not None)),
+        notes=(*city.notes(), *_notes(photo, frame, camera, estimate, photo_pixels is not None)),
     )
 
 
@@ -236,9 +236,13 @@ def _write_map(path: Path, frame: MapFrame, name: str, prior: Pose, estimate: Es
     write_geojson(features, path)
 
 
-def _notes(frame: MapFrame | None, camera: Camera, estimate: Estimate, is_decoded: bool) -> list[str]:
+def _notes(
+    photo: PhotoMetadata, frame: MapFrame | None, camera: Camera, estimate: Estimate, is_decoded: bool
+) -> list[str]:
     datum = None if frame is None else datum_note(frame)
     notes = [] if datum is None else [datum]
+    if photo.orientation > 1:
+        notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
     if not is_decoded:
         notes.append("the photo's pixels cannot be decoded: the overlay shows none")
     if camera.distortion:

@@ -174,6 +174,61 @@ def test_leaving_the_distortion_in_the_mask_is_worse(capsys, tmp_path, shared_da
     assert bad["score"] < good["score"] - 0.05
 
 
+def test_a_segmenter_s_mask_is_undistorted_as_a_file_s(capsys, tmp_path, shared_data, monkeypatch):
+    case = make_case(tmp_path, shared_data, "nrw", distorted=True)
+    from_file = localize(capsys, case, tmp_path / "a", "--mask", str(case.mask))
+
+    @dataclass(frozen=True)
+    class Params:
+        invert: bool = False
+
+    class Segmenter:
+        params_type = Params
+
+        def __init__(self, params):
+            self.params = params
+
+        def segment(self, entry):
+            assert entry.image == case.photo
+            mask = cv2.imread(str(case.mask), cv2.IMREAD_UNCHANGED).astype(np.float32) / 255
+            return 1 - mask if self.params.invert else mask
+
+    import lodbench.cli.localize as module
+
+    plain = module.load_plugin
+    monkeypatch.setattr(
+        module, "load_plugin", lambda group, name: Segmenter if group == "segmenters" else plain(group, name)
+    )
+    found = localize(capsys, case, tmp_path / "b", "--segmenter", "mine")
+    assert found["pose"] == from_file["pose"]
+    inverted = localize(
+        capsys, case, tmp_path / "c", "--segmenter", "mine", "--segmenter-option", "invert=true"
+    )
+    assert inverted["score"] < found["score"]
+    assert any("do not trust" in note for note in inverted["notes"])
+
+
+def test_the_call_refuses_a_lens_it_cannot_see_through(shared_data):
+    import lodbench
+
+    scene = open_scene(shared_data / "city" / CITIES["nrw"][0])
+    lens = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, (-0.1, 0.0, 0.0, 0.0))
+    above = Pose.from_euler(EulerAngles(0, 0, 0), scene.origin + scene.vertices.mean(axis=0) + [0, 0, 100.0])
+    with pytest.raises(lodbench.LodbenchError, match="distortion"):
+        lodbench.localize(scene, lens, above, np.ones((48, 64), bool))
+
+
+def test_a_photo_that_viewers_turn_is_told(capsys, tmp_path, shared_data):
+    case = make_case(tmp_path, shared_data, "nrw")
+    content = case.photo.read_bytes()
+    packet = content[content.index(b"<?xpacket") : content.index(b'end="w"?>') + 9]
+    pixels = cv2.imread(str(case.photo), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    write_photo(case.photo, pixels, exif_of(orientation=3), packet)
+    found = localize(capsys, case, tmp_path / "o", "--mask", str(case.mask))
+    assert any("viewers turn" in note for note in found["notes"])
+    assert pose_error(pose_of(found["pose"]), case.truth).translation_m < 2.0
+
+
 class TestWithoutMetadata:
     @pytest.fixture
     def case(self, tmp_path, shared_data):

@@ -283,6 +283,24 @@ class TestImport:
         assert "left out: 1.jpg: no such photo" in out
         assert "left out: 2.jpg: no pose" in out
 
+    def test_a_name_that_leads_out_of_the_folder_finds_nothing(self, capsys, tmp_path, case):
+        (tmp_path / "photos").mkdir()
+        write_photo(tmp_path / "secret.jpg", np.zeros((HEIGHT, WIDTH), np.uint8))
+        for name in ("../secret.jpg", str(tmp_path / "secret.jpg")):
+            write_colmap([FoundPose(name, "", case.truth, LENS)], tmp_path / "m")
+            code, _, err = run(
+                capsys,
+                "dataset",
+                "import",
+                "colmap",
+                tmp_path / "m",
+                tmp_path / "t",
+                "--images",
+                tmp_path / "photos",
+            )
+            assert code == 2
+            assert "no such photo" in err
+
     def test_a_photo_of_another_size_than_its_camera(self, capsys, tmp_path, case):
         write_colmap([FoundPose("0.jpg", "", case.truth, LENS)], tmp_path / "m")
         (tmp_path / "photos").mkdir()
