@@ -83,8 +83,8 @@ def _strips(axis: Any, columns: Columns) -> None:
         colour = _COLOURS[i % len(_COLOURS)]
         places = i + 0.28 * (np.argsort(np.argsort(values)) / max(1, len(values) - 1) - 0.5)
         axis.plot(places, values, "o", color=colour, markersize=3.5, alpha=0.75, markeredgewidth=0)
-        axis.hlines(overall, i - 0.32, i + 0.32, color=colour, linewidth=1.5)
-        axis.annotate(f"{overall:,.0f}", (i - 0.3, overall), (0, 3), textcoords="offset points",
+        axis.hlines(overall, i - 0.42, i + 0.42, color=colour, linewidth=1.5)
+        axis.annotate(f"{overall:,.0f}", (i - 0.42, overall), (0, 3), textcoords="offset points",
                       fontsize=8, color=colour)  # fmt: skip
     names = [name.replace(", ", "\n") for name, _, _ in columns]
     axis.set_xticks(range(len(columns)), names, fontsize=7)

@@ -12,6 +12,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
+from lodbench.rendering.gl_guard import Watch, require_driver
 from lodbench.rendering.projection import pose_arrays, require_pinhole, view_planes, visible_buildings
 from lodbench.rendering.raster_rule import NEAR_M
 from lodbench.rendering.selection import bounding_spheres
@@ -20,6 +21,8 @@ from lodbench.rendering.system_libraries import RENDERER_PACKAGES, import_fault
 # The one GL context of the process, once it is open, and its samples per pixel. Contexts share EGL's
 # display, and closing one would take the display from under the others.
 _open_targets: list[tuple[Any, int]] = []
+
+_watch = Watch()
 
 # What pyrender asks for by itself.
 _SAMPLES = 4
@@ -40,7 +43,7 @@ class PyrenderRenderer:
             centre. With 1 it is, and edges are the raster rule's but for rounding.
 
     Raises:
-        RenderingError: pyrender or an EGL driver is absent.
+        RenderingError: pyrender or an EGL driver is absent; when first drawn, the driver crashes or hangs.
     """
 
     name = "pyrender"
@@ -84,6 +87,7 @@ class PyrenderRenderer:
     def _draw(self, camera: Camera, pose: Pose, near: float, far: float, samples: int) -> NDArray[np.float32]:
         """Returns (H, W) depth of what lies between two distances, metres."""
         require_pinhole(camera)
+        require_driver()
         if self._camera_node is not None:
             self._gl_scene.remove_node(self._camera_node)
         intrinsics = self._library.IntrinsicsCamera(
@@ -91,9 +95,10 @@ class PyrenderRenderer:
         )
         self._camera_node = self._gl_scene.add(intrinsics)
         self._gl_scene.set_pose(self._camera_node, blender_from_opencv(pose.world_from_cam))
-        target = _target(self._library, camera, samples)
-        target.viewport_width, target.viewport_height = camera.width, camera.height
-        return np.asarray(target.render(self._gl_scene, flags=self._library.RenderFlags.DEPTH_ONLY))
+        with _watch.watching():
+            target = _target(self._library, camera, samples)
+            target.viewport_width, target.viewport_height = camera.width, camera.height
+            return np.asarray(target.render(self._gl_scene, flags=self._library.RenderFlags.DEPTH_ONLY))
 
     def _depth_range(self, camera: Camera, pose: Pose) -> tuple[float, float]:
         """Returns the distances, metres, between which the buildings in view lie."""

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
+from lodbench.rendering.reference import ReferenceRenderer
+from lodbench.rendering.registry import RenderAndCompare
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
 CAMERA = Camera(129, 96, 90.0, 89.0, 64.0, 49.0)
@@ -127,3 +129,52 @@ def test_an_image_wider_than_the_guard_band_is_refused():
         SilhouetteRenderer(town(2), 1).render(
             Camera(8193, 1, 50.0, 50.0, 32.0, 1.0), Pose.from_euler(EulerAngles(0, 0, 0), (0, 0, 50))
         )
+
+
+@pytest.mark.parametrize("apart_m", [0.0, 1e-12, 1e-3, 1.0])
+def test_nearby_poses_are_drawn_each_for_itself(query, apart_m):
+    # Batches share what they select and project; each pose must still get its own picture.
+    rng = np.random.default_rng(8)
+    base = Pose.from_euler(EulerAngles(35, 1, 20), (80, 40, 110))
+    centers = base.center + apart_m * rng.uniform(-1, 1, (19, 3))
+    rotations = rotations_at_yaws(35.0, 1.0, 20.0 + apart_m * rng.uniform(-1, 1, 19))
+    counts = SilhouetteRenderer(town(), 1).score(CAMERA, rotations, centers, query)
+    reference = RenderAndCompare(ReferenceRenderer(town()))
+    expected = reference.score(CAMERA, rotations[::6], centers[::6], query)
+    np.testing.assert_array_equal(counts.intersection[::6], expected.intersection)
+    np.testing.assert_array_equal(counts.union[::6], expected.union)
+    assert (len(set(counts.iou())) > 10) == (apart_m == 1.0)
+
+
+@pytest.mark.parametrize("scale", [1e5, 1e7])
+def test_swarms_far_from_the_origin(scale):
+    # Corners snap to float32 there; the selection's rounding must not lose a building either.
+    base = np.array([0.63, -0.77, 0.0]) * scale
+    scene = scene_of(
+        *(box(base + np.array([60 * i, 60 * j, 0]), [40, 32, 20 + 8 * i]) for i in range(4) for j in range(4))
+    )
+    rng = np.random.default_rng(9)
+    centers = base + np.array([90, 20, 150]) + rng.uniform(-9, 9, (16, 3))
+    rotations = rotations_at_yaws(40.0, 0.5, rng.uniform(-9, 9, 16))
+    reference = RenderAndCompare(ReferenceRenderer(scene))
+    mask = reference.render(CAMERA, Pose.from_center(rotations[3], centers[3]))
+    assert mask.any()
+    # from_center and back cost a centre of 1e7 m its last bits: the engine is asked for the same.
+    poses = [Pose.from_center(r, c) for r, c in zip(rotations[::5], centers[::5], strict=True)]
+    same = np.array([pose.center for pose in poses])
+    ours = SilhouetteRenderer(scene, 1).score(CAMERA, rotations[::5], same, mask)
+    expected = reference.score(CAMERA, rotations[::5], centers[::5], mask)
+    np.testing.assert_array_equal(ours.intersection, expected.intersection)
+    np.testing.assert_array_equal(ours.union, expected.union)
+    assert (ours.iou() > 0).all()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (63, 40), (65, 33), (127, 50), (150, 41)])
+def test_masks_whose_rows_end_within_a_word(width, height):
+    camera = Camera(width, height, 90.0, 89.0, width / 2, height / 2)
+    rotations, centers = swarm(9)
+    mask = np.random.default_rng(10).random((height, width)) < 0.5
+    ours = SilhouetteRenderer(town(), 2).score(camera, rotations, centers, mask)
+    expected = RenderAndCompare(SilhouetteRenderer(town(), 1)).score(camera, rotations, centers, mask)
+    np.testing.assert_array_equal(ours.intersection, expected.intersection)
+    np.testing.assert_array_equal(ours.union, expected.union)
