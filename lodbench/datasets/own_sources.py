@@ -43,6 +43,8 @@ def images_from_photos(
     left_out: LeftOut = []
     last = LodbenchError("")
     for path in find_photos(folder):
+        if masks is not None and path.is_relative_to(masks):
+            continue  # a folder of masks among the photos
         name = path.name
         try:
             photo = read_photo_metadata(path)

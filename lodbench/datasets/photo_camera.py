@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lodbench.datasets.photo_metadata import Dewarp, PhotoMetadata
+from lodbench.datasets.photo_metadata import PhotoMetadata
+from lodbench.datasets.photo_tags import Dewarp
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera
 

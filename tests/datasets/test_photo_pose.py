@@ -15,8 +15,9 @@ from pyproj.network import is_network_enabled, set_network_enabled
 
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_camera import camera_from_photo
-from lodbench.datasets.photo_metadata import Dewarp, PhotoMetadata
+from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, datum_note, pose_from_photo
+from lodbench.datasets.photo_tags import Dewarp
 from lodbench.errors import ConfigError, DatasetError
 
 # A drone over western Germany, far from its zone's meridian: the grid is turned by more than 2 degrees.

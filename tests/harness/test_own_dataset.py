@@ -169,6 +169,14 @@ class TestFromPhotos:
             assert word in err
         assert not (tmp_path / "town").exists()
 
+    def test_masks_among_the_photos_are_no_photos(self, capsys, tmp_path, case):
+        shutil.copytree(case.photo.parent, tmp_path / "flight")
+        shutil.copytree(case.mask.parent, tmp_path / "flight" / "masks")
+        words = ["--images", tmp_path / "flight", "--masks", tmp_path / "flight" / "masks"]
+        out = init(capsys, case, tmp_path / "town", *words)
+        assert "1 images" in out
+        assert "left out" not in out
+
     def test_nothing_is_written_over(self, capsys, tmp_path, case):
         (tmp_path / "town").mkdir()
         (tmp_path / "town" / "mine.txt").write_text("mine")
