@@ -14,10 +14,13 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     parser = argparse.ArgumentParser("lodbench dataset", description="Datasets.")
     actions = parser.add_subparsers(dest="action", required=True)
-    make = actions.add_parser("make-demo", help="write the demo town, its queries and masks to a folder")
+    make = actions.add_parser(
+        "make-demo", help="write the demo town, its queries, photos and masks to a folder"
+    )
     make.add_argument("folder", type=Path)
     make.add_argument("--num-queries", type=int, default=40)
     make.add_argument("--seed", type=int, default=0)
+    make.add_argument("--look", default="test", help="test (default) or train: other streets, roofs, colours")
     make.set_defaults(make=_make_demo)
     add_own_actions(actions)
     options = parser.parse_args(argv)
@@ -28,7 +31,7 @@ def main(argv: Sequence[str]) -> int:
 def _make_demo(options: argparse.Namespace) -> int:
     from lodbench.datasets.demo.build import CITY_FILE, build_demo
 
-    root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed)
+    root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed, look=options.look)
     city = root / CITY_FILE
     sys.stdout.write(
         f"{root}\nTry: lodbench run dataset=folder dataset.root={root} dataset.city_model={city}\n"

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel import open_scene
 from lodbench.datasets.demo.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text, fine_citygml_text
 from lodbench.datasets.demo.looks import look_named
+from lodbench.datasets.demo.pictures import Photographer
 from lodbench.datasets.demo.props import demo_props
 from lodbench.datasets.demo.queries import QUERY_CAMERA, TARGET_IOU, DemoQuery, DemoSplit, make_splits
 from lodbench.datasets.demo.relief import ascii_grid_text, relief_text
@@ -41,8 +42,8 @@ def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0, look: str = 
     The folder holds ``town.gml`` (LoD1 and LoD2), ``town_lod3.gml``, the ground as ``relief.gml``
     (CityGML) and ``terrain.asc`` (raster), ``props.npz`` (what a photo shows), ``demo.json``, and per
     split ``in_place`` and ``out_of_place`` the files ``GT_pose.txt``, ``GPS_pose.txt``,
-    ``intrinsic.txt`` and ``masks/``. Poses are world to camera in the absolute coordinates of the
-    city file. All bytes follow from the seed and the look.
+    ``intrinsic.txt``, ``Query_image/`` and ``masks/``. Poses are world to camera in the absolute
+    coordinates of the city file. All bytes follow from the seed and the look.
 
     Args:
         root: The folder to create; its parents are made where missing.
@@ -83,7 +84,8 @@ def generator_digest() -> str:
     """Returns a digest of the code that makes the demo: another generator, another town."""
     here = Path(__file__).parent
     others = [here.parent / f"{name}.py" for name in ("views", "roughening", "mask_errors", "priors")]
-    return digest_of([file_digest(file) for file in [*sorted(here.glob("*.py")), *others]], length=8)
+    photo = sorted((here.parents[1] / "rendering" / "photo").glob("*.py"))
+    return digest_of([file_digest(file) for file in [*sorted(here.glob("*.py")), *others, *photo]], length=8)
 
 
 def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
@@ -117,11 +119,15 @@ def _move_into_place(building: Path, root: Path, asked: dict[str, Any]) -> None:
 
 def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
     town = grow_town(asked["seed"], look_named(asked["look"]))
+    props = demo_props(town)
     _write_town(folder, town)
+    write_props(props, folder / PROPS_FILE)
     # The queries see the town as a reader does: through the file, in the frame it gives the scene.
     scene = open_scene(folder / FINE_CITY_FILE, lod="3")
     renderer = SilhouetteRenderer(scene, threads=1)
-    splits = make_splits(town, scene, renderer, ORIGIN_M - scene.origin, asked["num_queries"])
+    photographer = Photographer(town, scene, props)
+    offset_m = ORIGIN_M - scene.origin
+    splits = make_splits(town, scene, renderer, photographer, offset_m, asked["num_queries"])
     for split in splits:
         _write_split(folder / split.name, split, scene.origin)
     manifest = asked | _manifest(town, splits)
@@ -130,13 +136,12 @@ def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
 
 
 def _write_town(folder: Path, town: Town) -> None:
-    """Writes the city files, the ground, and the props."""
+    """Writes the city files and the ground."""
     name = f"lodbench demo town, version {TOWN_VERSION}, look {town.look.name}, seed {town.seed}"
     _write_text(folder / CITY_FILE, citygml_text(town))
     _write_text(folder / FINE_CITY_FILE, fine_citygml_text(town))
     _write_text(folder / RELIEF_FILE, relief_text(town.terrain, f"{name}: relief"))
     _write_text(folder / TERRAIN_FILE, ascii_grid_text(town.terrain))
-    write_props(demo_props(town), folder / PROPS_FILE)
 
 
 def _write_text(path: Path, text: str) -> None:
@@ -144,9 +149,10 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _write_split(folder: Path, split: DemoSplit, origin: NDArray[np.float64]) -> None:
-    """Writes the poses, intrinsics and masks of one split."""
-    masks = folder / "masks"
+    """Writes the poses, intrinsics, photos and masks of one split."""
+    masks, photos = folder / "masks", folder / "Query_image"
     masks.mkdir(parents=True)
+    photos.mkdir()
     c = QUERY_CAMERA
     camera = f"PINHOLE {c.width} {c.height} {c.fx!r} {c.fy!r} {c.cx!r} {c.cy!r}"
     files = {
@@ -157,7 +163,8 @@ def _write_split(folder: Path, split: DemoSplit, origin: NDArray[np.float64]) ->
     for name, lines in files.items():
         _write_text(folder / name, "\n".join(lines) + "\n")
     for query in split.queries:
-        (masks / query.name).write_bytes(_png(query))
+        (photos / query.name).write_bytes(query.photo)
+        (masks / query.name).with_suffix(".png").write_bytes(_png(query))
 
 
 def _pose_line(name: str, pose: Pose, origin: NDArray[np.float64]) -> str:

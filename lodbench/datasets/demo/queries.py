@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.demo.districts import OLD_TOWN_RADIUS_M
+from lodbench.datasets.demo.pictures import Photographer
 from lodbench.datasets.demo.town import Town
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.roughening import roughen_mask
@@ -47,13 +48,15 @@ class DemoQuery:
         name: Image name.
         truth: Where the camera was.
         prior: Where the sensor says it was.
-        mask: (H, W) bool, the roughened silhouette in `QUERY_CAMERA`.
+        photo: JPEG file of what `QUERY_CAMERA` saw.
+        mask: (H, W) bool, the silhouette in `QUERY_CAMERA`, roughened, where nothing hides it.
         mask_iou: IoU of the mask with the true LoD3 silhouette.
     """
 
     name: str
     truth: Pose
     prior: Pose
+    photo: bytes
     mask: NDArray[np.bool_]
     mask_iou: float
 
@@ -74,7 +77,12 @@ class DemoSplit:
 
 
 def make_splits(
-    town: Town, scene: Scene, renderer: Renderer, offset_m: Points, count: int
+    town: Town,
+    scene: Scene,
+    renderer: Renderer,
+    photographer: Photographer,
+    offset_m: Points,
+    count: int,
 ) -> list[DemoSplit]:
     """Returns both splits, half of the queries each, the odd one in place.
 
@@ -82,6 +90,7 @@ def make_splits(
         town: The town.
         scene: Its LoD3 scene.
         renderer: Renders that scene.
+        photographer: Takes the photos.
         offset_m: (3,) what to add to the town's local metres to be in the scene's frame.
         count: Number of queries over both splits.
 
@@ -98,26 +107,38 @@ def make_splits(
     )
     views = sample_views(scene, renderer, QUERY_CAMERA, sampling, count // 2, "demo", "out_of_place")
     return [
-        _split("in_place", town.seed, flight, in_rejections, renderer),
-        _split("out_of_place", town.seed, list(views.poses), views.rejections, renderer),
+        _split("in_place", town.seed, flight, in_rejections, renderer, photographer),
+        _split("out_of_place", town.seed, list(views.poses), views.rejections, renderer, photographer),
     ]
 
 
-def _split(name: str, seed: int, truths: list[Pose], rejections: int, renderer: Renderer) -> DemoSplit:
-    """Returns a split: a prior and a mask for each true pose, from streams of their own."""
-    queries = []
+def _split(
+    name: str,
+    seed: int,
+    truths: list[Pose],
+    rejections: int,
+    renderer: Renderer,
+    photographer: Photographer,
+) -> DemoSplit:
+    """Returns a split: a prior, a photo and a mask for each true pose, from streams of their own."""
     targets = _target_ious(name, seed, len(truths))
+    queries = []
     for k, truth in enumerate(truths):
-        image = f"{name}_{k:04d}.png"
+        image = f"{name}_{k:04d}.jpg"
         clean = renderer.render(QUERY_CAMERA, truth)
+        # A network cannot see through trees; their shapes are those of the photo.
+        visible = clean & ~photographer.hidden(QUERY_CAMERA, truth)
         rough, iou = roughen_mask(
-            clean,
+            visible,
             targets[k],
             random_stream(seed, "demo", image, "mask"),
+            trees=False,
             pixels_per_m=_pixels_per_m(QUERY_CAMERA, truth, renderer.scene),
+            truth=clean,
         )
         prior = UniformPrior().draw(truth, random_stream(seed, "demo", image, "prior"))
-        queries.append(DemoQuery(image, truth, prior, rough, iou))
+        photo = photographer.jpeg(QUERY_CAMERA, truth, name, image)
+        queries.append(DemoQuery(image, truth, prior, photo, rough, iou))
     return DemoSplit(name, tuple(queries), rejections)
 
 

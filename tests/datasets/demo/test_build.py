@@ -32,6 +32,10 @@ def files_of(root: Path) -> dict[str, bytes]:
     return {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
 
 
+def mask_of(root: Path, split: str, name: str) -> Path:
+    return (root / split / "masks" / name).with_suffix(".png")
+
+
 def poses_of(path: Path, origin: np.ndarray) -> dict[str, Pose]:
     rows = [line.split() for line in path.read_text().splitlines()]
     return {
@@ -54,7 +58,10 @@ def test_layout(demo):
             camera = Camera.from_colmap(
                 model, int(numbers[0]), int(numbers[1]), [float(v) for v in numbers[2:]]
             )
-            mask = cv2.imread(str(demo / split / "masks" / name), cv2.IMREAD_UNCHANGED)
+            mask = cv2.imread(str(mask_of(demo, split, name)), cv2.IMREAD_UNCHANGED)
+            photo = cv2.imread(str(demo / split / "Query_image" / name), cv2.IMREAD_COLOR)
+            assert photo.shape == (camera.height, camera.width, 3)
+            assert photo.std() > 20
             assert mask.shape == (camera.height, camera.width)
             assert set(np.unique(mask)) == {0, 255}
         counts[split] = len(lines)
@@ -80,7 +87,7 @@ def test_truths_priors_and_masks(demo, renderer, split):
         assert abs(wrap_deg(prior.euler.yaw_deg - yaw)) <= 7.501
         clean = renderer.render(camera, truth)
         assert 0.04 <= clean.mean() <= 0.82
-        mask = cv2.imread(str(demo / split / "masks" / name), cv2.IMREAD_UNCHANGED) > 127
+        mask = cv2.imread(str(mask_of(demo, split, name)), cv2.IMREAD_UNCHANGED) > 127
         ious.append(mask_iou(mask, clean))
     mean, spread = SPLITS[split]
     assert mean - spread - 0.1 <= min(ious)
@@ -108,6 +115,23 @@ def test_the_manifest_tells_what_was_made(demo):
         assert told["rejected_views"] >= 0
         assert told["mask_iou"]
         assert told["target_iou"] == list(target)
+
+
+def test_photos_show_the_town_where_the_masks_say(demo, renderer):
+    inside, outside = [], []
+    for split in SPLITS:
+        for name, truth in poses_of(demo / split / "GT_pose.txt", renderer.scene.origin).items():
+            clean = renderer.render(build.QUERY_CAMERA, truth)
+            photo = cv2.imread(str(demo / split / "Query_image" / name), cv2.IMREAD_COLOR).astype(float)
+            edges = np.abs(cv2.Laplacian(photo.mean(axis=2), cv2.CV_64F))
+            border = (
+                cv2.morphologyEx(clean.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
+            )
+            shifted = np.roll(border, 25, axis=1)
+            inside.append(edges[border].mean())
+            outside.append(edges[shifted].mean())
+    # The outlines of the model are edges of the photo; the same outlines 25 pixels aside are not.
+    assert np.mean(inside) > 1.25 * np.mean(outside)
 
 
 def test_same_bytes_again(demo, tmp_path):
