@@ -27,7 +27,7 @@ class RenderParams:
         poses: Pose file, world to camera, in the city's coordinates.
         intrinsics: Camera file, by the same names.
         out: Folder for the pictures.
-        kind: One of ``KINDS``: silhouette, depth, label, colour, overlay.
+        kind: One of ``KINDS``: silhouette, depth, label, colour, overlay, instance.
         renderer: Name of the renderer, or None for the one that suits the kind.
         images: Folder of photos named as the poses, for ``overlay``; None for plain grey.
         lod: Level of detail, or None for the lowest.

@@ -17,9 +17,11 @@ from lodbench.errors import ConfigError, RenderingError, nearest_names
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import (
     DEPTH_RENDERERS,
+    INSTANCE_RENDERERS,
     LAYER_RENDERERS,
     RENDERERS,
     DepthRenderer,
+    InstanceRenderer,
     LayerRenderer,
     Renderer,
 )
@@ -135,6 +137,34 @@ def _write_colour(view: View) -> list[Path]:
     return _write_png(view, np.ascontiguousarray(colour[:, :, ::-1]))
 
 
+def _write_instances(view: View) -> list[Path]:
+    """Writes every building's silhouette, hidden or not, as run lengths in the form of COCO."""
+    instances = cast(InstanceRenderer, view.renderer).instances(view.camera, view.pose)
+    names, found = view.renderer.scene.building_ids, []
+    for building, mask in instances.masks():
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        box = [columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1]
+        found.append(
+            {
+                "building": names[building],
+                "area": int(mask.sum()),
+                "bbox": [int(side) for side in box],
+                "segmentation": {"size": list(mask.shape), "counts": column_runs(mask)},
+            }
+        )
+    path = view.file(".json")
+    write_text(path, json.dumps({"instances": found}, ensure_ascii=False) + "\n")
+    return [path]
+
+
+def column_runs(mask: NDArray[np.bool_]) -> list[int]:
+    """Returns lengths of runs of unset and set pixels in turn, unset first, down the columns (COCO's RLE)."""
+    pixels = mask.T.ravel()
+    turns = np.flatnonzero(pixels[1:] != pixels[:-1]) + 1
+    runs = np.diff([0, *turns, len(pixels)]).tolist()
+    return [0, *runs] if pixels[0] else runs
+
+
 def _write_overlay(view: View) -> list[Path]:
     canvas = read_background(view.photo, view.camera)
     draw_outline(canvas, view.renderer.render(view.camera, view.pose), ESTIMATE_COLOUR, 1)
@@ -155,4 +185,5 @@ KINDS = {
     "label": Kind(LAYER_RENDERERS, _write_label, _check_labels, _write_label_names),
     "colour": Kind(LAYER_RENDERERS, _write_colour),
     "overlay": Kind(_ANY, _write_overlay),
+    "instance": Kind(INSTANCE_RENDERERS, _write_instances),
 }

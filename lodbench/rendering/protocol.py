@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.fit import Fit
+from lodbench.rendering.instances import Instances
 from lodbench.rendering.layers import Layers
 
 Floats = NDArray[np.float64]
@@ -61,6 +62,14 @@ class LayerRenderer(DepthRenderer, Protocol):
 
     def draw(self, camera: Camera, pose: Pose) -> Layers:
         """Returns every layer of the view from a pose."""
+        ...
+
+
+class InstanceRenderer(Renderer, Protocol):
+    """A renderer that also says what each building alone would cover."""
+
+    def instances(self, camera: Camera, pose: Pose) -> Instances:
+        """Returns the silhouette of each building that covers a pixel, none hidden by another."""
         ...
 
 

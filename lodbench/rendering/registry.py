@@ -55,9 +55,10 @@ RENDERERS: dict[str, Callable[[Scene, int | None], Renderer]] = {
     "open3d": _open3d,
 }
 
-# Renderers that also have ``depth``, and those that have ``draw``: see the protocols.
+# Renderers that also have ``depth``, ``draw`` or ``instances``: see the protocols.
 DEPTH_RENDERERS = ("raster", "open3d", "pyrender")
 LAYER_RENDERERS = ("raster",)
+INSTANCE_RENDERERS = ("silhouette",)
 
 
 def open_renderer(name: str, scene: Scene, threads: int | None = None) -> Renderer:

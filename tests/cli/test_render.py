@@ -78,6 +78,27 @@ def test_label(render, layers, dataset):
         np.testing.assert_array_equal(read(out / f"{name}.png"), expected.building + 1)
 
 
+def test_instances(render, layers, dataset):
+    done, out = render("kind=instance")
+    assert done.returncode == 0, done.stderr
+    ids = open_scene(dataset[1]).building_ids
+    for name, seen in layers.items():
+        union, found = np.zeros(seen.mask.shape, dtype=bool), json.loads((out / f"{name}.json").read_text())
+        for instance in found["instances"]:
+            runs = instance["segmentation"]["counts"]
+            flat = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+            mask = flat.reshape(seen.mask.shape[::-1]).T
+            assert instance["segmentation"]["size"] == list(mask.shape)
+            assert instance["area"] == mask.sum()
+            left, top, width, height = instance["bbox"]
+            assert mask[top : top + height, left : left + width].sum() == mask.sum()
+            # What is seen of it, and what is hidden besides.
+            assert mask[seen.building == ids.index(instance["building"])].all()
+            union |= mask
+        np.testing.assert_array_equal(union, seen.mask)
+        assert len(found["instances"]) > 2
+
+
 def test_colour_at_another_size(render):
     done, out = render("kind=colour", "size=[160,120]")
     assert done.returncode == 0, done.stderr

@@ -5,7 +5,7 @@ import pytest
 
 from lodbench.citymodel.scene import build_scene
 from lodbench.errors import RenderingError
-from lodbench.harness.render_kinds import KINDS, choose_renderer, depth_in_centimetres
+from lodbench.harness.render_kinds import KINDS, choose_renderer, column_runs, depth_in_centimetres
 from lodbench.rendering import DEPTH_RENDERERS, LAYER_RENDERERS, RENDERERS
 
 
@@ -28,3 +28,11 @@ def test_more_buildings_than_a_label_holds_are_refused():
     scene = build_scene(corners, np.array([[0, 1, 2]]), np.zeros(1, dtype=np.int32), names)
     with pytest.raises(RenderingError, match="65536"):
         KINDS["label"].check(scene)
+
+
+def test_runs_go_down_the_columns_and_begin_with_what_is_unset():
+    mask = np.array([[False, True, True], [False, False, True]])
+    assert column_runs(mask) == [2, 1, 1, 2]
+    assert column_runs(~mask) == [0, 2, 1, 1, 2]
+    assert column_runs(np.zeros((4, 5), dtype=bool)) == [20]
+    assert column_runs(np.ones((4, 5), dtype=bool)) == [0, 20]
