@@ -3,6 +3,7 @@
 from lodbench.bench.accuracy import AccuracyOptions, measure_accuracy
 from lodbench.bench.accuracy_report import AccuracyReport
 from lodbench.bench.city import CityBench, CityOptions, measure_city
+from lodbench.bench.evaluation import EvaluationOptions, EvaluationReport, measure_evaluation
 from lodbench.bench.figures import Figure
 from lodbench.bench.scale import ScaleOptions, measure_scale
 from lodbench.bench.scale_report import ScaleReport
@@ -14,6 +15,8 @@ __all__ = [
     "AccuracyReport",
     "CityBench",
     "CityOptions",
+    "EvaluationOptions",
+    "EvaluationReport",
     "Figure",
     "ScaleOptions",
     "ScaleReport",
@@ -21,6 +24,7 @@ __all__ = [
     "SilhouetteReport",
     "measure_accuracy",
     "measure_city",
+    "measure_evaluation",
     "measure_scale",
     "measure_silhouettes",
 ]

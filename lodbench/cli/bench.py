@@ -1,4 +1,4 @@
-"""`lodbench bench silhouettes|scale|accuracy|city`: measure speed and accuracy on this machine."""
+"""`lodbench bench silhouettes|scale|accuracy|city|evaluation`: measure speed and accuracy on this machine."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from lodbench.bench import (
     AccuracyReport,
     CityBench,
     CityOptions,
+    EvaluationOptions,
+    EvaluationReport,
     ScaleOptions,
     ScaleReport,
     SilhouetteOptions,
     SilhouetteReport,
     measure_accuracy,
     measure_city,
+    measure_evaluation,
     measure_scale,
     measure_silhouettes,
 )
@@ -73,11 +76,18 @@ def _city(options: argparse.Namespace, steps: ProgressCallback) -> CityBench:
     return measure_city(_city_file(options), asked, steps)
 
 
-MEASURES: dict[str, Callable[..., SilhouetteReport | ScaleReport | AccuracyReport | CityBench]] = {
+def _evaluation(options: argparse.Namespace, steps: ProgressCallback) -> EvaluationReport:
+    asked = EvaluationOptions(options.queries, options.methods, options.seed)
+    return measure_evaluation(asked, steps)
+
+
+Report = SilhouetteReport | ScaleReport | AccuracyReport | CityBench | EvaluationReport
+MEASURES: dict[str, Callable[..., Report]] = {
     "silhouettes": _silhouettes,
     "scale": _scale,
     "accuracy": _accuracy,
     "city": _city,
+    "evaluation": _evaluation,
 }
 
 
@@ -110,11 +120,14 @@ def _parser() -> argparse.ArgumentParser:
     city.add_argument("--lod", help="level of detail (lowest with walls)")
     city.add_argument("--repeats", type=int, default=5, help="passes, the fastest counts (5)")
     city.add_argument("--large-mb", type=int, default=137, help="file made for the memory figure; 0 for none")
-    for action in (speed, scale, accuracy):
+    evaluation = actions.add_parser("evaluation", help="scoring many methods on many queries; a run's page")
+    evaluation.add_argument("--queries", type=int, default=2192, help="as the largest published split (2192)")
+    evaluation.add_argument("--methods", type=int, default=100, help="scored on all of them (100)")
+    for action in (speed, scale, accuracy, evaluation):
         action.add_argument("--seed", type=int, default=0)
     for action in (speed, accuracy, city):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
-    for action in (speed, scale, accuracy, city):
+    for action in (speed, scale, accuracy, city, evaluation):
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser
 

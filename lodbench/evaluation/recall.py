@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.evaluation.errors import ErrorParts, PoseError
-from lodbench.evaluation.statistics import Interval, bootstrap_mean, bootstrap_median, wilson_interval
+from lodbench.evaluation.statistics import Interval, bootstrap_means, bootstrap_median, wilson_interval
 
 # Raised whenever the same poses would score otherwise: results of two versions do not compare.
 EVALUATOR_VERSION = 1
@@ -112,6 +112,7 @@ def summarize(
     answered = np.isfinite(table[:, 0])
     found = {t.label: hits_of(table, t) for t in thresholds}
     areas = {t.label: _area_shares(table, t) for t in thresholds}
+    columns = 100.0 * np.array(list(areas.values()), dtype=np.float64).reshape(len(areas), len(table)).T
     sizes = np.abs(np.array(parts, dtype=np.float64).reshape(-1, 3))
     return SplitSummary(
         num_queries=len(table),
@@ -127,7 +128,7 @@ def summarize(
             name: bootstrap_median(table[:, column])
             for column, name in enumerate(("translation_m", "rotation_deg"))
         },
-        auc_interval={label: bootstrap_mean(100.0 * share) for label, share in areas.items()},
+        auc_interval=dict(zip(areas, bootstrap_means(columns), strict=True)),
         median_horizontal_m=_median(sizes[:, 0]),
         median_vertical_m=_median(sizes[:, 1]),
         median_yaw_deg=_median(sizes[:, 2]),

@@ -79,18 +79,20 @@ def wilson_interval(hits: NDArray[np.bool_]) -> Interval:
     return low, max(min(100.0, scale * (middle + spread)), 100.0 * share)
 
 
-def bootstrap_mean(values: Floats) -> Interval:
-    """Returns the 95 % percentile interval of the mean of (N,) finite values; NaN for none."""
+def bootstrap_means(values: Floats) -> list[Interval]:
+    """Returns the 95 % percentile interval of the mean of each column of (N, K) finite values."""
     if len(values) == 0:
-        return math.nan, math.nan
-    return _ends(_weights(len(values)) @ np.sort(values) / len(values))
+        return [(math.nan, math.nan)] * values.shape[1]
+    means = _weights(len(values)) @ np.sort(values, axis=0) / len(values)
+    return [_ends(column) for column in means.T]
 
 
 def bootstrap_median(values: Floats) -> Interval:
     """Returns the 95 % percentile interval of the median of (N,) values, infinite ones included."""
     if len(values) == 0:
         return math.nan, math.nan
-    return _ends(_resampled_medians(np.sort(values), _weights(len(values))))
+    ordered, (low, high) = np.sort(values), _median_ranks(len(values))
+    return _ends(_middle(ordered[low], ordered[high]))
 
 
 def mcnemar(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> PairedTest:
@@ -102,7 +104,9 @@ def mcnemar(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> PairedTest:
     gained, lost = int((second & ~first).sum()), int((first & ~second).sum())
     difference = 100.0 * (second.astype(np.float64) - first.astype(np.float64))
     mean = float(difference.mean()) if len(difference) else math.nan
-    return PairedTest(mean, bootstrap_mean(difference), _binomial_p(min(gained, lost), gained + lost))
+    return PairedTest(
+        mean, bootstrap_means(difference[:, None])[0], _binomial_p(min(gained, lost), gained + lost)
+    )
 
 
 def paired_medians(first: Floats, second: Floats) -> PairedTest:
@@ -116,10 +120,10 @@ def paired_medians(first: Floats, second: Floats) -> PairedTest:
     observed = _difference(np.median(first), np.median(second))
     weights = _weights(len(first))
     orders = np.argsort(first, kind="stable"), np.argsort(second, kind="stable")
-    medians = [
-        _resampled_medians(values[order], weights[:, order])
-        for values, order in zip((first, second), orders, strict=True)
-    ]
+    medians = []
+    for values, order in zip((first, second), orders, strict=True):
+        low, high = _ranks_of_median(weights[:, order])
+        medians.append(_middle(values[order][low], values[order][high]))
     resampled = np.array([_difference(a, b) for a, b in zip(*medians, strict=True)])
     swaps = random_stream(0, "permutation", len(first)).random((_PERMUTATIONS, len(first))) < 0.5
     one = np.median(np.where(swaps, second, first), axis=1)
@@ -146,13 +150,22 @@ def _weights(count: int) -> Floats:
     return counts.reshape(RESAMPLES, count).astype(np.float64)
 
 
-def _resampled_medians(ordered: Floats, weights: Floats) -> Floats:
-    """Returns the median of each resample of (N,) ascending values, (R, N) times each."""
-    reached = np.cumsum(weights, axis=1)
-    n = len(ordered)
+@lru_cache(maxsize=8)
+def _median_ranks(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns which two of ``count`` sorted values are the middle of each resample."""
+    return _ranks_of_median(_weights(count))
+
+
+def _ranks_of_median(weights: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the places of the two middle ones, (R,) each, in values drawn (R, N) times each."""
+    reached, n = np.cumsum(weights, axis=1), weights.shape[1]
     low, high = ((reached <= rank).sum(axis=1) for rank in ((n - 1) // 2, n // 2))
+    return low, high
+
+
+def _middle(low: Floats, high: Floats) -> Floats:
     with np.errstate(invalid="ignore"):
-        return np.asarray((ordered[low] + ordered[high]) / 2)
+        return np.asarray((low + high) / 2)
 
 
 def _difference(first: float, second: float) -> float:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from lodbench.evaluation.statistics import (
-    bootstrap_mean,
+    bootstrap_means,
     bootstrap_median,
     mcnemar,
     mean_and_spread,
@@ -30,7 +30,10 @@ def slow_bootstrap(data: np.ndarray, statistic) -> tuple[float, float]:
 @pytest.mark.parametrize("count", [41, 200])
 def test_intervals_are_those_of_a_plain_bootstrap(count):
     data = np.random.default_rng(count).exponential(3.0, count)
-    for ours, statistic in ((bootstrap_mean, np.mean), (bootstrap_median, np.median)):
+    for ours, statistic in (
+        (lambda values: bootstrap_means(values[:, None])[0], np.mean),
+        (bootstrap_median, np.median),
+    ):
         np.testing.assert_allclose(ours(data), slow_bootstrap(data, statistic), atol=0.12)
 
 
@@ -45,7 +48,7 @@ def test_failures_make_an_interval_open():
     low, high = bootstrap_median(np.array([1.0] * 6 + [math.inf] * 5))
     assert (low, high) == (1.0, math.inf)
     assert all(map(math.isnan, bootstrap_median(np.array([]))))
-    assert all(map(math.isnan, bootstrap_mean(np.array([]))))
+    assert all(map(math.isnan, bootstrap_means(np.zeros((0, 1)))[0]))
 
 
 @pytest.mark.parametrize(("gained", "lost"), [(0, 0), (1, 0), (5, 0), (9, 2), (30, 30), (61, 40)])

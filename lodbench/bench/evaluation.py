@@ -1,0 +1,158 @@
+"""How long evaluating takes: as many queries as the largest published split has, times many methods."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import ConfigError
+from lodbench.evaluation.rows import QueryRow
+from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.artefacts import summary_of, write_artefacts
+from lodbench.harness.report import run_report
+from lodbench.harness.result import Result, errors_of, parts_of, queries_digest
+from lodbench.harness.stored import read_run
+from lodbench.harness.verify import verify_run
+from lodbench.reporting.columns import format_columns
+from lodbench.reporting.table_formats import format_csv
+from lodbench.reporting.tables import tables_of
+from lodbench.storage import random_stream
+
+_CAMERA = Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
+_SPLIT = "all"
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationOptions:
+    """What to measure.
+
+    Attributes:
+        num_queries: Queries; 2,192 are UAVD4L's larger split.
+        num_methods: Methods scored on all of them.
+        seed: Seed of poses and errors.
+    """
+
+    num_queries: int = 2192
+    num_methods: int = 100
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if min(self.num_queries, self.num_methods) < 1:
+            raise ConfigError("There must be at least one query and one method.")
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationReport:
+    """Seconds that evaluating took.
+
+    Attributes:
+        options: What was asked for.
+        score_s: Errors, recalls, medians and intervals of all methods, from their poses to one table.
+        read_s: Reading one stored run back and summarising it.
+        page_s: Verifying one run and writing its page.
+        page_mb: The page's size.
+    """
+
+    options: EvaluationOptions
+    score_s: float
+    read_s: float
+    page_s: float
+    page_mb: float
+
+    def figures(self) -> list[Figure]:
+        """Returns one figure per number."""
+        return [
+            Figure("evaluate all methods", self.score_s, "s"),
+            Figure("read one run", self.read_s, "s"),
+            Figure("verify and report one run", self.page_s, "s"),
+            Figure("page", self.page_mb, "MB"),
+        ]
+
+    def to_text(self) -> str:
+        """Returns the report as a table."""
+        size = f"{self.options.num_queries} queries, {self.options.num_methods} methods"
+        return f"{size}\n" + format_columns([[f.figure, f"{f.value:.2f} {f.unit}"] for f in self.figures()])
+
+
+def measure_evaluation(
+    options: EvaluationOptions | None = None, progress: Progress = no_progress
+) -> EvaluationReport:
+    """Returns how long evaluating seeded poses takes; needs no city.
+
+    Args:
+        options: What to measure.
+        progress: Called after each method.
+    """
+    options = options or EvaluationOptions()
+    dataset = _dataset(options)
+    with tempfile.TemporaryDirectory() as scratch:
+        methods = [_estimates(dataset, options, number) for number in range(options.num_methods)]
+        started = time.perf_counter()
+        inputs = {"queries": queries_digest(dataset, dataset.entries)}
+        results = []
+        for number, poses in enumerate(methods):
+            results.append(_scored(dataset, poses, number, Path(scratch), inputs))
+            progress(number + 1, options.num_methods)
+        (table,) = tables_of([summary_of(result) for result in results])
+        format_csv(table)
+        score_s = time.perf_counter() - started
+        stored = results[0]
+        stored.folder.mkdir()
+        write_artefacts(stored, "")
+        started = time.perf_counter()
+        read_run(stored.folder)
+        read_s = time.perf_counter() - started
+        started = time.perf_counter()
+        verdict = verify_run(stored.folder, stored.config, dataset)
+        page = run_report(verdict, "prior")
+        page_s = time.perf_counter() - started
+    return EvaluationReport(options, score_s, read_s, page_s, len(page.encode()) / 1e6)
+
+
+def _dataset(options: EvaluationOptions) -> Dataset:
+    entries, truth = [], {}
+    for number in range(options.num_queries):
+        generator = random_stream(options.seed, "bench", "evaluation", number)
+        pitch, roll, yaw = generator.uniform((20.0, -1.0, -180.0), (60.0, 1.0, 180.0))
+        pose = Pose.from_euler(EulerAngles(pitch, roll, yaw), generator.uniform(-1000, 1000, 3))
+        entry = Entry(f"{number:05d}.jpg", _SPLIT, _CAMERA, UniformPrior().draw(pose, generator), None, None)
+        entries.append(entry)
+        truth[entry.key] = pose
+    return Dataset("bench", "", Path(), None, None, (_SPLIT,), tuple(entries), truth)
+
+
+def _estimates(dataset: Dataset, options: EvaluationOptions, number: int) -> list[Pose | None]:
+    """Returns a method's answers: each method worse than the one before, one query in 50 failing."""
+    generator = random_stream(options.seed, "bench", "evaluation", "method", number)
+    half_width = 0.5 + 0.1 * number
+    widths = UniformPrior(half_width, half_width, half_width, 0.5)
+    is_answered = generator.random(len(dataset.entries)) > 0.02
+    return [
+        widths.draw(dataset.truth[entry.key], generator) if answered else None
+        for entry, answered in zip(dataset.entries, is_answered, strict=True)
+    ]
+
+
+def _scored(
+    dataset: Dataset, poses: list[Pose | None], number: int, scratch: Path, inputs: dict[str, str]
+) -> Result:
+    """Returns a method's rows, scored as `lodbench evaluate` scores them."""
+    rows = []
+    for entry, pose in zip(dataset.entries, poses, strict=True):
+        error, prior_error = errors_of(entry, pose, dataset, "prior")
+        failure = "" if pose is not None else "no pose in the pose file"
+        parts = parts_of(entry, pose, dataset)
+        rows.append(QueryRow(entry.name, _SPLIT, pose, None, None, failure, error, prior_error, {}, parts))
+    config = {
+        "method": {"name": f"method_{number:03d}"},
+        "segmenter": {"name": "unstated"},
+        "tilt": "prior",
+        "seed": "unstated",
+        "renderer": "unstated",
+    }
+    return Result(scratch / f"{number:03d}", config, dataset, (_SPLIT,), tuple(rows), inputs, None)
