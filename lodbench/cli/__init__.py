@@ -12,15 +12,16 @@ COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
     "basin": ("lodbench.cli.basin", "recall over the error of the prior; the cost around the truth"),
     "localize": ("lodbench.cli.localize", "find where one photo was taken: place, overlay, map"),
-    "compare": ("lodbench.cli.compare", "put finished runs side by side in one table"),
+    "compare": ("lodbench.cli.compare", "put finished runs side by side, and test whether they differ"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
     "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),
+    "status": ("lodbench.cli.status", "how far runs are"),
     "report": ("lodbench.cli.report", "write one HTML page of a run: tables, figures, pictures, every query"),
     "export": (
         "lodbench.cli.export",
         "write a run's poses as COLMAP, kapture, TUM, nerfstudio, GeoJSON, ...",
     ),
-    "leaderboard": ("lodbench.cli.leaderboard", "add a verified run; build the CSV, Markdown and LaTeX"),
+    "leaderboard": ("lodbench.cli.leaderboard", "add a verified run; build tables and pages"),
     "render": (
         "lodbench.cli.render",
         "draw a city from given poses: silhouette, depth, label, colour, overlay",

@@ -14,6 +14,7 @@ from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.evaluation.rows import summarize_rows
 from lodbench.harness.compare import paired_comparison, require_same_queries
 from lodbench.harness.stored import StoredRun, read_run
+from lodbench.harness.verify import changed_files
 from lodbench.reporting.comparison import format_comparison
 from lodbench.reporting.table_formats import FORMATS
 from lodbench.reporting.tables import (
@@ -46,6 +47,9 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
     runs = [read_run(folder) for folder in options.runs]
+    for run in runs:
+        for line in changed_files(run):
+            sys.stderr.write(f"lodbench: {run.folder}: {line}: edited by hand?\n")
     thresholds = parse_thresholds(options.thresholds)
     summaries = [_summary(run, thresholds) for run in runs]
     tables = tables_of(summaries, options.free, options.over_seeds)

@@ -20,6 +20,7 @@ from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.artefacts import summary_of, write_artefacts
 from lodbench.harness.gallery import write_overlays
+from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import tables_of
 
@@ -194,7 +195,7 @@ def report(runs: Sequence[Run]) -> str:
                 cost = f"{hypotheses:.0f} hypotheses and {seconds:.2f} s per query"
                 lines.append(f"{name}, tilt={run.config['tilt']}, {split}: {cost}")
         lines += _failure_lines(run)
-        lines += [f"  note: {note}" for note in run.dataset.notes]
+        lines += [f"  note: {plain_text(note)}" for note in run.dataset.notes]
         resumed = f" ({run.resumed} queries were there already)" if run.resumed else ""
         lines += [f"  results:  {run.folder}{resumed}", f"  pictures: {run.folder / 'overlays'}"]
     return "\n".join(parts) + "\n" + "\n".join(lines) + "\n"
@@ -205,7 +206,7 @@ def _failure_lines(run: Run) -> list[str]:
     names: dict[str, list[str]] = {}
     for row in run.rows:
         if row.failure:
-            names.setdefault(row.failure, []).append(row.key)
+            names.setdefault(plain_text(row.failure), []).append(plain_text(row.key))
     return [
         f"  {len(keys)} x {reason}: {', '.join(keys[:3])}{', ... (all in queries.csv)' if keys[3:] else ''}"
         for reason, keys in sorted(names.items())

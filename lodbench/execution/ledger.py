@@ -18,10 +18,12 @@ class Ledger:
 
     Args:
         path: The file; made on the first record.
+        read_only: Leave the file as it is, damaged lines included: somebody else may be writing it.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, read_only: bool = False) -> None:
         self._path = path
+        self._read_only = read_only
         self._items: dict[str, dict[str, Any]] = {}
         if path.is_file():
             self._load()
@@ -55,7 +57,7 @@ class Ledger:
                 self._items[item.pop("key")] = item
                 kept.append(line + b"\n")
         whole = b"".join(kept)
-        if whole != content:
+        if whole != content and not self._read_only:
             write_bytes(self._path, whole)
 
 

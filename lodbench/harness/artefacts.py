@@ -20,7 +20,7 @@ from lodbench.evaluation.rows import seconds_per_query, summarize_rows
 from lodbench.harness.result import Result
 from lodbench.harness.run import Run
 from lodbench.reporting.tables import SUMMARY_SCHEMA
-from lodbench.storage import write_text
+from lodbench.storage import hide_formula, write_text
 
 
 def write_artefacts(run: Result, config_yaml: str) -> None:
@@ -109,12 +109,12 @@ def _queries_csv(run: Result) -> str:
     ]
     rows = [
         [
-            row.name,
-            row.split,
+            hide_formula(row.name),
+            hide_formula(row.split),
             *_error_cells(row.error),
             "" if row.score is None else repr(row.score),
             "" if row.hypotheses is None else row.hypotheses,
-            row.failure,
+            hide_formula(row.failure),
             *_error_cells(row.prior_error),
             run.config["tilt"],
             *_part_cells(row.parts),
@@ -140,7 +140,10 @@ def _part_cells(parts: ErrorParts | None) -> list[str]:
 
 def _timings_csv(run: Result) -> str:
     stages = list(dict.fromkeys(stage for row in run.rows for stage in row.seconds))
-    rows = [[row.name, row.split, *(row.seconds.get(stage, "") for stage in stages)] for row in run.rows]
+    rows = [
+        [hide_formula(row.name), hide_formula(row.split), *(row.seconds.get(stage, "") for stage in stages)]
+        for row in run.rows
+    ]
     return csv_text(["query", "split", *(f"{stage}_s" for stage in stages)], rows)
 
 

@@ -168,7 +168,7 @@ def _caption(row: QueryRow) -> str:
 
 def _traces(folder: Path, rows: Sequence[QueryRow], splits: Sequence[str]) -> str:
     """Returns the score traces of the gallery's queries, from the run's ledger."""
-    ledger = Ledger(folder / "ledger.jsonl")
+    ledger = Ledger(folder / "ledger.jsonl", read_only=True)
     traces = []
     for split in splits:
         chosen = chosen_rows(rows, split)

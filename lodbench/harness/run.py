@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import time
@@ -32,10 +33,11 @@ from lodbench.harness.result import (
     pose_numbers,
     queries_digest,
 )
+from lodbench.harness.status import PLAN_FILE
 from lodbench.localization import Method
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.segmentation import Segmenter, binary_mask
-from lodbench.storage import digest_of, random_stream
+from lodbench.storage import digest_of, random_stream, write_text
 
 # Masks are compared with the truth at most at this width, pixels: the paper's fine size.
 _IOU_WIDTH = 602
@@ -105,6 +107,8 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     digest = digest_of({"config": settings.config, "inputs": inputs})
     folder = settings.runs_root / dataset.name / method.name / digest
     ledger = Ledger(folder / "ledger.jsonl")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / PLAN_FILE, json.dumps({"queries": [entry.key for entry in entries]}, indent=0) + "\n")
     _warm_up(scorer)
     resumed = sum(entry.key in ledger for entry in entries)
     with Progress(f"{method.name} on {dataset.name}", len(entries)) as progress:

@@ -17,6 +17,7 @@ from lodbench.evaluation.rows import QueryRow
 from lodbench.geometry import Pose
 from lodbench.harness.result import is_without_truth
 from lodbench.reporting.tables import read_summary
+from lodbench.storage import show_formula
 
 _FOLDER_HINT = "Name a folder that `lodbench run` or `lodbench evaluate` made."
 _ERROR_COLUMNS = ("translation_error_m", "rotation_error_deg")
@@ -119,6 +120,8 @@ def _read_table(path: Path) -> list[dict[str, str]]:
         raise DatasetError(f"{path} has no column {lacking[0]}.", _FOLDER_HINT)
     if any(None in row or None in row.values() for row in rows):
         raise DatasetError(f"{path} has rows of different lengths.", _FOLDER_HINT)
+    for row in rows:
+        row.update({name: show_formula(row[name]) for name in ("query", "split", "failure")})
     return rows
 
 

@@ -77,7 +77,7 @@ def verify_run(
         LodbenchError: A file of the run cannot be read, or the configuration is of another kind.
     """
     stored = read_run(folder)
-    differences = [*_changed_files(stored), *_changed_rows(stored, config)]
+    differences = [*changed_files(stored), *_changed_rows(stored, config)]
     notes = [] if "files" in stored.provenance else ["provenance.json holds no digests of the files"]
     entries: tuple[Entry, ...] = ()
     inputs, lod = _inputs(stored), stored.summary["protocol"].get("lod")
@@ -126,7 +126,8 @@ def compare_values(found: Any, expected: Any, where: str) -> list[str]:
     return [] if same else [f"{where} is {found!r}, not {expected!r}"]
 
 
-def _changed_files(stored: StoredRun) -> list[str]:
+def changed_files(stored: StoredRun) -> list[str]:
+    """Returns a line for each file that is no longer the one the run wrote."""
     written = stored.provenance.get("files", {})
     return [
         f"{name} is not the file the run wrote (SHA-256 {digest[:12]}, not {str(written[name])[:12]})"

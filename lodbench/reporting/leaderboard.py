@@ -110,7 +110,7 @@ _HEADER = (
     "source", "rank", "method", "variant", "map", "condition", "split",
     *LABELS, *(f"{label} {end}" for label in LABELS for end in ("low", "high")),
     "median_translation_m", "median_rotation_deg", "mask_iou", "queries", "failed", "hypotheses_per_query",
-    "seconds_per_query", "tilt", "segmenter", "renderer", "lod", "seeds", "evaluator", "protocol",
+    "seconds_per_query", "tilt", "segmenter", "renderer", "lod", "seeds", "evaluator", "code", "protocol",
     *(f"{name} printed" for name in _PRINTED), "table", "row", "run", "kept apart because", "notes",
 )  # fmt: skip
 
@@ -138,6 +138,7 @@ def _line(entry: Entry, rank: int | None, name: str, split: dict[str, Any]) -> l
         *(protocol[key] for key in ("tilt", "segmenter", "renderer", "lod")),
         " ".join(map(str, protocol["seeds"])),
         protocol["evaluator"],
+        protocol.get("code"),
         "" if is_reported else protocol_digest(entry),
         *(printed.get(key) for key in _PRINTED),
         origin.get("table"),

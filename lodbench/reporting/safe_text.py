@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 
+from lodbench.storage import hide_formula
+
 # Terminal sequences whole (CSI with parameters, OSC up to its end), then any other control character.
 _SEQUENCES = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)?|\x9b[0-?]*[ -/]*[@-~]")
 _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-_FORMULA = ("=", "+", "-", "@")
 
 
 def plain_text(text: str) -> str:
@@ -26,4 +27,4 @@ def csv_cell(value: object) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     text = plain_text(str(value))
-    return f"'{text}" if text.startswith(_FORMULA) and text != "-" else text
+    return text if text == "-" else hide_formula(text)

@@ -2,6 +2,16 @@
 
 from lodbench.storage.atomic import new_folder, write_bytes, write_text
 from lodbench.storage.digest import digest_of, file_digest
+from lodbench.storage.formulas import hide_formula, show_formula
 from lodbench.storage.streams import random_stream
 
-__all__ = ["digest_of", "file_digest", "new_folder", "random_stream", "write_bytes", "write_text"]
+__all__ = [
+    "digest_of",
+    "file_digest",
+    "hide_formula",
+    "new_folder",
+    "random_stream",
+    "show_formula",
+    "write_bytes",
+    "write_text",
+]

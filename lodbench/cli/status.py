@@ -1,0 +1,39 @@
+"""`lodbench status RUN ...`: how far runs are."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from lodbench.execution.progress import format_seconds
+from lodbench.harness.status import RunStatus, read_status
+from lodbench.reporting.safe_text import plain_text
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        "lodbench status", description="Say how far runs are; they may be going on meanwhile."
+    )
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
+    for folder in parser.parse_args(argv).runs:
+        sys.stdout.write(describe(read_status(folder)))
+    return 0
+
+
+def describe(status: RunStatus) -> str:
+    """Returns a line per run, and one per reason of failure."""
+    done = f"{status.num_done} of {status.num_queries} queries"
+    if status.is_finished:
+        state = "finished"
+    elif status.num_done == status.num_queries:
+        state = "all queries done, tables not written yet"
+    elif status.num_done:
+        state = f"unfinished, about {format_seconds(status.seconds_left)} of work left"
+    else:
+        state = "unfinished"
+    lines = [f"{status.folder}: {done}, {state}"]
+    lines += [f"  {count} x {plain_text(reason)}" for reason, count in sorted(status.failures.items())]
+    return "\n".join(lines) + "\n"

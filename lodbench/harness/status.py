@@ -1,0 +1,61 @@
+"""How far a run is, from what it has left in its folder so far."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from lodbench.errors import DatasetError
+from lodbench.execution import Ledger
+
+PLAN_FILE = "plan.json"
+
+
+@dataclass(frozen=True, slots=True)
+class RunStatus:
+    """How far a run is.
+
+    Attributes:
+        folder: The run folder.
+        num_queries: Queries the run has.
+        num_done: Of these, with a row.
+        failures: Failed ones so far, by reason.
+        seconds_per_query: Mean time of an answered query; 0 if there is none yet.
+        is_finished: Whether the run has written its tables.
+    """
+
+    folder: Path
+    num_queries: int
+    num_done: int
+    failures: dict[str, int]
+    seconds_per_query: float
+    is_finished: bool
+
+    @property
+    def seconds_left(self) -> float:
+        """Returns the time that the remaining queries will take, one after another."""
+        return self.seconds_per_query * (self.num_queries - self.num_done)
+
+
+def read_status(folder: Path) -> RunStatus:
+    """Returns how far a run is, whether it is going on, was stopped, or is done.
+
+    Raises:
+        DatasetError: The folder holds no run.
+    """
+    try:
+        keys = json.loads((folder / PLAN_FILE).read_text(encoding="utf-8"))["queries"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"{folder} holds no run.", "Name a folder that `lodbench run` made.") from error
+    ledger = Ledger(folder / "ledger.jsonl", read_only=True)
+    rows = [ledger[key] for key in keys if key in ledger]
+    failures: dict[str, int] = {}
+    for row in rows:
+        if row["failure"]:
+            failures[row["failure"]] = failures.get(row["failure"], 0) + 1
+    times = [sum(row["seconds"].values()) for row in rows if not row["failure"]]
+    mean = sum(times) / len(times) if times else 0.0
+    # A stopped run may stand beside the tables of an earlier, whole one: rows tell, not files alone.
+    is_finished = len(rows) == len(keys) and (folder / "summary.json").is_file()
+    return RunStatus(folder, len(keys), len(rows), failures, mean, is_finished)

@@ -1,0 +1,34 @@
+"""`lodbench status`: how far a run is, without touching it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.town import write_dataset
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> tuple[Path, Path]:
+    return write_dataset(tmp_path_factory.mktemp("town"), count=3)
+
+
+def test_a_run_is_finished_then_torn_then_unreadable(lodbench, tmp_path, data):
+    (data[0] / "masks" / "view_02.png").unlink()
+    words = ["run", "dataset=folder", f"dataset.root={data[0]}", f"dataset.city_model={data[1]}"]
+    done = lodbench(*words, "method.steps=2", "executor.threads=1")
+    folder = tmp_path / re.search(r"results:\s+(\S+)", done.stdout)[1]
+    said = lodbench("status", str(folder)).stdout
+    assert "3 of 3 queries, finished" in said
+    assert "1 x no mask in the masks folder" in said
+    ledger = folder / "ledger.jsonl"
+    torn = ledger.read_bytes().splitlines(keepends=True)[0] + b'{"key": "half'
+    ledger.write_bytes(torn)
+    said = lodbench("status", str(folder)).stdout
+    assert re.search(r"1 of 3 queries, unfinished, about \d+ s of work left", said)
+    assert ledger.read_bytes() == torn
+    (folder / "plan.json").unlink()
+    done = lodbench("status", str(folder))
+    assert (done.returncode, "holds no run" in done.stderr) == (2, True)
