@@ -65,7 +65,7 @@ def draw_overlay(shown: OverlayInput, renderer: Renderer) -> Picture:
     ):
         if pose is not None:
             draw_outline(canvas, renderer.render(camera, pose), colour, thickness)
-    return np.vstack([canvas, _caption(shown.caption, camera.width)])
+    return np.vstack([canvas, _caption(shown, camera.width)])
 
 
 def draw_outline(canvas: Picture, mask: Mask, colour: tuple[int, int, int], thickness: int) -> None:
@@ -102,20 +102,23 @@ def read_background(image: Path | Picture | None, camera: Camera) -> Picture:
     return np.asarray(resized, dtype=np.uint8)
 
 
-def _caption(text: str, width: int) -> Picture:
+def _caption(shown: OverlayInput, width: int) -> Picture:
+    """Returns the line of text, and a legend of what is drawn."""
     import cv2
 
     strip = np.full((48, width, 3), _PAPER, dtype=np.uint8)
     scale = min(0.5, width / 1400)
     font = cv2.FONT_HERSHEY_SIMPLEX
-    cv2.putText(strip, text, (8, 18), font, scale, _INK, 1, cv2.LINE_AA)
+    cv2.putText(strip, shown.caption, (8, 18), font, scale, _INK, 1, cv2.LINE_AA)
     x = 8
-    for name, colour in (
-        ("query mask", _MASK_COLOUR),
-        ("prior", PRIOR_COLOUR),
-        ("estimate", ESTIMATE_COLOUR),
-        ("truth", TRUTH_COLOUR),
+    for name, colour, drawn in (
+        ("query mask", _MASK_COLOUR, shown.mask),
+        ("prior", PRIOR_COLOUR, shown.prior),
+        ("estimate", ESTIMATE_COLOUR, shown.estimate),
+        ("truth", TRUTH_COLOUR, shown.truth),
     ):
+        if drawn is None:
+            continue
         cv2.line(strip, (x, 35), (x + 20, 35), colour, 4)
         cv2.putText(strip, name, (x + 26, 40), font, scale, _INK, 1, cv2.LINE_AA)
         x += 40 + int(cv2.getTextSize(name, font, scale, 1)[0][0])

@@ -33,3 +33,5 @@ def test_nothing_but_a_camera_is_enough(tmp_path):
     renderer = SilhouetteRenderer(open_scene(tmp_path / "city.obj"), threads=1)
     picture = draw_overlay(OverlayInput(CAMERA, None, None, None, None, None, "no poses"), renderer)
     assert picture[: CAMERA.height].std() == 0
+    # The legend names nothing that is not there.
+    assert (picture[CAMERA.height + 24 :] == picture[-1, -1]).all()
