@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -251,18 +252,30 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
     labels = _labels(members, free - {"seed"} if over_seeds else free)
     for label, member in zip(labels, members, strict=True):
         labelled.setdefault(label if over_seeds else f"{label}\0{len(labelled)}", []).append(member)
+    found = []
     for label, runs in labelled.items():
         shown = label.split("\0")[0] + (f" ({len(runs)} seeds)" if over_seeds else "")
-        rows.append(TableRow(shown, {name: _over_seeds(runs, name) for name in runs[0]["splits"]}))
-    return RecallTable(title, splits, tuple(rows))
+        found.append(TableRow(shown, {name: _over_seeds(runs, name) for name in runs[0]["splits"]}))
+    if len({_name(member) for member in members}) == 1:
+        # One method under several settings: in their order, whatever the order of the folders.
+        found.sort(key=lambda row: _natural(row.label))
+    return RecallTable(title, splits, tuple([*rows, *found]))
+
+
+def _natural(text: str) -> list[tuple[float, str]]:
+    """Returns what sorts steps=5 before steps=10."""
+    words = re.split(r"(\d+(?:\.\d+)?)", text)
+    return [(float(word), "") if number % 2 else (0.0, word) for number, word in enumerate(words)]
+
+
+def _name(member: dict[str, Any]) -> str:
+    method = member["method"]
+    return " ".join(filter(None, [method["name"], method.get("variant", "").replace("_", " ")]))
 
 
 def _labels(members: Sequence[dict[str, Any]], free: Collection[str]) -> list[str]:
     """Returns a name for each run: method, variant, and whatever else differs between runs of that method."""
-    names = [
-        " ".join(filter(None, [m["method"]["name"], m["method"].get("variant", "").replace("_", " ")]))
-        for m in members
-    ]
+    names = [_name(member) for member in members]
     labels = []
     for member, name in zip(members, names, strict=True):
         peers = [other for other, theirs in zip(members, names, strict=True) if theirs == name]
