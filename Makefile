@@ -39,4 +39,3 @@ $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
-	find . -name '*.nb[ci]' -delete

@@ -9,6 +9,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from lodbench.kernel_cache import keep_kernels_apart
+
 __version__ = "0.1.0"
 
 # Public name -> module that defines it.
@@ -31,6 +33,10 @@ __all__ = ["__version__", *sorted(_PUBLIC)]
 # In an uninstalled checkout `baselines/` and `conf/` lie beside the package, not inside it.
 if not (Path(__file__).parent / "conf").is_dir():
     __path__.append(str(Path(__file__).parent.parent))
+
+# Where compiled functions stand; a test holds the list complete.
+_COMPILED = ("citymodel", "rendering")
+keep_kernels_apart(Path(__file__).parent, _COMPILED)
 
 
 def __getattr__(name: str) -> Any:

@@ -1,0 +1,72 @@
+"""Compiled functions never outlive the code they were compiled from."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import lodbench
+from lodbench.kernel_cache import keep_kernels_apart
+
+INNER = "from numba import njit\n\n@njit\ndef inner():\n    return {value}\n"
+OUTER = (
+    "from numba import njit\n\nfrom fake.inner import inner\n\n"
+    "@njit(cache=True)\ndef outer():\n    return inner()\n"
+)
+MAIN = (
+    "import pathlib, lodbench.kernel_cache as k; k.keep_kernels_apart(pathlib.Path('fake'));"
+    "from fake.outer import outer; print(outer())"
+)
+
+
+@pytest.fixture
+def package(tmp_path):
+    folder = tmp_path / "fake"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "outer.py").write_text(OUTER)
+    (folder / "inner.py").write_text(INNER.format(value=1))
+    return folder
+
+
+def _run(package):
+    environment = {**os.environ, "PYTHONPATH": str(package.parent)}
+    command = [sys.executable, "-c", MAIN]
+    done = subprocess.run(
+        command, cwd=package.parent, env=environment, capture_output=True, text=True, check=True
+    )
+    return int(done.stdout)
+
+
+def test_a_change_in_a_called_file_is_seen(package):
+    assert _run(package) == 1
+    (first,) = package.glob("__pycache__/kernels-*")
+    assert list(first.rglob("*.nbi"))
+    (package / "inner.py").write_text(INNER.format(value=2))
+    assert _run(package) == 2
+    (second,) = package.glob("__pycache__/kernels-*")
+    assert second != first
+
+
+def test_what_numba_does_not_compile_does_not_count(package, monkeypatch):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    before = keep_kernels_apart(package)
+    (package / "__init__.py").write_text("# another comment")
+    assert keep_kernels_apart(package) == before
+    assert os.environ["NUMBA_CACHE_DIR"] == str(before)
+
+
+def test_a_folder_the_user_has_set_stays(package, monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert keep_kernels_apart(package) is None
+    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path)
+
+
+def test_all_compiled_functions_stand_where_they_are_looked_for():
+    root = Path(lodbench.__file__).parent
+    cached = [path.relative_to(root) for path in root.rglob("*.py") if "cache=True" in path.read_text()]
+    assert {path.parts[0] for path in cached} <= set(lodbench._COMPILED)
