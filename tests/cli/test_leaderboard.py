@@ -37,6 +37,7 @@ def test_a_run_ranks_and_its_oracle_twin_does_not(lodbench, tmp_path, data):
     assert by_tilt["prior"]["ranking"] == {"ranked": True, "reasons": []}
     assert "oracle" in by_tilt["truth"]["ranking"]["reasons"][0]
     assert by_tilt["prior"]["protocol"]["prior"]
+    assert by_tilt["prior"]["protocol"]["code"]
     assert lodbench("leaderboard", "build", "--check").returncode == 1
     assert lodbench("leaderboard", "build").returncode == 0
     assert lodbench("leaderboard", "build", "--check").returncode == 0

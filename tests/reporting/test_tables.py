@@ -7,7 +7,7 @@ import pytest
 
 from lodbench.errors import DatasetError
 from lodbench.reporting.table_formats import FORMATS, format_csv, format_text
-from lodbench.reporting.tables import detail_columns, read_summary, tables_of, with_seconds
+from lodbench.reporting.tables import detail_columns, read_summary, segmenter_columns, tables_of, with_seconds
 
 
 def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q", masks: str = "m") -> dict:
@@ -139,3 +139,13 @@ def test_runs_of_another_schema_are_refused(tmp_path):
     (tmp_path / "summary.json").write_text(json.dumps({**summary("full", 1.0), "schema": 1}))
     with pytest.raises(DatasetError, match="schema 1"):
         read_summary(tmp_path)
+
+
+def test_the_segmenter_table_shows_the_masks_iou_beside_recall():
+    run = summary("full", 97.9)
+    run["splits"]["in_place"]["mask_iou"] = 0.8765
+    (table,) = tables_of([run])
+    text = format_text(replace(table, columns=segmenter_columns(table.labels())))
+    assert "IoU" in text
+    assert "0.88" in text
+    assert "T.e./R.e." not in text
