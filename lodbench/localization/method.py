@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
@@ -27,6 +28,9 @@ class Estimate:
         hypotheses: Poses rendered and compared.
         seconds: Wall time by stage.
         trace: Best score after each step of each stage.
+        covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where the
+            method knows it.
+        probability: That the pose is within 2 m and 2 degrees, where the method knows it.
     """
 
     pose: Pose
@@ -34,6 +38,8 @@ class Estimate:
     hypotheses: int
     seconds: dict[str, float] = field(default_factory=dict)
     trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    covariance: NDArray[np.float64] | None = None
+    probability: float | None = None
 
 
 class Method(Protocol):

@@ -1,0 +1,180 @@
+"""Outlines aligned by least squares: Gauss-Newton on six numbers under a prior, with a robust kernel.
+
+A pose is judged by how far the outline of the model's silhouette lies from that of the mask. Points
+far off count less and less (Geman and McClure's kernel), so buildings that one of the two misses
+pull nowhere. Every building's height may differ from the map's by a common unknown, which is
+eliminated point sums by point sums (Schur complement): a map of a lower level of detail has its
+roofs at other heights than a photo shows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.query import Query
+from lodbench.geometry import Camera
+from lodbench.localization.sixdof.outline import EdgeArrays, OutlinePoints, edges_in_reach, sample_outline
+from lodbench.localization.sixdof.outline_kernel import building_sums, measure_distances
+from lodbench.localization.sixdof.params import Params
+from lodbench.localization.sixdof.pose_vector import pose_from_vector, rotation_derivatives, vector_from_pose
+from lodbench.rendering import Scorer
+from lodbench.segmentation import binary_mask
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# The longest step: a linearisation says little beyond it (metres, degrees; x, y, z, pitch, roll, yaw).
+_LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
+# Fewer points than this say nothing about six numbers.
+_FEWEST_POINTS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """The query at one working size.
+
+    Attributes:
+        camera: Pinhole of that size.
+        mask: (H, W) the query mask.
+        distance: (H, W) float32 signed distance to its outline, pixels, positive inside.
+        scale: Pixels of this size per pixel of the fine size.
+    """
+
+    camera: Camera
+    mask: Mask
+    distance: NDArray[np.float32]
+    scale: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearization:
+    """What the outlines say about a pose, to second order; the prior included.
+
+    Attributes:
+        information: (6, 6) of metres and degrees.
+        gradient: (6,) of the cost.
+        scores: (B, 6) gradients by building, the prior's left out.
+        cost: Robust sum of squared distances, in units of their noise.
+        spread_px: Standard deviation of the distances, outliers left out; fine pixels.
+        inliers: Share of the outline that is no outlier.
+        observations: Independent observations the outline amounts to.
+        iou: Of silhouette and mask.
+    """
+
+    information: Floats
+    gradient: Floats
+    scores: Floats
+    cost: float
+    spread_px: float
+    inliers: float
+    observations: float
+    iou: float
+
+
+class Aligner:
+    """Aligns poses of one query."""
+
+    def __init__(self, query: Query, scorer: Scorer, params: Params) -> None:
+        self.rendered = 0
+        self._scorer, self._query, self._params = scorer, query, params
+        self._prior = vector_from_pose(query.prior)
+        self._precision = np.array(params.prior_sigmas()) ** -2.0
+        half = [0.5 * w for w in (params.range_x_m, params.range_y_m, params.range_z_m)]
+        turn = 0.5 * params.range_yaw_deg + params.range_tilt_deg
+        # Twice the range: steps may lead out of it, though the prior calls them back.
+        self.edges: EdgeArrays = edges_in_reach(
+            scorer.scene, query.camera, query.prior, 2.0 * float(np.hypot(np.hypot(*half[:2]), half[2])), 2.0 * turn
+        )
+        self._levels: dict[tuple[int, int], Level] = {}
+
+    def align(self, vector: Floats, reaches_px: tuple[float, ...], size: tuple[int, int]) -> Floats:
+        """Returns (6,) numbers after one Gauss-Newton step per entry of ``reaches_px``."""
+        for reach_px in reaches_px:
+            here = self.linearize(vector, reach_px, size)
+            if here is None:
+                return vector
+            step = -np.linalg.solve(here.information, here.gradient)
+            vector = vector + step * min(1.0, float(1.0 / np.max(np.abs(step) / _LONGEST_STEP)))
+        return vector
+
+    def linearize(self, vector: Floats, reach_px: float, size: tuple[int, int]) -> Linearization | None:
+        """Returns what the outlines say at a pose; None if too little outline is seen.
+
+        Args:
+            vector: (6,) centre in metres and angles in degrees.
+            reach_px: Scale of the robust kernel, pixels of the fine size.
+            size: Width and height of the silhouette, pixels.
+        """
+        level = self._level(size)
+        points, iou = self._outline(vector, level)
+        count = len(points)
+        if count < _FEWEST_POINTS:
+            return None
+        residuals, slopes, agreement = np.empty(count), np.empty((count, 7)), np.empty(count)
+        measured = residuals, slopes, agreement
+        measure_distances(points.pixels, points.normals, points.moves, level.distance, *measured)
+        residuals /= level.scale
+        slopes /= level.scale
+        lengths = points.lengths * agreement / level.scale
+        kernel = 1.0 / (1.0 + (residuals / reach_px) ** 2)
+        per_length = 1.0 / (self._params.correlation_px * self._params.noise_px**2)
+        weights = lengths * kernel**2 * per_length
+        sums = building_sums(residuals, slopes, weights, points.buildings, len(self.edges.rises))
+        information, scores = _without_roofs(*sums, self._params.roof_m)
+        offset = vector - self._prior
+        offset[5] = (offset[5] + 180.0) % 360.0 - 180.0
+        loss = 0.5 * per_length * float((lengths * residuals**2 * kernel).sum())
+        weight = float(weights.sum())
+        return Linearization(
+            information=information + np.diag(self._precision),
+            gradient=scores.sum(axis=0) + self._precision * offset,
+            scores=scores,
+            cost=loss + 0.5 * float((self._precision * offset**2).sum()),
+            spread_px=float(np.sqrt((weights * residuals**2).sum() / weight)) if weight else 0.0,
+            inliers=weight / per_length / float(points.lengths.sum() / level.scale),
+            observations=float(weights.sum() / per_length) / self._params.correlation_px,
+            iou=iou,
+        )
+
+    def _outline(self, vector: Floats, level: Level) -> tuple[OutlinePoints, float]:
+        pose = pose_from_vector(vector)
+        silhouette = self._scorer.render(level.camera, pose)
+        self.rendered += 1
+        union = int(np.count_nonzero(silhouette | level.mask))
+        iou = int(np.count_nonzero(silhouette & level.mask)) / union if union else 0.0
+        derivatives, spacing = rotation_derivatives(vector), self._params.spacing_px
+        return sample_outline(self.edges, level.camera, pose, derivatives, silhouette, spacing), iou
+
+    def _level(self, size: tuple[int, int]) -> Level:
+        if size not in self._levels:
+            mask = binary_mask(self._query.building_probability, *size)
+            scale = size[0] / self._params.fine_size[0]
+            self._levels[size] = Level(self._query.camera.scaled(*size), mask, signed_distance(mask), scale)
+        return self._levels[size]
+
+
+def signed_distance(mask: Mask) -> NDArray[np.float32]:
+    """Returns the distance of pixel centres to a mask's outline, (H, W) float32 pixels, positive inside.
+
+    The outline runs halfway between two pixel centres. A mask with one value everywhere has none: all
+    its distances are as far as the image is wide and high.
+    """
+    if mask.all() or not mask.any():
+        return np.full(mask.shape, (1.0 if mask.any() else -1.0) * sum(mask.shape), dtype=np.float32)
+    inside = cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+    outside = cv2.distanceTransform((~mask).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+    return np.asarray(inside - outside + np.where(mask, -0.5, 0.5), dtype=np.float32)
+
+
+def _without_roofs(products: Floats, gradients: Floats, roof_m: float) -> tuple[Floats, Floats]:
+    """Returns information (6, 6) and gradients by building (B, 6) with each building's height eliminated."""
+    information, scores = products[:, :6, :6], gradients[:, :6]
+    if roof_m > 0:
+        gain = products[:, :6, 6] / (products[:, 6, 6] + roof_m**-2.0)[:, None]
+        information = information - gain[:, :, None] * products[:, None, :6, 6]
+        scores = scores - gain * gradients[:, 6:]
+    return information.sum(axis=0), scores

@@ -1,0 +1,89 @@
+"""The method: LoD-Loc v2's grid finds the neighbourhood, outlines aligned by least squares the pose."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.localization.lodlocv2.method import Judge
+from lodbench.localization.method import Estimate, Streams
+from lodbench.localization.sixdof.alignment import Aligner, Linearization
+from lodbench.localization.sixdof.params import Params
+from lodbench.localization.sixdof.pose_vector import pose_from_vector
+from lodbench.localization.sixdof.uncertainty import covariance, probability_within
+from lodbench.rendering import Scorer
+
+Floats = NDArray[np.float64]
+
+
+class SixDof:
+    """Finds all six numbers of a pose, and says how sure it is. Draws no random numbers."""
+
+    params_type = Params
+    name = "lodlocv2_6dof"
+
+    def __init__(self, settings: Params | None = None) -> None:
+        self.params = settings or Params()
+
+    def reaching(self, prior: UniformPrior) -> Params:
+        """Returns the parameters that search all that such a prior leaves open, tilt included."""
+        return self.params.reaching(prior)
+
+    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+        """Returns the pose whose outline fits the mask's best under the prior.
+
+        Raises:
+            QueryFault: The mask is empty, or no hypothesis overlaps it or shows an outline.
+        """
+        started = time.perf_counter()
+        judge = Judge(query, scorer, self.params.coarse_size)
+        starts, best_iou = self._starts(judge, query)
+        selected = time.perf_counter()
+        aligner = Aligner(query, scorer, self.params)
+        found, trace = self._align(aligner, starts)
+        vector, at = self._finish(aligner, found)
+        spread = covariance(at, self.params)
+        finished = time.perf_counter()
+        return Estimate(
+            pose=pose_from_vector(vector),
+            score=at.iou,
+            hypotheses=judge.scored + aligner.rendered,
+            seconds={"coarse": selected - started, "fine": finished - selected},
+            trace={"coarse": (best_iou,), "fine": trace},
+            covariance=spread,
+            probability=probability_within(spread, vector),
+        )
+
+    def _starts(self, judge: Judge, query: Query) -> tuple[Floats, float]:
+        """Returns the best poses of the grid, (N, 6), and the best IoU."""
+        particles = judge(*self.params.grid().around(query.prior))
+        order = np.argsort(-particles.scores, kind="stable")[: self.params.starts]
+        best = float(particles.scores[order[0]])
+        if best <= 0:
+            raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
+        tilt = np.broadcast_to([judge.pitch_deg, judge.roll_deg], (len(order), 2))
+        return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order]]), best
+
+    def _align(self, aligner: Aligner, starts: Floats) -> tuple[Floats, tuple[float, ...]]:
+        """Returns the start, aligned, whose silhouette fits best, and the IoU of each."""
+        width, height = self.params.fine_size
+        half = max(8, width // 2), max(8, height // 2)
+        aligned = [aligner.align(start, self.params.reaches_px(), half) for start in starts]
+        here = [aligner.linearize(vector, self.params.near_px, self.params.fine_size) for vector in aligned]
+        ious = [at.iou if at else 0.0 for at in here]
+        if max(ious) <= 0:
+            raise QueryFault("no outline of a building is in view of any aligned pose")
+        return aligned[int(np.argmax(ious))], tuple(ious)
+
+    def _finish(self, aligner: Aligner, vector: Floats) -> tuple[Floats, Linearization]:
+        near, size = self.params.near_px, self.params.fine_size
+        vector = aligner.align(vector, (near,) * self.params.final_steps, size)
+        at = aligner.linearize(vector, near, size)
+        if at is None:
+            raise QueryFault("no outline of a building is in view of the aligned pose")
+        return vector, at

