@@ -2,18 +2,21 @@
 
 Seeded drone views are drawn over a city. The mask of each is rendered at the true pose at the
 working size (602 x 448) and roughened to a target IoU; its prior is drawn uniformly around the
-truth. Every view is run twice: with the true tilt in the prior, and with a tilt in error.
+truth. Every method runs every view twice: with the true tilt in the prior, and with a tilt in error.
+Masks may come from another level of detail than the map that is searched.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.bench.accuracy_report import TILTS, AccuracyReport, Outcome
 from lodbench.bench.figures import Progress, no_progress
@@ -28,6 +31,7 @@ from lodbench.evaluation.errors import FAILED
 from lodbench.geometry import Pose
 from lodbench.localization import Method
 from lodbench.localization.lodlocv2 import LodLocV2
+from lodbench.localization.method import Reaching
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.storage import random_stream
 
@@ -40,17 +44,23 @@ class AccuracyOptions:
         num_views: Views over the city.
         mask_iou: IoU of each query mask with the silhouette at the truth.
         tilt_deg: Half width of the prior's error in pitch and in roll, degrees, where tilt=prior.
-        seed: Seed of views, masks, priors and methods.
+        seeds: Seeds of views, masks, priors and methods; each draws ``num_views`` views of its own.
+        mask_lod: Level of detail that views and masks are drawn from; None for ``map_lod``.
+        map_lod: Level of detail that is searched; None for the lowest there is.
         threads: Threads of the engine; None for one per core. Results do not depend on it.
     """
 
     num_views: int = 200
     mask_iou: float = 0.88
     tilt_deg: float = 1.0
-    seed: int = 0
+    seeds: tuple[int, ...] = (0,)
+    mask_lod: str | None = None
+    map_lod: str | None = None
     threads: int | None = None
 
     def __post_init__(self) -> None:
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise ConfigError(f"seeds are one or more different numbers, not {list(self.seeds)}.")
         if self.num_views < 1:
             raise ConfigError(f"num_views is at least 1, not {self.num_views}.")
         if not 0 < self.mask_iou <= 1:
@@ -68,7 +78,7 @@ class AccuracyOptions:
         return (
             f"masks of {width} x {height} roughened to IoU {self.mask_iou:g}, priors +-{prior.x_m:g}/"
             f"+-{prior.y_m:g}/+-{prior.z_m:g} m and +-{prior.yaw_deg:g} deg yaw, with tilt=prior "
-            f"+-{self.tilt_deg:g} deg pitch and roll, seed {self.seed}"
+            f"+-{self.tilt_deg:g} deg pitch and roll, {_seeds_in_words(self.seeds)}"
         )
 
 
@@ -92,40 +102,79 @@ class Case:
         prior = q.prior.with_tilt_of(self.truth) if tilt == "truth" else q.prior
         return Query(q.name, q.split, q.camera, prior, q.building_probability)
 
+    def shifted(self, offset_m: NDArray[np.float64]) -> Case:
+        """Returns the case in a frame whose origin lies elsewhere, (3,) metres."""
+        q = self.query
+        query = Query(q.name, q.split, q.camera, q.prior.shifted(offset_m), q.building_probability)
+        return Case(query, self.truth.shifted(offset_m), self.achieved_iou)
+
 
 def measure_accuracy(
-    city: Path, options: AccuracyOptions | None = None, progress: Progress = no_progress
+    city: Path,
+    options: AccuracyOptions | None = None,
+    progress: Progress = no_progress,
+    methods: Sequence[Method] = (),
 ) -> AccuracyReport:
-    """Returns how well LoD-Loc v2 finds seeded views over a city.
+    """Returns how well methods find seeded views over a city.
+
+    A method that can is told how far off the priors may be, tilt included; never whether it is.
 
     Args:
         city: City model file.
         options: What to measure.
-        progress: Called after each view and tilt.
+        progress: Called after each view, tilt and method.
+        methods: Which methods; LoD-Loc v2 if empty.
 
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
     options = options or AccuracyOptions()
-    scene = open_scene(city)
+    scene = open_scene(city, lod=options.map_lod)
     scorer = make_renderer("silhouette", scene, options.threads)
-    method = LodLocV2()
-    cases, rejections = make_cases(scene, scorer, options)
-    outcomes = []
-    for tilt in TILTS:
-        for case in cases:
-            outcomes.append(run_case(case, tilt, method, scorer, options.seed))
-            progress(len(outcomes), len(cases) * len(TILTS))
-    return AccuracyReport(Path(city).name, method.name, options.protocol(), rejections, tuple(outcomes))
+    seen = scorer
+    if options.mask_lod is not None and options.mask_lod != options.map_lod:
+        seen = make_renderer("silhouette", open_scene(city, lod=options.mask_lod), options.threads)
+    told = [reaching(method, options.prior()) for method in methods or (LodLocV2(),)]
+    outcomes: list[Outcome] = []
+    rejections = 0
+    for seed in options.seeds:
+        cases, rejected = make_cases(seen.scene, seen, options, seed)
+        cases = [case.shifted(seen.scene.origin - scene.origin) for case in cases]
+        rejections += rejected
+        for method, tilt, case in product(told, TILTS, cases):
+            outcomes.append(run_case(case, tilt, method, scorer, seed))
+            progress(len(outcomes), len(options.seeds) * len(told) * len(TILTS) * len(cases))
+    name = Path(city).name
+    if options.mask_lod is not None or options.map_lod is not None:
+        name += f" (masks LoD{seen.scene.lod}, map LoD{scene.lod})"
+    names = tuple(method.name for method in told)
+    return AccuracyReport(name, names, options.protocol(), rejections, tuple(outcomes))
 
 
-def make_cases(scene: Scene, scorer: Scorer, options: AccuracyOptions) -> tuple[list[Case], int]:
+def reaching(method: Method, prior: UniformPrior) -> Method:
+    """Returns a method told how far off priors may be, if it is one that can be."""
+    if not isinstance(method, Reaching):
+        return method
+    made: Method = type(method)(method.reaching(prior))  # type: ignore[call-arg]
+    return made
+
+
+def make_cases(
+    scene: Scene, scorer: Scorer, options: AccuracyOptions, seed: int | None = None
+) -> tuple[list[Case], int]:
     """Returns the cases of a city and how many draws of views were rejected.
 
     Case i depends on the seed and i only: asking for more views keeps the first ones.
+
+    Args:
+        scene: What masks are drawn from.
+        scorer: Renders it.
+        options: What to draw.
+        seed: Which; the first of the options' if None.
     """
+    seed = options.seeds[0] if seed is None else seed
     drawn, rejections = draw_queries(
-        scene, scorer, options.num_views, options.mask_iou, options.prior(), options.seed
+        scene, scorer, options.num_views, options.mask_iou, options.prior(), seed
     )
     return [_case(query) for query in drawn], rejections
 
@@ -134,23 +183,37 @@ def run_case(case: Case, tilt: str, method: Method, scorer: Scorer, seed: int) -
     """Returns what a method makes of a case; a fault of the query is a failure, not an error."""
     query = case.query_with_tilt(tilt)
     started = time.perf_counter()
-    error, score, hypotheses = FAILED, 0.0, 0
+    error, score, hypotheses, probability = FAILED, 0.0, 0, None
     try:
         # The streams know nothing of the tilt: both blocks try the same moves.
         estimate = method.localize(query, scorer, _streams(seed, query.name))
         error = pose_error(estimate.pose, case.truth)
-        score, hypotheses = estimate.score, estimate.hypotheses
+        score, hypotheses, probability = estimate.score, estimate.hypotheses, estimate.probability
     except QueryFault:
         pass
-    seconds = time.perf_counter() - started
-    prior_error = pose_error(query.prior, case.truth)
-    return Outcome(query.name, tilt, error, prior_error, score, case.achieved_iou, hypotheses, seconds)
+    return Outcome(
+        name=query.name,
+        tilt=tilt,
+        error=error,
+        prior_error=pose_error(query.prior, case.truth),
+        score=score,
+        truth_score=case.achieved_iou,
+        hypotheses=hypotheses,
+        seconds=time.perf_counter() - started,
+        method=method.name,
+        seed=seed,
+        probability=probability,
+    )
 
 
 def _case(drawn: SyntheticQuery) -> Case:
     probability = drawn.mask.astype(np.float32)
     query = Query(drawn.name, "all", RGB_CAMERA, drawn.prior, probability)
     return Case(query, drawn.truth, drawn.achieved_iou)
+
+
+def _seeds_in_words(seeds: tuple[int, ...]) -> str:
+    return f"seed {seeds[0]}" if len(seeds) == 1 else "seeds " + ", ".join(str(seed) for seed in seeds)
 
 
 def _streams(seed: int, name: str) -> Callable[[str, int], np.random.Generator]:

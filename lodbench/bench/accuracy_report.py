@@ -1,4 +1,4 @@
-"""The accuracy figures as data and as text: recalls and medians of a method beside its priors."""
+"""The accuracy figures as data and as text: recalls and medians of methods beside their priors."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from lodbench.bench.figures import Figure
 from lodbench.evaluation import DEFAULT_THRESHOLDS, PoseError, SplitSummary, summarize
+from lodbench.evaluation.calibration import Calibration, calibrate
 from lodbench.reporting.columns import format_columns
 
 # The two blocks: pitch and roll of the prior true, or drawn with an error.
@@ -29,6 +30,9 @@ class Outcome:
             failure of the search, a higher one says that the mask fits a wrong pose better.
         hypotheses: Poses scored.
         seconds: Wall time.
+        method: Name of the method.
+        seed: Which draw of views the case belongs to.
+        probability: What the method said of its being within (2 m, 2 deg); None if it does not say.
     """
 
     name: str
@@ -39,6 +43,9 @@ class Outcome:
     truth_score: float
     hypotheses: int
     seconds: float
+    method: str = "lodlocv2"
+    seed: int = 0
+    probability: float | None = None
 
     @property
     def is_found(self) -> bool:
@@ -48,81 +55,118 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class AccuracyReport:
-    """Outcomes of every view under both tilts.
+    """Outcomes of every method and view under both tilts.
 
     Attributes:
         city: File name of the city model.
-        method: Name of the method.
+        methods: Names of the methods.
         protocol: What was drawn, in words.
         rejections: Draws of a view thrown away: too few or too many buildings, or among them.
-        outcomes: One per view and tilt, in that order.
+        outcomes: One per seed, method, tilt and view, in that order.
     """
 
     city: str
-    method: str
+    methods: tuple[str, ...]
     protocol: str
     rejections: int
     outcomes: tuple[Outcome, ...]
 
-    def of_tilt(self, tilt: str) -> tuple[Outcome, ...]:
-        """Returns the outcomes of ``truth`` or ``prior``."""
-        return tuple(outcome for outcome in self.outcomes if outcome.tilt == tilt)
+    def of_tilt(self, tilt: str, method: str | None = None) -> tuple[Outcome, ...]:
+        """Returns the outcomes of ``truth`` or ``prior``, of a method; the first if None."""
+        method = method or self.methods[0]
+        return tuple(o for o in self.outcomes if o.tilt == tilt and o.method == method)
 
-    def summary(self, tilt: str) -> SplitSummary:
-        """Returns the method's recalls and medians under a tilt."""
-        outcomes = self.of_tilt(tilt)
+    def summary(self, tilt: str, method: str | None = None) -> SplitSummary:
+        """Returns a method's recalls and medians under a tilt."""
+        outcomes = self.of_tilt(tilt, method)
         return summarize([o.error for o in outcomes], [o.hypotheses for o in outcomes if o.hypotheses])
 
     def prior_summary(self, tilt: str) -> SplitSummary:
         """Returns the same of the priors themselves."""
         return summarize([o.prior_error for o in self.of_tilt(tilt)])
 
-    def seconds_per_query(self, tilt: str) -> float:
+    def seconds_per_query(self, tilt: str, method: str | None = None) -> float:
         """Returns the mean wall time of a query."""
-        return float(np.mean([o.seconds for o in self.of_tilt(tilt)]))
+        return float(np.mean([o.seconds for o in self.of_tilt(tilt, method)]))
+
+    def calibration(self, tilt: str, method: str) -> Calibration | None:
+        """Returns how well a method knows what it found; None if it does not say."""
+        outcomes = self.of_tilt(tilt, method)
+        if all(o.probability is None for o in outcomes):
+            return None
+        return calibrate([o.probability or 0.0 for o in outcomes], [o.is_found for o in outcomes])
+
+    def calibrations(self) -> dict[str, Calibration]:
+        """Returns the calibrations there are, by method and tilt in words."""
+        asked = {f"{method}, tilt={tilt}": self.calibration(tilt, method) for method, tilt in self._blocks()}
+        return {name: calibration for name, calibration in asked.items() if calibration is not None}
 
     def figures(self) -> list[Figure]:
         """Returns one figure per number; the peer of each is the prior."""
-        return [figure for tilt in TILTS for figure in self._figures_of(tilt)]
+        return [figure for method, tilt in self._blocks() for figure in self._figures_of(method, tilt)]
 
     def to_text(self) -> str:
-        """Returns the report as a table with a line of small print."""
+        """Returns the report as a table with a line of small print for each block."""
         labels = [t.label for t in DEFAULT_THRESHOLDS]
-        head = ["", *(f"{label} %" for label in labels), "median m", "median deg", "hypotheses", "s/query"]
+        recalls = [f"{label} %" for label in labels]
+        head = ["", *recalls, "median m", "median deg", "hypotheses", "s/query", "said-found %", "risk area %"]
         rows = [head]
         for tilt in TILTS:
-            seconds = f"{self.seconds_per_query(tilt):.2f}"
-            rows.append(_cells(f"tilt={tilt}  prior", self.prior_summary(tilt), "-"))
-            rows.append(_cells(f"tilt={tilt}  {self.method}", self.summary(tilt), seconds))
+            rows.append([*_cells(f"tilt={tilt}  prior", self.prior_summary(tilt), "-"), "-", "-"])
+            for method in self.methods:
+                seconds = f"{self.seconds_per_query(tilt, method):.2f}"
+                cells = _cells(f"tilt={tilt}  {method}", self.summary(tilt, method), seconds)
+                rows.append([*cells, *_knowing(self.calibration(tilt, method))])
         return format_columns(rows) + "\n" + self._small_print()
 
-    def _figures_of(self, tilt: str) -> Iterable[Figure]:
-        ours, prior = self.summary(tilt), self.prior_summary(tilt)
+    def _blocks(self) -> list[tuple[str, str]]:
+        return [(method, tilt) for tilt in TILTS for method in self.methods]
+
+    def _figures_of(self, method: str, tilt: str) -> Iterable[Figure]:
+        ours, prior = self.summary(tilt, method), self.prior_summary(tilt)
+        block = f"tilt={tilt}" if len(self.methods) == 1 else f"{method} tilt={tilt}"
         for label, percent in ours.recall.items():
-            yield Figure(f"recall {label} tilt={tilt}", percent, "%", "prior", prior.recall[label])
+            yield Figure(f"recall {label} {block}", percent, "%", "prior", prior.recall[label])
             low, high = ours.interval[label]
-            yield Figure(f"recall {label} tilt={tilt} low", low, "%")
-            yield Figure(f"recall {label} tilt={tilt} high", high, "%")
+            yield Figure(f"recall {label} {block} low", low, "%")
+            yield Figure(f"recall {label} {block} high", high, "%")
         for name, unit in (("median_translation_m", "m"), ("median_rotation_deg", "deg")):
             value, beside = getattr(ours, name), getattr(prior, name)
             ratio = beside / value if value else None
-            yield Figure(f"{name} tilt={tilt}", value, unit, "prior", beside, ratio)
-        yield Figure(f"hypotheses per query tilt={tilt}", ours.hypotheses_per_query, "")
-        yield Figure(f"seconds per query tilt={tilt}", self.seconds_per_query(tilt), "s")
+            yield Figure(f"{name} {block}", value, unit, "prior", beside, ratio)
+        yield Figure(f"hypotheses per query {block}", ours.hypotheses_per_query, "")
+        yield Figure(f"seconds per query {block}", self.seconds_per_query(tilt, method), "s")
+        calibration = self.calibration(tilt, method)
+        if calibration is not None:
+            yield Figure(f"calibration error {block}", 100 * calibration.calibration_error, "%")
+            yield Figure(f"area under risk over coverage {block}", 100 * calibration.risk_area, "%")
 
     def _small_print(self) -> str:
+        views = len(self.of_tilt(TILTS[0]))
         lines = [
-            f"{self.city}, {len(self.of_tilt(TILTS[0]))} views ({self.rejections} draws rejected), "
+            f"{self.city}, {views} views ({self.rejections} draws rejected), "
             f"{self.protocol}; in brackets the 95 % interval."
         ]
-        for tilt in TILTS:
-            missed = [o for o in self.of_tilt(tilt) if not o.is_found]
+        for method, tilt in self._blocks():
+            missed = [o for o in self.of_tilt(tilt, method) if not o.is_found]
             unfound = sum(o.score < o.truth_score for o in missed)
+            whose = f"tilt={tilt}" if len(self.methods) == 1 else f"tilt={tilt} {method}"
             lines.append(
-                f"tilt={tilt}: {len(missed)} not within (2 m, 2 deg); in {unfound} of them the truth fits "
+                f"{whose}: {len(missed)} not within (2 m, 2 deg); in {unfound} of them the truth fits "
                 f"better than the estimate, in {len(missed) - unfound} it does not."
             )
+        if self.calibrations():
+            lines.append(
+                "said-found: mean distance of the probability a method gives of being within (2 m, 2 deg) from "
+                "the share it found; risk area: share not found as the surest 0 to 100 % are answered, averaged."
+            )
         return "\n".join(lines)
+
+
+def _knowing(calibration: Calibration | None) -> list[str]:
+    if calibration is None:
+        return ["-", "-"]
+    return [f"{100 * calibration.calibration_error:.1f}", f"{100 * calibration.risk_area:.2f}"]
 
 
 def _cells(name: str, summary: SplitSummary, seconds: str) -> list[str]:

@@ -26,7 +26,11 @@ from lodbench.bench import (
     measure_silhouettes,
 )
 from lodbench.bench.silhouette_pictures import write_pictures
+from lodbench.cli.hydra_app import load_plugin
+from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
+from lodbench.localization import Method
+from lodbench.storage.atomic import write_bytes
 
 
 def main(argv: Sequence[str]) -> int:
@@ -65,10 +69,37 @@ def _scale(options: argparse.Namespace, steps: ProgressCallback) -> ScaleReport:
 
 
 def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> AccuracyReport:
+    seeds = options.seeds or str(options.seed)
     asked = AccuracyOptions(
-        num_views=options.views, mask_iou=options.mask_iou, tilt_deg=options.tilt_deg, seed=options.seed
+        num_views=options.views,
+        mask_iou=options.mask_iou,
+        tilt_deg=options.tilt_width,
+        seeds=tuple(_whole(seed) for seed in seeds.split(",")),
+        mask_lod=options.mask_lod,
+        map_lod=options.map_lod,
     )
-    return measure_accuracy(_city_file(options), asked, steps)
+    methods = [_method(name) for name in options.method.split(",")]
+    report = measure_accuracy(_city_file(options), asked, steps, methods)
+    if options.pictures and report.calibrations():
+        from lodbench.reporting.calibration_figures import draw_calibration
+
+        options.pictures.mkdir(parents=True, exist_ok=True)
+        for kind, picture in draw_calibration(report.calibrations()).items():
+            write_bytes(options.pictures / f"calibration.{kind}", picture)
+    return report
+
+
+def _method(name: str) -> Method:
+    plugin = load_plugin("methods", name)
+    method: Method = plugin(plugin.params_type())
+    return method
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError as error:
+        raise ConfigError(f"A seed is a whole number, not {text!r}.", "Write --seeds 0,1,2") from error
 
 
 def _city(options: argparse.Namespace, steps: ProgressCallback) -> CityBench:
@@ -110,10 +141,17 @@ def _parser() -> argparse.ArgumentParser:
     scale.add_argument("--buildings", type=int, default=1_000_000, help="of the large city (1000000: 1.7 GB)")
     scale.add_argument("--views", type=int, default=10, help="seeded views of each kind (10)")
     scale.add_argument("--hypotheses", type=int, default=400, help="around each view (400)")
-    accuracy = actions.add_parser("accuracy", help="recall of LoD-Loc v2 on synthetic views of a real model")
+    accuracy = actions.add_parser("accuracy", help="recall of methods on synthetic views of a real model")
     accuracy.add_argument("--views", type=int, default=200, help="seeded views (200)")
     accuracy.add_argument("--mask-iou", type=float, default=0.88, help="of the roughened masks (0.88)")
-    accuracy.add_argument("--tilt-deg", type=float, default=1.0, help="prior's tilt error, +- (1.0)")
+    accuracy.add_argument(
+        "--tilt-width", "--tilt-deg", type=float, default=1.0, help="prior's tilt error, +- degrees (1.0)"
+    )
+    accuracy.add_argument("--method", default="lodlocv2", help="methods, comma-separated (lodlocv2)")
+    accuracy.add_argument("--seeds", help="seeds, comma-separated, each with views of its own; instead of --seed")
+    accuracy.add_argument("--mask-lod", help="level of detail that views and masks are drawn from (the map's)")
+    accuracy.add_argument("--map-lod", help="level of detail that is searched (the lowest)")
+    accuracy.add_argument("--pictures", type=Path, help="folder for reliability and risk over coverage")
     city = actions.add_parser(
         "city", help="reading and meshing a city model, beside the naive way and cjio; memory on a large file"
     )
