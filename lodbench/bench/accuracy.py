@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -44,6 +44,7 @@ class AccuracyOptions:
         num_views: Views over the city.
         mask_iou: IoU of each query mask with the silhouette at the truth.
         tilt_deg: Half width of the prior's error in pitch and in roll, degrees, where tilt=prior.
+        range_m: Half width of the prior's error along x, y and z, metres; None for the published ones.
         seeds: Seeds of views, masks, priors and methods; each draws ``num_views`` views of its own.
         mask_lod: Level of detail that views and masks are drawn from; None for ``map_lod``.
         map_lod: Level of detail that is searched; None for the lowest there is.
@@ -53,6 +54,7 @@ class AccuracyOptions:
     num_views: int = 200
     mask_iou: float = 0.88
     tilt_deg: float = 1.0
+    range_m: float | None = None
     seeds: tuple[int, ...] = (0,)
     mask_lod: str | None = None
     map_lod: str | None = None
@@ -69,8 +71,11 @@ class AccuracyOptions:
             raise ConfigError(f"tilt_deg lies within 0 and 30, not {self.tilt_deg}.")
 
     def prior(self) -> UniformPrior:
-        """Returns the errors of the priors: the paper's, with this tilt."""
-        return UniformPrior(pitch_deg=self.tilt_deg, roll_deg=self.tilt_deg)
+        """Returns the errors of the priors: the published ones, with this tilt and range."""
+        prior = UniformPrior(pitch_deg=self.tilt_deg, roll_deg=self.tilt_deg)
+        if self.range_m is None:
+            return prior
+        return replace(prior, x_m=self.range_m, y_m=self.range_m, z_m=self.range_m)
 
     def protocol(self) -> str:
         """Returns in words what is drawn."""

@@ -109,7 +109,16 @@ class AccuracyReport:
         """Returns the report as a table with a line of small print for each block."""
         labels = [t.label for t in DEFAULT_THRESHOLDS]
         recalls = [f"{label} %" for label in labels]
-        head = ["", *recalls, "median m", "median deg", "hypotheses", "s/query", "said-found %", "risk area %"]
+        head = [
+            "",
+            *recalls,
+            "median m",
+            "median deg",
+            "hypotheses",
+            "s/query",
+            "said-found %",
+            "risk area %",
+        ]
         rows = [head]
         for tilt in TILTS:
             rows.append([*_cells(f"tilt={tilt}  prior", self.prior_summary(tilt), "-"), "-", "-"])
@@ -157,8 +166,9 @@ class AccuracyReport:
             )
         if self.calibrations():
             lines.append(
-                "said-found: mean distance of the probability a method gives of being within (2 m, 2 deg) from "
-                "the share it found; risk area: share not found as the surest 0 to 100 % are answered, averaged."
+                "said-found: mean distance of the probability a method gives of being within (2 m, 2 deg) "
+                "from the share it found; risk area: share not found as the surest 0 to 100 % are answered, "
+                "averaged."
             )
         return "\n".join(lines)
 

@@ -74,6 +74,7 @@ def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> AccuracyR
         num_views=options.views,
         mask_iou=options.mask_iou,
         tilt_deg=options.tilt_width,
+        range_m=options.prior_range,
         seeds=tuple(_whole(seed) for seed in seeds.split(",")),
         mask_lod=options.mask_lod,
         map_lod=options.map_lod,
@@ -147,9 +148,16 @@ def _parser() -> argparse.ArgumentParser:
     accuracy.add_argument(
         "--tilt-width", "--tilt-deg", type=float, default=1.0, help="prior's tilt error, +- degrees (1.0)"
     )
+    accuracy.add_argument(
+        "--prior-range", type=float, help="prior's error along x, y and z, +- metres (10, 10, 30)"
+    )
     accuracy.add_argument("--method", default="lodlocv2", help="methods, comma-separated (lodlocv2)")
-    accuracy.add_argument("--seeds", help="seeds, comma-separated, each with views of its own; instead of --seed")
-    accuracy.add_argument("--mask-lod", help="level of detail that views and masks are drawn from (the map's)")
+    accuracy.add_argument(
+        "--seeds", help="seeds, comma-separated, each with views of its own; instead of --seed"
+    )
+    accuracy.add_argument(
+        "--mask-lod", help="level of detail that views and masks are drawn from (the map's)"
+    )
     accuracy.add_argument("--map-lod", help="level of detail that is searched (the lowest)")
     accuracy.add_argument("--pictures", type=Path, help="folder for reliability and risk over coverage")
     city = actions.add_parser(

@@ -74,6 +74,8 @@ def _reliability(axes: Axes, calibration: Calibration, colour: str, name: str) -
     found = [100 * b.found for b in calibration.bins]
     below = [100 * (b.found - b.interval[0]) for b in calibration.bins]
     above = [100 * (b.interval[1] - b.found) for b in calibration.bins]
-    axes.errorbar(said, found, yerr=[below, above], color=colour, fmt="o", markersize=4, linewidth=1, label=name)
+    axes.errorbar(
+        said, found, yerr=[below, above], color=colour, fmt="o", markersize=4, linewidth=1, label=name
+    )
     for x, y, b in zip(said, found, calibration.bins, strict=True):
         axes.annotate(str(b.count), (x, y), (4, -9), textcoords="offset points", fontsize=7, color=colour)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from lodbench.bench.accuracy import AccuracyOptions, make_cases, measure_accuracy
+from lodbench.bench.accuracy import AccuracyOptions, make_cases, measure_accuracy, reaching
 from lodbench.bench.accuracy_report import AccuracyReport, Outcome
 from lodbench.citymodel import open_scene
 from lodbench.datasets.roughening import mask_iou
@@ -14,6 +14,9 @@ from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA
 from lodbench.errors import ConfigError
 from lodbench.evaluation import PoseError, pose_error
 from lodbench.evaluation.errors import FAILED
+from lodbench.localization.lodlocv2 import LodLocV2
+from lodbench.localization.lodlocv2 import Params as LodLocV2Params
+from lodbench.localization.sixdof import SixDof
 from lodbench.rendering import make_renderer
 
 
@@ -94,10 +97,73 @@ def outcome(tilt, error, score=0.9, truth_score=0.88, hypotheses=2425):
     return Outcome("v", tilt, error, PoseError(15.0, 4.0), score, truth_score, hypotheses, 0.5)
 
 
+@pytest.fixture(scope="module")
+def several(city):
+    options = AccuracyOptions(num_views=1, seeds=(0, 1), tilt_deg=0.5, threads=1)
+    return measure_accuracy(city, options, methods=[LodLocV2(LodLocV2Params(steps=1)), SixDof()])
+
+
+class TestSeveral:
+    def test_every_method_runs_every_view_of_every_seed_under_both_tilts(self, several):
+        assert len(several.outcomes) == 8
+        for method in ("lodlocv2", "lodlocv2_6dof"):
+            for tilt in ("truth", "prior"):
+                assert [o.seed for o in several.of_tilt(tilt, method)] == [0, 1]
+
+    def test_seeds_draw_views_of_their_own(self, several):
+        first, second = several.of_tilt("prior", "lodlocv2")
+        assert first.prior_error != second.prior_error
+
+    def test_only_who_says_a_probability_is_judged_by_it(self, several):
+        assert list(several.calibrations()) == ["lodlocv2_6dof, tilt=truth", "lodlocv2_6dof, tilt=prior"]
+        assert "seeds 0, 1" in several.to_text()
+        names = [figure.to_json()["figure"] for figure in several.figures()]
+        assert len(set(names)) == len(names)
+
+    def test_methods_are_told_the_width_of_the_tilt(self):
+        told = reaching(SixDof(), AccuracyOptions(tilt_deg=0.3).prior())
+        assert told.params.range_tilt_deg == pytest.approx(0.6)
+        assert reaching(told, AccuracyOptions(range_m=50.0).prior()).params.range_z_m == 100
+
+
+def test_masks_of_one_level_are_found_in_the_map_of_another(tmp_path):
+    boxes = [[-30, -20, 5, 10, 0, 12], [20, -35, 50, -5, 0, 20], [-10, 25, 30, 45, 0, 9]]
+    city = tmp_path / "city.json"
+    city.write_text(json.dumps(two_levels(boxes)))
+    options = AccuracyOptions(num_views=1, mask_iou=1.0, mask_lod="2", map_lod="1", threads=1)
+    report = measure_accuracy(city, options, methods=[SixDof()])
+    assert "(masks LoD2, map LoD1)" in report.city
+    # The map's roofs are 3 m too low: with masks of its own level the fit would be perfect.
+    assert 0.5 < report.of_tilt("truth")[0].score < 0.99
+
+
+def two_levels(boxes):
+    """Returns CityJSON of boxes whose level 1 is 3 m lower than level 2."""
+    vertices, objects = [], {}
+    for number, (west, south, east, north, base, top) in enumerate(boxes):
+        geometry = []
+        for lod, roof in (("1", top - 3), ("2", top)):
+            first = len(vertices)
+            corners = ((west, south), (east, south), (east, north), (west, north))
+            vertices += [[x, y, z] for z in (base, roof) for x, y in corners]
+            sides = [(first + i, first + (i + 1) % 4) for i in range(4)]
+            walls = [[[left, right, right + 4, left + 4]] for left, right in sides]
+            surfaces = [*walls, [[first + 4 + i for i in range(4)]]]
+            geometry.append({"type": "MultiSurface", "lod": lod, "boundaries": surfaces})
+        objects[f"b{number}"] = {"type": "Building", "geometry": geometry}
+    return {
+        "type": "CityJSON",
+        "version": "2.0",
+        "transform": {"scale": [1, 1, 1], "translate": [0, 0, 0]},
+        "CityObjects": objects,
+        "vertices": vertices,
+    }
+
+
 class TestReport:
     REPORT = AccuracyReport(
         "city.obj",
-        "lodlocv2",
+        ("lodlocv2",),
         "protocol",
         3,
         (
@@ -135,7 +201,15 @@ class TestReport:
 
 @pytest.mark.parametrize(
     "values",
-    [{"num_views": 0}, {"mask_iou": 0.0}, {"mask_iou": 1.2}, {"tilt_deg": -1.0}, {"tilt_deg": math.nan}],
+    [
+        {"num_views": 0},
+        {"mask_iou": 0.0},
+        {"mask_iou": 1.2},
+        {"tilt_deg": -1.0},
+        {"tilt_deg": math.nan},
+        {"seeds": ()},
+        {"seeds": (1, 1)},
+    ],
 )
 def test_options_that_make_no_sense(values):
     with pytest.raises(ConfigError, match=next(iter(values))):

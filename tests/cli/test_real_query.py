@@ -28,3 +28,21 @@ def test_every_seed_finds_the_camera(lodbench, tmp_path, shared_data, tilt, with
         assert float(row["prior_translation_error_m"]) == pytest.approx(21.1, abs=0.05)
         assert float(row["translation_error_m"]) < within_m
         assert float(row["rotation_error_deg"]) < within_deg
+
+
+def test_six_degrees_of_freedom_find_it_with_the_sensor_s_tilt(lodbench, tmp_path, shared_data):
+    folder = shared_data / "uavd4l"
+    done = lodbench(
+        "run",
+        "method=lodlocv2_6dof",
+        "dataset=folder",
+        f"dataset.root={folder / 'demo'}",
+        f"dataset.city_model={folder / 'UAVD4L-LoD1.obj'}",
+        "segmenter=masks",
+        "tilt=prior",
+    )
+    assert done.returncode == 0, done.stderr
+    (table,) = (tmp_path / "runs" / "folder" / "lodlocv2_6dof").glob("*/queries.csv")
+    (row,) = csv.DictReader(table.open())
+    assert float(row["translation_error_m"]) < 2.5
+    assert float(row["rotation_error_deg"]) < 1.0

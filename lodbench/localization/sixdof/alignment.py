@@ -9,6 +9,7 @@ roofs at other heights than a photo shows.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -57,21 +58,13 @@ class Linearization:
     Attributes:
         information: (6, 6) of metres and degrees.
         gradient: (6,) of the cost.
-        scores: (B, 6) gradients by building, the prior's left out.
-        cost: Robust sum of squared distances, in units of their noise.
         spread_px: Standard deviation of the distances, outliers left out; fine pixels.
-        inliers: Share of the outline that is no outlier.
-        observations: Independent observations the outline amounts to.
         iou: Of silhouette and mask.
     """
 
     information: Floats
     gradient: Floats
-    scores: Floats
-    cost: float
     spread_px: float
-    inliers: float
-    observations: float
     iou: float
 
 
@@ -83,12 +76,10 @@ class Aligner:
         self._scorer, self._query, self._params = scorer, query, params
         self._prior = vector_from_pose(query.prior)
         self._precision = np.array(params.prior_sigmas()) ** -2.0
-        half = [0.5 * w for w in (params.range_x_m, params.range_y_m, params.range_z_m)]
-        turn = 0.5 * params.range_yaw_deg + params.range_tilt_deg
-        # Twice the range: steps may lead out of it, though the prior calls them back.
-        self.edges: EdgeArrays = edges_in_reach(
-            scorer.scene, query.camera, query.prior, 2.0 * float(np.hypot(np.hypot(*half[:2]), half[2])), 2.0 * turn
-        )
+        # Full widths, where half would do: steps may lead out of the range, though the prior calls back.
+        reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
+        turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
+        self.edges: EdgeArrays = edges_in_reach(scorer.scene, query.camera, query.prior, reach_m, turn_deg)
         self._levels: dict[tuple[int, int], Level] = {}
 
     def align(self, vector: Floats, reaches_px: tuple[float, ...], size: tuple[int, int]) -> Floats:
@@ -123,20 +114,16 @@ class Aligner:
         kernel = 1.0 / (1.0 + (residuals / reach_px) ** 2)
         per_length = 1.0 / (self._params.correlation_px * self._params.noise_px**2)
         weights = lengths * kernel**2 * per_length
-        sums = building_sums(residuals, slopes, weights, points.buildings, len(self.edges.rises))
-        information, scores = _without_roofs(*sums, self._params.roof_m)
+        buildings = len(self.edges.rises)
+        products, gradients = building_sums(residuals, slopes, weights, points.buildings, buildings)
+        information, gradient = _without_roofs(products, gradients, self._params.roof_m)
         offset = vector - self._prior
         offset[5] = (offset[5] + 180.0) % 360.0 - 180.0
-        loss = 0.5 * per_length * float((lengths * residuals**2 * kernel).sum())
         weight = float(weights.sum())
         return Linearization(
             information=information + np.diag(self._precision),
-            gradient=scores.sum(axis=0) + self._precision * offset,
-            scores=scores,
-            cost=loss + 0.5 * float((self._precision * offset**2).sum()),
-            spread_px=float(np.sqrt((weights * residuals**2).sum() / weight)) if weight else 0.0,
-            inliers=weight / per_length / float(points.lengths.sum() / level.scale),
-            observations=float(weights.sum() / per_length) / self._params.correlation_px,
+            gradient=gradient + self._precision * offset,
+            spread_px=math.sqrt(float((weights * residuals**2).sum()) / weight) if weight else 0.0,
             iou=iou,
         )
 
@@ -171,10 +158,16 @@ def signed_distance(mask: Mask) -> NDArray[np.float32]:
 
 
 def _without_roofs(products: Floats, gradients: Floats, roof_m: float) -> tuple[Floats, Floats]:
-    """Returns information (6, 6) and gradients by building (B, 6) with each building's height eliminated."""
-    information, scores = products[:, :6, :6], gradients[:, :6]
+    """Returns information (6, 6) and gradient (6,) with each building's height eliminated.
+
+    Args:
+        products: (B, 7, 7) weighted products of slopes by building; the height comes last.
+        gradients: (B, 7) of slopes and residuals.
+        roof_m: Standard deviation of a building's height, metres; 0 where the map is exact.
+    """
+    information, gradient = products[:, :6, :6].sum(axis=0), gradients[:, :6].sum(axis=0)
     if roof_m > 0:
         gain = products[:, :6, 6] / (products[:, 6, 6] + roof_m**-2.0)[:, None]
-        information = information - gain[:, :, None] * products[:, None, :6, 6]
-        scores = scores - gain * gradients[:, 6:]
-    return information.sum(axis=0), scores
+        information = information - (gain[:, :, None] * products[:, None, :6, 6]).sum(axis=0)
+        gradient = gradient - (gain * gradients[:, 6:]).sum(axis=0)
+    return information, gradient

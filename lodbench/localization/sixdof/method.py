@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
-from lodbench.localization.lodlocv2.method import Judge
 from lodbench.localization.method import Estimate, Streams
 from lodbench.localization.sixdof.alignment import Aligner, Linearization
 from lodbench.localization.sixdof.params import Params
 from lodbench.localization.sixdof.pose_vector import pose_from_vector
+from lodbench.localization.sixdof.starts import find_starts
 from lodbench.localization.sixdof.uncertainty import covariance, probability_within
 from lodbench.rendering import Scorer
 
@@ -41,10 +41,9 @@ class SixDof:
             QueryFault: The mask is empty, or no hypothesis overlaps it or shows an outline.
         """
         started = time.perf_counter()
-        judge = Judge(query, scorer, self.params.coarse_size)
-        starts, best_iou = self._starts(judge, query)
-        selected = time.perf_counter()
         aligner = Aligner(query, scorer, self.params)
+        starts, best, scored = find_starts(query, scorer, aligner, self.params)
+        selected = time.perf_counter()
         found, trace = self._align(aligner, starts)
         vector, at = self._finish(aligner, found)
         spread = covariance(at, self.params)
@@ -52,22 +51,12 @@ class SixDof:
         return Estimate(
             pose=pose_from_vector(vector),
             score=at.iou,
-            hypotheses=judge.scored + aligner.rendered,
+            hypotheses=scored + aligner.rendered,
             seconds={"coarse": selected - started, "fine": finished - selected},
-            trace={"coarse": (best_iou,), "fine": trace},
+            trace={"coarse": (best,), "fine": trace},
             covariance=spread,
             probability=probability_within(spread, vector),
         )
-
-    def _starts(self, judge: Judge, query: Query) -> tuple[Floats, float]:
-        """Returns the best poses of the grid, (N, 6), and the best IoU."""
-        particles = judge(*self.params.grid().around(query.prior))
-        order = np.argsort(-particles.scores, kind="stable")[: self.params.starts]
-        best = float(particles.scores[order[0]])
-        if best <= 0:
-            raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
-        tilt = np.broadcast_to([judge.pitch_deg, judge.roll_deg], (len(order), 2))
-        return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order]]), best
 
     def _align(self, aligner: Aligner, starts: Floats) -> tuple[Floats, tuple[float, ...]]:
         """Returns the start, aligned, whose silhouette fits best, and the IoU of each."""

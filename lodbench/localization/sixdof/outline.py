@@ -149,7 +149,7 @@ def _part(scene: Scene, chosen: NDArray[np.int64]) -> Scene:
 def _rows(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Returns the indices of runs of rows, one run after the other."""
     before = np.concatenate([[0], np.cumsum(counts)[:-1]]) if len(counts) else counts
-    return np.arange(counts.sum()) + np.repeat(starts - before, counts)
+    return np.asarray(np.arange(counts.sum()) + np.repeat(starts - before, counts), dtype=np.int64)
 
 
 def _edge_arrays(scene: Scene, spheres: Floats) -> EdgeArrays:

@@ -16,12 +16,12 @@ _BORDER_PX = 2.0
 @njit(cache=True, nogil=True, error_model="numpy")
 def _is_candidate(edges, e, center):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Tells whether the triangles beside an edge do not cancel out, seen from a centre."""
-    total = 0
+    total = np.int64(0)
     for k in range(2):
         plane = edges.planes[edges.sides[e, k]]
         height = plane[0] * center[0] + plane[1] * center[1] + plane[2] * center[2] + plane[3]
         sign = np.int64(height > 0.0) - np.int64(height < 0.0)
-        total += sign if k == 0 else edges.second_weight[e] * sign
+        total += sign if k == 0 else np.int64(edges.second_weight[e]) * sign
     return total != 0
 
 
@@ -29,7 +29,10 @@ def _is_candidate(edges, e, center):  # type: ignore[no-untyped-def]  # noqa: AN
 def _clip(u, v, du, dv, width, height):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the part (from, to) of a segment that lies well inside the image; empty if from >= to."""
     first, last = 0.0, 1.0
-    for step, low, high in ((du, _BORDER_PX - u, width - _BORDER_PX - u), (dv, _BORDER_PX - v, height - _BORDER_PX - v)):
+    for step, low, high in (
+        (du, _BORDER_PX - u, width - _BORDER_PX - u),
+        (dv, _BORDER_PX - v, height - _BORDER_PX - v),
+    ):
         if step == 0.0:
             if low > 0.0 or high < 0.0:
                 return 1.0, 0.0

@@ -6,12 +6,26 @@ import math
 from dataclasses import dataclass, replace
 
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, nearest_names
 from lodbench.geometry import AxisRange, PoseGrid
 from lodbench.rendering.raster_rule import GUARD_PX
 
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
-_POSITIVE = ("stride_m", "stride_yaw_deg", "spacing_px", "noise_px", "correlation_px", "reach_px", "near_px")
+SEARCHES = ("auto", "grid", "basins")
+_POSITIVE = (
+    "stride_m",
+    "stride_yaw_deg",
+    "basin_stride_m",
+    "basin_yaw_deg",
+    "basin_reach_px",
+    "spacing_px",
+    "reach_px",
+    "near_px",
+    "noise_px",
+    "correlation_px",
+)
+# Grids of more poses than this are left for basins: four times those of the published priors' grid.
+_MOST_POSES = 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +43,13 @@ class Params:
         range_tilt_deg: Full width in pitch and in roll, degrees.
         stride_m: Largest distance between samples of the grid along x, y and z, metres.
         stride_yaw_deg: The same in yaw, degrees.
+        search: ``grid`` scores every sample; ``basins`` scores wider ones on small masks and aligns the
+            outlines of the best from afar; ``auto`` takes the grid unless it is large.
+        basin_stride_m: As stride_m, in ``basins``.
+        basin_yaw_deg: As stride_yaw_deg, in ``basins``.
+        basin_share: Share of the wider samples whose outlines are aligned.
+        basin_reach_px: How far their outlines may lie apart in the first step, pixels of the fine size.
+        basin_steps: Alignment steps of each, on masks of a quarter of the fine size.
         starts: Best poses of the grid whose outlines are aligned.
         steps: Alignment steps of each start, on masks of half the size.
         final_steps: Alignment steps of the best of them, at full size.
@@ -51,6 +72,12 @@ class Params:
     range_tilt_deg: float = 2.0
     stride_m: float = 10.0
     stride_yaw_deg: float = 2.15
+    search: str = "auto"
+    basin_stride_m: float = 25.0
+    basin_yaw_deg: float = 5.0
+    basin_share: float = 0.05
+    basin_reach_px: float = 64.0
+    basin_steps: int = 5
     starts: int = 8
     steps: int = 10
     final_steps: int = 8
@@ -74,15 +101,30 @@ class Params:
         for name in _POSITIVE:
             if not 0 < getattr(self, name) < math.inf:
                 raise ConfigError(f"method.{name} is finite and above 0, not {getattr(self, name)}.")
-        if self.starts < 1 or min(self.steps, self.final_steps) < 0:
-            raise ConfigError("method.starts is at least 1; method.steps and method.final_steps at least 0.")
+        if self.search not in SEARCHES:
+            raise ConfigError(
+                f"method.search={self.search} is not known.", nearest_names(self.search, SEARCHES)
+            )
+        if not 0 < self.basin_share <= 1:
+            raise ConfigError(f"method.basin_share lies in (0, 1], not {self.basin_share}.")
+        if self.starts < 1 or min(self.steps, self.final_steps, self.basin_steps) < 0:
+            raise ConfigError("method.starts is at least 1; the numbers of steps are at least 0.")
 
     def grid(self) -> PoseGrid:
-        """Returns the coarse grid: samples at most a stride apart, ends included."""
-        x, y, z = (
-            _axis(width, self.stride_m) for width in (self.range_x_m, self.range_y_m, self.range_z_m)
-        )
-        return PoseGrid(x, y, z, _axis(self.range_yaw_deg, self.stride_yaw_deg))
+        """Returns the grid: samples at most a stride apart, ends included."""
+        return self._grid(self.stride_m, self.stride_yaw_deg)
+
+    def basin_grid(self) -> PoseGrid:
+        """Returns the wider grid of ``basins``."""
+        return self._grid(self.basin_stride_m, self.basin_yaw_deg)
+
+    def searches_basins(self) -> bool:
+        """Returns whether the starts come from basins."""
+        return self.search == "basins" or (self.search == "auto" and len(self.grid()) > _MOST_POSES)
+
+    def _grid(self, stride_m: float, stride_yaw_deg: float) -> PoseGrid:
+        x, y, z = (_axis(width, stride_m) for width in (self.range_x_m, self.range_y_m, self.range_z_m))
+        return PoseGrid(x, y, z, _axis(self.range_yaw_deg, stride_yaw_deg))
 
     def prior_sigmas(self) -> tuple[float, ...]:
         """Returns the standard deviations of the prior's x, y, z, pitch, roll and yaw.
@@ -97,10 +139,11 @@ class Params:
 
     def reaches_px(self) -> tuple[float, ...]:
         """Returns the kernel's scale in each alignment step: falling evenly in proportion."""
-        if self.steps < 2:
-            return (self.reach_px,) * self.steps
-        ratio = (self.near_px / self.reach_px) ** (1.0 / (self.steps - 1))
-        return tuple(self.reach_px * ratio**k for k in range(self.steps))
+        return _falling(self.reach_px, self.near_px, self.steps)
+
+    def basin_reaches_px(self) -> tuple[float, ...]:
+        """Returns the same for the alignment from afar, which ends where the other begins."""
+        return _falling(self.basin_reach_px, self.reach_px, self.basin_steps)
 
     def reaching(self, prior: UniformPrior) -> Params:
         """Returns these parameters for a prior's error of other half widths."""
@@ -112,6 +155,12 @@ class Params:
             range_yaw_deg=2.0 * prior.yaw_deg,
             range_tilt_deg=prior.pitch_deg + prior.roll_deg,
         )
+
+
+def _falling(first: float, last: float, steps: int) -> tuple[float, ...]:
+    if steps < 2:
+        return (first,) * steps
+    return tuple(first * (last / first) ** (k / (steps - 1)) for k in range(steps))
 
 
 def _axis(width: float, stride: float) -> AxisRange:

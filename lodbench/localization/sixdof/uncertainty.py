@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,11 +40,6 @@ def probability_within(covariance_6: Floats, vector: Floats) -> float:
     away = np.linalg.norm(errors[:, :3], axis=1)
     turned = np.linalg.norm(errors[:, 3:] @ turn_per_angle(vector).T, axis=1)
     return float(np.mean((away < WITHIN_M) & (turned < WITHIN_DEG)))
-
-
-def calibrated(probability: float, iou: float) -> float:
-    """Returns the probability corrected for what the Gaussian does not know."""
-    return probability
 
 
 def _standard_errors() -> Floats:

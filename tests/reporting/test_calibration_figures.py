@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+from lodbench.evaluation.calibration import calibrate
+from lodbench.reporting.calibration_figures import BudgetPoint, draw_budget, draw_calibration
+
+
+def test_calibration_names_methods_areas_and_counts():
+    curves = {
+        "one": calibrate([0.95, 0.9, 0.3], [True, True, False]),
+        "two": calibrate([0.5] * 7, [True] * 7),
+    }
+    pictures = draw_calibration(curves)
+    svg = pictures["svg"].decode()
+    for text in ("one, area 11.1 %", "two, area 0.0 %", ">7<", "within 2 m, 2 deg"):
+        assert text in svg
+    assert pictures["png"].startswith(b"\x89PNG")
+
+
+def test_budget_names_methods():
+    curves = {"ours": [BudgetPoint(100, 50, 40, 60), BudgetPoint(1000, 90, 85, 95)]}
+    svg = draw_budget(curves, "a city, 20 views")["svg"].decode()
+    assert "ours" in svg
+    assert "a city, 20 views" in svg
+    assert "hypotheses rendered per query" in svg
