@@ -234,6 +234,7 @@ class TestTheMethodNeverSeesTheTruth:
             "prior",
             "building_probability",
             "image",
+            "hypotheses",
         }
 
     def test_nor_does_any_argument_of_localize(self):
