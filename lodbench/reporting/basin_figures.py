@@ -47,7 +47,9 @@ def draw_recall_curves(panels: Sequence[tuple[str, Sequence[RecallCurve]]]) -> d
 
 
 def _draw_curve(axis: Axes, curve: RecallCurve, style: str, with_name: bool) -> None:
-    for colour, label in zip(SERIES, curve.summaries[0].recall, strict=False):
+    labelled = list(enumerate(zip(SERIES, curve.summaries[0].recall, strict=False)))
+    # The loosest first and largest: curves that fall together all stay in sight.
+    for number, (colour, label) in reversed(labelled):
         recall = np.array([summary.recall[label] for summary in curve.summaries])
         ends = np.array([summary.interval[label] for summary in curve.summaries]).T
         whiskers = np.abs(ends - recall)
@@ -59,6 +61,7 @@ def _draw_curve(axis: Axes, curve: RecallCurve, style: str, with_name: bool) -> 
             color=colour,
             linestyle=style,
             marker="o",
+            markersize=4 + 3 * number,
             capsize=2,
             label=name,
         )
