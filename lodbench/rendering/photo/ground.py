@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from lodbench.rendering.photo.compiled import per_pixel
 from lodbench.rendering.photo.noise import detail, grain, mix, scaled, stripe, unit_hash, value_noise
 from lodbench.rendering.props import SurfaceClass
 
@@ -56,7 +56,7 @@ def no_land() -> Land:
     return Land(np.full((1, 1), _GRASS, dtype=np.uint8), far, east, 0.0, 0.0, 1.0, 3.0, 1.5)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def ground_colour(kind, red, green, blue, x, y, pixel_m, look, land):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the linear RGB of a ground surface at a point, and the share of sky it mirrors.
 
@@ -76,7 +76,7 @@ def ground_colour(kind, red, green, blue, x, y, pixel_m, look, land):  # type: i
     return _cover(kind, red, green, blue, x, y, pixel_m, look)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _cover(kind, red, green, blue, x, y, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     seed, texture = look.seed, look.texture
     broad = 0.6 * grain(x, y, 23.0, pixel_m, seed) + 0.4 * grain(x, y, 6.1, pixel_m, seed + 1)
@@ -103,13 +103,13 @@ def _cover(kind, red, green, blue, x, y, pixel_m, look):  # type: ignore[no-unty
     return scaled(base, 1.0 + texture * (0.22 * fine + 0.2 * broad)), 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _asphalt(look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     grey = 0.055 + 0.09 * unit_hash(look.seed, 11, 5)
     return grey, grey, grey * 1.03
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _plants(kind, red, green, blue, x, y, broad, fine, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of lawns and fields: green to straw, in patches; fields in rows."""
     seed, texture = look.seed, look.texture
@@ -131,7 +131,7 @@ def _plants(kind, red, green, blue, x, y, broad, fine, pixel_m, look):  # type: 
     return scaled(colour, 1.0 + texture * (0.28 * fine + 0.16 * broad))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _land_colour(x, y, pixel_m, look, land):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     rows, columns = land.classes.shape
     # A wavering look-up hides the cells' corners.
@@ -166,7 +166,7 @@ def _land_colour(x, y, pixel_m, look, land):  # type: ignore[no-untyped-def]  # 
     return colour, mirrored
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _road_place(x, y, land):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the distance from the middle of the nearest road and the way along it, metres."""
     rows, columns = land.road_m2.shape
@@ -178,11 +178,14 @@ def _road_place(x, y, land):  # type: ignore[no-untyped-def]  # noqa: ANN001, AN
     u, v = fx - i, fy - j
     low = land.road_m2[j, i] * (1.0 - u) + land.road_m2[j, i + 1] * u
     high = land.road_m2[j + 1, i] * (1.0 - u) + land.road_m2[j + 1, i + 1] * u
+    square = low * (1.0 - v) + high * v
+    if square > 400.0:
+        return 1e6, 0.0  # on no road, however wide
     turn = land.road_rad[j, i]
     c, s = np.cos(turn), np.sin(turn)
     # A square interpolated linearly comes out too large by just this much.
     excess = land.cell_m * land.cell_m * (s * s * u * (1.0 - u) + c * c * v * (1.0 - v))
-    away = np.sqrt(max(0.0, low * (1.0 - v) + high * v - excess))
+    away = np.sqrt(max(0.0, square - excess))
     # Along is measured in sixteen directions: dashes do not shear where a road bends slowly.
     turn = np.round(turn * (8.0 / np.pi)) * (np.pi / 8.0)
     return away, x * np.cos(turn) + y * np.sin(turn)

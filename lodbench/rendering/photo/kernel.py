@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from lodbench.rendering.photo.noise import mix, scaled
+from lodbench.rendering.photo.compiled import per_pixel
+from lodbench.rendering.photo.noise import mix
 from lodbench.rendering.photo.sunlight import sun_share
 from lodbench.rendering.photo.surfaces import surface_colour
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def sky_colour(up, towards_sun, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the linear RGB of the sky in a direction.
 
@@ -25,7 +26,7 @@ def sky_colour(up, towards_sun, look):  # type: ignore[no-untyped-def]  # noqa: 
     return colour[0] * (1.0 + 0.5 * glow), colour[1] * (1.0 + 0.45 * glow), colour[2] * (1.0 + 0.35 * glow)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _shading_normal(skin, triangle, x, y, z, back):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns a triangle's unit normal on the camera's side; that of leaves is round a crown.
 
@@ -53,7 +54,7 @@ def _shading_normal(skin, triangle, x, y, z, back):  # type: ignore[no-untyped-d
     return nx, ny, nz
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _lit(albedo, mirrored, x, y, z, normal, ray, look, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the light a surface sends to the camera.
 
@@ -91,7 +92,7 @@ def _lit(albedo, mirrored, x, y, z, normal, ray, look, sun_map):  # type: ignore
     return mix((red, green, blue), sky, min(1.0, share))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _pixel(triangle, inverse, column, row, f, rotation, center, stage):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the linear RGB of one triangle, or of the sky, at a place of the picture.
 
@@ -127,7 +128,7 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, stage):  # type:
     return mix(look.haze_rgb, light, clear)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def resolve_photo(band, buffer, rotation, center, stage, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Writes the linear RGB of a band's pixels, each the mean of two by two samples.
 
@@ -141,38 +142,31 @@ def resolve_photo(band, buffer, rotation, center, stage, out):  # type: ignore[n
         stage: (skin, look, land, sun map, palettes).
         out: (H, W, 3) float32.
     """
-    winners, inverses = np.empty(4, dtype=np.int64), np.empty(4)
-    for row in range(band.height // 2):
-        for column in range(band.first // 2, band.stop // 2):
-            for k in range(4):
-                u, v = 2 * column + (k & 1), 2 * row + (k >> 1)
-                winners[k] = buffer.winner[u - band.first, v]
-                inverses[k] = buffer.inverse[u - band.first, v]
+    winner, inverse = buffer.winner, buffer.inverse
+    # Columns lie along memory in the buffer, as for the raster.
+    for column in range(band.first // 2, band.stop // 2):
+        left = 2 * column - band.first
+        for row in range(band.height // 2):
+            top = 2 * row
             red = green = blue = 0.0
-            for k in range(4):
-                seen_before = False
-                for other in range(k):
-                    seen_before |= winners[other] == winners[k]
-                if seen_before:
-                    continue
-                count, inverse, x, y = 0, 0.0, 0.0, 0.0
-                for other in range(k, 4):
-                    if winners[other] == winners[k]:
+            left_to_do = 15
+            while left_to_do:
+                # All samples that show the same triangle as the first that is left.
+                first = 0 if left_to_do & 1 else (1 if left_to_do & 2 else (2 if left_to_do & 4 else 3))
+                triangle = winner[left + (first & 1), top + (first >> 1)]
+                count, depth, x, y = 0, 0.0, 0.0, 0.0
+                for k in range(first, 4):
+                    u, v = left + (k & 1), top + (k >> 1)
+                    if winner[u, v] == triangle:
+                        left_to_do &= ~(1 << k)
                         count += 1
-                        inverse += inverses[other]
-                        x += 2 * column + (other & 1) + 0.5
-                        y += 2 * row + (other >> 1) + 0.5
+                        depth += inverse[u, v]
+                        x += u
+                        y += v
                 share = 1.0 / count
-                colour = _pixel(
-                    winners[k],
-                    inverse * share,
-                    x * share,
-                    y * share,
-                    band.intrinsics,
-                    rotation,
-                    center,
-                    stage,
-                )
-                part = scaled(colour, 0.25 * count)
-                red, green, blue = red + part[0], green + part[1], blue + part[2]
+                x, y = x * share + 0.5 + band.first, y * share + 0.5
+                colour = _pixel(triangle, depth * share, x, y, band.intrinsics, rotation, center, stage)
+                red += 0.25 * count * colour[0]
+                green += 0.25 * count * colour[1]
+                blue += 0.25 * count * colour[2]
             out[row, column, 0], out[row, column, 1], out[row, column, 2] = red, green, blue

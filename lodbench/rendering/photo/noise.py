@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from lodbench.rendering.photo.compiled import per_pixel
 
 _MASK = 0xFFFFFFFF
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def unit_hash(a, b, c):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns a number in [0, 1) that three integers, each within 31 bits, decide."""
     h = (a * 0x27D4EB2D + b * 0x165667B1 + c * 0x1E3779B1) & _MASK
@@ -20,7 +21,7 @@ def unit_hash(a, b, c):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     return h * (1.0 / 4294967296.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def value_noise(x, y, seed):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns smooth noise in [-1, 1] of a point of the plane; its grain has size 1."""
     fx, fy = np.floor(x), np.floor(y)
@@ -32,7 +33,7 @@ def value_noise(x, y, seed):  # type: ignore[no-untyped-def]  # noqa: ANN001, AN
     return 2.0 * (low * (1.0 - v) + high * v) - 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def detail(grain_m, pixel_m):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns how much of a pattern of a grain size a pixel of a size still shows, 0 to 1.
 
@@ -41,7 +42,7 @@ def detail(grain_m, pixel_m):  # type: ignore[no-untyped-def]  # noqa: ANN001, A
     return min(1.0, max(0.0, grain_m / (2.0 * pixel_m) - 0.5))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def grain(x, y, size_m, pixel_m, seed):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns noise in [-1, 1] of a grain size, faded where a pixel no longer shows it."""
     shown = detail(size_m, pixel_m)
@@ -50,7 +51,7 @@ def grain(x, y, size_m, pixel_m, seed):  # type: ignore[no-untyped-def]  # noqa:
     return shown * value_noise(x / size_m, y / size_m, seed)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def stripe(x, low, high, width):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns how much of a pixel of a width, centred on x, lies between low and high, about."""
     wide = max(width, 1e-6)
@@ -59,14 +60,14 @@ def stripe(x, low, high, width):  # type: ignore[no-untyped-def]  # noqa: ANN001
     return rising * falling
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def mix(a, b, share):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the colour a with a share of b."""
     keep = 1.0 - share
     return a[0] * keep + b[0] * share, a[1] * keep + b[1] * share, a[2] * keep + b[2] * share
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def scaled(a, factor):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns a colour times a number."""
     return a[0] * factor, a[1] * factor, a[2] * factor

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lodbench.geometry import Camera, Pose
+from lodbench.rendering.photo.compiled import per_pixel
 from lodbench.rendering.raster import RasterRenderer
 
 Floats = NDArray[np.float64]
@@ -69,7 +69,7 @@ def _looking_along(axis: Floats) -> Floats:
     return np.ascontiguousarray(np.stack([right, np.cross(axis, right), axis]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def sun_share(x, y, z, normal, facing, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns how much of the sun reaches a point, 0 to 1: four map pixels, weighted.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from lodbench.rendering.photo.compiled import per_pixel
 from lodbench.rendering.photo.ground import ground_colour
 from lodbench.rendering.photo.noise import detail, grain, mix, scaled, stripe, unit_hash, value_noise
 from lodbench.rendering.props import SurfaceClass
@@ -50,7 +50,7 @@ def palettes() -> Palettes:
     return Palettes(linear(_WALLS), linear(_TILES), linear(_FLATS), linear(_PAINTS))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _base_colour(table, red, green, blue, number, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns an object's colour: its own or one of a table's, a little off."""
     if red < 0.0:
@@ -62,7 +62,7 @@ def _base_colour(table, red, green, blue, number, look):  # type: ignore[no-unty
     return red * (bright + warm), green * bright, blue * (bright - warm)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _glass(number, i, j, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of a pane: dark, or lighter where a blind is down."""
     dark = 0.012 + 0.03 * look.window_light
@@ -73,7 +73,7 @@ def _glass(number, i, j, look):  # type: ignore[no-untyped-def]  # noqa: ANN001,
     return dark, dark * 1.15, dark * 1.3
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _facade(colour, place, triangle, number, x, y, z, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of a wall with windows, and the share of sky it mirrors.
 
@@ -124,7 +124,7 @@ def _facade(colour, place, triangle, number, x, y, z, pixel_m, look):  # type: i
     return mix(colour, _glass(number, i, j, look), pane), 0.22 * pane
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _pitched(colour, number, x, y, z, normal, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of a tiled roof: rows of tiles, stains, moss, skylights."""
     flat = np.sqrt(normal[0] * normal[0] + normal[1] * normal[1])
@@ -154,7 +154,7 @@ def _pitched(colour, number, x, y, z, normal, pixel_m, look):  # type: ignore[no
     return colour, 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _flat_roof(colour, number, x, y, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of a flat roof: gravel or sheets, puddle stains, machines and hatches."""
     turn = np.pi * unit_hash(number, 41, 41)
@@ -178,7 +178,7 @@ def _flat_roof(colour, number, x, y, pixel_m, look):  # type: ignore[no-untyped-
     return colour, 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def _leaves(red, green, blue, number, x, y, z, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of leaves, dark in the gaps between them."""
     if red < 0.0:
@@ -191,7 +191,7 @@ def _leaves(red, green, blue, number, x, y, z, pixel_m, look):  # type: ignore[n
     return scaled(colour, max(0.15, 1.0 + look.texture * (0.45 * clump + 0.4 * leaf)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@per_pixel
 def surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, land, tables):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the linear RGB of a surface at a point, and the share of sky it mirrors.
 
