@@ -52,7 +52,7 @@ class PyrenderRenderer:
         self.scene = scene
         self._samples = samples
         self._spheres = bounding_spheres(scene)
-        self._library = _import_pyrender()
+        self._library = import_pyrender()
         mesh = self._library.Mesh(
             [
                 self._library.Primitive(
@@ -118,6 +118,13 @@ def close_context() -> None:
         _open_targets.pop()[0].delete()
 
 
+def gl_target(camera: Camera) -> Any:
+    """Returns the process's offscreen renderer, sized for a camera, with the samples pyrender ships with."""
+    target = _target(import_pyrender(), camera, _SAMPLES)
+    target.viewport_width, target.viewport_height = camera.width, camera.height
+    return target
+
+
 def _target(library: Any, camera: Camera, samples: int) -> Any:
     if _open_targets and _open_targets[0][1] != samples:
         close_context()
@@ -153,7 +160,12 @@ def _adjust(samples: int) -> None:
     pyrender.renderer.glEnable = enable
 
 
-def _import_pyrender() -> Any:
+def import_pyrender() -> Any:
+    """Returns pyrender, set up for EGL.
+
+    Raises:
+        RenderingError: It cannot be imported.
+    """
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     # pyrender 0.1.45 still uses the name that NumPy 2 removed.
     if not hasattr(np, "infty"):

@@ -28,6 +28,7 @@ from lodbench.training.manifest import begin_manifest, finish_manifest
 from lodbench.training.params import TrainingParams
 from lodbench.training.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
 from lodbench.training.surroundings import make_surroundings
+from lodbench.training.texture_files import offset_to_city, read_textured
 from lodbench.training.world import World, WorldParts, files_of
 
 
@@ -68,6 +69,8 @@ def generate_training_data(params: TrainingParams, options: ReadOptions | None =
     parts, plan, notes = _prepare(params, options or ReadOptions())
     manifest = begin_manifest(params, parts.scene, plan, out)
     _write_layout(params, parts.scene, plan, out)
+    for leftover in out.glob("*/*/.*.part"):
+        leftover.unlink()  # what a killed run was writing
     missing = [view for view in plan.views if not _is_written(params, view, out)]
     resumed = len(plan.views) - len(missing)
     _write_views(params, parts, missing, out, resumed)
@@ -82,11 +85,17 @@ def _prepare(params: TrainingParams, options: ReadOptions) -> tuple[WorldParts, 
     city, picture = open_cities(params, options)
     made = make_surroundings(picture, params.seed, params.terrain)
     parts = WorldParts(city, picture, made.props, made.land)
-    if params.props is not None:
+    notes: tuple[str, ...] = ()
+    if params.texture_model is not None:
+        model = Path(params.texture_model).expanduser()
+        mesh = read_textured(model, params.texture_up)
+        offset, note = offset_to_city(mesh, city, model.name)
+        parts, notes = WorldParts(city, picture, None, None, offset), (note,)
+    elif params.props is not None:
         parts = WorldParts(city, picture, read_props(Path(params.props)).in_frame(city.origin), None)
     with Progress("views judged", None) as progress:
         plan = plan_views(params, city, made.plan, made.ground, progress.advance)
-    return parts, plan, ()
+    return parts, plan, notes
 
 
 def open_cities(params: TrainingParams, options: ReadOptions) -> tuple[Scene, Scene]:

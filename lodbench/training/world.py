@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.rendering.photo import Development, Land, Look, PhotoRenderer, draw_look
+from lodbench.rendering.photo.pyrender_photo import PyrenderPhotos
+from lodbench.rendering.photo.textured import TexturedMesh
 from lodbench.rendering.props import SceneProps
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
@@ -19,6 +21,7 @@ from lodbench.storage import random_stream, write_bytes
 from lodbench.training.cameras import picture_camera
 from lodbench.training.params import TrainingParams
 from lodbench.training.plan_views import PlannedView
+from lodbench.training.texture_files import read_textured
 
 _MOST = 65535
 
@@ -32,12 +35,14 @@ class WorldParts:
         picture_scene: The city as pictures show it, in the same frame.
         props: Its surroundings.
         land: Its land cover, or None where props say all.
+        texture_offset: (3,) what brings the textured mesh into the scene's frame, or None without one.
     """
 
     scene: Scene
     picture_scene: Scene
-    props: SceneProps
+    props: SceneProps | None
     land: Land | None
+    texture_offset: NDArray[np.float64] | None = None
 
 
 class World:
@@ -52,10 +57,14 @@ class World:
         self._params, self._camera = params, picture_camera(params)
         self._silhouette = SilhouetteRenderer(parts.scene, threads=1)
         self._raster = RasterRenderer(parts.scene, threads=1) if params.labels else None
-        needs_pictures = params.images or params.depth or params.occluders_in_mask
-        self._photos = (
-            PhotoRenderer(parts.picture_scene, parts.props, parts.land, threads=1) if needs_pictures else None
-        )
+        self._photos: PhotoRenderer | None = None
+        self._painter: PhotoRenderer | PyrenderPhotos | None = None
+        if params.images or params.depth or params.occluders_in_mask:
+            mesh = textured_mesh(params, parts)
+            self._photos = PhotoRenderer(parts.picture_scene, parts.props, parts.land, 1, mesh)
+            self._painter = self._photos
+            if params.renderer == "pyrender" and mesh is not None:
+                self._painter = PyrenderPhotos(mesh)
 
     def write(self, view: PlannedView, folder: Path) -> None:
         """Writes the files of a view that are not there yet, each whole or not at all.
@@ -69,7 +78,8 @@ class World:
 
     def _images(self, view: PlannedView) -> bytes:
         look, development = look_of(self._params, view)
-        picture = self._photo_renderer.photo(self._camera, view.pose, look, development)
+        assert self._painter is not None  # noqa: S101
+        picture = self._painter.photo(self._camera, view.pose, look, development)
         options = [cv2.IMWRITE_JPEG_QUALITY, development.jpeg_quality] if self._params.format == "jpg" else []
         return _encoded(f".{self._params.format}", np.ascontiguousarray(picture[:, :, ::-1]), options)
 
@@ -92,6 +102,18 @@ class World:
     def _photo_renderer(self) -> PhotoRenderer:
         assert self._photos is not None  # noqa: S101
         return self._photos
+
+
+def textured_mesh(params: TrainingParams, parts: WorldParts) -> TexturedMesh | None:
+    """Returns the textured mesh in the scene's frame, or None where the city itself is pictured.
+
+    Raises:
+        DatasetError: As for ``read_textured``.
+    """
+    if params.texture_model is None or parts.texture_offset is None:
+        return None
+    mesh = read_textured(Path(params.texture_model).expanduser(), params.texture_up)
+    return mesh.shifted(parts.texture_offset)
 
 
 def look_of(params: TrainingParams, view: PlannedView) -> tuple[Look, Development]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from lodbench.rendering.photo.compiled import per_pixel
+from lodbench.rendering.photo.compiled import per_pixel, pixel_loop
 from lodbench.rendering.photo.noise import mix
 from lodbench.rendering.photo.sunlight import sun_share
 from lodbench.rendering.photo.surfaces import surface_colour
+from lodbench.rendering.photo.textured import TEXTURED, texture_light
+
+_TEXTURED = int(TEXTURED)
 
 
 @per_pixel
@@ -104,9 +106,9 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, stage):  # type:
         f: (4,) intrinsics, sample pixels.
         rotation: (3, 3) cam_from_world.
         center: (3,) of the camera.
-        stage: (skin, look, land, sun map, palettes).
+        stage: (skin, look, land, sun map, palettes, charts).
     """
-    skin, look, land, sun_map, tables = stage
+    skin, look, land, sun_map, tables, charts = stage
     a, b = (column - f[2]) / f[0], (row - f[3]) / f[1]
     dx = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0]
     dy = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1]
@@ -118,6 +120,9 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, stage):  # type:
         return sky_colour(ray[2], towards_sun, look)
     depth = 1.0 / inverse
     x, y, z = center[0] + dx * depth, center[1] + dy * depth, center[2] + dz * depth
+    if skin.surface[triangle] == _TEXTURED:
+        light = texture_light(np.int64(skin.number[triangle]), x, y, z, 2.0 * depth / f[0], charts)
+        return mix(look.haze_rgb, light, np.exp(-depth * length * look.haze_per_m))
     normal = _shading_normal(skin, triangle, x, y, z, (-ray[0], -ray[1], -ray[2]))
     # Two samples are one pixel; a grazed surface is seen coarser, at most by 4.
     cosine = abs(ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2])
@@ -128,7 +133,7 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, stage):  # type:
     return mix(look.haze_rgb, light, clear)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@pixel_loop
 def resolve_photo(band, buffer, rotation, center, stage, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Writes the linear RGB of a band's pixels, each the mean of two by two samples.
 
@@ -139,7 +144,7 @@ def resolve_photo(band, buffer, rotation, center, stage, out):  # type: ignore[n
         buffer: Its z-buffer.
         rotation: (3, 3) cam_from_world.
         center: (3,) of the camera.
-        stage: (skin, look, land, sun map, palettes).
+        stage: (skin, look, land, sun map, palettes, charts).
         out: (H, W, 3) float32.
     """
     winner, inverse = buffer.winner, buffer.inverse

@@ -14,6 +14,7 @@ from lodbench.rendering.photo.look import Development, Look
 from lodbench.rendering.photo.stage import make_stage
 from lodbench.rendering.photo.sunlight import SunMap, draw_sun_map
 from lodbench.rendering.photo.surfaces import palettes
+from lodbench.rendering.photo.textured import TexturedMesh
 from lodbench.rendering.props import SceneProps
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
@@ -35,6 +36,8 @@ class PhotoRenderer:
         props: What stands around it, or None; see ``lodbench.rendering.props``.
         land: What covers ground of class ``LAND``.
         threads: Worker threads; None for one per core.
+        textured: A textured mesh of the place to picture instead of the city, in the scene's frame.
+            Its textures hold the light of the day they were taken: the sun casts nothing on them.
     """
 
     def __init__(
@@ -43,8 +46,9 @@ class PhotoRenderer:
         props: SceneProps | None = None,
         land: Land | None = None,
         threads: int | None = None,
+        textured: TexturedMesh | None = None,
     ) -> None:
-        self._stage = make_stage(scene, props)
+        self._stage = make_stage(scene, props, textured)
         self._land = land or no_land()
         self._raster = RasterRenderer(self._stage.mesh, threads)
         self._palettes = palettes()
@@ -61,7 +65,8 @@ class PhotoRenderer:
         """Returns (H, W, 3) linear RGB, before the camera."""
         out = np.empty((camera.height, camera.width, 3), dtype=np.float32)
         rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
-        stage = (self._stage.skin, look, self._land, self._sun_map(camera, pose, look), self._palettes)
+        sun_map = self._sun_map(camera, pose, look)
+        stage = (self._stage.skin, look, self._land, sun_map, self._palettes, self._stage.charts)
 
         def resolve(band: Band, buffer: Buffer) -> None:
             resolve_photo(band, buffer, rotation, center, stage, out)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.rendering.photo.surfaces import linear
+from lodbench.rendering.photo.textured import TEXTURED, Charts, TexturedMesh, make_charts
 from lodbench.rendering.props import SceneProps, SurfaceClass
 
 Floats = NDArray[np.float64]
@@ -48,11 +49,13 @@ class Stage(NamedTuple):
         mesh: Its triangles as a ``Scene`` whose "buildings" are groups of neighbours.
         skin: What they look like.
         is_occluder: (T,) whether a triangle stands before buildings without being one.
+        charts: Where on its texture each textured triangle is; its ``Skin.number`` is the row.
     """
 
     mesh: Scene
     skin: Skin
     is_occluder: NDArray[np.bool_]
+    charts: Charts
 
 
 class _Loose(NamedTuple):
@@ -65,20 +68,24 @@ class _Loose(NamedTuple):
     is_plain: NDArray[np.bool_]
 
 
-def make_stage(scene: Scene, props: SceneProps | None) -> Stage:
+def make_stage(scene: Scene, props: SceneProps | None, textured: TexturedMesh | None = None) -> Stage:
     """Returns the stage of a city and what stands around it.
 
-    Where the props hold the buildings themselves, those of the scene are left out.
+    Where the props hold the buildings themselves, or there is a textured mesh, those of the scene are
+    left out.
 
     Args:
         scene: The city, as the picture shows it.
         props: Its surroundings, in any frame; None for nothing.
+        textured: A mesh of the place, in the scene's frame; or None.
     """
     parts = []
-    if props is None or not props.has_buildings:
+    if textured is None and (props is None or not props.has_buildings):
         parts.append(_of_scene(scene))
     if props is not None:
         parts.append(_of_props(props.in_frame(scene.origin)))
+    if textured is not None:
+        parts.append(_of_textured(textured))
     order, starts = _groups(np.concatenate([part.corners for part in parts]))
     loose = _Loose(
         np.concatenate([part.corners for part in parts])[order],
@@ -93,7 +100,7 @@ def make_stage(scene: Scene, props: SceneProps | None) -> Stage:
     _add_crowns(place, loose)
     is_occluder = (loose.surface >= int(SurfaceClass.TRUNK)) & (loose.surface < 100)
     skin = Skin(normal.astype(np.float32), loose.surface, loose.number, loose.tint, place)
-    return Stage(mesh, skin, is_occluder)
+    return Stage(mesh, skin, is_occluder, make_charts(textured))
 
 
 def _of_scene(scene: Scene) -> _Loose:
@@ -122,6 +129,17 @@ def _of_props(props: SceneProps) -> _Loose:
     corners = props.vertices[props.triangles].astype(np.float64)
     plain = np.ones(len(corners), dtype=bool)
     return _Loose(corners, props.surface, props.objects, tint, plain)
+
+
+def _of_textured(mesh: TexturedMesh) -> _Loose:
+    count = len(mesh.corners)
+    return _Loose(
+        mesh.corners,
+        np.full(count, TEXTURED, dtype=np.uint8),
+        np.arange(count, dtype=np.int32),
+        np.zeros((count, 3), dtype=np.float32),
+        np.ones(count, dtype=bool),
+    )
 
 
 def _groups(corners: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

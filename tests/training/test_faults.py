@@ -1,0 +1,124 @@
+"""Everything that can go wrong: a clear error, and finished files stay usable."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import pytest
+
+from lodbench.cli import main
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.rendering.photo import LookRanges
+from lodbench.training import world
+from lodbench.training.generate import generate_training_data
+from lodbench.training.params import TrainingParams
+from tests.training.conftest import SMALL, WHOLE
+from tests.training.test_generate import files_in
+
+
+def test_a_killed_run_leaves_whole_pictures_and_goes_on(small_set, tmp_path):
+    params, made = small_set
+    out = tmp_path / "data"
+    words = [f"city={params.city}", f"out={out}", "labels=true", "depth=true", "workers=2"]
+    words += ["pitch=[40]", "height=[90]", "yaw=[0,120,240]", "size=[96,80]", "val_share=0", "test_share=0"]
+    command = [sys.executable, "-m", "lodbench", "generate-training-data", *words]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    images = out / "train" / "images"
+    deadline = time.monotonic() + 120
+    while process.poll() is None and time.monotonic() < deadline:
+        if images.is_dir() and len([path for path in images.iterdir() if path.suffix == ".jpg"]) >= 2:
+            os.kill(process.pid, signal.SIGKILL)
+            break
+        time.sleep(0.002)
+    assert process.wait() == -signal.SIGKILL
+    written = [path for path in out.rglob("*.[jp][pn]g") if not path.name.startswith(".")]
+    assert 0 < len(written) < 4 * sum(made.views.values())
+    for path in written:
+        assert cv2.imread(str(path), cv2.IMREAD_UNCHANGED) is not None
+        assert path.read_bytes() == (made.out / path.relative_to(out)).read_bytes()
+    assert main(["generate-training-data", *words]) == 0
+    assert files_in(out) == files_in(made.out)
+
+
+def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tmp_path, monkeypatch):
+    params, made = small_set
+    params = replace(params, out=str(tmp_path / "data"))
+    room = [7]
+
+    def write(path: Path, content: bytes) -> None:
+        if room[0] == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        room[0] -= 1
+        path.write_bytes(content)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(world, "write_bytes", write)
+        with pytest.raises(DatasetError, match=r"full after 1 of \d+ views") as caught:
+            generate_training_data(params)
+    assert "goes on" in caught.value.hint
+    assert len([path for path in (tmp_path / "data" / "train").rglob("*.??g")]) == 7
+    assert generate_training_data(params).resumed == 1
+    assert files_in(tmp_path / "data") == files_in(made.out)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"pitch": []}, "pitch is empty"),
+        ({"pitch": [95.0]}, "pitch=95 is not within 0 to 90"),
+        ({"height": [-3.0]}, "height=-3 is not within"),
+        ({"size": (8, 8)}, "size=8 is not within"),
+        ({"sampling": "spiral"}, "sampling=spiral is not known"),
+        ({"sampling": "priors"}, "needs poses"),
+        ({"renderer": "pyrender"}, "textured meshes only"),
+        ({"val_share": 0.6, "test_share": 0.6}, "leave little to train on"),
+        ({"fov_deg": float("nan")}, "fov_deg=nan"),
+    ],
+)
+def test_impossible_settings_are_named(settings, message):
+    with pytest.raises(ConfigError, match=message):
+        TrainingParams("city.obj", "out", **settings)
+
+
+@pytest.mark.parametrize(
+    "ranges", [{"noise": (0.1, 0.0)}, {"sun_elevation_deg": (-5.0, 20.0)}, {"exposure": (1.0, float("inf"))}]
+)
+def test_impossible_looks_are_named(ranges):
+    with pytest.raises(ConfigError, match=f"look.{next(iter(ranges))} is"):
+        LookRanges(**ranges)
+
+
+def test_no_building_anywhere_counts_the_reasons(box_file, tmp_path):
+    params = TrainingParams(str(box_file), str(tmp_path / "data"), min_buildings=0.99, **{**SMALL, **WHOLE})
+    with pytest.raises(DatasetError, match=r"None of \d+ views can be taken: \d+ too few buildings in view"):
+        generate_training_data(params)
+    assert not (tmp_path / "data").exists()
+
+
+def test_the_command_exits_with_2_and_one_line(box_file, tmp_path, capsys):
+    words = ["generate-training-data", f"city={box_file}", f"out={tmp_path / 'data'}"]
+    assert main([*words, "heigth=[100]"]) == 2
+    assert "height" in capsys.readouterr().err
+    assert main([*words, "texture_model=nowhere.obj"]) == 2
+    assert "nowhere.obj does not exist" in capsys.readouterr().err
+    assert main([*words, "look.noise=[2,3]"]) == 2
+    assert "look.noise is [2, 3]" in capsys.readouterr().err
+    assert main([*words, "look=dreamy"]) == 2
+    assert not (tmp_path / "data").exists()
+
+
+def test_another_folder_is_never_written_into(box_file, tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "thesis.txt").write_text("all of it")
+    params = TrainingParams(str(box_file), str(tmp_path / "data"), **SMALL, **WHOLE)
+    with pytest.raises(DatasetError, match="or no training set at all"):
+        generate_training_data(params)
+    assert [path.name for path in (tmp_path / "data").iterdir()] == ["thesis.txt"]
