@@ -9,6 +9,11 @@ from lodbench.bench.scale import ScaleOptions, measure_scale
 from lodbench.bench.scale_report import ScaleReport
 from lodbench.bench.silhouette_report import SilhouetteReport
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
+from lodbench.bench.training_data import (
+    TrainingDataOptions,
+    TrainingDataReport,
+    measure_training_data,
+)
 
 __all__ = [
     "AccuracyOptions",
@@ -22,9 +27,12 @@ __all__ = [
     "ScaleReport",
     "SilhouetteOptions",
     "SilhouetteReport",
+    "TrainingDataOptions",
+    "TrainingDataReport",
     "measure_accuracy",
     "measure_city",
     "measure_evaluation",
     "measure_scale",
     "measure_silhouettes",
+    "measure_training_data",
 ]

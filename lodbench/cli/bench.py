@@ -1,4 +1,4 @@
-"""`lodbench bench silhouettes|scale|accuracy|city|evaluation`: measure speed and accuracy on this machine."""
+"""`lodbench bench silhouettes|scale|accuracy|city|evaluation|training-data`: measure this machine."""
 
 from __future__ import annotations
 
@@ -19,11 +19,14 @@ from lodbench.bench import (
     ScaleReport,
     SilhouetteOptions,
     SilhouetteReport,
+    TrainingDataOptions,
+    TrainingDataReport,
     measure_accuracy,
     measure_city,
     measure_evaluation,
     measure_scale,
     measure_silhouettes,
+    measure_training_data,
 )
 from lodbench.bench.silhouette_pictures import write_pictures
 from lodbench.cli.hydra_app import load_plugin
@@ -113,13 +116,23 @@ def _evaluation(options: argparse.Namespace, steps: ProgressCallback) -> Evaluat
     return measure_evaluation(asked, steps)
 
 
-Report = SilhouetteReport | ScaleReport | AccuracyReport | CityBench | EvaluationReport
+def _training_data(options: argparse.Namespace, steps: ProgressCallback) -> TrainingDataReport:
+    city = _city_file(options)
+    props = options.props
+    if options.city is None:
+        props = city.parent / "props.npz"  # the demo town's own look
+    asked = TrainingDataOptions(options.views, options.workers, props, options.seed)
+    return measure_training_data(city, asked, steps)
+
+
+Report = TrainingDataReport | SilhouetteReport | ScaleReport | AccuracyReport | CityBench | EvaluationReport
 MEASURES: dict[str, Callable[..., Report]] = {
     "silhouettes": _silhouettes,
     "scale": _scale,
     "accuracy": _accuracy,
     "city": _city,
     "evaluation": _evaluation,
+    "training-data": _training_data,
 }
 
 
@@ -169,11 +182,15 @@ def _parser() -> argparse.ArgumentParser:
     evaluation = actions.add_parser("evaluation", help="scoring many methods on many queries; a run's page")
     evaluation.add_argument("--queries", type=int, default=2192, help="as the largest published split (2192)")
     evaluation.add_argument("--methods", type=int, default=100, help="scored on all of them (100)")
-    for action in (speed, scale, accuracy, evaluation):
+    training = actions.add_parser("training-data", help="masks and photos per second; memory")
+    training.add_argument("--views", type=int, default=24, help="photos of each size; masks 10 x (24)")
+    training.add_argument("--workers", type=int, help="processes (one per core)")
+    training.add_argument("--props", type=Path, help="scene props to picture; made up if not given")
+    for action in (speed, scale, accuracy, evaluation, training):
         action.add_argument("--seed", type=int, default=0)
-    for action in (speed, accuracy, city):
+    for action in (speed, accuracy, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
-    for action in (speed, scale, accuracy, city, evaluation):
+    for action in (speed, scale, accuracy, city, evaluation, training):
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser
 

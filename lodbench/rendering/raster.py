@@ -35,15 +35,22 @@ class RasterRenderer:
         scene: The city, local metric frame.
         threads: Worker threads; None for one per core.
         appearance: Colours and light; None for plain ones.
+        band: Columns drawn at a time, even. Many small triangles want wide bands, so that few of them
+            are projected for two.
     """
 
     name = "raster"
 
     def __init__(
-        self, scene: Scene, threads: int | None = None, appearance: Appearance | None = None
+        self,
+        scene: Scene,
+        threads: int | None = None,
+        appearance: Appearance | None = None,
+        band: int = _BAND,
     ) -> None:
         self.scene = scene
         self.threads = max(1, threads or os.cpu_count() or 1)
+        self._band = band
         self._appearance = appearance or plain_appearance()
         self._mesh = Mesh(
             scene.vertices,
@@ -86,7 +93,7 @@ class RasterRenderer:
         return mask
 
     def draw_bands(self, camera: Camera, pose: Pose, resolve: Callable[[Band, Buffer], None]) -> None:
-        """Draws a view band by band, 64 columns each, and hands each to ``resolve``; see ``Band``."""
+        """Draws a view band by band and hands each to ``resolve``; see ``Band``."""
         require_pinhole(camera)
         rotation, center = pose_arrays(pose)
         planes = view_planes(camera, 0, camera.width)
@@ -98,14 +105,14 @@ class RasterRenderer:
             resolve(band, buffer)
 
         if self._pool is None:
-            for band in _bands(camera):
+            for band in _bands(camera, self._band):
                 work(band)
         else:
-            list(self._pool.map(work, _bands(camera)))
+            list(self._pool.map(work, _bands(camera, self._band)))
 
 
-def _bands(camera: Camera) -> Iterator[Band]:
+def _bands(camera: Camera, width: int) -> Iterator[Band]:
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    for first in range(0, camera.width, _BAND):
-        stop = min(camera.width, first + _BAND)
+    for first in range(0, camera.width, width):
+        stop = min(camera.width, first + width)
         yield Band(first, stop, camera.height, intrinsics, view_planes(camera, first, stop))

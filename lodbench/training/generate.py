@@ -27,7 +27,7 @@ from lodbench.training.contact_sheet import SHEET_FILE, write_sheet
 from lodbench.training.manifest import begin_manifest, finish_manifest
 from lodbench.training.params import TrainingParams
 from lodbench.training.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
-from lodbench.training.surroundings import make_surroundings
+from lodbench.training.surroundings import Surroundings, make_surroundings
 from lodbench.training.texture_files import offset_to_city, read_textured
 from lodbench.training.world import World, WorldParts, files_of
 
@@ -83,6 +83,25 @@ def generate_training_data(params: TrainingParams, options: ReadOptions | None =
 def _prepare(params: TrainingParams, options: ReadOptions) -> tuple[WorldParts, ViewPlan, tuple[str, ...]]:
     """Returns the city with its surroundings, the views to take of it, and what was met."""
     city, picture = open_cities(params, options)
+    parts, made, notes = world_parts(params, city, picture)
+    with Progress("views judged", None) as progress:
+        plan = plan_views(params, city, made.plan, made.ground, progress.advance)
+    return parts, plan, notes
+
+
+def world_parts(
+    params: TrainingParams, city: Scene, picture: Scene
+) -> tuple[WorldParts, Surroundings, tuple[str, ...]]:
+    """Returns what workers draw from, the surroundings made up for it, and notes for the reader.
+
+    Args:
+        params: What to generate.
+        city: The city of the masks.
+        picture: The city as pictures show it.
+
+    Raises:
+        LodbenchError: The terrain, the props or the textured mesh cannot be read or lies elsewhere.
+    """
     made = make_surroundings(picture, params.seed, params.terrain)
     parts = WorldParts(city, picture, made.props, made.land)
     notes: tuple[str, ...] = ()
@@ -92,10 +111,8 @@ def _prepare(params: TrainingParams, options: ReadOptions) -> tuple[WorldParts, 
         offset, note = offset_to_city(mesh, city, model.name)
         parts, notes = WorldParts(city, picture, None, None, offset), (note,)
     elif params.props is not None:
-        parts = WorldParts(city, picture, read_props(Path(params.props)).in_frame(city.origin), None)
-    with Progress("views judged", None) as progress:
-        plan = plan_views(params, city, made.plan, made.ground, progress.advance)
-    return parts, plan, notes
+        parts = WorldParts(city, picture, read_props(Path(params.props).expanduser()), None)
+    return parts, made, notes
 
 
 def open_cities(params: TrainingParams, options: ReadOptions) -> tuple[Scene, Scene]:

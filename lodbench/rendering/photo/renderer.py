@@ -12,17 +12,17 @@ from lodbench.rendering.photo.ground import Land, no_land
 from lodbench.rendering.photo.kernel import resolve_photo
 from lodbench.rendering.photo.look import Development, Look
 from lodbench.rendering.photo.stage import make_stage
-from lodbench.rendering.photo.sunlight import SunMap, draw_sun_map
+from lodbench.rendering.photo.sunlight import SunMap, draw_sun_map, ground_in_view, no_sun_map
 from lodbench.rendering.photo.surfaces import palettes
 from lodbench.rendering.photo.textured import TexturedMesh
 from lodbench.rendering.props import SceneProps
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
 
-# What is in view is found on a picture this wide, pixels: shadows need no more.
-_PREVIEW_WIDTH = 96
-# Side of the shadow map: with 450 m in view, a pixel is half a metre.
-_SUN_MAP_SIZE = 1536
+# Side of the shadow map, pixels: of the largest one each is half a metre where 450 m are in view.
+_LEAST_SUN_MAP, _MOST_SUN_MAP = 512, 1536
+# The scenes are of many small triangles.
+_BAND = 256
 
 
 class PhotoRenderer:
@@ -50,7 +50,11 @@ class PhotoRenderer:
     ) -> None:
         self._stage = make_stage(scene, props, textured)
         self._land = land or no_land()
-        self._raster = RasterRenderer(self._stage.mesh, threads)
+        self._raster = RasterRenderer(self._stage.mesh, threads, band=_BAND)
+        casters = self._stage.casters
+        self._casters = None if casters is None else RasterRenderer(casters, threads, band=_BAND)
+        low, high = np.percentile(self._stage.mesh.vertices[:, 2], [0.5, 99.5])
+        self._levels_m = float(low), float(high)
         self._palettes = palettes()
 
     def photo(self, camera: Camera, pose: Pose, look: Look, development: Development) -> NDArray[np.uint8]:
@@ -84,14 +88,9 @@ class PhotoRenderer:
         return np.asarray((triangle >= 0) & self._stage.is_occluder[triangle])
 
     def _sun_map(self, camera: Camera, pose: Pose, look: Look) -> SunMap:
-        width = min(_PREVIEW_WIDTH, camera.width)
-        preview = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
-        depth = self._raster.depth(preview, pose).astype(np.float64)
-        row, column = np.nonzero(depth > 0)
-        z = depth[row, column]
-        x = (column + 0.5 - preview.cx) / preview.fx * z
-        y = (row + 0.5 - preview.cy) / preview.fy * z
-        seen = np.stack([x, y, z], axis=1) @ pose.rotation + pose.center
-        if not len(seen):
-            seen = pose.center[None]
-        return draw_sun_map(self._raster, np.array(look.sun), seen, _SUN_MAP_SIZE)
+        if self._casters is None:
+            return no_sun_map()
+        seen = ground_in_view(camera, pose, *self._levels_m)
+        # As fine as the picture, about: in steps, so that its memory is used again.
+        size = min(_MOST_SUN_MAP, max(_LEAST_SUN_MAP, (3 * max(camera.width, camera.height) // 2) // 64 * 64))
+        return draw_sun_map(self._casters, np.array(look.sun), seen, size)

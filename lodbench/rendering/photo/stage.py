@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
+from lodbench.rendering.photo.ground import LAND
 from lodbench.rendering.photo.surfaces import linear
 from lodbench.rendering.photo.textured import TEXTURED, Charts, TexturedMesh, make_charts
 from lodbench.rendering.props import SceneProps, SurfaceClass
@@ -20,6 +21,9 @@ _CELL_M = 32.0
 _WALL_UP, _FLAT_UP = 0.3, 0.985
 # Share of level tops, as level of detail 1 has, that are painted as tiled roofs.
 _TILED_TOPS = 0.5
+_ON_GROUND = [kind for kind in SurfaceClass if not kind.is_building and not kind.is_occluder]
+_ON_WALLS = [SurfaceClass.WINDOW, SurfaceClass.DOOR, SurfaceClass.FRAME]
+_NO_CASTERS = np.array([*_ON_GROUND, *_ON_WALLS, LAND, TEXTURED], dtype=np.uint8)
 
 
 class Skin(NamedTuple):
@@ -49,12 +53,14 @@ class Stage(NamedTuple):
         mesh: Its triangles as a ``Scene`` whose "buildings" are groups of neighbours.
         skin: What they look like.
         is_occluder: (T,) whether a triangle stands before buildings without being one.
+        casters: Those triangles that cast shadows worth drawing, or None if none do.
         charts: Where on its texture each textured triangle is; its ``Skin.number`` is the row.
     """
 
     mesh: Scene
     skin: Skin
     is_occluder: NDArray[np.bool_]
+    casters: Scene | None
     charts: Charts
 
 
@@ -100,7 +106,17 @@ def make_stage(scene: Scene, props: SceneProps | None, textured: TexturedMesh | 
     _add_crowns(place, loose)
     is_occluder = (loose.surface >= int(SurfaceClass.TRUNK)) & (loose.surface < 100)
     skin = Skin(normal.astype(np.float32), loose.surface, loose.number, loose.tint, place)
-    return Stage(mesh, skin, is_occluder, make_charts(textured))
+    casters = _casters(loose, scene)
+    return Stage(mesh, skin, is_occluder, casters, make_charts(textured))
+
+
+def _casters(loose: _Loose, scene: Scene) -> Scene | None:
+    """Returns the triangles that cast shadows: not the ground, nor what lies on a wall or a texture."""
+    corners = loose.corners[~np.isin(loose.surface, _NO_CASTERS)]
+    if not len(corners):
+        return None
+    order, starts = _groups(corners)
+    return _grouped(corners[order], starts, scene)
 
 
 def _of_scene(scene: Scene) -> _Loose:

@@ -37,11 +37,37 @@ class SunMap(NamedTuple):
     texel_m: float
 
 
+def ground_in_view(camera: Camera, pose: Pose, low_m: float, high_m: float) -> Floats:
+    """Returns places, (N, 3), where a view meets the lowest and the highest level of a scene.
+
+    Nothing further than ``2 * REACH_M`` is among them: its shadows are too small to be seen.
+    """
+    share = np.linspace(0.0, 1.0, 9)
+    u, v = (axis.ravel() for axis in np.meshgrid(share * camera.width, share * camera.height))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
+    rays = rays @ pose.rotation
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    distances = []
+    for level in (low_m, high_m):
+        drop = np.where(np.abs(rays[:, 2]) > 1e-6, rays[:, 2], 1e-6)
+        distance = (level - pose.center[2]) / drop
+        distances.append(np.where(distance > 0, np.minimum(distance, 2.0 * REACH_M), 2.0 * REACH_M))
+    points = np.concatenate([pose.center + rays * distance[:, None] for distance in distances])
+    points[:, 2] = np.clip(points[:, 2], low_m, high_m)
+    return np.asarray(points)
+
+
+def no_sun_map() -> SunMap:
+    """Returns a map in which nothing casts a shadow."""
+    level = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    return SunMap(np.zeros((1, 1), dtype=np.float32), level, (0.0, 0.0, 0.0), 1.0, 0.0)
+
+
 def draw_sun_map(raster: RasterRenderer, sun: Floats, seen: Floats, size: int) -> SunMap:
     """Returns the depth map of the part of a scene that can be seen.
 
     Args:
-        raster: Draws the scene.
+        raster: Draws what casts shadows.
         sun: (3,) unit vector towards the sun.
         seen: (N, 3) points that a picture shows, local metres.
         size: Side of the map, pixels.

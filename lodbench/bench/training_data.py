@@ -1,0 +1,235 @@
+"""Speed of training data: masks alone, and photos with masks, on as many processes as there are cores."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import ConfigError, LodbenchError
+from lodbench.execution.fan_out import fan_out
+from lodbench.geometry import Camera
+from lodbench.rendering import open_renderer
+from lodbench.training.cameras import picture_camera
+from lodbench.training.generate import open_cities, world_parts
+from lodbench.training.params import TrainingParams
+from lodbench.training.plan_views import PlannedView, plan_views
+from lodbench.training.world import World, WorldParts, encode_mask, files_of
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingDataOptions:
+    """What to measure.
+
+    Attributes:
+        views: Views of each figure; masks alone take ten times as many.
+        workers: Processes; None for one per core.
+        props: Scene props to picture, or None to make them up.
+        seed: Seed of views and looks.
+    """
+
+    views: int = 24
+    workers: int | None = None
+    props: Path | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.views < 2:
+            raise ConfigError(f"views={self.views} is too few to measure.", "24 is usual.")
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingDataReport:
+    """What was measured.
+
+    Attributes:
+        city: File name.
+        triangles: Of the city and its surroundings, as pictured.
+        workers: Processes.
+        load: Load average before the start, None if unknown.
+        rows: Figures, in the order measured.
+    """
+
+    city: str
+    triangles: int
+    workers: int
+    load: float | None
+    rows: tuple[Figure, ...]
+
+    def figures(self) -> list[Figure]:
+        """Returns the figures."""
+        return list(self.rows)
+
+    def to_text(self) -> str:
+        """Returns the report as a table with a line of small print."""
+        lines = []
+        for row in self.rows:
+            peer = "" if not row.peer else f"   {row.peer}"
+            peer += "" if row.peer_value is None else f" {row.peer_value:.1f} {row.unit} ({row.ratio:.1f}x)"
+            lines.append(f"{row.figure:<54}{row.value:>9.2f} {row.unit}{peer}")
+        load = "unknown" if self.load is None else f"{self.load:.1f}"
+        lines.append(
+            f"{self.city}, {self.triangles:,} triangles in pictures, {self.workers} processes on "
+            f"{os.cpu_count()} cores, load {load} before the start. Written to disk, file by file."
+        )
+        return "\n".join(lines)
+
+
+def measure_training_data(
+    city: Path, options: TrainingDataOptions | None = None, progress: Progress = no_progress
+) -> TrainingDataReport:
+    """Returns how many masks and photos are made per second, and in how much memory.
+
+    Every figure is taken after one view per process, so that compiling and reading do not count.
+
+    Args:
+        city: City model file.
+        options: What to measure.
+        progress: Called after each figure.
+
+    Raises:
+        LodbenchError: The city cannot be read, or shows too few buildings.
+    """
+    options = options or TrainingDataOptions()
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    workers = options.workers or os.cpu_count() or 1
+    props = None if options.props is None else str(options.props)
+    folder = Path(tempfile.mkdtemp(prefix="lodbench-bench-"))
+    params = TrainingParams(
+        str(city), str(folder), sampling="random", count=20 * options.views, val_share=0.0, test_share=0.0,
+        limit=10 * options.views, seed=options.seed, props=props, workers=workers,
+    )  # fmt: skip
+    try:
+        scene, picture = open_cities(params, ReadOptions())
+        parts, made, _ = world_parts(params, scene, picture)
+        views = plan_views(params, scene, made.plan, made.ground).views
+        rows: list[Figure] = []
+        steps: list[Callable[[], list[Figure]]] = [
+            lambda: _masks(params, parts, views, workers),
+            lambda: _photos(params, parts, views[: options.views], workers),
+            lambda: _photos(replace(params, size=(512, 512)), parts, views[: 2 * options.views], workers),
+            lambda: [_memory(params, parts, views)],
+        ]
+        for number, step in enumerate(steps):
+            rows += step()
+            progress(number + 1, len(steps))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    triangles = len(picture.triangles) + (0 if parts.props is None else len(parts.props))
+    return TrainingDataReport(city.name, triangles, workers, load, tuple(rows))
+
+
+def _masks(
+    params: TrainingParams, parts: WorldParts, views: tuple[PlannedView, ...], workers: int
+) -> list[Figure]:
+    """Returns masks per second, alone; beside them pyrender, one process, drawn and encoded alike."""
+    rate, cpu = _rate(replace(params, images=False), parts, views, workers)
+    title = f"masks alone, bilevel PNG, {_size(params)}"
+    peer, peer_rate = _pyrender_rate(parts.scene, picture_camera(params), views[:20])
+    ratio = None if peer_rate is None else rate / peer_rate
+    return [
+        Figure(title, rate, "/s", peer, peer_rate, ratio),
+        Figure(f"{title}, CPU time each", 1000 * cpu, "ms"),
+    ]
+
+
+def _photos(
+    params: TrainingParams, parts: WorldParts, views: tuple[PlannedView, ...], workers: int
+) -> list[Figure]:
+    rate, cpu = _rate(params, parts, views, workers)
+    title = f"photos with shadows, and masks, {_size(params)}"
+    return [Figure(title, rate, "/s"), Figure(f"{title}, CPU time each", 1000 * cpu, "ms")]
+
+
+def _rate(
+    params: TrainingParams, parts: WorldParts, views: tuple[PlannedView, ...], workers: int
+) -> tuple[float, float]:
+    """Returns views written per second, and seconds of CPU time per view."""
+    out = Path(tempfile.mkdtemp(dir=params.out))
+    for path in files_of(params, views[0], out):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    workers = min(workers, len(views))
+    cpu, started, count = 0.0, None, 0
+    for seconds in fan_out(_timed, _warmed(views, workers), workers, _open, (params, parts, out)):
+        if seconds is None:
+            continue
+        # The clock starts with the first view that is not a warm-up; it is done, so it does not count.
+        if started is None:
+            started = time.perf_counter()
+            continue
+        cpu += seconds
+        count += 1
+    elapsed = time.perf_counter() - (started or 0.0)
+    shutil.rmtree(out)
+    return count / elapsed, cpu / count
+
+
+def _warmed(views: tuple[PlannedView, ...], workers: int) -> list[tuple[PlannedView, bool]]:
+    """Returns the views with a few in front that only warm the processes up."""
+    warm = [(replace(views[0], name=f"warm-{k}"), True) for k in range(4 * workers)]
+    return [*warm, *((view, False) for view in views)]
+
+
+_opened: list[tuple[World, Path]] = []
+
+
+def _open(params: TrainingParams, parts: WorldParts, out: Path) -> None:
+    _opened[:] = [(World(params, parts), out)]
+
+
+def _timed(item: tuple[PlannedView, bool]) -> float | None:
+    """Writes a view; returns its CPU time, or None for a warm-up."""
+    view, is_warm_up = item
+    world, out = _opened[0]
+    started = time.process_time()
+    world.write(view, out)
+    return None if is_warm_up else time.process_time() - started
+
+
+def _pyrender_rate(scene: Scene, camera: Camera, views: tuple[PlannedView, ...]) -> tuple[str, float | None]:
+    try:
+        renderer = open_renderer("pyrender", scene)
+        encode_mask(renderer.render(camera, views[0].pose))
+    except LodbenchError as error:
+        return f"pyrender ({error.message})", None
+    started = time.perf_counter()
+    for view in views:
+        encode_mask(renderer.render(camera, view.pose))
+    return "pyrender, one process", len(views) / (time.perf_counter() - started)
+
+
+def _memory(params: TrainingParams, parts: WorldParts, views: tuple[PlannedView, ...]) -> Figure:
+    """Returns how much larger a process is after many views than after few, MB, masks and photos."""
+    small = replace(params, size=(256, 256))
+    out = Path(tempfile.mkdtemp(dir=params.out))
+    for path in files_of(small, views[0], out):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    world = World(small, parts)
+    tenth = max(1, len(views) // 10)
+    for view in views[:tenth]:
+        world.write(view, out)
+    before = _resident_mb()
+    for view in views[tenth:]:
+        world.write(view, out)
+    grown = _resident_mb() - before
+    return Figure(f"memory grown from view {tenth} to view {len(views)}, 256x256", grown, "MB")
+
+
+def _resident_mb() -> float:
+    """Returns the memory this process has in use; 0 where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def _size(params: TrainingParams) -> str:
+    return f"{params.size[0]}x{params.size[1]}"
