@@ -33,7 +33,7 @@ COMMANDS = {
     "city": ("lodbench.cli.city", "look into a city model: info, check; write it in another format: convert"),
     "dataset": (
         "lodbench.cli.dataset",
-        "make a dataset of your own: init, import; write the demo: make-demo",
+        "list, check, download, describe datasets; make one of your own: init, import; priors; make-demo",
     ),
     "bench": (
         "lodbench.cli.bench",

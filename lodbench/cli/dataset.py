@@ -1,39 +1,42 @@
-"""`lodbench dataset`: write the demo dataset, or one of your own photos and poses."""
+"""`lodbench dataset ACTION ...`: what there is, whether it is sound, and where priors come from."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
+from importlib import import_module
 
-from lodbench.cli.dataset_own import add_own_actions
+from lodbench.errors import ConfigError, nearest_names
+
+# Action -> (module whose `main` takes the words from the action on, one line of help).
+ACTIONS = {
+    "list": ("lodbench.cli.dataset_list", "what is there, what is missing, where to get it"),
+    "check": ("lodbench.cli.dataset_check", "is it sound: files, counts, poses, priors, photos, city model"),
+    "prior": ("lodbench.cli.dataset_prior", "write a dataset's priors to a file: drawn, or the photos' own"),
+    "init": ("lodbench.cli.dataset_own", "a dataset from your photos and a city model"),
+    "import": ("lodbench.cli.dataset_own", "a dataset from another program's poses"),
+    "make-demo": ("lodbench.cli.dataset_demo", "write the demo town, its queries and masks to a folder"),
+}
+
+
+def usage() -> str:
+    """Returns the help of `lodbench dataset --help`."""
+    width = max(map(len, ACTIONS))
+    head = "usage: lodbench dataset ACTION [...]        lodbench dataset ACTION --help"
+    lines = [f"  {name.ljust(width)}  {help_}" for name, (_, help_) in ACTIONS.items()]
+    return "\n".join([head, "", *lines, ""])
 
 
 def main(argv: Sequence[str]) -> int:
-    """Runs the command; returns the exit code."""
-    parser = argparse.ArgumentParser("lodbench dataset", description="Datasets.")
-    actions = parser.add_subparsers(dest="action", required=True)
-    make = actions.add_parser(
-        "make-demo", help="write the demo town, its queries, photos and masks to a folder"
-    )
-    make.add_argument("folder", type=Path)
-    make.add_argument("--num-queries", type=int, default=40)
-    make.add_argument("--seed", type=int, default=0)
-    make.add_argument("--look", default="test", help="test (default) or train: other streets, roofs, colours")
-    make.set_defaults(make=_make_demo)
-    add_own_actions(actions)
-    options = parser.parse_args(argv)
-    code: int = options.make(options)
+    """Runs the command; returns the exit code.
+
+    Raises:
+        ConfigError: There is no such action.
+    """
+    if not argv or argv[0] in ("-h", "--help"):
+        sys.stdout.write(usage())
+        return 0 if argv else 2
+    if argv[0] not in ACTIONS:
+        raise ConfigError(f"There is no `lodbench dataset {argv[0]}`.", nearest_names(argv[0], ACTIONS))
+    code: int = import_module(ACTIONS[argv[0]][0]).main(argv)
     return code
-
-
-def _make_demo(options: argparse.Namespace) -> int:
-    from lodbench.datasets.demo.build import CITY_FILE, build_demo
-
-    root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed, look=options.look)
-    city = root / CITY_FILE
-    sys.stdout.write(
-        f"{root}\nTry: lodbench run dataset=folder dataset.root={root} dataset.city_model={city}\n"
-    )
-    return 0

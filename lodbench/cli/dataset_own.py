@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +33,16 @@ examples:
 """
 
 
-def add_own_actions(actions: Any) -> None:
-    """Adds the two commands to those of ``lodbench dataset``."""
+def main(argv: Sequence[str]) -> int:
+    """Runs ``init`` or ``import``, whichever the first word is; returns the exit code."""
+    parser = argparse.ArgumentParser("lodbench dataset")
+    _add_actions(parser.add_subparsers(dest="action", required=True))
+    asked = parser.parse_args(argv)
+    code: int = asked.make(asked)
+    return code
+
+
+def _add_actions(actions: Any) -> None:
     raw = argparse.RawDescriptionHelpFormatter
     init = actions.add_parser(
         "init", help="a dataset from your photos and a city model", epilog=_INIT_EPILOG, formatter_class=raw

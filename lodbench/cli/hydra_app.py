@@ -35,6 +35,7 @@ PATH_KEYS = frozenset(
         "terrain",
         "paths.runs",
         "paths.data_root",
+        "prior.path",
     }
 )
 # Below these any key may be set: ReadOptions checks them, profiles name only those they change.

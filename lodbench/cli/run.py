@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
 from lodbench.cli.sources import profile_of
-from lodbench.datasets.priors import UniformPrior, with_uniform_priors
+from lodbench.datasets.prior_sources import PRIORS, FilePrior, PriorSource, prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.evaluation.rows import seconds_per_query
@@ -162,18 +162,22 @@ def data_identity(dataset_params: Any, source: dict[str, Any]) -> dict[str, Any]
 def with_prior(dataset: Dataset, values: dict[str, Any], seed: int) -> tuple[Dataset, dict[str, Any]]:
     """Returns a dataset with the priors a section asks for, and that section checked.
 
+    In it the digest of a file of priors stands for its path.
+
     Raises:
-        ConfigError: The kind of prior is unknown, or a setting is wrong.
+        LodbenchError: The kind of prior is unknown, a setting is wrong, or the priors cannot be had.
     """
-    name, widths = values.get("name", ""), {key: v for key, v in values.items() if key != "name"}
-    if name == "uniform":
-        prior = to_params(widths, UniformPrior, "prior")
-        return with_uniform_priors(dataset, prior, seed), {"name": name, **asdict(prior)}
-    if name != "dataset":
-        raise ConfigError(f"There is no prior {name!r}.", nearest_names(str(name), ["dataset", "uniform"]))
-    if widths:
-        raise ConfigError(f"prior.{min(widths)} is not a setting of prior=dataset.", "Use prior=uniform.")
-    return dataset, {"name": name}
+    name, settings = str(values.get("name", "")), {key: v for key, v in values.items() if key != "name"}
+    if name not in PRIORS:
+        raise ConfigError(f"There is no prior {name!r}.", nearest_names(name, PRIORS))
+    source: PriorSource = to_params(settings, PRIORS[name], "prior")
+    dataset = source.apply(dataset, seed)
+    stated = {"name": name, **asdict(source)}  # type: ignore[call-overload]
+    if name == FilePrior.name:
+        stated = {"name": name}
+        if settings.get("path") is not None:
+            stated["content"] = prior_digest(dataset.entries)
+    return dataset, stated
 
 
 def _without(values: dict[str, Any], names: set[str]) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str
     if city is not None and city_model is None and not Path(city).exists():
         city = None
     try:
-        dataset = _reopen(config, root, city)
+        dataset = _reopen(folder, config, root, city)
     except LodbenchError:
         if dataset_root or city_model:
             raise
@@ -69,7 +69,7 @@ def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str
     if "masks" in read_run(folder).summary["dataset"]:
         kind = load_plugin("segmenters", config["segmenter"]["name"])
         segmenter = kind(to_params(config["segmenter"], kind.params_type, "segmenter"))
-    return verify_run(folder, config, dataset, segmenter)
+    return verify_run(folder, config, dataset, segmenter, has_own_priors=_keeps_priors(config))
 
 
 def reopen_dataset(folder: Path, dataset_root: str | None = None, city_model: str | None = None) -> Dataset:
@@ -118,7 +118,7 @@ def describe(verdict: Verdict) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _reopen(config: dict[str, Any], root: str | None, city: str | None) -> Dataset:
+def _reopen(folder: Path, config: dict[str, Any], root: str | None, city: str | None) -> Dataset:
     """Returns the dataset of a run; one that is built in takes no paths."""
     section = dict(config["dataset"])
     (parameter,) = signature(load_plugin("datasets", section["name"]), eval_str=True).parameters.values()
@@ -126,5 +126,14 @@ def _reopen(config: dict[str, Any], root: str | None, city: str | None) -> Datas
     paths = {"root": root, "city_model": city}
     section.update({key: path for key, path in paths.items() if key in known})
     dataset = with_source(open_dataset(section), config["source"])
-    drawn, _ = with_prior(dataset, config.get("prior", {"name": "dataset"}), config["seed"])
+    prior = config.get("prior", {"name": "file"})
+    if _keeps_priors(config):
+        prior = {"name": "file", "path": str(folder / "priors.txt")}
+    drawn, _ = with_prior(dataset, prior, config.get("seed", 0))
     return drawn
+
+
+def _keeps_priors(config: dict[str, Any]) -> bool:
+    """Tells whether only the run's own folder has its priors: they came from photos or another file."""
+    prior = config.get("prior", {})
+    return prior.get("name") == "sensor" or "content" in prior

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,6 +33,7 @@ class UniformPrior:
         ConfigError: A half width is negative or not finite.
     """
 
+    name: ClassVar[str] = "uniform"
     x_m: float = 10.0
     y_m: float = 10.0
     z_m: float = 30.0
@@ -44,6 +46,10 @@ class UniformPrior:
             width = getattr(self, field.name)
             if not (width >= 0 and math.isfinite(width)):
                 raise ConfigError(f"The prior's {field.name} must be a finite number >= 0, not {width}.")
+
+    def apply(self, dataset: Dataset, seed: int) -> Dataset:
+        """Returns the dataset with priors drawn around the truth."""
+        return with_uniform_priors(dataset, self, seed)
 
     def draw(self, truth: Pose, generator: np.random.Generator) -> Pose:
         """Returns a prior around the truth; always six draws, so a width of 0 changes no other axis."""
@@ -76,6 +82,6 @@ def with_uniform_priors(dataset: Dataset, prior: UniformPrior, seed: int) -> Dat
         truth = dataset.truth.get(entry.key)
         if truth is not None:
             drawn = prior.draw(truth, random_stream(seed, dataset.name, entry.key, "prior"))
-            entry = replace(entry, prior=drawn)
+            entry = replace(entry, prior=drawn, hypotheses=(drawn,))
         entries.append(entry)
     return replace(dataset, entries=tuple(entries))

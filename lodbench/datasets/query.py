@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
-from lodbench.findings import Finding
+from lodbench.findings import Finding, Findings
 from lodbench.geometry import Camera, Pose
 
 
@@ -24,7 +24,7 @@ class Query:
         prior: The rough pose to start from.
         building_probability: (H, W) float32 in [0, 1], what the segmenter said.
         image: The photo, or None where the dataset has none.
-        hypotheses: All rough poses, the prior first, where the dataset states several; else empty.
+        hypotheses: All rough poses the dataset states, the prior first; may be empty.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Entry:
         prior: Rough pose.
         image: The photo.
         mask: A building mask made beforehand.
-        hypotheses: All rough poses, the prior first, where there are several or one; may be empty.
+        hypotheses: All rough poses the dataset states, the prior first; may be empty.
     """
 
     name: str
@@ -103,3 +103,13 @@ class Dataset:
     findings: tuple[Finding, ...] = ()
     photo_crs: str | None = None
     photo_origin: tuple[float, ...] | None = None
+
+
+def notes_of(findings: Findings) -> tuple[str, ...]:
+    """Returns one line per kind of finding: how often, and the first of its details."""
+    lines = []
+    for name, count in findings.counts().items():
+        first = next(item for item in findings.items if str(item.code) == name)
+        detail = f": {first.detail}" if first.detail else ""
+        lines.append(f"{count} x {name}, first {first.object_id}{detail}")
+    return tuple(lines)

@@ -14,7 +14,7 @@ from typing import Any
 
 from lodbench import __version__
 from lodbench.datasets.pose_text import format_pose, lines_to_text
-from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.prior_sources import PRIORS, prior_text
 from lodbench.evaluation.errors import ErrorParts, PoseError
 from lodbench.evaluation.rows import seconds_per_query, summarize_rows
 from lodbench.harness.result import Result
@@ -26,7 +26,8 @@ from lodbench.storage import hide_formula, write_text
 def write_artefacts(run: Result, config_yaml: str) -> None:
     """Writes config, poses, per-query rows and the summary; and, apart from them, times and provenance.
 
-    The first four are the same bytes whatever the machine's threads; the last two are not.
+    ``priors.txt`` has where a method started, before ``tilt``. All but the times and the provenance are
+    the same bytes whatever the machine's threads.
     """
     contents = {
         "config.yaml": config_yaml,
@@ -34,6 +35,11 @@ def write_artefacts(run: Result, config_yaml: str) -> None:
         "queries.csv": _queries_csv(run),
         "summary.json": _json(summary_of(run)),
     }
+    if isinstance(run, Run):
+        scored = {row.key for row in run.rows}
+        entries = [entry for entry in run.dataset.entries if entry.key in scored]
+        words = _prior_in_words(run.config.get("prior", {"name": "file"}))
+        contents["priors.txt"] = prior_text(entries, words, run.config["seed"])
     for name, content in contents.items():
         write_text(run.folder / name, content)
     write_text(run.folder / "timings.csv", _timings_csv(run))
@@ -67,7 +73,7 @@ def summary_of(run: Result) -> dict[str, Any]:
             "segmenter": config["segmenter"]["name"],
             "renderer": config["renderer"],
             "lod": run.lod,
-            "prior": _prior_in_words(config.get("prior", {"name": "dataset"})),
+            "prior": _prior_in_words(config.get("prior", {"name": "file"})),
         },
         "splits": splits,
         "prior": priors,
@@ -77,9 +83,10 @@ def summary_of(run: Result) -> dict[str, Any]:
 
 
 def _prior_in_words(prior: dict[str, Any]) -> str:
-    if prior["name"] == "dataset":
-        return "dataset"
-    return UniformPrior(**{key: width for key, width in prior.items() if key != "name"}).describe()
+    """Returns the protocol of a configuration's priors; of a file only its digest is known."""
+    settings = {key: value for key, value in prior.items() if key not in ("name", "content")}
+    words: str = PRIORS[prior["name"]](**settings).describe()
+    return f"of another file ({prior['content']})" if "content" in prior else words
 
 
 def _pose_lines(run: Result) -> list[str]:

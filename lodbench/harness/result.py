@@ -63,11 +63,6 @@ def split_digest(entries: tuple[Entry, ...]) -> str:
     return digest_of([entry.key for entry in entries])
 
 
-def prior_digest(entries: tuple[Entry, ...]) -> str:
-    """Returns a digest of where a method was told to start."""
-    return digest_of([[entry.key, pose_numbers(entry.prior)] for entry in entries])
-
-
 def pose_numbers(pose: Pose | None) -> list[float] | None:
     """Returns the twelve numbers of a world-to-camera pose by rows: what digests and the ledger keep."""
     return None if pose is None else [float(v) for v in pose.cam_from_world[:3].ravel()]

@@ -16,6 +16,8 @@ import numpy as np
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import select_splits
+from lodbench.datasets.pose_direction import require_direction
+from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.evaluation.rows import QueryRow
@@ -96,11 +98,13 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
     scene, dataset = _open_city(dataset)
+    require_direction(dataset, entries, scene)
     preparation = Preparation(dataset, scene, segmenter, settings.tilt)
     scorer = make_renderer(settings.renderer, scene, settings.threads)
     inputs = {
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),
+        "priors": prior_digest(entries),
         "masks": segmenter.fingerprint(entries),
         "code": code_digest(method, segmenter),
     }

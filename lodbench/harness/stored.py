@@ -64,7 +64,8 @@ def read_run(folder: Path) -> StoredRun:
         used.add(name)
         rows.append(_row(cells, poses.get(name), f"{folder / 'queries.csv'}, line {number}"))
     provenance = folder / "provenance.json"
-    files = ("config.yaml", "poses.txt", "queries.csv", "summary.json")
+    files = ["config.yaml", "poses.txt", "queries.csv", "summary.json"]
+    files += ["priors.txt"] if (folder / "priors.txt").is_file() else []
     return StoredRun(
         folder=folder,
         summary=summary,

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.folder import select_splits
+from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.errors import ErrorParts, PoseError
@@ -63,7 +64,12 @@ class Verdict:
 
 
 def verify_run(
-    folder: Path, config: dict[str, Any], dataset: Dataset | None, segmenter: Segmenter | None = None
+    folder: Path,
+    config: dict[str, Any],
+    dataset: Dataset | None,
+    segmenter: Segmenter | None = None,
+    *,
+    has_own_priors: bool = False,
 ) -> Verdict:
     """Returns what is wrong with a stored run, if anything.
 
@@ -72,6 +78,8 @@ def verify_run(
         config: Its ``config.yaml``.
         dataset: The dataset it was scored on, or None to compare the summary with the rows only.
         segmenter: To look whether the masks are the same; None to leave that out.
+        has_own_priors: The dataset's priors are those of the run's ``priors.txt``: they cannot be had
+            again from anywhere else.
 
     Raises:
         LodbenchError: A file of the run cannot be read, or the configuration is of another kind.
@@ -86,7 +94,12 @@ def verify_run(
         splits = select_splits(dataset, config.get("split") or ())
         entries = chosen_entries(dataset, splits, config.get("limit"))
         differences += _changed_errors(stored, entries, dataset, str(config["tilt"]))
-        inputs["queries"] = queries_digest(dataset, entries)
+        if has_own_priors:
+            notes.append("the priors are taken from the run's own priors.txt")
+        else:
+            inputs["queries"] = queries_digest(dataset, entries)
+            if "priors" in inputs:
+                inputs["priors"] = prior_digest(entries)
         # What was said of a pose file stands with its method: the file itself need not be there.
         told = replace(dataset, notes=dataset.notes + tuple(config["method"].get("notes", ())))
         if "masks" in inputs and segmenter is not None:
@@ -129,7 +142,8 @@ def compare_values(found: Any, expected: Any, where: str) -> list[str]:
 def changed_files(stored: StoredRun) -> list[str]:
     """Returns a line for each file that is no longer the one the run wrote."""
     written = stored.provenance.get("files", {})
-    return [
+    gone = [f"{name} is missing" for name in written if name not in stored.digests]
+    return gone + [
         f"{name} is not the file the run wrote (SHA-256 {digest[:12]}, not {str(written[name])[:12]})"
         for name, digest in stored.digests.items()
         if name in written and written[name] != digest

@@ -196,8 +196,8 @@ def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:
     version = f" ({dataset['version']})" if dataset.get("version") else ""
     lod = f" · LoD{protocol['lod']}" if protocol.get("lod") and "lod" not in free else ""
     words = [f"{name}={protocol[name]}" for name in ("tilt", "segmenter", "seed") if name not in free]
-    drawn = protocol.get("prior", "dataset")
-    if drawn != "dataset" and "prior" not in free:
+    drawn = protocol.get("prior", "file")
+    if drawn != "file" and "prior" not in free:
         words.append(f"priors {drawn}")
     return " · ".join([f"{dataset['name']}{version}{lod}", *words])
 

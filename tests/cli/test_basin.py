@@ -78,4 +78,4 @@ def test_bad_settings_are_one_line_before_any_work(lodbench, tmp_path, data, wor
 
 def test_an_unknown_prior_is_one_line(lodbench, data):
     assert "uniform" in lodbench("run", *data, "prior=unifrom").stderr
-    assert "prior.x_m is not a setting of prior=dataset" in lodbench("run", *data, "+prior.x_m=3").stderr
+    assert "prior.x_m is not a setting" in lodbench("run", *data, "+prior.x_m=3").stderr

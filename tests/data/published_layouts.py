@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.scene import Scene
@@ -116,7 +117,7 @@ def write_uavd4l(root: Path) -> Path:
     name = synthetic_name(pose)
     _write_texts(home / "Synthesis", {name: pose}, {name: pose}, UAVD4L_CAMERA)
     (home / "Synthesis" / "Query_image").mkdir()
-    write_photo(home / "Synthesis" / "Query_image" / name)
+    _write_dji_photo(home / "Synthesis" / "Query_image" / name, pose)
     train = {"train": {"Synthesis": [name]}, "val": {"Synthesis": []}}
     _write_json(home / "split" / "UAV_train.json", train)
     (root / "MODEL").mkdir()
@@ -236,17 +237,29 @@ def _write_masks(folder: Path, truth: dict[str, Pose], camera: Camera, name: str
         path.write_bytes(cv2.imencode(path.suffix, mask)[1].tobytes())
 
 
+def gimbal_angles(pose: Pose) -> tuple[float, float, float]:
+    """Returns yaw from grid north, pitch and roll of a DJI gimbal, degrees: turns in this order."""
+    east_north_up = pose.rotation.T
+    ned = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]) @ east_north_up
+    # A gimbal's body is forward, right, down; a camera right, down, forward.
+    yaw, pitch, roll = Rotation.from_matrix(ned[:, [2, 0, 1]]).as_euler("ZYX", degrees=True)
+    return float(yaw), float(pitch), float(roll)
+
+
 def _write_dji_photo(path: Path, pose: Pose) -> None:
     """Writes a photo whose metadata state a pose, in DJI's terms and to DJI's digits."""
     frame = MapFrame("EPSG:4547")
-    place = frame.place_of(pose.shifted(ORIGIN))
+    absolute = pose.shifted(ORIGIN)
+    place = frame.place_of(absolute)
+    yaw, pitch, roll = gimbal_angles(absolute)
+    yaw += frame.convergence_deg(float(absolute.center[0]), float(absolute.center[1]))
     properties = PROPERTIES | {
         "AbsoluteAltitude": f"{place.height_m:+.2f}",
         "GpsLatitude": f"{place.latitude_deg:.9f}",
         "GpsLongitude": f"{place.longitude_deg:.9f}",
-        "GimbalRollDegree": f"{place.roll_deg:+.2f}",
-        "GimbalYawDegree": f"{(place.heading_deg + 180) % 360 - 180:+.2f}",
-        "GimbalPitchDegree": f"{place.pitch_deg:+.2f}",
+        "GimbalRollDegree": f"{roll:+.2f}",
+        "GimbalYawDegree": f"{yaw:+.2f}",
+        "GimbalPitchDegree": f"{pitch:+.2f}",
     }
     exif = exif_of(place.latitude_deg, place.longitude_deg, place.height_m)
     pixels = np.full((UAVD4L_CAMERA.height, UAVD4L_CAMERA.width), 120, np.uint8)

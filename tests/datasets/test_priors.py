@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.prior_sources import BasinPrior
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles, Pose, wrap_deg
@@ -88,3 +89,24 @@ def test_a_query_without_truth_keeps_its_prior(tmp_path):
     known = {key: pose for key, pose in dataset.truth.items() if key != lost.key}
     drawn = with_uniform_priors(replace(dataset, truth=known), UniformPrior(), seed=0)
     assert drawn.entries[0].prior is lost.prior
+
+
+@pytest.mark.parametrize(("paper_m", "paper_deg"), [(17.6, 3.87), (17.9, 3.94)])
+def test_medians_are_within_5_percent_of_the_papers_swiss_ones(paper_m, paper_deg):
+    truth = Pose.from_euler(EulerAngles(40.0, 0.5, 30.0), (100.0, -50.0, 130.0))
+    sampled = [errors_of(UniformPrior().draw(truth, random_stream(1, k)), truth) for k in range(4000)]
+    translation, rotation = np.median(np.array(sampled), axis=0)
+    assert translation == pytest.approx(paper_m, rel=0.05)
+    assert rotation == pytest.approx(paper_deg, rel=0.05)
+
+
+def test_basin_priors_fill_the_box_and_keep_the_published_attitude():
+    truth = Pose.from_euler(EulerAngles(40.0, 0.5, 30.0), (100.0, -50.0, 130.0))
+    widths = BasinPrior(range_m=100.0).widths
+    drawn = [widths.draw(truth, random_stream(1, k)) for k in range(2000)]
+    offsets = np.array([prior.center - truth.center for prior in drawn])
+    turns = np.array([np.subtract(prior.euler, truth.euler) for prior in drawn])
+    # Uniform on +-w: the mean of the absolute value is w / 2, the largest close to w.
+    np.testing.assert_allclose(np.abs(offsets).mean(axis=0), 50.0, rtol=0.05)
+    np.testing.assert_allclose(np.abs(turns).mean(axis=0), [0.5, 0.5, 3.75], rtol=0.05)
+    assert 99.0 < np.abs(offsets).max() <= 100.0

@@ -12,7 +12,7 @@ from lodbench.datasets.published.frames import ENU, SHIFTED_ECEF, frame_of_city,
 from lodbench.datasets.published.layout import Survey, advice, require_data, survey
 from lodbench.datasets.published.read import SplitContent, read_split
 from lodbench.datasets.published.specs import spec_of
-from lodbench.datasets.query import Dataset
+from lodbench.datasets.query import Dataset, notes_of
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
@@ -83,16 +83,6 @@ def open_published(params: PublishedParams) -> Dataset:
         photo_crs=spec.photo_crs,
         photo_origin=None if params.origin is None else tuple(params.origin),
     )
-
-
-def notes_of(findings: Findings) -> tuple[str, ...]:
-    """Returns one line per kind of finding: how often, and the first of its details."""
-    lines = []
-    for name, count in findings.counts().items():
-        first = next(item for item in findings.items if str(item.code) == name)
-        detail = f": {first.detail}" if first.detail else ""
-        lines.append(f"{count} x {name}, first {first.object_id}{detail}")
-    return tuple(lines)
 
 
 def _to_enu(

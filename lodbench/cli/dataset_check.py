@@ -1,0 +1,120 @@
+"""`lodbench dataset check NAME|DIR`: what is there, and what is wrong with it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from lodbench.cli.named_dataset import add_dataset_options, open_named
+from lodbench.findings import Findings, Severity
+from lodbench.harness.dataset_check import DatasetReport, SplitReport, check_dataset
+from lodbench.reporting.safe_text import plain_text
+
+_EPILOG = """\
+Exit code: 0 sound, 1 at least one error, 2 the data is missing (the message says what, and where to get it).
+The codes are explained in docs/datasets.md.
+"""
+_EXAMPLES = 3
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code.
+
+    Raises:
+        LodbenchError: The dataset is missing or cannot be read.
+    """
+    parser = argparse.ArgumentParser(
+        "lodbench dataset check",
+        description="Look at every part of a dataset: files, counts, poses, priors, photos, city model.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_dataset_options(parser)
+    parser.add_argument("--headers-only", action="store_true", help="do not decode the photos")
+    parser.add_argument("--json", action="store_true", help="print plain values instead of text")
+    options = parser.parse_args(argv[1:])
+    report = check_dataset(open_named(options), with_pixels=not options.headers_only)
+    text = json.dumps(_values(report), indent=2) + "\n" if options.json else _text(report)
+    sys.stdout.write(text)
+    return 1 if report.findings.has_errors() else 0
+
+
+def _text(report: DatasetReport) -> str:
+    dataset = report.dataset
+    lines = [f"{dataset.name} in {dataset.root}", f"  city model: {report.city}"]
+    for split in report.splits:
+        lines += [f"  {split.name}: {line}" for line in _split_lines(split)]
+    lines += ["findings", *_finding_lines(report.findings)]
+    return "".join(plain_text(line) + "\n" for line in lines)
+
+
+def _split_lines(split: SplitReport) -> list[str]:
+    tables = "" if split.expected is None else f" (the paper's tables imply {split.expected})"
+    lines = [
+        f"{split.queries} queries, {split.truths} with a true pose{tables}, {split.photos} photos, "
+        f"{split.masks} masks"
+    ]
+    if split.prior is None:
+        lines.append("no priors")
+    else:
+        paper = split.paper_prior
+        beside = "" if paper is None else f" (paper: {paper[0]:g} m / {paper[1]:g} deg)"
+        medians = f"{split.prior.translation_m:.2f} m / {split.prior.rotation_deg:.2f} deg"
+        lines.append(f"priors off by {medians} in the median{beside}")
+    if split.height_m is not None and split.pitch_deg is not None:
+        low, mid, high = split.height_m
+        flat, tilted, most = split.pitch_deg
+        lines.append(
+            f"cameras {low:.0f} to {high:.0f} m above the city's lowest point (median {mid:.0f}), "
+            f"pitch {flat:.0f} to {most:.0f} deg from nadir (median {tilted:.0f})"
+        )
+    return lines
+
+
+def _finding_lines(findings: Findings) -> list[str]:
+    lines = []
+    for name, count in findings.counts().items():
+        items = [item for item in findings.items if str(item.code) == name]
+        code = items[0].code
+        lines.append(f"  {name}, {code.severity.value}, {count} x: {code.meaning}")
+        lines += [
+            f"    {item.object_id}{f': {item.detail}' if item.detail else ''}" for item in items[:_EXAMPLES]
+        ]
+        lines += [f"    ... and {count - _EXAMPLES} more (--json lists all)"] if count > _EXAMPLES else []
+    return lines or ["  none"]
+
+
+def _values(report: DatasetReport) -> dict[str, Any]:
+    return {
+        "dataset": report.dataset.name,
+        "root": str(report.dataset.root),
+        "city_model": report.city,
+        "splits": {
+            split.name: {
+                "queries": split.queries,
+                "expected": split.expected,
+                "truths": split.truths,
+                "photos": split.photos,
+                "masks": split.masks,
+                "prior_median": None if split.prior is None else list(split.prior),
+                "paper_prior_median": None if split.paper_prior is None else list(split.paper_prior),
+                "height_m": split.height_m,
+                "pitch_deg": split.pitch_deg,
+            }
+            for split in report.splits
+        },
+        "findings": [
+            {
+                "code": item.code.code,
+                "name": item.code.name,
+                "severity": item.code.severity.value,
+                "object": item.object_id,
+                "detail": item.detail,
+            }
+            for item in report.findings.items
+        ],
+        "errors": sum(item.code.severity is Severity.ERROR for item in report.findings.items),
+    }

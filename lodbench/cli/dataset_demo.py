@@ -1,0 +1,27 @@
+"""`lodbench dataset make-demo DIR`: write the demo dataset where it can be looked at."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    parser = argparse.ArgumentParser("lodbench dataset make-demo", description="Write the demo dataset.")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--num-queries", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--look", default="test", help="test (default) or train: other streets, roofs, colours")
+    options = parser.parse_args(argv[1:])
+
+    from lodbench.datasets.demo.build import CITY_FILE, build_demo
+
+    root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed, look=options.look)
+    city = root / CITY_FILE
+    sys.stdout.write(
+        f"{root}\nTry: lodbench run dataset=folder dataset.root={root} dataset.city_model={city}\n"
+    )
+    return 0

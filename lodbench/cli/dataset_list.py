@@ -1,0 +1,72 @@
+"""`lodbench dataset list`: what is there, what is missing, how big, where to get it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from lodbench.datasets.published.layout import Survey, survey
+from lodbench.datasets.published.specs import SPECS
+from lodbench.storage.paths import data_root
+
+_OTHERS = """\
+demo          built in: written on first use
+views         seeded views of any city model: dataset.city_model=FILE
+folder        your own photos and poses: dataset.root=DIR dataset.city_model=FILE
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    parser = argparse.ArgumentParser("lodbench dataset list", description="The datasets, and what is there.")
+    parser.add_argument("--root", metavar="DIR", help="where to look; else LODBENCH_DATA")
+    parser.add_argument("--json", action="store_true", help="print plain values instead of text")
+    options = parser.parse_args(argv[1:])
+    found = [survey(spec, options.root, None) for spec in SPECS.values()]
+    if options.json:
+        sys.stdout.write(json.dumps([_values(item) for item in found], indent=2) + "\n")
+        return 0
+    root = data_root() if options.root is None else Path(options.root).expanduser()
+    lines = [f"published datasets in {root}"]
+    for item in found:
+        lines += _lines(item)
+    sys.stdout.write("\n".join(lines) + "\n" + _OTHERS)
+    return 0
+
+
+def _lines(found: Survey) -> list[str]:
+    missing, spec = found.missing(), found.spec
+    has_any = bool(found.splits or found.city_model)
+    state = "complete" if not missing else "incomplete" if has_any else "not there"
+    size = f", {_num_bytes(found) / 2**20:,.1f} MiB" if has_any else ""
+    lines = [f"{spec.id:<13} {state}{size}: {spec.title}, LoD{spec.lod}"]
+    if missing:
+        lines += [f"  missing  {line}" for line in missing] if has_any else []
+        lines += [f"  get      {source.what}: {source.url}" for source in spec.sources]
+    return lines
+
+
+def _num_bytes(found: Survey) -> int:
+    files = [path for split in found.splits for path in split.folder.rglob("*") if path.is_file()]
+    if found.city_model is not None and found.city_model.is_file():
+        files.append(found.city_model)
+    return sum(path.stat().st_size for path in files)
+
+
+def _values(found: Survey) -> dict[str, Any]:
+    spec = found.spec
+    return {
+        "name": spec.id,
+        "title": spec.title,
+        "lod": spec.lod,
+        "root": str(found.root),
+        "splits": {split.spec.name: str(split.folder) for split in found.splits},
+        "city_model": None if found.city_model is None else str(found.city_model),
+        "bytes": _num_bytes(found),
+        "missing": found.missing(),
+        "sources": [{"what": s.what, "url": s.url, "how": s.how} for s in spec.sources],
+    }

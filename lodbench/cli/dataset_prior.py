@@ -1,0 +1,64 @@
+"""`lodbench dataset prior NAME|DIR --kind uniform --out FILE`: priors as a file, made once and for all."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from lodbench.cli.hydra_app import to_params
+from lodbench.cli.named_dataset import add_dataset_options, open_named
+from lodbench.datasets.prior_sources import PRIORS, PriorSource, prior_digest, prior_text
+from lodbench.errors import ConfigError
+from lodbench.harness.dataset_check import prior_errors_in_words
+from lodbench.storage import write_text
+
+_EPILOG = """\
+The file has lines `split/name qw qx qy qz tx ty tz`, world to camera. Run on it with
+  lodbench run prior=file prior.path=FILE ...
+Settings are those of `lodbench run prior=KIND prior.KEY=VALUE`:
+  uniform  x_m y_m z_m yaw_deg pitch_deg roll_deg   half widths
+  basin    range_m yaw_deg tilt_deg                 half widths
+  sensor   heights takeoff_m geoid_m offset_m       how the photos' heights become the city's
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code.
+
+    Raises:
+        LodbenchError: The dataset or a setting is wrong, or the priors cannot be had.
+    """
+    parser = argparse.ArgumentParser(
+        "lodbench dataset prior",
+        description="Write a dataset's priors to a file.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_dataset_options(parser)
+    parser.add_argument("--kind", choices=sorted(PRIORS), default="uniform", help="where they come from")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, metavar="FILE", required=True)
+    options = parser.parse_args(argv[1:])
+    source: PriorSource = to_params(dict(map(_pair, options.set)), PRIORS[options.kind], "--set")
+    if options.out.is_dir():
+        raise ConfigError(f"{options.out} is a folder.", "Name a file.")
+    dataset = source.apply(open_named(options), options.seed)
+    write_text(options.out, prior_text(dataset.entries, source.describe(), options.seed))
+    made = sum(entry.prior is not None for entry in dataset.entries)
+    lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {source.describe()}"]
+    lines += [f"digest {prior_digest(dataset.entries)}"]
+    lines += [f"{split}: {words}" for split, words in prior_errors_in_words(dataset).items()]
+    lines += [f"note: {note}" for note in dataset.notes]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return 0
+
+
+def _pair(word: str) -> tuple[str, Any]:
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise ConfigError(f"--set {word} has no value.", "Settings are KEY=VALUE.")
+    return key, value

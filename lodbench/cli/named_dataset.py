@@ -1,0 +1,47 @@
+"""Opening a dataset for commands that take its name, or a folder, as a word."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import fields
+from importlib.metadata import entry_points
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+from lodbench.cli.hydra_app import load_plugin
+from lodbench.cli.run import open_dataset
+from lodbench.datasets.query import Dataset
+from lodbench.errors import ConfigError, nearest_names
+
+
+def add_dataset_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the word that names a dataset, and where its parts lie."""
+    parser.add_argument("dataset", metavar="NAME|DIR", help="a dataset, or a folder in the text layout")
+    parser.add_argument("--root", metavar="DIR", help="where a published dataset was unpacked")
+    parser.add_argument("--city", metavar="FILE", help="its city model")
+    parser.add_argument("--lod", help="level of detail of the city model")
+
+
+def open_named(options: argparse.Namespace) -> Dataset:
+    """Returns the dataset that the options name.
+
+    Raises:
+        LodbenchError: It is no name and no folder, or its data is missing or malformed.
+    """
+    name = options.dataset
+    known = sorted(point.name for point in entry_points(group="lodbench.datasets"))
+    if name not in known or name == "folder":
+        if not Path(name).expanduser().is_dir():
+            raise ConfigError(f"{name} is no dataset and no folder.", nearest_names(name, known))
+        values = {"name": "folder", "root": name, "city_model": options.city, "lod": options.lod}
+        return open_dataset({key: value for key, value in values.items() if value is not None})
+    (parameter,) = signature(load_plugin("datasets", name), eval_str=True).parameters.values()
+    takes = {field.name for field in fields(parameter.annotation)}
+    given: dict[str, Any] = {"root": options.root, "city_model": options.city, "lod": options.lod}
+    values = {key: value for key, value in given.items() if value is not None}
+    refused = sorted(set(values) - takes)
+    if refused:
+        option = {"root": "--root", "city_model": "--city", "lod": "--lod"}[refused[0]]
+        raise ConfigError(f"Dataset {name} takes no {option}.")
+    return open_dataset({"name": name, **values})

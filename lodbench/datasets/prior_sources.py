@@ -1,0 +1,227 @@
+"""Where priors come from, as a protocol: ``prior=file | sensor | uniform | basin``.
+
+What a source makes depends on the dataset, its own settings and the seed, never on the order of work.
+A set of priors has a digest, and a file that states how it was made; ``prior=file`` reads it back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, cast
+
+from lodbench.citymodel.cache import open_cached_scene
+from lodbench.datasets.codes import NO_PRIOR
+from lodbench.datasets.exchange.lines import read_lines
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.photo_pose import HeightOptions, HeightSource, pose_from_photo
+from lodbench.datasets.pose_text import format_pose, lines_to_text
+from lodbench.datasets.priors import UniformPrior, with_uniform_priors
+from lodbench.datasets.query import Dataset, Entry, notes_of
+from lodbench.errors import DatasetError
+from lodbench.findings import Findings
+from lodbench.geometry import Pose
+from lodbench.storage import digest_of
+
+
+class PriorSource(Protocol):
+    """Gives each query of a dataset its prior; a frozen dataclass of settings."""
+
+    name: ClassVar[str]
+
+    def apply(self, dataset: Dataset, seed: int) -> Dataset:
+        """Returns the dataset with these priors.
+
+        Raises:
+            LodbenchError: They cannot be had.
+        """
+        ...
+
+    def describe(self) -> str:
+        """Returns the protocol in words, as tables print it."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class FilePrior:
+    """The dataset's own priors, or those of a file.
+
+    Attributes:
+        path: A file of lines ``split/name qw qx qy qz tx ty tz`` as `lodbench dataset prior` writes; the
+            split may be left out where names are unique. None for the dataset's own.
+    """
+
+    name: ClassVar[str] = "file"
+    path: str | None = None
+
+    def apply(self, dataset: Dataset, seed: int) -> Dataset:
+        """Returns the dataset with these priors; a query the file lacks has none.
+
+        Raises:
+            DatasetError: The file is malformed, or a name in it means no query or several.
+        """
+        if self.path is None:
+            return dataset
+        found = _by_key(Path(self.path).expanduser(), dataset.entries)
+        return _with_priors(dataset, [found.get(entry.key, ()) for entry in dataset.entries], Findings())
+
+    def describe(self) -> str:
+        """Returns the protocol in words."""
+        return "file" if self.path is None else "of another file"
+
+
+@dataclass(frozen=True, slots=True)
+class SensorPrior:
+    """What the photos themselves state: GPS position and gimbal angles.
+
+    The steps are those of ``photo_pose``: datum, projection, grid convergence, heights, the roll about
+    the optical axis.
+
+    Attributes:
+        heights: ``auto``, ``sea_level``, ``ellipsoid`` or ``takeoff``; see ``HeightOptions``.
+        takeoff_m: Height of the take-off point in the city's heights.
+        geoid_m: Height of the city's zero above the ellipsoid.
+        offset_m: Added in the end.
+    """
+
+    name: ClassVar[str] = "sensor"
+    heights: str = "auto"
+    takeoff_m: float | None = None
+    geoid_m: float | None = None
+    offset_m: float = 0.0
+
+    def apply(self, dataset: Dataset, seed: int) -> Dataset:
+        """Returns the dataset with these priors; a photo that does not state all gives none, and is counted.
+
+        Raises:
+            DatasetError: The dataset's coordinates are not known on Earth, or no photo states its place.
+        """
+        frame, origin = _photo_frame(dataset)
+        heights = HeightOptions(cast(HeightSource, self.heights), self.takeoff_m, self.geoid_m, self.offset_m)
+        priors, findings, reason = [], Findings(), "no query has a photo"
+        for entry in dataset.entries:
+            poses: tuple[Pose, ...] = ()
+            try:
+                if entry.image is None:
+                    raise DatasetError("there is no photo")
+                pose = pose_from_photo(read_photo_metadata(entry.image), frame, heights)
+                poses = (pose.shifted([-value for value in origin]),)
+            except DatasetError as error:
+                reason = error.message
+                findings.add(NO_PRIOR, entry.key, reason.rstrip("."))
+            priors.append(poses)
+        if not any(priors):
+            raise DatasetError(f"No photo of {dataset.name} states a prior: {reason}", "Use prior=file.")
+        return _with_priors(dataset, priors, findings)
+
+    def describe(self) -> str:
+        """Returns the protocol in words."""
+        extra = "" if self.offset_m == 0 else f" {self.offset_m:+g} m"
+        return f"of the photos' EXIF and XMP, heights {self.heights}{extra}"
+
+
+@dataclass(frozen=True, slots=True)
+class BasinPrior:
+    """Errors of the convergence basin: one half width for x, y and z, the published ones in attitude.
+
+    Attributes:
+        range_m: Half width in x, y and z, metres; the paper takes 30, 50, 100 and 200.
+        yaw_deg: Half width in yaw, degrees.
+        tilt_deg: Half width in pitch and in roll, degrees; ``tilt=truth`` takes it away.
+    """
+
+    name: ClassVar[str] = "basin"
+    range_m: float = 30.0
+    yaw_deg: float = 7.5
+    tilt_deg: float = 1.0
+
+    @property
+    def widths(self) -> UniformPrior:
+        """Returns the half widths of all six.
+
+        Raises:
+            ConfigError: One is negative or not finite.
+        """
+        return UniformPrior(
+            self.range_m, self.range_m, self.range_m, self.yaw_deg, self.tilt_deg, self.tilt_deg
+        )
+
+    def apply(self, dataset: Dataset, seed: int) -> Dataset:
+        """Returns the dataset with priors drawn around the truth."""
+        return with_uniform_priors(dataset, self.widths, seed)
+
+    def describe(self) -> str:
+        """Returns the protocol in words."""
+        return self.widths.describe()
+
+
+PRIORS: dict[str, type[Any]] = {
+    source.name: source for source in (FilePrior, SensorPrior, UniformPrior, BasinPrior)
+}
+
+
+def prior_text(entries: Sequence[Entry], describe: str, seed: int) -> str:
+    """Returns priors as the text of a file, with how they were made and their digest in its head."""
+    head = [f"# priors {describe}; seed {seed}; digest {prior_digest(entries)}"]
+    lines = [format_pose(entry.key, entry.prior) for entry in entries if entry.prior is not None]
+    return lines_to_text([*head, *lines])
+
+
+def prior_digest(entries: Sequence[Entry]) -> str:
+    """Returns a digest of where a method is told to start."""
+    return digest_of(
+        [[e.key, None if e.prior is None else e.prior.cam_from_world[:3].ravel().tolist()] for e in entries]
+    )
+
+
+def _by_key(path: Path, entries: Sequence[Entry]) -> dict[str, tuple[Pose, ...]]:
+    keys: dict[str, list[str]] = {}
+    for entry in entries:
+        for word in {entry.key, entry.name}:
+            keys.setdefault(word, []).append(entry.key)
+    found: dict[str, tuple[Pose, ...]] = {}
+    for line in read_lines(path):
+        owners = keys.get(line.name, [])
+        if len(owners) != 1:
+            meaning = f"may be any of {', '.join(owners)}" if owners else "is no query of the dataset"
+            raise DatasetError(f"{line.where}: {line.name} {meaning}.", "Write split/name.")
+        found[owners[0]] = (*found.get(owners[0], ()), line.pose)
+    return found
+
+
+def _photo_frame(dataset: Dataset) -> tuple[MapFrame, tuple[float, ...]]:
+    """Returns the map frame of a dataset, and where the zero of its coordinates lies in it."""
+    if dataset.photo_crs is not None:
+        if dataset.photo_origin is None:
+            raise DatasetError(
+                f"Where {dataset.name} lies on Earth is withheld by its publishers.",
+                f"Set dataset.origin='[EAST,NORTH,HEIGHT]' in {dataset.photo_crs}, or use prior=file.",
+            )
+        return MapFrame(dataset.photo_crs), dataset.photo_origin
+    crs = None
+    if dataset.city_model is not None:
+        crs = open_cached_scene(
+            dataset.city_model, lod=dataset.lod, options=dataset.city_options, roof_height=dataset.roof_height
+        ).crs
+    if crs is None:
+        raise DatasetError(
+            f"Where {dataset.name} lies on Earth is not known: its city model names no reference system.",
+            "Set dataset.crs=EPSG:CODE, or use prior=file.",
+        )
+    return MapFrame(crs), (0.0, 0.0, 0.0)
+
+
+def _with_priors(dataset: Dataset, priors: Sequence[Sequence[Pose]], findings: Findings) -> Dataset:
+    """Returns a dataset with other priors, several per query or none."""
+    entries = tuple(
+        replace(entry, prior=poses[0] if poses else None, hypotheses=tuple(poses))
+        for entry, poses in zip(dataset.entries, priors, strict=True)
+    )
+    return replace(
+        dataset,
+        entries=entries,
+        notes=dataset.notes + notes_of(findings),
+        findings=dataset.findings + tuple(findings.items),
+    )

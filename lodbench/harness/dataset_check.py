@@ -1,0 +1,257 @@
+"""Is a dataset sound: its files, counts, poses, priors, photos and city model, looked at one by one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.codes import (
+    BELOW_CITY,
+    CHECKSUM_DIFFERS,
+    CITY_NOT_IN_VIEW,
+    COUNT_UNEXPECTED,
+    FILE_MISSING,
+    GPS_IN_IMAGE,
+    IMAGE_SIZE,
+    IMAGE_UNREADABLE,
+    PRIORS_UNLIKE_PAPER,
+    WRONG_DIRECTION,
+)
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.pose_direction import sample_corners, sees, suspect_direction
+from lodbench.datasets.published.specs import SPECS, Download
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import DatasetError
+from lodbench.evaluation.errors import PoseError, pose_error
+from lodbench.execution import Progress
+from lodbench.findings import Findings
+from lodbench.harness.city import open_city
+from lodbench.storage import file_digest
+
+# Medians of a file that is the paper's agree to rounding; of another draw of the same kind to this.
+_SAME_MEDIAN = 0.10
+
+
+@dataclass(frozen=True, slots=True)
+class SplitReport:
+    """What a split holds.
+
+    Attributes:
+        name: Its name.
+        queries: Number of queries.
+        expected: The number the paper's percentages imply, or None.
+        truths: Queries with a true pose.
+        photos: Queries with a photo.
+        masks: Queries with a mask.
+        prior: Median errors of the priors, or None without any.
+        paper_prior: The paper's, or None.
+        height_m: Lowest, median and highest camera above the city's lowest point; None without a city.
+        pitch_deg: Lowest, median and highest pitch from nadir; None without true poses.
+    """
+
+    name: str
+    queries: int
+    expected: int | None
+    truths: int
+    photos: int
+    masks: int
+    prior: PoseError | None
+    paper_prior: tuple[float, float] | None
+    height_m: tuple[float, float, float] | None
+    pitch_deg: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetReport:
+    """The outcome of a check.
+
+    Attributes:
+        dataset: The dataset.
+        splits: One report each.
+        city: What the city model is, in words.
+        findings: Those of reading it, and of the check.
+    """
+
+    dataset: Dataset
+    splits: tuple[SplitReport, ...]
+    city: str
+    findings: Findings
+
+
+def check_dataset(dataset: Dataset, *, with_pixels: bool = True) -> DatasetReport:
+    """Returns what is in a dataset and what is wrong with it.
+
+    Args:
+        dataset: As opened.
+        with_pixels: Whether to decode every photo; their headers are read in any case.
+
+    Raises:
+        CityModelError: The city model is there, but cannot be read.
+    """
+    findings = Findings(list(dataset.findings))
+    scene = None
+    if dataset.city_model is None:
+        findings.add(FILE_MISSING, "city model", dataset.city_hint.splitlines()[0])
+    else:
+        scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
+        _check_views(dataset, scene, findings)
+    _check_downloads(dataset, findings)
+    _check_photos(dataset, with_pixels, findings)
+    splits = tuple(_report_split(dataset, split, scene) for split in dataset.splits)
+    for split in splits:
+        _compare_with_paper(split, findings)
+    return DatasetReport(dataset, splits, _city_in_words(dataset, scene), findings)
+
+
+def prior_errors_in_words(dataset: Dataset) -> dict[str, str]:
+    """Returns the median errors of the priors by split."""
+    medians = {split: prior_median(dataset, split) for split in dataset.splits}
+    return {
+        split: "no prior" if m is None else f"median {m.translation_m:.2f} m / {m.rotation_deg:.2f} deg"
+        for split, m in medians.items()
+    }
+
+
+def prior_median(dataset: Dataset, split: str) -> PoseError | None:
+    """Returns the medians of both errors over a split's queries that have a prior and a truth."""
+    errors = [
+        pose_error(entry.prior, dataset.truth[entry.key])
+        for entry in dataset.entries
+        if entry.split == split and entry.prior is not None and entry.key in dataset.truth
+    ]
+    return PoseError(*np.median(np.array(errors), axis=0).tolist()) if errors else None
+
+
+def _report_split(dataset: Dataset, split: str, scene: Scene | None) -> SplitReport:
+    entries = [entry for entry in dataset.entries if entry.split == split]
+    truths = [dataset.truth[entry.key] for entry in entries if entry.key in dataset.truth]
+    known = SPECS.get(dataset.name)
+    spec = next((part for part in known.splits if part.name == split), None) if known else None
+    heights = pitches = None
+    if truths:
+        pitches = _spread([pose.euler.pitch_deg for pose in truths])
+    if truths and scene is not None:
+        ground = float(scene.extent_m[0][2] + scene.origin[2])
+        heights = _spread([float(pose.center[2]) - ground for pose in truths])
+    return SplitReport(
+        name=split,
+        queries=len(entries),
+        expected=spec.num_queries if spec else None,
+        truths=len(truths),
+        photos=sum(entry.image is not None for entry in entries),
+        masks=sum(entry.mask is not None for entry in entries),
+        prior=prior_median(dataset, split),
+        paper_prior=spec.prior_median if spec else None,
+        height_m=heights,
+        pitch_deg=pitches,
+    )
+
+
+def _spread(values: list[float]) -> tuple[float, float, float]:
+    return float(np.min(values)), float(np.median(values)), float(np.max(values))
+
+
+def _compare_with_paper(split: SplitReport, findings: Findings) -> None:
+    if split.expected is not None and split.truths != split.expected:
+        findings.add(COUNT_UNEXPECTED, split.name, f"{split.truths} with a true pose, not {split.expected}")
+    if split.paper_prior is None or split.prior is None:
+        return
+    ratios = [found / paper for found, paper in zip(split.prior, split.paper_prior, strict=True)]
+    if any(abs(ratio - 1) > _SAME_MEDIAN for ratio in ratios):
+        found, paper = split.prior, split.paper_prior
+        detail = f"{found[0]:.2f} m / {found[1]:.2f} deg, paper {paper[0]:g} / {paper[1]:g}"
+        findings.add(PRIORS_UNLIKE_PAPER, split.name, detail)
+
+
+def _check_views(dataset: Dataset, scene: Scene, findings: Findings) -> None:
+    """Looks whether the city lies before the cameras, and above its ground."""
+    corners, lowest = sample_corners(scene), float(scene.extent_m[0][2] + scene.origin[2])
+    for split in dataset.splits:
+        entries = [entry for entry in dataset.entries if entry.split == split]
+        sets = {
+            "true poses": [(entry.camera, dataset.truth.get(entry.key)) for entry in entries],
+            "priors": [(entry.camera, entry.prior) for entry in entries],
+        }
+        wrong = {what: suspect_direction(pairs, corners, scene.origin) for what, pairs in sets.items()}
+        for what, words in wrong.items():
+            if words is not None:
+                findings.add(WRONG_DIRECTION, f"{split}: {what}", words)
+        if wrong["true poses"] is not None:
+            continue  # one finding says it; a line per pose would hide it
+        for entry in entries:
+            truth = dataset.truth.get(entry.key)
+            if truth is not None and truth.center[2] < lowest:
+                findings.add(BELOW_CITY, entry.key, f"{lowest - truth.center[2]:.1f} m")
+            if truth is not None and entry.camera is not None:
+                if not sees(entry.camera, truth.shifted(-scene.origin), corners):
+                    findings.add(CITY_NOT_IN_VIEW, entry.key)
+
+
+def _check_downloads(dataset: Dataset, findings: Findings) -> None:
+    """Compares files that have a published checksum with it."""
+    known = SPECS.get(dataset.name)
+    for download in known.downloads if known else ():
+        for path in _named_as(download, dataset):
+            if file_digest(path) != download.sha256:
+                findings.add(CHECKSUM_DIFFERS, str(path), f"published: {download.sha256}")
+
+
+def _named_as(download: Download, dataset: Dataset) -> list[Path]:
+    city = dataset.city_model
+    return [city] if city is not None and city.name == Path(download.path).name else []
+
+
+def _check_photos(dataset: Dataset, with_pixels: bool, findings: Findings) -> None:
+    entries = [entry for entry in dataset.entries if entry.image is not None]
+    with Progress("photos", len(entries)) as progress:
+        for entry in entries:
+            _check_photo(entry, with_pixels, findings)
+            progress.advance()
+
+
+def _check_photo(entry: Entry, with_pixels: bool, findings: Findings) -> None:
+    """Looks at one photo, its header first: pixels are decoded only if their number is sane."""
+    assert entry.image is not None  # noqa: S101 - the caller has looked
+    try:
+        header = read_photo_metadata(entry.image)
+    except DatasetError as error:
+        findings.add(IMAGE_UNREADABLE, entry.key, error.message)
+        return
+    if header.has_position:
+        findings.add(GPS_IN_IMAGE, entry.key)
+    camera = entry.camera
+    if camera is not None and (header.width, header.height) != (camera.width, camera.height):
+        detail = f"{header.width} x {header.height}, intrinsics {camera.width} x {camera.height}"
+        findings.add(IMAGE_SIZE, entry.key, detail)
+    if with_pixels and not _is_decodable(entry.image):
+        findings.add(IMAGE_UNREADABLE, entry.key, f"{entry.image} is damaged or cut off")
+
+
+def _is_decodable(path: Path) -> bool:
+    """Tells whether all of a picture is there; unlike OpenCV, Pillow does not pass a cut-off file."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            # JPEG: an eighth of the size, which still reads the file to its end.
+            image.draft("L", (max(1, image.width // 8), max(1, image.height // 8)))
+            image.load()
+    except Exception:  # Pillow lets the errors of its decoders through
+        return False
+    return True
+
+
+def _city_in_words(dataset: Dataset, scene: Scene | None) -> str:
+    if scene is None or dataset.city_model is None:
+        return "none"
+    known = SPECS.get(dataset.name)
+    lod = scene.lod or (f"{known.lod} by its publishers" if known else "not stated")
+    low, high = scene.extent_m
+    size = dataset.city_model.stat().st_size / 2**20 if dataset.city_model.is_file() else 0
+    return (
+        f"{dataset.city_model}{f', {size:.1f} MiB' if size else ''}, level of detail {lod}, "
+        f"{scene.num_buildings} buildings, {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m"
+    )
