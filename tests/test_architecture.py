@@ -42,6 +42,8 @@ LATE = {
     "pyogrio",
     "pyarrow",
     "rasterio",
+    "pooch",
+    "requests",
 }
 
 

@@ -12,6 +12,8 @@ from lodbench.errors import ConfigError, nearest_names
 ACTIONS = {
     "list": ("lodbench.cli.dataset_list", "what is there, what is missing, where to get it"),
     "check": ("lodbench.cli.dataset_check", "is it sound: files, counts, poses, priors, photos, city model"),
+    "download": ("lodbench.cli.dataset_download", "fetch what has a stable address; say how to get the rest"),
+    "card": ("lodbench.cli.dataset_card", "its card: licence, provenance, truth, splits, known issues"),
     "prior": ("lodbench.cli.dataset_prior", "write a dataset's priors to a file: drawn, or the photos' own"),
     "init": ("lodbench.cli.dataset_own", "a dataset from your photos and a city model"),
     "import": ("lodbench.cli.dataset_own", "a dataset from another program's poses"),

@@ -14,7 +14,9 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--num-queries", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--look", default="test", help="test (default) or train: other streets, roofs, colours")
+    parser.add_argument(
+        "--look", default="test", help="test (default) or train: other streets, roofs, colours"
+    )
     options = parser.parse_args(argv[1:])
 
     from lodbench.datasets.demo.build import CITY_FILE, build_demo

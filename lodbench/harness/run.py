@@ -38,7 +38,7 @@ from lodbench.harness.result import (
 from lodbench.harness.status import PLAN_FILE
 from lodbench.localization import Method
 from lodbench.rendering import Scorer, make_renderer
-from lodbench.segmentation import Segmenter, binary_mask
+from lodbench.segmentation import Demanding, Segmenter, binary_mask
 from lodbench.storage import digest_of, random_stream, write_text
 
 # Masks are compared with the truth at most at this width, pixels: the paper's fine size.
@@ -97,6 +97,8 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     require_writable(settings.runs_root)
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
+    if isinstance(segmenter, Demanding):
+        segmenter.require(entries)
     scene, dataset = _open_city(dataset)
     require_direction(dataset, entries, scene)
     preparation = Preparation(dataset, scene, segmenter, settings.tilt)

@@ -2,10 +2,11 @@
 
 from lodbench.segmentation.protocol import (
     BUILDING_THRESHOLD,
+    Demanding,
     Segmenter,
     binary_mask,
     check_mask,
     resized,
 )
 
-__all__ = ["BUILDING_THRESHOLD", "Segmenter", "binary_mask", "check_mask", "resized"]
+__all__ = ["BUILDING_THRESHOLD", "Demanding", "Segmenter", "binary_mask", "check_mask", "resized"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,6 +34,19 @@ class Segmenter(Protocol):
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of all that the answers to these queries depend on."""
+        ...
+
+
+@runtime_checkable
+class Demanding(Protocol):
+    """A segmenter that cannot work on some datasets at all."""
+
+    def require(self, entries: tuple[Entry, ...]) -> None:
+        """Makes sure, before any work, that at least one query can be segmented.
+
+        Raises:
+            DatasetError: None can.
+        """
         ...
 
 

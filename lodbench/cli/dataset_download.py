@@ -1,0 +1,42 @@
+"""`lodbench dataset download NAME`: fetch what has a stable address; say how to get the rest."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from lodbench.datasets.download import fetch
+from lodbench.datasets.published.layout import survey
+from lodbench.datasets.published.specs import spec_of
+from lodbench.storage.paths import data_root
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code.
+
+    Raises:
+        LodbenchError: The dataset is unknown, or a file cannot be fetched.
+    """
+    parser = argparse.ArgumentParser(
+        "lodbench dataset download",
+        description="Fetch the files of a published dataset that have a stable address.",
+    )
+    parser.add_argument("dataset", metavar="NAME")
+    parser.add_argument("--root", metavar="DIR", help="where to; else LODBENCH_DATA")
+    options = parser.parse_args(argv[1:])
+    spec = spec_of(options.dataset)
+    root = data_root() if options.root is None else Path(options.root).expanduser()
+    lines = []
+    for download in spec.downloads:
+        path, is_new = fetch(download, root)
+        lines.append(f"{path}: {'fetched' if is_new else 'there already'}, SHA-256 as published")
+    if not spec.downloads:
+        lines.append(f"Nothing of {spec.title} has an address to fetch it from without a person.")
+    missing = survey(spec, str(root), None).missing()
+    lines += [f"missing: {line}" for line in missing]
+    if missing:
+        lines += [f"by hand: {source.what}: {source.url}\n         {source.how}" for source in spec.sources]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return 0
