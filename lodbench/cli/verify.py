@@ -80,7 +80,7 @@ def reopen_dataset(folder: Path, dataset_root: str | None = None, city_model: st
     """
     provenance = read_run(folder).provenance
     root, city = provenance.get("dataset_root"), provenance.get("city_model")
-    return _reopen(read_config(folder), dataset_root or root, city_model or city)
+    return _reopen(folder, read_config(folder), dataset_root or root, city_model or city)
 
 
 def read_config(folder: Path) -> dict[str, Any]:
