@@ -10,6 +10,7 @@ from pathlib import Path
 from lodbench.datasets.download import fetch
 from lodbench.datasets.published.layout import survey
 from lodbench.datasets.published.specs import spec_of
+from lodbench.execution import ProgressCallback
 from lodbench.storage.paths import data_root
 
 
@@ -30,7 +31,8 @@ def main(argv: Sequence[str]) -> int:
     root = data_root() if options.root is None else Path(options.root).expanduser()
     lines = []
     for download in spec.downloads:
-        path, is_new = fetch(download, root)
+        with ProgressCallback(f"fetching {Path(download.path).name}", "MB", 1_000_000) as progress:
+            path, is_new = fetch(download, root, progress)
         lines.append(f"{path}: {'fetched' if is_new else 'there already'}, SHA-256 as published")
     if not spec.downloads:
         lines.append(f"Nothing of {spec.title} has an address to fetch it from without a person.")

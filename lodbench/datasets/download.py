@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.published.specs import Download
 from lodbench.errors import DatasetError
-from lodbench.execution import ProgressCallback
 
 _CHUNK_BYTES = 1 << 16
 _TIMEOUT_S = 30
 _PARTIAL, _OK = 206, 200
 
 
-def fetch(download: Download, root: Path) -> tuple[Path, bool]:
+def fetch(
+    download: Download, root: Path, progress: Callable[[int, int], None] | None = None
+) -> tuple[Path, bool]:
     """Returns where a file is, and whether it was fetched; one that is there and right is left alone.
 
     An interrupted download goes on where it stopped: its beginning waits beside it, as ``.part``.
@@ -22,6 +24,7 @@ def fetch(download: Download, root: Path) -> tuple[Path, bool]:
     Args:
         download: What to fetch.
         root: Folder that its path is below.
+        progress: Called with the bytes that are there and their total.
 
     Raises:
         DatasetError: The server cannot be reached, sends more than the file has, or something else; or
@@ -49,7 +52,7 @@ def fetch(download: Download, root: Path) -> tuple[Path, bool]:
             known_hash=f"sha256:{download.sha256}",
             fname=target.name,
             path=target.parent,
-            downloader=_Resumed(target, download.num_bytes),
+            downloader=_Resumed(target, download.num_bytes, progress),
         )
     except ValueError as error:  # pooch's word for a wrong checksum
         _partial_of(target).unlink(missing_ok=True)
@@ -71,10 +74,11 @@ class _Resumed:
     Args:
         target: Where the file will be; what is there of it lies beside.
         num_bytes: Size of the file: no byte more is taken.
+        progress: As for ``fetch``.
     """
 
-    def __init__(self, target: Path, num_bytes: int) -> None:
-        self._target, self._num_bytes = target, num_bytes
+    def __init__(self, target: Path, num_bytes: int, progress: Callable[[int, int], None] | None) -> None:
+        self._target, self._num_bytes, self._progress = target, num_bytes, progress
 
     def __call__(self, url: str, output_file: str, pooch: Any) -> None:
         """Writes the file of an address to ``output_file``."""
@@ -100,21 +104,19 @@ class _Resumed:
             response.raise_for_status()
             if response.status_code != _PARTIAL:
                 have = 0  # the server sends all of it again
-            with (
-                ProgressCallback(f"fetching {self._target.name}", "MB", 1_000_000) as progress,
-                partial.open("ab" if have else "wb") as stream,
-            ):
+            with partial.open("ab" if have else "wb") as stream:
                 for chunk in response.iter_content(_CHUNK_BYTES):
                     have += len(chunk)
                     if have > self._num_bytes:
-                        stream.close()
-                        partial.unlink()
-                        raise DatasetError(
-                            f"{url} sends more than the {self._num_bytes:,} bytes that the file has.",
-                            "Nothing was kept.",
-                        )
+                        break
                     stream.write(chunk)
-                    progress(have, self._num_bytes)
+                    if self._progress is not None:
+                        self._progress(have, self._num_bytes)
+        if have > self._num_bytes:
+            partial.unlink()
+            raise DatasetError(
+                f"{url} sends more than the {self._num_bytes:,} bytes that the file has.", "Nothing was kept."
+            )
         if have < self._num_bytes:
             raise requests.ConnectionError(f"it ended after {have:,} of {self._num_bytes:,} bytes")
 

@@ -97,7 +97,7 @@ def test_another_seed_or_tilt_is_another_run(lodbench, tmp_path, dataset):
 
 
 def test_changed_input_under_the_same_path_is_another_run(lodbench, tmp_path):
-    dataset = write_dataset(tmp_path / "town", count=1)
+    dataset = write_dataset(tmp_path / "town", count=2)
     lodbench(*words(dataset))
     poses = dataset[0] / "GPS_pose.txt"
     poses.write_text(poses.read_text().replace("view_00.png 0.", "view_00.png 0.0", 0) + "# a remark\n")

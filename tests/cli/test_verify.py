@@ -123,3 +123,23 @@ def test_a_folder_that_is_no_run_is_one_line(lodbench, tmp_path):
     assert done.returncode == 2
     assert done.stderr.startswith("lodbench: ")
     assert "Traceback" not in done.stderr
+
+
+def test_one_file_name_in_two_splits_is_read_back(lodbench, tmp_path):
+    root, city = write_dataset(tmp_path / "town", count=2)
+    home = tmp_path / "both"
+    for split in ("day", "night"):
+        shutil.copytree(root, home / split)
+    words = ("dataset=folder", f"dataset.root={home}", f"dataset.city_model={city}")
+    assert lodbench("run", *words, "method=prior_only").returncode == 0
+    (folder,) = (tmp_path / "runs" / "folder" / "prior_only").iterdir()
+    verified = lodbench("verify", str(folder))
+    assert verified.returncode == 0, verified.stdout
+    scored = lodbench("evaluate", *words, f"poses={folder / 'poses.txt'}", "method_name=again")
+    assert scored.returncode == 0, scored.stderr
+    (again,) = (tmp_path / "runs" / "folder" / "again").iterdir()
+    first, second = (json.loads((run / "summary.json").read_text())["splits"] for run in (folder, again))
+    for split in ("day", "night"):
+        assert second[split]["num_queries"] == 2
+        assert second[split]["num_failed"] == 0
+        assert second[split]["median_translation_m"] == pytest.approx(first[split]["median_translation_m"])
