@@ -48,7 +48,9 @@ def _text(report: DatasetReport) -> str:
     for split in report.splits:
         lines += [f"  {split.name}: {line}" for line in _split_lines(split)]
     lines += ["findings", *_finding_lines(report.findings)]
-    return "".join(plain_text(line) + "\n" for line in lines)
+    # Names come from files, indents from here.
+    indents = [line[: len(line) - len(line.lstrip(" "))] for line in lines]
+    return "".join(f"{indent}{plain_text(line)}\n" for indent, line in zip(indents, lines, strict=True))
 
 
 def _split_lines(split: SplitReport) -> list[str]:

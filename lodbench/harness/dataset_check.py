@@ -94,7 +94,9 @@ def check_dataset(dataset: Dataset, *, with_pixels: bool = True) -> DatasetRepor
     findings = Findings(list(dataset.findings))
     scene = None
     if dataset.city_model is None:
-        findings.add(FILE_MISSING, "city model", dataset.city_hint.splitlines()[0])
+        known = SPECS.get(dataset.name)
+        wanted = f"none of {', '.join(known.city_files)}" if known else dataset.city_hint
+        findings.add(FILE_MISSING, "city model", wanted)
     else:
         scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
         _check_views(dataset, scene, findings)

@@ -218,3 +218,12 @@ class TestPriors:
         done = lodbench("run", *self.words(root, city), "prior.path=p.txt")
         assert done.returncode == 2
         assert reason in done.stderr
+
+
+def test_the_report_is_indented_and_names_an_absent_city_model(lodbench, tmp_path):
+    root = write_swiss(tmp_path, ecef=False)
+    (root / "MODEL" / "Swiss-EPFL-LoD.obj").unlink()
+    done = lodbench("dataset", "check", "swiss_epfl", "--root", str(root))
+    assert done.returncode == 1
+    assert "\n  city model: none\n" in done.stdout
+    assert "\n    city model: none of Swiss-EPFL-LoD.obj, Swiss-EPFL.obj\n" in done.stdout
