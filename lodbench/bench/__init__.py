@@ -2,6 +2,7 @@
 
 from lodbench.bench.accuracy import AccuracyOptions, measure_accuracy
 from lodbench.bench.accuracy_report import AccuracyReport
+from lodbench.bench.budget import BudgetReport, measure_budget
 from lodbench.bench.city import CityBench, CityOptions, measure_city
 from lodbench.bench.evaluation import EvaluationOptions, EvaluationReport, measure_evaluation
 from lodbench.bench.figures import Figure
@@ -18,6 +19,7 @@ from lodbench.bench.training_data import (
 __all__ = [
     "AccuracyOptions",
     "AccuracyReport",
+    "BudgetReport",
     "CityBench",
     "CityOptions",
     "EvaluationOptions",
@@ -30,6 +32,7 @@ __all__ = [
     "TrainingDataOptions",
     "TrainingDataReport",
     "measure_accuracy",
+    "measure_budget",
     "measure_city",
     "measure_evaluation",
     "measure_scale",

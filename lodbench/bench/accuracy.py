@@ -134,11 +134,8 @@ def measure_accuracy(
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
     options = options or AccuracyOptions()
-    scene = open_scene(city, lod=options.map_lod)
-    scorer = make_renderer("silhouette", scene, options.threads)
-    seen = scorer
-    if options.mask_lod is not None and options.mask_lod != options.map_lod:
-        seen = make_renderer("silhouette", open_scene(city, lod=options.mask_lod), options.threads)
+    scorer, seen = open_scenes(city, options)
+    scene = scorer.scene
     told = [reaching(method, options.prior()) for method in methods or (LodLocV2(),)]
     outcomes: list[Outcome] = []
     rejections = 0
@@ -154,6 +151,14 @@ def measure_accuracy(
         name += f" (masks LoD{seen.scene.lod}, map LoD{scene.lod})"
     names = tuple(method.name for method in told)
     return AccuracyReport(name, names, options.protocol(), rejections, tuple(outcomes))
+
+
+def open_scenes(city: Path, options: AccuracyOptions) -> tuple[Scorer, Scorer]:
+    """Returns the renderer of the map that is searched, and that of the city that masks are drawn from."""
+    scorer = make_renderer("silhouette", open_scene(city, lod=options.map_lod), options.threads)
+    if options.mask_lod is None or options.mask_lod == options.map_lod:
+        return scorer, scorer
+    return scorer, make_renderer("silhouette", open_scene(city, lod=options.mask_lod), options.threads)
 
 
 def reaching(method: Method, prior: UniformPrior) -> Method:

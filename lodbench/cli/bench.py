@@ -11,6 +11,7 @@ from pathlib import Path
 from lodbench.bench import (
     AccuracyOptions,
     AccuracyReport,
+    BudgetReport,
     CityBench,
     CityOptions,
     EvaluationOptions,
@@ -22,6 +23,7 @@ from lodbench.bench import (
     TrainingDataOptions,
     TrainingDataReport,
     measure_accuracy,
+    measure_budget,
     measure_city,
     measure_evaluation,
     measure_scale,
@@ -71,9 +73,9 @@ def _scale(options: argparse.Namespace, steps: ProgressCallback) -> ScaleReport:
     return measure_scale(asked, steps)
 
 
-def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> AccuracyReport:
+def _views(options: argparse.Namespace) -> AccuracyOptions:
     seeds = options.seeds or str(options.seed)
-    asked = AccuracyOptions(
+    return AccuracyOptions(
         num_views=options.views,
         mask_iou=options.mask_iou,
         tilt_deg=options.tilt_width,
@@ -82,14 +84,24 @@ def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> AccuracyR
         mask_lod=options.mask_lod,
         map_lod=options.map_lod,
     )
+
+
+def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> AccuracyReport:
     methods = [_method(name) for name in options.method.split(",")]
-    report = measure_accuracy(_city_file(options), asked, steps, methods)
+    report = measure_accuracy(_city_file(options), _views(options), steps, methods)
     if options.pictures and report.calibrations():
         from lodbench.reporting.calibration_figures import draw_calibration
 
         options.pictures.mkdir(parents=True, exist_ok=True)
         for kind, picture in draw_calibration(report.calibrations()).items():
             write_bytes(options.pictures / f"calibration.{kind}", picture)
+    return report
+
+
+def _budget(options: argparse.Namespace, steps: ProgressCallback) -> BudgetReport:
+    report = measure_budget(_city_file(options), _views(options), steps)
+    if options.pictures is not None:
+        report.write_pictures(options.pictures)
     return report
 
 
@@ -125,11 +137,20 @@ def _training_data(options: argparse.Namespace, steps: ProgressCallback) -> Trai
     return measure_training_data(city, asked, steps)
 
 
-Report = TrainingDataReport | SilhouetteReport | ScaleReport | AccuracyReport | CityBench | EvaluationReport
+Report = (
+    TrainingDataReport
+    | SilhouetteReport
+    | ScaleReport
+    | AccuracyReport
+    | BudgetReport
+    | CityBench
+    | EvaluationReport
+)
 MEASURES: dict[str, Callable[..., Report]] = {
     "silhouettes": _silhouettes,
     "scale": _scale,
     "accuracy": _accuracy,
+    "budget": _budget,
     "city": _city,
     "evaluation": _evaluation,
     "training-data": _training_data,
@@ -157,22 +178,26 @@ def _parser() -> argparse.ArgumentParser:
     scale.add_argument("--hypotheses", type=int, default=400, help="around each view (400)")
     accuracy = actions.add_parser("accuracy", help="recall of methods on synthetic views of a real model")
     accuracy.add_argument("--views", type=int, default=200, help="seeded views (200)")
-    accuracy.add_argument("--mask-iou", type=float, default=0.88, help="of the roughened masks (0.88)")
-    accuracy.add_argument(
-        "--tilt-width", "--tilt-deg", type=float, default=1.0, help="prior's tilt error, +- degrees (1.0)"
-    )
-    accuracy.add_argument(
-        "--prior-range", type=float, help="prior's error along x, y and z, +- metres (10, 10, 30)"
-    )
     accuracy.add_argument("--method", default="lodlocv2", help="methods, comma-separated (lodlocv2)")
-    accuracy.add_argument(
-        "--seeds", help="seeds, comma-separated, each with views of its own; instead of --seed"
-    )
-    accuracy.add_argument(
-        "--mask-lod", help="level of detail that views and masks are drawn from (the map's)"
-    )
-    accuracy.add_argument("--map-lod", help="level of detail that is searched (the lowest)")
     accuracy.add_argument("--pictures", type=Path, help="folder for reliability and risk over coverage")
+    budget = actions.add_parser("budget", help="recall of both methods over the hypotheses they may render")
+    budget.add_argument("--views", type=int, default=50, help="seeded views (50)")
+    budget.add_argument("--pictures", type=Path, help="folder for the picture")
+    for action in (accuracy, budget):
+        action.add_argument("--mask-iou", type=float, default=0.88, help="of the roughened masks (0.88)")
+        action.add_argument(
+            "--tilt-width", "--tilt-deg", type=float, default=1.0, help="prior's tilt error, +- degrees (1.0)"
+        )
+        action.add_argument(
+            "--prior-range", type=float, help="prior's error along x, y and z, +- metres (10, 10, 30)"
+        )
+        action.add_argument(
+            "--seeds", help="seeds, comma-separated, each with views of its own; instead of --seed"
+        )
+        action.add_argument(
+            "--mask-lod", help="level of detail that views and masks are drawn from (the map's)"
+        )
+        action.add_argument("--map-lod", help="level of detail that is searched (the lowest)")
     city = actions.add_parser(
         "city", help="reading and meshing a city model, beside the naive way and cjio; memory on a large file"
     )
@@ -186,11 +211,11 @@ def _parser() -> argparse.ArgumentParser:
     training.add_argument("--views", type=int, default=24, help="photos of each size; masks 10 x (24)")
     training.add_argument("--workers", type=int, help="processes (one per core)")
     training.add_argument("--props", type=Path, help="scene props to picture; made up if not given")
-    for action in (speed, scale, accuracy, evaluation, training):
+    for action in (speed, scale, accuracy, budget, evaluation, training):
         action.add_argument("--seed", type=int, default=0)
-    for action in (speed, accuracy, city, training):
+    for action in (speed, accuracy, budget, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
-    for action in (speed, scale, accuracy, city, evaluation, training):
+    for action in (speed, scale, accuracy, budget, city, evaluation, training):
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser
 
