@@ -16,23 +16,22 @@ from lodbench.training.plan_views import PlannedView
 from lodbench.training.world import files_of
 
 SHEET_FILE = "overview.png"
-_VIEWS, _PER_ROW, _TILE = 8, 2, 256
+_VIEWS, _PER_ROW = 8, 2
 _MASK_BGR = np.array([60.0, 170.0, 255.0])
 
 Picture = NDArray[np.uint8]
 
 
-def write_sheet(params: TrainingParams, views: Sequence[PlannedView], path: Path, tile: int = _TILE) -> None:
+def write_sheet(params: TrainingParams, views: Sequence[PlannedView], path: Path) -> None:
     """Writes picture, mask and overlay of eight views, evenly chosen, side by side.
 
     Args:
         params: What was generated.
         views: All views, finished.
         path: The sheet, a PNG beside the folders of the splits.
-        tile: Width of a picture on the sheet, pixels.
     """
     chosen = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, _VIEWS).round().astype(int))]
-    strips = [_strip(params, view, path.parent, tile) for view in chosen]
+    strips = [_strip(params, view, path.parent, params.sheet) for view in chosen]
     strips += [np.full_like(strips[0], 255)] * (-len(strips) % _PER_ROW)
     rows = [np.hstack(strips[k : k + _PER_ROW]) for k in range(0, len(strips), _PER_ROW)]
     is_encoded, content = cv2.imencode(".png", np.vstack(rows), [cv2.IMWRITE_PNG_COMPRESSION, 9])

@@ -22,7 +22,7 @@ SCHEMA = 1
 _LIBRARIES = ("numpy", "numba", "opencv-python-headless")
 # Settings that name files, whose content is named instead; and those that change no byte.
 _PATHS = ("city", "texture_model", "props", "terrain", "poses")
-_IDLE = ("out", "workers")
+_IDLE = ("out", "sheet", "workers")
 
 
 def begin_manifest(params: TrainingParams, scene: Scene, plan: ViewPlan, out: Path) -> dict[str, Any]:

@@ -62,6 +62,7 @@ class TrainingParams:
         occluders_in_mask: Whether trees and cars are cut out of the masks.
         naming: ``index``, or ``pose`` for X@Y@Z@PITCH@YAW@ROLL.
         format: Of the pictures, ``jpg`` or ``png``.
+        sheet: Width of a picture on the contact sheet, pixels.
         workers: Processes; None for one per core.
         seed: Seed of everything drawn.
         look: From what the look of each picture is drawn.
@@ -104,6 +105,7 @@ class TrainingParams:
     occluders_in_mask: bool = False
     naming: str = "index"
     format: str = "jpg"
+    sheet: int = 256
     workers: int | None = None
     seed: int = 0
     look: LookRanges = field(default_factory=LookRanges)
@@ -146,6 +148,7 @@ class TrainingParams:
             ("spacing_m", self.spacing_m if self.spacing_m is not None else 1.0, 0.1, 1e5),
             ("count", self.count, 1, 10_000_000),
             ("limit", self.limit if self.limit is not None else 1, 1, 10_000_000),
+            ("sheet", self.sheet, 16, 2048),
             ("workers", self.workers if self.workers is not None else 1, 1, 1024),
             ("fov_deg", self.fov_deg, 1.0, 150.0),
             ("min_buildings", self.min_buildings, 0.0, 1.0),
