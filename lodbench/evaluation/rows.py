@@ -31,6 +31,9 @@ class QueryRow:
         parts: The estimate's error taken apart; ``FAILED_PARTS`` without one, None without a truth.
         mask_iou: IoU of the query mask with the model's silhouette at the truth, or None.
         trace: Best score after each step, by stage; empty where the method tells none.
+        probability: What the method said of its being within 2 m and 2 degrees, or None.
+        covariance: Upper triangle, row by row (21 numbers), of its error's covariance in x, y, z (metres),
+            pitch, roll and yaw (degrees); empty where the method tells none.
     """
 
     name: str
@@ -45,6 +48,8 @@ class QueryRow:
     parts: ErrorParts | None = None
     mask_iou: float | None = None
     trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    probability: float | None = None
+    covariance: tuple[float, ...] = ()
 
     @property
     def key(self) -> str:

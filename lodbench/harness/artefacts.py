@@ -113,6 +113,8 @@ def _queries_csv(run: Result) -> str:
         "vertical_error_m",
         "yaw_error_deg",
         "mask_iou",
+        "probability",
+        "covariance",
     ]
     rows = [
         [
@@ -126,6 +128,8 @@ def _queries_csv(run: Result) -> str:
             run.config["tilt"],
             *_part_cells(row.parts),
             "" if row.mask_iou is None else repr(row.mask_iou),
+            "" if row.probability is None else repr(row.probability),
+            " ".join(repr(value) for value in row.covariance),
         ]
         for row in run.rows
     ]

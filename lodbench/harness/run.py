@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import select_splits
@@ -193,7 +194,14 @@ def _answer(
         "score": float(estimate.score) if math.isfinite(estimate.score) else None,
         "hypotheses": int(estimate.hypotheses),
         "seconds": seconds,
+        "probability": estimate.probability,
+        "covariance": upper_triangle(estimate.covariance),
     }
+
+
+def upper_triangle(covariance: NDArray[np.float64] | None) -> list[float]:
+    """Returns the 21 numbers of a (6, 6) covariance on and above its diagonal, row by row; [] for none."""
+    return [] if covariance is None else [float(v) for v in covariance[np.triu_indices(6)]]
 
 
 def mask_iou_at_truth(query: Query, preparation: Preparation, scorer: Scorer) -> float | None:
@@ -233,4 +241,6 @@ def _row(entry: Entry, answer: dict[str, Any], preparation: Preparation) -> Quer
         parts_of(entry, pose, preparation.dataset),
         answer.get("mask_iou"),
         {stage: tuple(scores) for stage, scores in answer.get("trace", {}).items()},
+        answer.get("probability"),
+        tuple(answer.get("covariance", ())),
     )

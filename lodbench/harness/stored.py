@@ -142,6 +142,9 @@ def _row(cells: dict[str, str], pose: Pose | None, where: str) -> QueryRow:
             seconds={},
             parts=None if no_truth else _parts([cells[name] for name in _PART_COLUMNS]),
             mask_iou=_number(cells["mask_iou"]) if cells["mask_iou"] else None,
+            # Runs made before these columns were have none of them.
+            probability=_number(cells["probability"]) if cells.get("probability") else None,
+            covariance=tuple(_number(value) for value in cells.get("covariance", "").split()),
         )
     except ValueError as error:
         raise DatasetError(f"{where}: {error}.", _FOLDER_HINT) from error

@@ -46,3 +46,5 @@ def test_six_degrees_of_freedom_find_it_with_the_sensor_s_tilt(lodbench, tmp_pat
     (row,) = csv.DictReader(table.open())
     assert float(row["translation_error_m"]) < 2.5
     assert float(row["rotation_error_deg"]) < 1.0
+    assert 0.5 < float(row["probability"]) <= 1.0
+    assert len(row["covariance"].split()) == 21
