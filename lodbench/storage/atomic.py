@@ -10,8 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 
-def write_bytes(path: Path, content: bytes) -> None:
+def write_bytes(path: Path, content: bytes, survives_power_cut: bool = True) -> None:
     """Writes a file so that a reader, or a crash, never meets half of it.
+
+    Args:
+        path: The file.
+        content: What to write.
+        survives_power_cut: Wait until the disk has it, some milliseconds. Otherwise a killed process leaves
+            it whole or not at all just the same, but after a power cut it may be empty.
 
     Raises:
         OSError: The folder is missing or the disk is full; nothing is left behind then.
@@ -20,8 +26,9 @@ def write_bytes(path: Path, content: bytes) -> None:
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
+            if survives_power_cut:
+                stream.flush()
+                os.fsync(stream.fileno())
         # mkstemp makes files private; a result is as readable as any other file of the user.
         umask = os.umask(0)
         os.umask(umask)

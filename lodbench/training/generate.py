@@ -29,7 +29,7 @@ from lodbench.training.params import TrainingParams
 from lodbench.training.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
 from lodbench.training.surroundings import Surroundings, make_surroundings
 from lodbench.training.texture_files import offset_to_city, read_textured
-from lodbench.training.world import World, WorldParts, files_of
+from lodbench.training.world import World, WorldParts, files_of, is_written
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ def open_cities(params: TrainingParams, options: ReadOptions) -> tuple[Scene, Sc
 
 
 def _is_written(params: TrainingParams, view: PlannedView, out: Path) -> bool:
-    return all(path.exists() for path in files_of(params, view, out))
+    return all(is_written(path) for path in files_of(params, view, out))
 
 
 def _write_layout(params: TrainingParams, scene: Scene, plan: ViewPlan, out: Path) -> None:

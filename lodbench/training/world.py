@@ -73,8 +73,10 @@ class World:
             OSError: The disk is full, or the folder cannot be written.
         """
         for path in files_of(self._params, view, folder):
-            if not path.exists():
-                write_bytes(path, getattr(self, f"_{path.parent.name}")(view))
+            if not is_written(path):
+                # Thousands of small files: an empty one, which a power cut may leave, is made again.
+                content = getattr(self, f"_{path.parent.name}")(view)
+                write_bytes(path, content, survives_power_cut=False)
 
     def _images(self, view: PlannedView) -> bytes:
         look, development = look_of(self._params, view)
@@ -119,6 +121,14 @@ def textured_mesh(params: TrainingParams, parts: WorldParts) -> TexturedMesh | N
 def look_of(params: TrainingParams, view: PlannedView) -> tuple[Look, Development]:
     """Returns the look of a view: the seed and its name decide it, nothing else."""
     return draw_look(params.look, random_stream(params.seed, "training", "look", view.key))
+
+
+def is_written(path: Path) -> bool:
+    """Tells whether a file is there and not empty."""
+    try:
+        return path.stat().st_size > 0
+    except FileNotFoundError:
+        return False
 
 
 def files_of(params: TrainingParams, view: PlannedView, folder: Path) -> list[Path]:

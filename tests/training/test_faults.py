@@ -53,7 +53,7 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
     params = replace(params, out=str(tmp_path / "data"))
     room = [7]
 
-    def write(path: Path, content: bytes) -> None:
+    def write(path: Path, content: bytes, survives_power_cut: bool = True) -> None:
         if room[0] == 0:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
         room[0] -= 1
