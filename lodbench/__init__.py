@@ -35,7 +35,7 @@ if not (Path(__file__).parent / "conf").is_dir():
     __path__.append(str(Path(__file__).parent.parent))
 
 # Where compiled functions stand; a test holds the list complete.
-_COMPILED = ("citymodel", "rendering")
+_COMPILED = ("citymodel", "localization", "rendering")
 keep_kernels_apart(Path(__file__).parent, _COMPILED)
 
 

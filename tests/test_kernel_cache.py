@@ -52,6 +52,16 @@ def test_a_change_in_a_called_file_is_seen(package):
     assert second != first
 
 
+def test_a_constant_of_a_file_that_numba_does_not_compile_is_seen(package):
+    (package / "rule.py").write_text("LIMIT = 1\n")
+    (package / "inner.py").write_text(
+        "from numba import njit\n\nfrom fake.rule import LIMIT\n\n@njit\ndef inner():\n    return LIMIT\n"
+    )
+    assert _run(package) == 1
+    (package / "rule.py").write_text("LIMIT = 2\n")
+    assert _run(package) == 2
+
+
 def test_what_numba_does_not_compile_does_not_count(package, monkeypatch):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     before = keep_kernels_apart(package)
