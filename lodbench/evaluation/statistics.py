@@ -1,8 +1,9 @@
 """How sure a number is, and whether two runs differ: intervals by query, and paired tests.
 
-Recalls get Wilson intervals: a bootstrap of a share that is 0 or 1 collapses to a point and claims
-certainty. Medians, areas and differences have no such formula and get a bootstrap over queries. A
-fixed stream draws it, so the same numbers give the same interval.
+Recalls get Wilson intervals, differences of recalls those of Bonett and Price: a bootstrap of shares that
+are 0 or 1, or of two runs that find the same queries, collapses to a point and claims certainty. Medians,
+their differences and areas have no such formula and get a bootstrap over queries. A fixed stream draws
+it, so the same numbers give the same interval.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class PairedTest(NamedTuple):
 
     Attributes:
         difference: Second run less the first.
-        interval: 95 % bootstrap interval of it, by query.
+        interval: 95 % interval of it.
         p: Two-sided p value.
     """
 
@@ -102,11 +103,23 @@ def mcnemar(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> PairedTest:
     either run is as likely to be the one.
     """
     gained, lost = int((second & ~first).sum()), int((first & ~second).sum())
-    difference = 100.0 * (second.astype(np.float64) - first.astype(np.float64))
-    mean = float(difference.mean()) if len(difference) else math.nan
+    n = len(first)
+    difference = 100.0 * (gained - lost) / n if n else math.nan
     return PairedTest(
-        mean, bootstrap_means(difference[:, None])[0], _binomial_p(min(gained, lost), gained + lost)
+        difference, _paired_interval(gained, lost, n), _binomial_p(min(gained, lost), gained + lost)
     )
+
+
+def _paired_interval(gained: int, lost: int, n: int) -> Interval:
+    """Returns the 95 % interval of a difference of paired shares (Bonett and Price 2012), percent points.
+
+    A Wald interval after one query more has been gained and one more lost; it is always wider than 0.
+    """
+    if n == 0:
+        return math.nan, math.nan
+    up, down = (gained + 1) / (n + 2), (lost + 1) / (n + 2)
+    spread = _Z * math.sqrt((up + down - (up - down) ** 2) / (n + 2))
+    return 100.0 * max(-1.0, up - down - spread), 100.0 * min(1.0, up - down + spread)
 
 
 def paired_medians(first: Floats, second: Floats) -> PairedTest:

@@ -21,8 +21,8 @@ def format_comparison(rows: Iterable[Comparison]) -> str:
         difference = finite_text(row.test.difference, "+.2f")
         body.append([f"{row.split} {row.name} {row.unit}", *values, difference, bounds, _p_text(row.test.p)])
     note = (
-        "Paired by query. Recall: exact McNemar test. Medians: permutation test (1,999 swaps). Intervals: "
-        "bootstrap over queries. No correction for the number of tests."
+        "Paired by query. Recall: exact McNemar test, interval of Bonett and Price. Medians: permutation "
+        "test (1,999 swaps), bootstrap over queries. No correction for the number of tests."
     )
     return f"{format_columns(body)}\n\n{note}"
 

@@ -27,7 +27,7 @@ def test_two_runs_are_tested_query_by_query(lodbench, data):
     assert done.returncode == 0, done.stderr
     # 4 of 4 queries gained: p = 2 / 2^4.
     line = next(line for line in done.stdout.splitlines() if "recall 1m-1deg" in line)
-    assert re.search(r"0\.00\s+100\.00\s+\+100\.00\s+\[\+100\.00, \+100\.00\]\s+0\.125", line)
+    assert re.search(r"0\.00\s+100\.00\s+\+100\.00\s+\[\+7\.03, \+100\.00\]\s+0\.125", line)
     assert "20m-10deg" in done.stdout
     assert "horizontal m" in done.stdout
     assert lodbench("compare", prior, truth, "--format", "html").stdout.count("<table") == 1

@@ -64,6 +64,26 @@ def test_mcnemar_is_the_exact_binomial_test(gained, lost):
     assert mcnemar(second, first).difference == -test.difference
 
 
+@pytest.mark.parametrize("shares", [(0.05, 0.05, 40), (0.3, 0.1, 25), (0.0, 0.2, 60), (0.5, 0.5, 12)])
+def test_the_interval_of_a_difference_holds_the_true_one_in_95_of_100(shares):
+    up, down, n = shares
+    generator = np.random.default_rng(7)
+    held = 0
+    for draw in generator.random((2000, n)):
+        gained, lost = draw < up, draw > 1 - down
+        low, high = mcnemar(lost, gained).interval
+        held += low <= 100 * (up - down) <= high
+    assert held > 0.935 * 2000
+
+
+def test_the_interval_of_a_difference_never_claims_certainty():
+    hits = np.ones(20, dtype=bool)
+    assert mcnemar(hits, hits).interval == pytest.approx((-12.6, 12.6), abs=0.1)
+    low, high = mcnemar(~hits[:4], hits[:4]).interval
+    assert low < 50 < high == 100.0
+    assert all(map(math.isnan, mcnemar(hits[:0], hits[:0]).interval))
+
+
 def test_equal_runs_do_not_differ_and_a_better_one_does():
     errors = np.random.default_rng(3).exponential(2.0, 80)
     same = paired_medians(errors, errors)
