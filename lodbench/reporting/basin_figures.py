@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.evaluation.recall import SplitSummary
-from lodbench.reporting.figures import SERIES, draw_figure
+from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,14 +37,19 @@ def draw_recall_curves(panels: Sequence[tuple[str, Sequence[RecallCurve]]]) -> d
     def draw(figure: Figure) -> None:
         axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
         for axis, (label, curves) in zip(axes, panels, strict=True):
-            for style, curve in zip(("-", "--", ":", "-."), curves, strict=False):
+            for style, curve in zip(cycle(LINE_STYLES), curves, strict=False):
                 _draw_curve(axis, curve, style, len(curves) > 1)
             axis.set(xlabel=label, ylim=(0, 103))
             axis.set_xticks(curves[0].half_widths, [f"{width:g}" for width in curves[0].half_widths])
         axes[0].set_ylabel("recall, %")
-        axes[-1].legend(loc="lower left")
+        if splits > 1:
+            handles = axes[0].get_legend_handles_labels()
+            figure.legend(*handles, loc="outside lower center", ncols=min(splits, 2 * len(panels)))
+        else:
+            axes[-1].legend(loc="lower left")
 
-    return draw_figure(3.6 * len(panels) + 0.4, 3.0, draw)
+    splits = max(len(curves) for _, curves in panels)
+    return draw_figure(3.6 * len(panels) + 0.4, 3.0 if splits == 1 else 3.2 + 0.3 * splits, draw)
 
 
 def _draw_curve(axis: Axes, curve: RecallCurve, style: str, with_name: bool) -> None:

@@ -62,6 +62,8 @@ def draw_budget(curves: Mapping[str, Sequence[BudgetPoint]], title: str) -> dict
             low, high = [p.low for p in points], [p.high for p in points]
             axes.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("{x:g}")
         axes.set(xlabel="hypotheses rendered per query", ylabel="within 2 m, 2 deg (%)", ylim=(0, 102))
         axes.set_title(title)
         axes.legend(loc="center right")

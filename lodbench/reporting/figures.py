@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Lines of splits, to be cycled through.
+LINE_STYLES = ("-", "--", ":", "-.")
 # Told apart with any colour vision, and in grey by their order (after Okabe and Ito).
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _STYLE: dict[Any, Any] = {
@@ -24,6 +26,8 @@ _STYLE: dict[Any, Any] = {
     # Ids come from this instead of from chance.
     "svg.hashsalt": "lodbench",
     "savefig.facecolor": "white",
+    # Names come from anywhere: a pair of dollar signs is no formula.
+    "text.parse_math": False,
 }
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.reporting.figures import SERIES, draw_figure
+from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,13 +52,14 @@ def draw_error_curves(samples: Sequence[ErrorSample]) -> dict[str, bytes]:
         for axis, column, unit, furthest in zip(
             axes, (0, 1), ("m", "deg"), (_FURTHEST_M, _FURTHEST_DEG), strict=True
         ):
-            for style, sample in zip(("-", "--", ":", "-."), samples, strict=False):
+            for style, sample in zip(cycle(LINE_STYLES), samples, strict=False):
                 for what, errors, colour in (
                     ("estimate", sample.estimates, ESTIMATE),
                     ("prior", sample.priors, PRIOR),
                 ):
                     _draw_share(axis, errors[:, column], colour, style, f"{what}, {sample.split}")
             axis.set_xscale("log")
+            axis.xaxis.set_major_formatter("{x:g}")
             axis.set(xlim=(0.01, furthest), ylim=(0, 101), xlabel=f"error below, {unit}")
         axes[0].set_ylabel("queries, %")
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
