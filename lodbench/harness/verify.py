@@ -9,6 +9,7 @@ cannot be computed again without the method; for these the digests stand alone.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -153,8 +154,8 @@ def changed_files(stored: StoredRun) -> list[str]:
 def _changed_rows(stored: StoredRun, config: dict[str, Any]) -> list[str]:
     """Returns contradictions between the rows, the poses and the configuration."""
     lines = [f"poses.txt: {name} is no query of queries.csv" for name in stored.strays]
-    keys = [row.key for row in stored.rows]
-    lines += [f"queries.csv: {key} occurs twice" for key in dict.fromkeys(keys) if keys.count(key) > 1]
+    counts = Counter(row.key for row in stored.rows)
+    lines += [f"queries.csv: {key} occurs twice" for key, count in counts.items() if count > 1]
     for row in stored.rows:
         # A pose with nothing to compare it with is an answer all the same.
         if row.failure not in ("", NO_TRUTH) and row.is_answered:
