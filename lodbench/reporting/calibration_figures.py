@@ -55,6 +55,8 @@ def draw_budget(curves: Mapping[str, Sequence[BudgetPoint]], title: str) -> dict
     """
 
     def draw(figure: Figure) -> None:
+        from matplotlib.ticker import LogLocator, NullLocator
+
         axes = figure.subplots()
         for colour, (name, points) in zip(SERIES * len(curves), curves.items(), strict=False):
             x = [point.hypotheses for point in points]
@@ -62,8 +64,9 @@ def draw_budget(curves: Mapping[str, Sequence[BudgetPoint]], title: str) -> dict
             low, high = [p.low for p in points], [p.high for p in points]
             axes.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
         axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter("{x:g}")
+        axes.xaxis.set_minor_locator(NullLocator())
         axes.set(xlabel="hypotheses rendered per query", ylabel="within 2 m, 2 deg (%)", ylim=(0, 102))
         axes.set_title(title)
         axes.legend(loc="center right")

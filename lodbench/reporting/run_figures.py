@@ -57,7 +57,11 @@ def draw_error_curves(samples: Sequence[ErrorSample]) -> dict[str, bytes]:
                     ("estimate", sample.estimates, ESTIMATE),
                     ("prior", sample.priors, PRIOR),
                 ):
-                    _draw_share(axis, errors[:, column], colour, style, f"{what}, {sample.split}")
+                    # A failed query's angle is finite, but no answer's: its place is nowhere.
+                    answered = errors[np.isfinite(errors[:, 0]), column]
+                    shares = shares_below(answered, len(errors), furthest)
+                    name = f"{what}, {sample.split}"
+                    axis.step(*shares, where="post", color=colour, linestyle=style, label=name)
             axis.set_xscale("log")
             axis.xaxis.set_major_formatter("{x:g}")
             axis.set(xlim=(0.01, furthest), ylim=(0, 101), xlabel=f"error below, {unit}")
@@ -67,11 +71,18 @@ def draw_error_curves(samples: Sequence[ErrorSample]) -> dict[str, bytes]:
     return draw_figure(8.6, 3.4, draw)
 
 
-def _draw_share(axis: Axes, errors: Floats, colour: str, style: str, label: str) -> None:
-    # Failed queries count in the denominator and never show up on the left.
-    ordered = np.sort(errors[np.isfinite(errors)])
-    shares = 100.0 * np.arange(1, len(ordered) + 1) / max(1, len(errors))
-    axis.step(np.maximum(ordered, 1e-3), shares, where="post", color=colour, linestyle=style, label=label)
+def shares_below(errors: Floats, count: int, furthest: float) -> tuple[Floats, Floats]:
+    """Returns where the share of ``count`` queries below an error rises, and to what percent.
+
+    Args:
+        errors: (N,) errors of the answered queries.
+        count: All queries.
+        furthest: Where the curve ends.
+    """
+    ordered = np.sort(errors[errors < furthest])
+    shares = 100.0 * np.arange(len(ordered) + 1) / max(1, count)
+    # A logarithmic axis has no 0: the curve begins left of what is shown.
+    return np.concatenate([[1e-4], np.maximum(ordered, 1e-3), [furthest]]), np.append(shares, shares[-1])
 
 
 def draw_top_view(

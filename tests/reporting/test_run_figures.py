@@ -7,7 +7,7 @@ import pytest
 
 from lodbench.evaluation.recall import summarize
 from lodbench.reporting.basin_figures import RecallCurve, draw_recall_curves
-from lodbench.reporting.run_figures import ErrorSample, Trace, draw_error_curves, draw_traces
+from lodbench.reporting.run_figures import ErrorSample, Trace, draw_error_curves, draw_traces, shares_below
 
 ERRORS = np.array([[0.5, 0.3], [4.0, 1.0], [np.inf, 180.0]])
 
@@ -30,3 +30,10 @@ def test_every_split_is_drawn_however_many_there_are():
     recalls = [RecallCurve(name, (30.0, 50.0), (summary, summary)) for name in names]
     basin = draw_recall_curves([("half width, m", recalls)])["svg"].decode()
     assert all(f"estimate, {name}" in curves and f"2m-2deg, {name}" in basin for name in names)
+
+
+def test_the_share_below_an_error_begins_at_none_and_lasts_to_the_end():
+    x, shares = shares_below(np.array([4.0, 0.5, 900.0]), 5, 100.0)
+    assert x[1:].tolist() == [0.5, 4.0, 100.0]
+    assert shares.tolist() == [0.0, 20.0, 40.0, 40.0]
+    assert shares_below(np.zeros(0), 5, 100.0)[1].tolist() == [0.0, 0.0]
