@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +86,9 @@ def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
 
 def _write_maps(folder: Path, run: Run, grid: CostGrid) -> None:
     entries = chosen_entries(run.dataset, run.splits, run.config.get("limit"))
-    maps = measure_cost_maps(run.preparation, run.scorer, entries, folder / "cost_ledger.jsonl", grid)
+    # Another grid, another ledger: its numbers stand at other offsets.
+    ledger = folder / f"cost_ledger_{digest_of(asdict(grid))}.jsonl"
+    maps = measure_cost_maps(run.preparation, run.scorer, entries, ledger, grid)
     if maps is None:
         return
     header, *rows = cost_csv_rows(maps)

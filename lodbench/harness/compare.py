@@ -39,6 +39,8 @@ def paired_comparison(
     found = []
     for split in first.summary["splits"]:
         one = _errors(first.rows, split)
+        if not one:
+            continue  # no truth to be tested against
         order = {key: number for number, key in enumerate(one)}
         two = dict(sorted(_errors(second.rows, split).items(), key=lambda item: order[item[0]]))
         a, b = (np.array(list(errors.values()), dtype=np.float64).reshape(-1, 2) for errors in (one, two))

@@ -87,7 +87,9 @@ def format_latex(table: RecallTable) -> str:
             for split in table.splits
             for column in columns
         ]
-        lines.append(rf"{' & '.join([*first, *cells])} \\")
+        line = " & ".join([*first, *cells])
+        # The end of the row above would take these for its own.
+        lines.append(rf"{'{}' if line.startswith(('[', '*')) else ''}{line} \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import csv
 import re
+from dataclasses import asdict
 
 import pytest
 
+from lodbench.harness.cost_maps import CostGrid
+from lodbench.storage import digest_of
 from tests.town import write_dataset
 
 QUICK = ["method.steps=2", "ranges=[15,8]", "yaw_ranges=[10]", "tilt=truth", "executor.threads=1"]
@@ -42,6 +45,8 @@ def test_a_basin_leaves_tables_maps_and_runs_that_verify(lodbench, tmp_path, dat
     for axis in ("xy", "z", "yaw"):
         best = max((line for line in costs if line["map"] == axis), key=lambda line: float(line["mean_iou"]))
         assert [float(best[name]) for name in ("x_m", "y_m", "z_m", "yaw_deg")] == [0, 0, 0, 0]
+    # Queries done on one grid of offsets are not taken for those of another.
+    assert (folder / f"cost_ledger_{digest_of(asdict(CostGrid()))}.jsonl").is_file()
     verified = lodbench("verify", str(folder.parent.parent / "lodlocv2" / lines[0]["run"]))
     assert verified.returncode == 0, verified.stdout + verified.stderr
     # The same command again finds every query done, and writes the same bytes.

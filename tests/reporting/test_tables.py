@@ -129,6 +129,14 @@ def test_hostile_names_are_harmless_in_every_format():
     assert r"\&\%\_" in texts["latex"]
 
 
+@pytest.mark.parametrize("name", ["[ours]", "*ours"])
+def test_no_row_of_latex_begins_with_what_the_row_above_would_take(name):
+    named = summary("", 90.0)
+    named["method"]["name"] = name
+    (table,) = tables_of([named])
+    assert f"\n{{}}{name} & " in FORMATS["latex"](table)
+
+
 def test_best_numbers_are_bold_in_latex():
     (table,) = tables_of([summary("no_refine", 11.68), summary("full", 97.9)])
     assert r"\textbf{97.90}" in FORMATS["latex"](table)
