@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
