@@ -171,6 +171,12 @@ class TestColmap:
         with pytest.raises(DatasetError, match=match):
             list(read_colmap(tmp_path))
 
+    def test_a_file_without_lines_of_points_loses_no_image(self, tmp_path):
+        lines = [f"{i} 1 0 0 0 0 0 0 1 {i}.jpg" for i in (1, 2, 3)]
+        (tmp_path / "images.txt").write_text("\n".join(lines))
+        with pytest.raises(DatasetError, match=r"line 2: .* no list of points"):
+            list(read_colmap(tmp_path / "images.txt"))
+
 
 def test_kapture_s_own_reader_agrees(tmp_path):
     pytest.importorskip("kapture")
@@ -268,6 +274,8 @@ class TestNerfstudio:
             ('{"frames": [], "applied_transform": [[0,0,0,0],[0,0,0,0],[0,0,0,0]]}', "undone"),
             ("[" * 100_000, "nested"),
             (_MIRRORED, "no rotation"),
+            (_NO_PICTURE.replace('"w": 4', '"w": 1e999'), "frame 0"),
+            (_NO_PICTURE.replace('"fl_x": 1', '"camera_angle_x": 0'), "frame 0"),
             (_NO_PICTURE, "EQUIRECTANGULAR"),
         ],
     )

@@ -119,8 +119,11 @@ def _text_images(path: Path, cameras: Mapping[int, Camera] | None) -> Iterator[F
                 raise LodbenchError(f"{len(words)} values instead of 10")
             pose = parse_pose(words[1:8])
             camera = None if cameras is None else _camera_of(cameras, int(words[8]))
-        # The line of the image's points, which may be empty.
-        next(lines, None)
+        points_at, points = next(lines, (where, ""))
+        with Place(points_at, "X Y POINT3D_ID of each point; the line may be empty, but is there"):
+            # A file without these lines would lose every second image in silence.
+            if len(points.split()) % 3:
+                raise LodbenchError(f"{len(points.split())} values are no list of points")
         yield FoundPose(words[9].strip(), where, pose, camera)
 
 

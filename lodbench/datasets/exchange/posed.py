@@ -57,7 +57,7 @@ class Place:
         Raises:
             DatasetError: Something inside was malformed.
         """
-        is_fault = isinstance(error, LodbenchError | ValueError | KeyError | TypeError)
+        is_fault = isinstance(error, LodbenchError | ValueError | KeyError | TypeError | ArithmeticError)
         if is_fault and not isinstance(error, DatasetError):
             reason = f"there is no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
             raise DatasetError(f"{self._where}: {reason}.", f"Expected: {self._layout}") from error
