@@ -142,7 +142,7 @@ def write_dataset(
     if not kept:
         name, reason = left_out[0] if left_out else ("", "there are no images")
         raise DatasetError(f"No image could be used; the first is {name}: {reason}")
-    _write_texts(folder, kept, {**about, "left_out": dict(left_out)})
+    _write_texts(folder, kept, {**about, "left_out": [list(pair) for pair in left_out]})
     return Written(folder, tuple(name for name, _, _ in kept), num_undistorted, tuple(left_out))
 
 
@@ -150,14 +150,16 @@ def _dataset_names(images: Sequence[OwnImage]) -> list[str]:
     """Returns a name without folders and spaces for each image.
 
     Raises:
-        DatasetError: Two images would have the same.
+        DatasetError: Two images, or two masks, which are named after the stem, would have the same.
     """
     names = [image.file_name for image in images]
-    name, count = Counter(names).most_common(1)[0] if names else ("", 0)
-    if count > 1:
-        raise DatasetError(
-            f"{count} images are called {name}.", "Make a dataset of each folder, or rename the images."
-        )
+    stems = [Path(name).stem for name, image in zip(names, images, strict=True) if image.mask is not None]
+    for what, listed in (("images", names), ("images with a mask", stems)):
+        name, count = Counter(listed).most_common(1)[0] if listed else ("", 0)
+        if count > 1:
+            raise DatasetError(
+                f"{count} {what} are called {name}.", "Make a dataset of each folder, or rename the images."
+            )
     return names
 
 

@@ -137,7 +137,7 @@ class TestFromPhotos:
         assert "left out: broken.jpg" in out
         assert " km outside the city model" in out.split("left out: far.jpg: ")[1]
         about = json.loads((tmp_path / "town/dataset.json").read_text())
-        assert set(about["left_out"]) == {"silent.jpg", "broken.jpg", "far.jpg"}
+        assert {name for name, _ in about["left_out"]} == {"silent.jpg", "broken.jpg", "far.jpg"}
         assert about["crs"] == "EPSG:25832+7837"
 
     @pytest.mark.parametrize(

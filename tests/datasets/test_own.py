@@ -1,0 +1,26 @@
+"""Writing a dataset folder: nothing of one image takes the place of another's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.datasets.own import OwnImage, write_dataset
+from lodbench.errors import DatasetError
+from lodbench.geometry import Camera, Pose
+
+
+def test_masks_that_would_have_one_name_are_refused(tmp_path):
+    mask = tmp_path / "a.png"
+    mask.write_bytes(cv2.imencode(".png", np.zeros((4, 4), np.uint8))[1].tobytes())
+    camera = Camera(4, 4, 3.0, 3.0, 2.0, 2.0)
+    pair = [
+        OwnImage(name, camera, truth=Pose(np.eye(3), np.zeros(3)), mask=mask) for name in ("a.JPG", "a.tif")
+    ]
+    with pytest.raises(DatasetError, match="2 images with a mask are called a"):
+        write_dataset(pair, tmp_path / "town", {})
+    assert not (tmp_path / "town").exists()
+    assert len(write_dataset([replace(pair[0], mask=None), pair[1]], tmp_path / "town", {}).names) == 2
