@@ -38,7 +38,7 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
 
 
 def format_pose(name: str, pose: Pose) -> str:
-    """Returns the line of a pose, with as many digits as restore it exactly."""
+    """Returns the line of a pose; its translation comes back to the last bit, its rotation to rounding."""
     numbers = [*pose.quat_wxyz, *(float(v) for v in pose.translation)]
     return " ".join([name, *(repr(v) for v in numbers)])
 

@@ -163,9 +163,17 @@ PRIORS: dict[str, type[Any]] = {
 
 
 def prior_text(entries: Sequence[Entry], describe: str, seed: int) -> str:
-    """Returns priors as the text of a file, with how they were made and their digest in its head."""
+    """Returns priors as the text of a file, with how they were made and their digest in its head.
+
+    A query with several hypotheses has a line for each, its prior first, as it is read back.
+    """
     head = [f"# priors {describe}; seed {seed}; digest {prior_digest(entries)}"]
-    lines = [format_pose(entry.key, entry.prior) for entry in entries if entry.prior is not None]
+    lines = [
+        format_pose(entry.key, pose)
+        for entry in entries
+        if entry.prior is not None
+        for pose in entry.hypotheses or (entry.prior,)
+    ]
     return lines_to_text([*head, *lines])
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lodbench.datasets.folder import FolderParams, open_folder
-from lodbench.datasets.prior_sources import BasinPrior
+from lodbench.datasets.prior_sources import BasinPrior, FilePrior, prior_text
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles, Pose, wrap_deg
@@ -110,3 +110,16 @@ def test_basin_priors_fill_the_box_and_keep_the_published_attitude():
     np.testing.assert_allclose(np.abs(offsets).mean(axis=0), 50.0, rtol=0.05)
     np.testing.assert_allclose(np.abs(turns).mean(axis=0), [0.5, 0.5, 3.75], rtol=0.05)
     assert 99.0 < np.abs(offsets).max() <= 100.0
+
+
+def test_all_hypotheses_are_written_and_read_back(tmp_path):
+    root, city = write_dataset(tmp_path, count=2)
+    dataset = open_folder(FolderParams(str(root), str(city)))
+    several = tuple(dataset.entries[0].prior.shifted([d, 0, 0]) for d in (0.0, 5.0, 9.0))
+    dataset = replace(dataset, entries=(replace(dataset.entries[0], hypotheses=several), dataset.entries[1]))
+    (tmp_path / "priors.txt").write_text(prior_text(dataset.entries, "of a test", 0))
+    read = FilePrior(str(tmp_path / "priors.txt")).apply(dataset, 0)
+    np.testing.assert_allclose(read.entries[0].prior.center, several[0].center, atol=1e-9)
+    centers = [pose.center for pose in read.entries[0].hypotheses]
+    np.testing.assert_allclose(centers, [pose.center for pose in several], atol=1e-9)
+    assert len(read.entries[1].hypotheses) == 1
