@@ -56,6 +56,9 @@ class MapFrame:
         self._has_heights = known.vertical_code is not None
         if not self._horizontal.is_projected:
             raise DatasetError(f"{crs} has degrees, not metres.", "Name a projected system.")
+        unit = self._horizontal.axis_info[0]
+        if unit.unit_conversion_factor != 1.0:
+            raise DatasetError(f"{crs} counts in {unit.unit_name}, not metres.", "Name a system in metres.")
 
     @cached_property
     def _to_map(self) -> Transformer:

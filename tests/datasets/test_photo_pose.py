@@ -210,3 +210,9 @@ class TestCamera:
             camera_from_photo(PHOTO)
         with pytest.raises(DatasetError, match="no photo does"):
             camera_from_photo(replace(PHOTO, calibrated_focal_px=3.0))
+
+
+@pytest.mark.parametrize(("crs", "unit"), [("EPSG:2263", "US survey foot"), ("EPSG:4326", "degrees")])
+def test_a_map_that_does_not_count_in_metres_is_refused(crs, unit):
+    with pytest.raises(DatasetError, match=unit):
+        MapFrame(crs)
