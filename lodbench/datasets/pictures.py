@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +19,40 @@ def read_picture(path: Path, *, as_stored: bool = False) -> NDArray[Any] | None:
         as_stored: With its own channels and depth; else as (H, W, 3) BGR of 8 bits.
 
     Returns:
-        (H, W) or (H, W, C); None if the file cannot be read or decoded.
+        (H, W) or (H, W, C); None if the file cannot be read or decoded, or has too many pixels.
     """
-    import cv2
-
     try:
-        content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        content = path.read_bytes()
     except OSError:
         return None
-    if len(content) == 0:
+    return None if has_too_many_pixels(content) else decoded(content, as_stored=as_stored)
+
+
+def decoded(content: bytes, *, as_stored: bool) -> NDArray[Any] | None:
+    """Returns the pixels of a picture's file, as `read_picture` does; None if it cannot be decoded."""
+    import cv2
+
+    if not content:
         return None
     flags = cv2.IMREAD_UNCHANGED if as_stored else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        picture = cv2.imdecode(content, flags)
+        picture = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags)
     except cv2.error:
         return None
     return None if picture is None else np.asarray(picture)
+
+
+def has_too_many_pixels(content: bytes) -> bool:
+    """Tells by a picture's header whether decoding it would take more memory than any photo's.
+
+    The limit is Pillow's, 179 megapixels. What Pillow does not know is left to the decoder.
+    """
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(content)):
+            return False
+    except Image.DecompressionBombError:
+        return True
+    except Exception:  # a damaged header makes Pillow raise anything; the decoder says what is wrong
+        return False

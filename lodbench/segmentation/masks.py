@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.pictures import decoded, has_too_many_pixels
 from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError, QueryFault
 from lodbench.storage import digest_of, file_digest
@@ -20,24 +21,20 @@ def read_mask(path: str | Path) -> NDArray[np.float32]:
     Grey may be stored as RGB or RGBA with equal channels and the same alpha everywhere.
 
     Raises:
-        QueryFault: The file is missing or is no image, its channels differ (colours or class labels,
+        QueryFault: The file is missing, is no image or has too many pixels, its channels differ (colours or class labels,
             an overlay), or its largest value is 1 (labels 0 and 1).
     """
-    import cv2
-
-    # Read through numpy: OpenCV's own file call cannot open every path on every system.
     try:
-        content = np.frombuffer(Path(path).read_bytes(), dtype=np.uint8)
+        content = Path(path).read_bytes()
     except OSError as error:
         raise QueryFault(f"mask {Path(path).name} cannot be read: {error.strerror}") from error
-    try:
-        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
-    except cv2.error:
-        image = None
+    if has_too_many_pixels(content):
+        raise QueryFault(f"mask {Path(path).name} has too many pixels")
+    image = decoded(content, as_stored=True)
     white = {"uint8": 255, "uint16": 65535}.get(str(image.dtype)) if image is not None else None
     if image is None or white is None:
         raise QueryFault(f"mask {Path(path).name} is not a readable 8 or 16 bit image")
-    grey = _grey(np.asarray(image), Path(path).name)
+    grey = _grey(image, Path(path).name)
     if grey.max() == 1:
         raise QueryFault(f"mask {Path(path).name}: its largest value is 1; {white} means building")
     return np.asarray(grey, dtype=np.float32) / np.float32(white)

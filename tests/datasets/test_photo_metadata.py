@@ -138,6 +138,14 @@ class TestHostile:
         with pytest.raises(DatasetError, match="too many pixels"):
             read_photo_metadata(tmp_path / "b.jpg")
 
+    def test_a_hundred_megapixels_are_a_photo(self, tmp_path):
+        header = write_photo(tmp_path / "a.jpg").read_bytes()
+        at = header.index(b"\xff\xc0")
+        size = struct.pack(">HH", 8192, 12288)  # a Mavic 4 Pro's
+        (tmp_path / "b.jpg").write_bytes(header[: at + 5] + size + header[at + 9 :])
+        photo = read_photo_metadata(tmp_path / "b.jpg")
+        assert (photo.width, photo.height) == (12288, 8192)
+
     @settings(max_examples=150)
     @given(st.integers(0, 2**32 - 1))
     def test_bytes_changed_at_random_give_metadata_or_a_clear_error(self, tmp_path_factory, seed):
