@@ -21,8 +21,8 @@ def read_mask(path: str | Path) -> NDArray[np.float32]:
     Grey may be stored as RGB or RGBA with equal channels and the same alpha everywhere.
 
     Raises:
-        QueryFault: The file is missing, is no image or has too many pixels, its channels differ (colours or class labels,
-            an overlay), or its largest value is 1 (labels 0 and 1).
+        QueryFault: The file is missing, is no image or has too many pixels, its channels differ
+            (colours or class labels, an overlay), or its largest value is 1 (labels 0 and 1).
     """
     try:
         content = Path(path).read_bytes()
