@@ -58,9 +58,9 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     slope = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
     top = _roof_heights(source, slope, count, ROOF_HEIGHTS[roof_height])
     chosen = _footprints(source, slope, areas, count)
+    chosen = chosen[np.isfinite(top)[source.building[chosen]]]
     for building in np.setdiff1d(np.arange(count), source.building[chosen]):
         findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer}")
-    chosen = chosen[np.isfinite(top)[source.building[chosen]]]
     if len(chosen) == 0:
         raise CityModelError(
             "No building has a footprint and a roof to derive level 1 from.",

@@ -81,8 +81,9 @@ class TestDerivedLevel:
         with pytest.raises(CityModelError, match="No building has a footprint"):
             open_scene(path, lod="1", roof_height="max")
 
-    def test_a_building_of_walls_alone_is_told(self, tmp_path: Path) -> None:
-        walls = gable(kinds=("WallSurface",)).partition("<core:cityObjectMember>")[2]
+    @pytest.mark.parametrize("kinds", [("WallSurface",), ("WallSurface", "GroundSurface")])
+    def test_a_building_without_a_roof_is_told(self, tmp_path: Path, kinds: tuple[str, ...]) -> None:
+        walls = gable(kinds=kinds).partition("<core:cityObjectMember>")[2]
         text = gable().replace("</core:CityModel>", "<core:cityObjectMember>" + walls)
         mesh = mesh_model(read_city_model(write(tmp_path / "a.gml", text)), "1", roof_height="max")
         assert {key.split()[0] for key in mesh.findings.counts()} == {"LB401", "LB408", "LB409"}
