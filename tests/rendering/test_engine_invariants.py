@@ -80,6 +80,19 @@ def test_batches_change_nothing(sizes):
     np.testing.assert_array_equal(whole.union, np.concatenate([p.union for p in parts]))
 
 
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(hostile_scenes(), st.lists(hostile_views(), min_size=2, max_size=11), st.integers(0, 2**32 - 1))
+def test_a_batch_in_which_some_must_clip_is_each_view_by_itself(scene, views, seed):
+    camera, poses = views[0][0], [pose for _, pose in views]
+    engine = SilhouetteRenderer(scene, 1)
+    mask = np.random.default_rng(seed).random((camera.height, camera.width)) < 0.5
+    centers = np.array([pose.center for pose in poses])
+    counts = engine.score(camera, np.array([pose.rotation for pose in poses]), centers, mask)
+    drawn = [engine.render(camera, pose) for pose in poses]
+    np.testing.assert_array_equal(counts.intersection, [np.count_nonzero(d & mask) for d in drawn])
+    np.testing.assert_array_equal(counts.union, [np.count_nonzero(d | mask) for d in drawn])
+
+
 def test_no_hypotheses_give_no_counts(query):
     counts = SilhouetteRenderer(town(), 2).score(CAMERA, np.zeros((0, 3, 3)), np.zeros((0, 3)), query)
     assert counts.iou().shape == (0,)
