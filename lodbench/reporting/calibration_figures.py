@@ -32,12 +32,13 @@ def draw_calibration(curves: Mapping[str, Calibration]) -> dict[str, bytes]:
     def draw(figure: Figure) -> None:
         left, right = figure.subplots(1, 2)
         for colour, (name, calibration) in zip(SERIES * len(curves), curves.items(), strict=False):
-            _reliability(left, calibration, colour, name)
+            # Numbers of the first method stand below its marks, of the next above theirs.
+            _reliability(left, calibration, colour, 5 if list(curves).index(name) % 2 else -9)
             label = f"{name}, area {100 * calibration.risk_area:.1f} %"
             right.plot(100 * calibration.coverage, 100 * calibration.risk, color=colour, label=label)
         left.plot([0, 100], [0, 100], color="0.6", linewidth=0.8, zorder=0)
-        left.set(xlabel="said: within 2 m, 2 deg (%)", ylabel="found within 2 m, 2 deg (%)", xlim=(0, 100))
-        left.set(ylim=(0, 103), title="Reliability: queries per mark beside it")
+        left.set(xlabel="said: within 2 m, 2 deg (%)", ylabel="found within 2 m, 2 deg (%)", xlim=(0, 106))
+        left.set(ylim=(0, 106), title="Reliability: queries per mark beside it")
         right.set(xlabel="queries answered, surest first (%)", ylabel="answers not within 2 m, 2 deg (%)")
         right.set(xlim=(0, 100), title="Risk when unsure queries are declined")
         right.set_ylim(bottom=0)
@@ -69,18 +70,18 @@ def draw_budget(curves: Mapping[str, Sequence[BudgetPoint]], title: str) -> dict
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set(xlabel="hypotheses rendered per query", ylabel="within 2 m, 2 deg (%)", ylim=(0, 102))
         axes.set_title(title)
-        axes.legend(loc="center right")
+        axes.legend(loc="lower left")
 
     return draw_figure(5.6, 3.6, draw)
 
 
-def _reliability(axes: Axes, calibration: Calibration, colour: str, name: str) -> None:
+def _reliability(axes: Axes, calibration: Calibration, colour: str, number_offset: int) -> None:
     said = [100 * b.mean_probability for b in calibration.bins]
     found = [100 * b.found for b in calibration.bins]
     below = [100 * (b.found - b.interval[0]) for b in calibration.bins]
     above = [100 * (b.interval[1] - b.found) for b in calibration.bins]
-    axes.errorbar(
-        said, found, yerr=[below, above], color=colour, fmt="o", markersize=4, linewidth=1, label=name
-    )
+    axes.errorbar(said, found, yerr=[below, above], color=colour, fmt="o", markersize=4, linewidth=1)
     for x, y, b in zip(said, found, calibration.bins, strict=True):
-        axes.annotate(str(b.count), (x, y), (4, -9), textcoords="offset points", fontsize=7, color=colour)
+        axes.annotate(
+            str(b.count), (x, y), (4, number_offset), textcoords="offset points", fontsize=7, color=colour
+        )
