@@ -1,0 +1,27 @@
+"""Packages that are no part of the base install: there, or one line that says how to get them."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from lodbench.errors import ConfigError
+
+
+def require(package: str, extra: str, needed_by: str) -> None:
+    """Makes sure that a package can be imported.
+
+    Args:
+        package: Its import name.
+        extra: The extra of lodbench that brings it.
+        needed_by: What needs it, for the message.
+
+    Raises:
+        ConfigError: It is not installed, or it breaks on import.
+    """
+    try:
+        import_module(package)
+    except ImportError as error:
+        raise ConfigError(
+            f"{needed_by} needs {package}, which is not installed ({error}).",
+            f"pip install 'lodbench[{extra}]'; for CPUs see docs/segmentation.md.",
+        ) from error

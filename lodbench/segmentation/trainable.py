@@ -1,0 +1,35 @@
+"""What a segmenter offers besides segmenting so that `lodbench train` can train it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+
+class TrainableSegmenter(Protocol):
+    """Builds its network and stores its weights.
+
+    Attributes:
+        params: Its settings, a frozen dataclass.
+        domain: What it is trained on, in a word that a reader is shown: ``synthetic``.
+        stride: Sides of pictures are padded to multiples of this.
+    """
+
+    params: Any
+    domain: str
+    stride: int
+
+    def build(self, init: str | None) -> Any:
+        """Returns the network as a torch module, from a weights file or with random weights.
+
+        It takes (B, 3, H, W) float32 RGB in [0, 1] and returns a tuple of logits (B, 1, H, W), the
+        answer first.
+
+        Raises:
+            LodbenchError: The file does not hold weights of this network.
+        """
+        ...
+
+    def store(self, net: Any, folder: Path) -> Path:
+        """Writes a network's weights as ``segment`` loads them and returns the file."""
+        ...

@@ -1,0 +1,70 @@
+"""Random changes of a picture and its mask that leave buildings buildings."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+
+
+def flipped(photo: Floats, mask: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:
+    """Returns both mirrored left to right and top to bottom, each with even odds."""
+    for axis in (1, 0):
+        if generator.random() < 0.5:
+            photo, mask = np.flip(photo, axis), np.flip(mask, axis)
+    return photo, mask
+
+
+def random_crop(
+    photo: Floats, mask: Floats, side: int, scale: tuple[float, float], generator: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Returns a (side, side) square at a random place, turn and scale; mirrored where it leaves the picture.
+
+    Args:
+        photo: (H, W, 3) in [0, 1].
+        mask: (H, W) in [0, 1].
+        side: Pixels.
+        scale: Range of the enlargement, drawn evenly in its logarithm.
+        generator: The only source of randomness.
+    """
+    height, width = mask.shape
+    factor = float(np.exp(generator.uniform(np.log(scale[0]), np.log(scale[1]))))
+    # Level cameras tilt little: a right way up with slight turns, not any angle.
+    turn = np.deg2rad(generator.normal(0.0, 6.0))
+    reach = 0.5 * side / factor
+    center = [
+        generator.uniform(min(reach, 0.5 * size), max(size - reach, 0.5 * size)) for size in (width, height)
+    ]
+    cos, sin = factor * np.cos(turn), factor * np.sin(turn)
+    # To the square from the picture, pixel centres on whole numbers.
+    matrix = np.array([[cos, -sin, 0.0], [sin, cos, 0.0]])
+    matrix[:, 2] = 0.5 * side - 0.5 - matrix[:, :2] @ (np.array(center) - 0.5)
+    # Shrinking without a filter would leave patterns that no camera makes.
+    if factor < 0.75:
+        photo = cv2.GaussianBlur(photo, (0, 0), 0.35 / factor)
+    taken = [
+        cv2.warpAffine(
+            image, matrix, (side, side), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
+        )
+        for image in (photo, mask)
+    ]
+    return np.asarray(taken[0], np.float32), np.asarray(taken[1], np.float32)
+
+
+def relit(photo: Floats, generator: np.random.Generator) -> Floats:
+    """Returns a picture in other light, taken by another camera: (H, W, 3) in [0, 1]."""
+    picture = np.power(np.clip(photo, 0.0, 1.0), np.exp(generator.normal(0.0, 0.25)), dtype=np.float32)
+    picture = picture * np.float32(np.exp(generator.normal(0.0, 0.15)))
+    picture = picture * np.exp(generator.normal(0.0, 0.06, 3)).astype(np.float32)
+    grey = picture @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
+    # One in eight has no colour at all, as thermal and old cameras see.
+    saturation = 0.0 if generator.random() < 0.125 else float(np.exp(generator.normal(0.0, 0.3)))
+    picture = grey[..., None] + np.float32(saturation) * (picture - grey[..., None])
+    if generator.random() < 0.25:
+        picture = cv2.GaussianBlur(picture, (0, 0), generator.uniform(0.4, 1.2))
+    if generator.random() < 0.5:
+        sigma = generator.uniform(0.0, 0.04)
+        picture = picture + sigma * generator.standard_normal(picture.shape, dtype=np.float32)
+    return np.clip(picture, 0.0, 1.0, dtype=np.float32)

@@ -1,0 +1,77 @@
+"""Batches of samples: the same for a seed, an epoch and a step, wherever a run is taken up again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from lodbench.storage import random_stream
+from lodbench.training.augment import flipped, random_crop, relit
+from lodbench.training.samples import Sample
+from lodbench.training.train_params import TrainParams
+
+Floats = NDArray[np.float32]
+# Batches made ahead of the one in use.
+_AHEAD = 3
+
+
+def steps_per_epoch(count: int, batch: int) -> int:
+    """Returns the steps of an epoch: whole batches only, but at least one."""
+    return max(1, count // batch)
+
+
+def batches(
+    samples: list[Sample], params: TrainParams, epoch: int, first_step: int, rank: int, ranks: int
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yields pictures (B, 3, H, W) and masks (B, 1, H, W) of an epoch from a step on.
+
+    Args:
+        samples: All training views.
+        params: Batch, size and augmentation.
+        epoch: Names the order and the changes.
+        first_step: Steps of this epoch done already.
+        rank: Of this process, which sees every ``ranks``-th sample of each batch.
+        ranks: Processes that share each batch.
+    """
+    order = random_stream(params.seed, "train", "order", epoch).permutation(len(samples))
+    size = min(params.batch, len(samples))
+    steps = range(first_step, steps_per_epoch(len(samples), params.batch))
+    chosen = [order[step * size : (step + 1) * size][rank::ranks] for step in steps]
+    with ThreadPoolExecutor(1) as pool:
+        waiting = []
+        for indices in chosen:
+            waiting.append(pool.submit(_batch, samples, params, epoch, indices))
+            if len(waiting) > _AHEAD:
+                yield waiting.pop(0).result()
+        for made in waiting:
+            yield made.result()
+
+
+def _batch(
+    samples: list[Sample], params: TrainParams, epoch: int, indices: NDArray[np.int64]
+) -> tuple[Tensor, Tensor]:
+    pairs = [_changed(samples[int(index)], params, epoch) for index in indices]
+    return as_tensors([photo for photo, _ in pairs], [mask for _, mask in pairs])
+
+
+def _changed(sample: Sample, params: TrainParams, epoch: int) -> tuple[Floats, Floats]:
+    generator = random_stream(params.seed, "train", sample.key, epoch)
+    photo, mask = sample.read(params.size, square=not params.crop)
+    photo, mask = flipped(photo, mask, generator)
+    if params.crop:
+        photo, mask = random_crop(photo, mask, params.crop, params.scale, generator)
+    return (relit(photo, generator) if params.augment == "full" else photo), mask
+
+
+def as_tensors(photos: list[Floats], masks: list[Floats]) -> tuple[Tensor, Tensor]:
+    """Returns pictures (H, W, 3) and masks (H, W) as (B, 3, H, W) and (B, 1, H, W)."""
+    images = np.stack(photos).transpose(0, 3, 1, 2)
+    return (
+        torch.from_numpy(np.ascontiguousarray(images)),
+        torch.from_numpy(np.ascontiguousarray(np.stack(masks)[:, None])),
+    )

@@ -1,0 +1,43 @@
+"""Checkpoints: everything a training goes on from, whole or not at all; nothing is unpickled."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from lodbench.errors import ConfigError
+from lodbench.storage import write_bytes
+
+CHECKPOINT_FILE = "checkpoint.pt"
+
+
+def save_checkpoint(state: dict[str, Any], folder: Path) -> None:
+    """Writes the checkpoint of a folder in place of the one there."""
+    content = io.BytesIO()
+    torch.save(state, content)
+    write_bytes(folder / CHECKPOINT_FILE, content.getvalue())
+
+
+def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
+    """Returns the checkpoint of a folder, or None where there is none.
+
+    Raises:
+        ConfigError: It cannot be read, or belongs to other settings or other views.
+    """
+    path = folder / CHECKPOINT_FILE
+    if not path.exists():
+        return None
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        found = state["identity"]
+    except Exception as error:
+        raise ConfigError(f"{path} is no checkpoint of lodbench train.", "Name another out=FOLDER.") from error
+    if found != identity:
+        raise ConfigError(
+            f"{folder} holds the training of other settings or other views.",
+            "Name another out=FOLDER, or set resume=false to start anew there.",
+        )
+    return state

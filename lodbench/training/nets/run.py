@@ -1,0 +1,89 @@
+"""One training from start, or checkpoint, to weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+from lodbench.segmentation.trainable import TrainableSegmenter
+from lodbench.training.nets.checkpoints import load_checkpoint
+from lodbench.training.nets.distributed import joined
+from lodbench.training.nets.loop import fit, make_state
+from lodbench.training.samples import Sample
+from lodbench.training.train_params import TrainParams
+
+History = list[dict[str, float]]
+
+
+def run_training(
+    segmenter: TrainableSegmenter,
+    params: TrainParams,
+    train: list[Sample],
+    val: list[Sample],
+    identity: str,
+    keep: Callable[[History], None],
+    started_at: list[int],
+) -> tuple[History, Path]:
+    """Trains and returns the history and the weights' file.
+
+    Args:
+        segmenter: Knows how to build its network and how to store its weights.
+        params: How to train.
+        train: Views to train on.
+        val: Views to validate on.
+        identity: Digest that a checkpoint must bear to be taken up.
+        keep: Called with the history so far after each epoch, and at the end.
+        started_at: Filled with the number of epochs that were there already.
+    """
+    out = Path(params.out).expanduser()
+    _make_deterministic(params)
+    with joined(params.device) as place:
+        net = segmenter.build(params.init).to(place.device)
+        if place.device.type == "cpu":
+            net = net.to(memory_format=torch.channels_last)
+        state = make_state(net, params)
+        stored = load_checkpoint(out, identity) if params.resume else None
+        if stored is not None:
+            state.restore(stored)
+        started_at.append(state.epoch)
+        board = _board(out) if params.tensorboard and place.rank == 0 else None
+
+        def after_epoch(row: dict[str, float]) -> None:
+            keep(state.history)
+            if board is not None:
+                for name, value in row.items():
+                    board(name, value, int(row["epoch"]))
+
+        fit(state, params, train, val, segmenter.stride, place, identity, after_epoch)
+        weights = segmenter.store(net.cpu().eval(), out) if place.rank == 0 else out
+    return state.history, weights
+
+
+def _make_deterministic(params: TrainParams) -> None:
+    torch.manual_seed(params.seed)
+    if params.threads is not None:
+        torch.set_num_threads(params.threads)
+    # On a GPU some operations have no deterministic form: a warning then, no fault.
+    torch.use_deterministic_algorithms(True, warn_only=True)
+
+
+def _board(out: Path) -> Callable[[str, float, int], None]:
+    """Returns what logs a number for TensorBoard.
+
+    Raises:
+        ConfigError: TensorBoard is not installed.
+    """
+    from lodbench.segmentation.extras import require
+
+    require("tensorboard", "tensorboard", "tensorboard=true")
+    from torch.utils.tensorboard import SummaryWriter
+
+    writer = SummaryWriter(str(out / "tensorboard"))
+
+    def log(name: str, value: float, epoch: int) -> None:
+        writer.add_scalar(name, value, epoch)
+        writer.flush()
+
+    return log

@@ -1,0 +1,118 @@
+"""The views a network learns from: found in training sets, read, and turned into arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import DatasetError, LodbenchError
+from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation.photos import read_photo
+from lodbench.storage import digest_of
+
+Photo = NDArray[np.float32]
+_HELD_OUT = 20
+_ENDINGS = (".jpg", ".jpeg", ".png")
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One picture and its mask.
+
+    Attributes:
+        key: Set, split and name: unique.
+        photo: The picture's file.
+        mask: The mask's file.
+    """
+
+    key: str
+    photo: Path
+    mask: Path
+
+    def read(self, size: int, square: bool) -> tuple[Photo, NDArray[np.float32]]:
+        """Returns the picture (H, W, 3) RGB and the mask (H, W), float32 in [0, 1].
+
+        Args:
+            size: Long side to bring them to; 0 for as they are.
+            square: Whether the other side becomes as long, whatever the aspect.
+
+        Raises:
+            DatasetError: One of them cannot be read, or their aspects differ.
+        """
+        try:
+            photo, mask = read_photo(self.photo), read_mask(self.mask)
+        except LodbenchError as fault:
+            raise DatasetError(f"{self.key}: {fault.message}") from fault
+        height, width = photo.shape[:2]
+        if size:
+            factor = size / max(height, width)
+            height, width = max(1, round(height * factor)), max(1, round(width * factor))
+            height, width = (size, size) if square else (height, width)
+        return _brought(photo, width, height).astype(np.float32) / np.float32(255), _brought(
+            mask, width, height
+        )
+
+
+def _brought(image: NDArray[np.generic], width: int, height: int) -> NDArray[np.generic]:
+    if image.shape[:2] == (height, width):
+        return image
+    shrinks = width * height < image.shape[0] * image.shape[1]
+    return np.asarray(
+        cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    )
+
+
+def find_samples(folder: Path, split: str) -> list[Sample]:
+    """Returns the views of a split in a training set or in the sets below a folder, by name.
+
+    Raises:
+        DatasetError: The folder is missing, or a picture has no mask.
+    """
+    if not folder.is_dir():
+        raise DatasetError(f"There is no folder {folder}.", "lodbench generate-training-data makes one.")
+    samples, without = [], []
+    for images in sorted(path for path in folder.rglob("images") if path.parent.name == split):
+        for photo in sorted(path for path in images.iterdir() if path.suffix.lower() in _ENDINGS):
+            mask = images.parent / "masks" / f"{photo.stem}.png"
+            if mask.exists():
+                key = (images.parent.relative_to(folder) / photo.stem).as_posix()
+                samples.append(Sample(key, photo, mask))
+            else:
+                without.append(photo)
+    if without:
+        raise DatasetError(
+            f"{len(without)} pictures in {folder} have no mask, the first is {without[0].name}.",
+            "An unfinished set: give the generate-training-data command again, it goes on.",
+        )
+    return samples
+
+
+def split_samples(data: Path, val_data: Path | None) -> tuple[list[Sample], list[Sample], str]:
+    """Returns the views to train on, those to validate on, and what the latter are.
+
+    Raises:
+        DatasetError: There are none of one kind.
+    """
+    train = find_samples(data, "train")
+    if val_data is not None:
+        val = [s for split in ("train", "val", "test") for s in find_samples(val_data, split)]
+        source = f"views of {val_data.name}"
+    else:
+        val = find_samples(data, "val")
+        source = "val views, of regions of their own"
+        if not val:
+            val, train = train[::_HELD_OUT], [s for k, s in enumerate(train) if k % _HELD_OUT]
+            source = f"every {_HELD_OUT}th training view, held out: of the same regions"
+    if not train or not val:
+        kind = "train on" if not train else "validate on"
+        raise DatasetError(f"{data} has no views to {kind}.", "lodbench generate-training-data makes some.")
+    return train, val, source
+
+
+def samples_digest(samples: list[Sample]) -> str:
+    """Returns a digest of the views: names and file sizes, so that it costs no reading."""
+    return digest_of([[s.key, s.photo.stat().st_size, s.mask.stat().st_size] for s in samples])

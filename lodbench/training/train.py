@@ -1,0 +1,121 @@
+"""``lodbench train``: a network from views to weights that a segmenter loads."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from lodbench import __version__
+from lodbench.segmentation.extras import require
+from lodbench.segmentation.trainable import TrainableSegmenter
+from lodbench.storage import digest_of, file_digest, write_text
+from lodbench.training.learning_curves import write_curves
+from lodbench.training.samples import Sample, samples_digest, split_samples
+from lodbench.training.train_params import TrainParams
+
+MANIFEST_FILE = "training.json"
+CURVES_FILE = "curves.png"
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """What came out of a training.
+
+    Attributes:
+        weights: The file a segmenter loads.
+        history: Per epoch: loss, learning rate, and IoUs where validated.
+        validated_on: What the validation views are.
+        views: Views trained on.
+        started_at: Epochs that were there already.
+    """
+
+    weights: Path
+    history: list[dict[str, float]]
+    validated_on: str
+    views: int
+    started_at: int
+
+
+def train_network(segmenter: TrainableSegmenter, params: TrainParams) -> Trained:
+    """Trains a network, or goes on where the same command was stopped.
+
+    The folder ``params.out`` then holds ``checkpoint.pt``, ``curves.png``, ``training.json`` and the
+    weights as the segmenter loads them.
+
+    Raises:
+        LodbenchError: torch is missing, the data is at fault, or the folder holds another training.
+    """
+    require("torch", "torch", "lodbench train")
+    from lodbench.training.nets.run import run_training
+
+    data, val_data = Path(params.data).expanduser(), params.val_data
+    train, val, source = split_samples(data, Path(val_data).expanduser() if val_data else None)
+    out = Path(params.out).expanduser()
+    out.mkdir(parents=True, exist_ok=True)
+    record = _record(segmenter, params, data, train, val, source)
+    started_at: list[int] = []
+
+    def keep(history: list[dict[str, float]]) -> None:
+        write_curves(history, out / CURVES_FILE)
+        write_text(out / MANIFEST_FILE, _json(record | {"history": history}))
+
+    history, weights = run_training(segmenter, params, train, val, record["digest"], keep, started_at)
+    finished = record | {"history": history, "weights": {weights.name: file_digest(weights)}}
+    write_text(out / MANIFEST_FILE, _json(finished))
+    return Trained(weights, history, source, len(train), started_at[0])
+
+
+def _record(
+    segmenter: TrainableSegmenter,
+    params: TrainParams,
+    data: Path,
+    train: list[Sample],
+    val: list[Sample],
+    source: str,
+) -> dict[str, Any]:
+    """Returns what the training follows from; its digest names it."""
+    idle = ("data", "val_data", "out", "resume", "tensorboard", "device", "init")
+    settings = {key: value for key, value in asdict(params).items() if key not in idle}
+    init = file_digest(Path(params.init).expanduser()) if params.init else None
+    identity = {
+        "segmenter": asdict(segmenter.params),
+        "settings": settings | {"scale": list(params.scale)},
+        "init": init,
+        "train": samples_digest(train),
+        "val": samples_digest(val),
+    }
+    return identity | {
+        "digest": digest_of(identity),
+        "domain": segmenter.domain,
+        "views": {"train": len(train), "val": len(val), "validated_on": source},
+        "sets": _sets(data),
+        "versions": {"lodbench": __version__, "torch": version("torch"), "numpy": version("numpy")},
+    }
+
+
+def _sets(data: Path) -> dict[str, Any]:
+    """Returns the manifests' digests and settings of the training sets below a folder."""
+    found = {}
+    for path in sorted(data.rglob("manifest.json")):
+        try:
+            manifest = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            continue
+        name = path.parent.relative_to(data).as_posix()
+        found[name] = {key: manifest.get(key) for key in ("digest", "views", "state", "versions")}
+    return found
+
+
+def _json(record: dict[str, Any]) -> str:
+    def finite(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: finite(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [finite(item) for item in value]
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return json.dumps(finite(record), indent=1, sort_keys=True, allow_nan=False) + "\n"

@@ -1,0 +1,104 @@
+"""Settings of ``lodbench train``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from lodbench.errors import ConfigError, nearest_names
+
+WEIGHTINGS = ("paper", "released")
+PRECISIONS = ("auto", "float32", "bfloat16")
+
+
+@dataclass(frozen=True, slots=True)
+class TrainParams:
+    """How a network is trained; the defaults are the paper's.
+
+    Attributes:
+        data: Training set of ``lodbench generate-training-data``, or a folder of such sets.
+        val_data: Set whose views validate; None for the ``val`` views of ``data``, and where it has none,
+            every twentieth of its training views, held out.
+        out: Folder of checkpoints, curves and weights.
+        epochs: Passes over the training views.
+        lr: Highest learning rate; it falls to ``lr_end`` along half a cosine.
+        lr_end: Learning rate at the end.
+        warmup: Share of the steps in which it rises to ``lr``.
+        weight_decay: Of AdamW.
+        batch: Pictures per step, over all devices.
+        size: Long side that views are brought to, pixels; 0 leaves them as they are.
+        crop: Side of the random square that a step sees; 0 for the whole view, brought to
+            ``size`` x ``size`` as the paper does.
+        scale: Range of the random scale of a crop.
+        augment: ``full`` (light, colour, blur, noise, turns) or ``flips`` (SAM2-UNet's own).
+        weighting: ``paper``: pixels near outlines weigh up to six times in both losses; ``released``: in
+            the IoU loss only, which is what the published code computes.
+        precision: ``bfloat16`` for mixed precision; ``auto`` takes it on GPUs that have it.
+        device: ``auto``, ``cpu``, ``cuda``, ...
+        threads: Threads of torch on a CPU; the result depends on it in the last digits.
+        seed: Of weights, order and augmentation.
+        val_every: Epochs between validations and checkpoints.
+        resume: Whether to go on from the checkpoint in ``out``.
+        init: Weights file to start from, or None.
+        tensorboard: Whether to log for TensorBoard as well.
+
+    Raises:
+        ConfigError: A value is out of range; the message names it.
+    """
+
+    data: str
+    val_data: str | None = None
+    out: str = "training"
+    epochs: int = 20
+    lr: float = 1e-3
+    lr_end: float = 1e-7
+    warmup: float = 0.0
+    weight_decay: float = 5e-4
+    batch: int = 12
+    size: int = 1024
+    crop: int = 0
+    scale: tuple[float, float] = (1.0, 1.0)
+    augment: str = "flips"
+    weighting: str = "paper"
+    precision: str = "auto"
+    device: str = "auto"
+    threads: int | None = None
+    seed: int = 0
+    val_every: int = 1
+    resume: bool = True
+    init: str | None = None
+    tensorboard: bool = False
+
+    def __post_init__(self) -> None:
+        for name, choices in (
+            ("weighting", WEIGHTINGS),
+            ("precision", PRECISIONS),
+            ("augment", ("full", "flips")),
+        ):
+            if getattr(self, name) not in choices:
+                raise ConfigError(
+                    f"{name}={getattr(self, name)} is not known.", nearest_names(getattr(self, name), choices)
+                )
+        for name, low, high in (
+            ("epochs", 1, 100_000),
+            ("lr", 1e-12, 10.0),
+            ("lr_end", 0.0, 10.0),
+            ("warmup", 0.0, 0.9),
+            ("weight_decay", 0.0, 10.0),
+            ("batch", 1, 4096),
+            ("size", 0, 8192),
+            ("crop", 0, 8192),
+            ("val_every", 1, 100_000),
+        ):
+            self._check(name, getattr(self, name), low, high)
+        for value in self.scale:
+            self._check("scale", value, 0.1, 10.0)
+        if self.threads is not None:
+            self._check("threads", self.threads, 1, 1024)
+        if self.size == self.crop == 0:
+            raise ConfigError("size and crop are both 0.", "Views differ in size: set one of them.")
+
+    def _check(self, name: str, value: Any, low: float, high: float) -> None:
+        if not (math.isfinite(value) and low <= value <= high):
+            raise ConfigError(f"{name}={value:g} is not within {low:g} to {high:g}.")
