@@ -30,6 +30,7 @@ COMMANDS = {
         "lodbench.cli.generate_training_data",
         "picture a city from many places, with masks and poses, to train on",
     ),
+    "train": ("lodbench.cli.train", "train a segmentation network on such pictures"),
     "city": ("lodbench.cli.city", "look into a city model: info, check; write it in another format: convert"),
     "dataset": (
         "lodbench.cli.dataset",
@@ -96,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         report_fault(LodbenchError(reason, "Check the path, its permissions and the free space."))
         return 2
     except KeyboardInterrupt:
-        is_resumed = words[0] in ("run", "basin", "generate-training-data")
+        is_resumed = words[0] in ("run", "basin", "generate-training-data", "train")
         again = " The same command again goes on from here." if is_resumed else ""
         sys.stderr.write(f"\nlodbench: stopped.{again}\n")
         return 130

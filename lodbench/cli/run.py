@@ -186,10 +186,13 @@ def _without(values: dict[str, Any], names: set[str]) -> dict[str, Any]:
 
 def report(runs: Sequence[Run]) -> str:
     """Returns the tables of runs and what a reader wants next to them."""
-    parts = [format_text(table) for table in tables_of([summary_of(run) for run in runs])]
+    summaries = [summary_of(run) for run in runs]
+    valid = [summary for summary in summaries if "invalid" not in summary]
+    parts = [format_text(table) for table in tables_of(valid)]
     lines = []
-    for run in runs:
-        summary = summary_of(run)
+    for run, summary in zip(runs, summaries, strict=True):
+        if "invalid" in summary:
+            lines.append(f"INVALID, in no table: {summary['invalid']}")
         variant = summary["method"]["variant"]
         name = f"{summary['method']['name']} {variant}".strip()
         for split in run.splits:

@@ -19,6 +19,7 @@ from lodbench.evaluation.errors import ErrorParts, PoseError
 from lodbench.evaluation.rows import seconds_per_query, summarize_rows
 from lodbench.harness.result import Result
 from lodbench.harness.run import Run
+from lodbench.reporting.leaderboard_entry import has_random_weights
 from lodbench.reporting.tables import SUMMARY_SCHEMA
 from lodbench.storage import hide_formula, write_text
 
@@ -79,6 +80,7 @@ def summary_of(run: Result) -> dict[str, Any]:
         "prior": priors,
         "failures": dict(sorted(failures.items())),
         "notes": list(run.dataset.notes),
+        **({"invalid": "random weights"} if has_random_weights(config) else {}),
     }
 
 

@@ -27,7 +27,7 @@ from lodbench.localization import Estimate, Method
 from lodbench.localization.api import localize
 from lodbench.rendering import make_renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
-from lodbench.segmentation import Segmenter, binary_mask, check_mask
+from lodbench.segmentation import Segmenter, binary_mask, check_mask, notes_of
 from lodbench.segmentation.masks import read_mask
 
 # Below this overlap of mask and model a pose is not to be trusted.
@@ -169,7 +169,11 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
         camera_source=camera_source,
         overlay=overlay,
         geojson=geojson,
-        notes=(*city.notes(), *_notes(photo, frame, camera, estimate, photo_pixels is not None)),
+        notes=(
+            *city.notes(),
+            *_segmenter_notes(request),
+            *_notes(photo, frame, camera, estimate, photo_pixels is not None),
+        ),
     )
 
 
@@ -234,6 +238,10 @@ def _write_map(path: Path, frame: MapFrame, name: str, prior: Pose, estimate: Es
         camera_feature(frame, prior, {"name": name, "kind": "prior"}),
     ]
     write_geojson(features, path)
+
+
+def _segmenter_notes(request: PhotoRequest) -> tuple[str, ...]:
+    return notes_of(request.segmenter) if request.mask is None else ()
 
 
 def _notes(

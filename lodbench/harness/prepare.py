@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
 from lodbench.evaluation.rows import NO_TRUTH
-from lodbench.geometry import Pose
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation import Segmenter, check_mask
+from lodbench.segmentation.oracle import Oracle
 
 TILTS = ("prior", "truth")
 
@@ -68,7 +73,7 @@ class Preparation:
         prior = self.prior(entry)
         if prior is None:
             raise QueryFault("no prior pose")
-        probability = check_mask(self.segmenter.segment(entry), entry.camera)
+        probability = check_mask(self._probability(entry, entry.camera), entry.camera)
         return Query(
             name=entry.name,
             split=entry.split,
@@ -81,6 +86,18 @@ class Preparation:
                 for pose in entry.hypotheses
             ),
         )
+
+    def _probability(self, entry: Entry, camera: Camera) -> NDArray[np.float32]:
+        """Returns what the segmenter says of a query; for an oracle, the silhouette at the truth."""
+        if not isinstance(self.segmenter, Oracle):
+            return self.segmenter.segment(entry)
+        if entry.key not in self.dataset.truth:
+            raise QueryFault(NO_TRUTH)
+        truth = self.local(self.dataset.truth[entry.key])
+        width = min(self.segmenter.params.width, camera.width)
+        small = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
+        silhouette = SilhouetteRenderer(self.scene, threads=1).render(small, truth)
+        return self.segmenter.from_silhouette(silhouette, entry.key)
 
 
 def prior_of(entry: Entry, dataset: Dataset, tilt: str) -> Pose | None:

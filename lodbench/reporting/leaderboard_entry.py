@@ -135,7 +135,7 @@ def reasons_against(config: dict[str, Any]) -> list[str]:
         reasons.append(f"only the first {config['limit']} queries of each split")
     if config.get("split"):
         reasons.append(f"only some splits: {', '.join(config['split'])}")
-    if _has_random_weights(config):
+    if has_random_weights(config):
         reasons.append("random weights")
     return reasons
 
@@ -145,7 +145,8 @@ def slug(text: str) -> str:
     return re.sub(r"[^\w+-]+", "_", text).strip("_") or "unnamed"
 
 
-def _has_random_weights(value: Any) -> bool:
+def has_random_weights(value: Any) -> bool:
+    """Returns whether a configuration asks for a network with random weights anywhere."""
     if isinstance(value, dict):
-        return value.get("weights") == "random" or any(map(_has_random_weights, value.values()))
+        return value.get("weights") == "random" or any(map(has_random_weights, value.values()))
     return False

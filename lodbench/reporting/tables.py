@@ -154,6 +154,8 @@ def read_summary(folder: Path) -> dict[str, Any]:
             f"{path} has schema {summary.get('schema')}, this lodbench writes and reads {SUMMARY_SCHEMA}.",
             "Run again: the same command resumes nothing of another version, and ranks with nothing of it.",
         )
+    if summary.get("invalid"):
+        raise DatasetError(f"The run {folder} is invalid: {summary['invalid']}.", "It can enter no table.")
     return summary
 
 

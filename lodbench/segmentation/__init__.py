@@ -6,7 +6,8 @@ from lodbench.segmentation.protocol import (
     Segmenter,
     binary_mask,
     check_mask,
+    notes_of,
     resized,
 )
 
-__all__ = ["BUILDING_THRESHOLD", "Demanding", "Segmenter", "binary_mask", "check_mask", "resized"]
+__all__ = ["BUILDING_THRESHOLD", "Demanding", "Segmenter", "binary_mask", "check_mask", "notes_of", "resized"]

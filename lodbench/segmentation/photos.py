@@ -14,8 +14,8 @@ from lodbench.errors import QueryFault
 def read_photo(path: str | Path) -> NDArray[np.uint8]:
     """Returns an image file as (H, W, 3) uint8 RGB, in the order of its pixels in the file.
 
-    16 bits are brought to 8 over the range in use, grey is repeated, transparent pixels show black. A turn that EXIF
-    asks for is not made: the camera and its pose are those of the file's pixels.
+    16 bits are brought to 8 over the range in use, grey is repeated, transparent pixels show black.
+    A turn that EXIF asks for is not made: the camera and its pose are those of the file's pixels.
 
     Raises:
         QueryFault: The file is missing or no image, or has neither 8 nor 16 bits.

@@ -50,6 +50,12 @@ class Demanding(Protocol):
         ...
 
 
+def notes_of(segmenter: object) -> tuple[str, ...]:
+    """Returns what a reader of results must know about a segmenter; none where it says nothing."""
+    notes = getattr(segmenter, "notes", None)
+    return tuple(notes()) if notes is not None else ()
+
+
 def check_mask(mask: ArrayLike, camera: Camera) -> NDArray[np.float32]:
     """Returns a mask as (H, W) float32 probability of building in [0, 1].
 

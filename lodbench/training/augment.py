@@ -43,28 +43,28 @@ def random_crop(
     matrix[:, 2] = 0.5 * side - 0.5 - matrix[:, :2] @ (np.array(center) - 0.5)
     # Shrinking without a filter would leave patterns that no camera makes.
     if factor < 0.75:
-        photo = cv2.GaussianBlur(photo, (0, 0), 0.35 / factor)
+        photo = np.asarray(cv2.GaussianBlur(photo, (0, 0), 0.35 / factor), np.float32)
     taken = [
-        cv2.warpAffine(
-            image, matrix, (side, side), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
-        )
+        cv2.warpAffine(image, matrix, (side, side), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
         for image in (photo, mask)
     ]
     return np.asarray(taken[0], np.float32), np.asarray(taken[1], np.float32)
 
 
 def relit(photo: Floats, generator: np.random.Generator) -> Floats:
-    """Returns a picture in other light, taken by another camera: (H, W, 3) in [0, 1]."""
-    picture = np.power(np.clip(photo, 0.0, 1.0), np.exp(generator.normal(0.0, 0.25)), dtype=np.float32)
-    picture = picture * np.float32(np.exp(generator.normal(0.0, 0.15)))
-    picture = picture * np.exp(generator.normal(0.0, 0.06, 3)).astype(np.float32)
-    grey = picture @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
-    # One in eight has no colour at all, as thermal and old cameras see.
-    saturation = 0.0 if generator.random() < 0.125 else float(np.exp(generator.normal(0.0, 0.3)))
-    picture = grey[..., None] + np.float32(saturation) * (picture - grey[..., None])
+    """Returns a picture in other light, taken by another camera: (H, W, 3) in [0, 1].
+
+    Rendered views have drawn their looks already; this moves each a little further.
+    """
+    picture = np.power(np.clip(photo, 0.0, 1.0), np.exp(generator.normal(0.0, 0.12)), dtype=np.float32)
+    picture = picture * np.float32(np.exp(generator.normal(0.0, 0.08)))
+    picture = picture * np.exp(generator.normal(0.0, 0.03, 3)).astype(np.float32)
     if generator.random() < 0.25:
-        picture = cv2.GaussianBlur(picture, (0, 0), generator.uniform(0.4, 1.2))
-    if generator.random() < 0.5:
-        sigma = generator.uniform(0.0, 0.04)
+        grey = picture @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
+        saturation = np.float32(generator.uniform(0.0, 1.3))
+        picture = grey[..., None] + saturation * (picture - grey[..., None])
+    if generator.random() < 0.25:
+        sigma = generator.uniform(0.0, 0.03)
         picture = picture + sigma * generator.standard_normal(picture.shape, dtype=np.float32)
-    return np.clip(picture, 0.0, 1.0, dtype=np.float32)
+    clipped: Floats = np.clip(picture, 0.0, 1.0, dtype=np.float32)
+    return clipped

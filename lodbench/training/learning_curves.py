@@ -23,7 +23,12 @@ def write_curves(history: list[dict[str, float]], path: Path) -> None:
     validated = [row for row in history if "mean_iou" in row]
     for key, label, colour in (("mean_iou", "mean per view", "#c8553d"), ("pooled_iou", "pooled", "#588157")):
         below.plot(
-            [row["epoch"] for row in validated], [row[key] for row in validated], "o-", ms=3, label=label, color=colour
+            [row["epoch"] for row in validated],
+            [row[key] for row in validated],
+            "o-",
+            ms=3,
+            label=label,
+            color=colour,
         )
     below.set(xlabel="epoch", ylabel="validation IoU")
     below.grid(alpha=0.3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -52,12 +53,11 @@ class Sample:
             factor = size / max(height, width)
             height, width = max(1, round(height * factor)), max(1, round(width * factor))
             height, width = (size, size) if square else (height, width)
-        return _brought(photo, width, height).astype(np.float32) / np.float32(255), _brought(
-            mask, width, height
-        )
+        picture = _brought(photo, width, height).astype(np.float32) / np.float32(255)
+        return picture, _brought(mask, width, height).astype(np.float32)
 
 
-def _brought(image: NDArray[np.generic], width: int, height: int) -> NDArray[np.generic]:
+def _brought(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
     if image.shape[:2] == (height, width):
         return image
     shrinks = width * height < image.shape[0] * image.shape[1]

@@ -64,6 +64,8 @@ def train_network(segmenter: TrainableSegmenter, params: TrainParams) -> Trained
         write_text(out / MANIFEST_FILE, _json(record | {"history": history}))
 
     history, weights = run_training(segmenter, params, train, val, record["digest"], keep, started_at)
+    if not history:  # one of several processes, and not the one that writes
+        return Trained(weights, history, source, len(train), started_at[0])
     finished = record | {"history": history, "weights": {weights.name: file_digest(weights)}}
     write_text(out / MANIFEST_FILE, _json(finished))
     return Trained(weights, history, source, len(train), started_at[0])

@@ -50,7 +50,7 @@ class _Merge(nn.Module):
 
 
 class CompactNet(nn.Module):
-    """A U-shaped residual network, 1.0 million weights; every operation has an ONNX and OpenCV form.
+    """A U-shaped residual network, 1.5 million weights; every operation has an ONNX and OpenCV form.
 
     Photos come in as (B, 3, H, W) float32 RGB in [0, 1], sides multiples of ``STRIDE``; out come, as a
     tuple of one, logits (B, 1, H, W). Plain 3 x 3 convolutions: one core runs them near its peak.
@@ -70,6 +70,7 @@ class CompactNet(nn.Module):
         self.head = nn.Sequential(nn.Conv2d(24, 4, 3, padding=1), nn.PixelShuffle(2))
 
     def forward(self, photos: Tensor) -> tuple[Tensor, ...]:
+        """Returns the logits of photos, see the class."""
         features = [self.stem((photos - 0.45) * 4.0)]
         for stage in self.stages:
             features.append(stage(features[-1]))

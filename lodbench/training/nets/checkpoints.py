@@ -34,7 +34,9 @@ def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         found = state["identity"]
     except Exception as error:
-        raise ConfigError(f"{path} is no checkpoint of lodbench train.", "Name another out=FOLDER.") from error
+        raise ConfigError(
+            f"{path} is no checkpoint of lodbench train.", "Name another out=FOLDER."
+        ) from error
     if found != identity:
         raise ConfigError(
             f"{folder} holds the training of other settings or other views.",

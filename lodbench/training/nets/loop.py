@@ -100,7 +100,11 @@ def fit(
     for epoch in range(state.epoch, params.epochs):
         loss = _epoch(model, state, params, train, epoch, steps, place)
         state.epoch = epoch + 1
-        row = {"epoch": float(epoch + 1), "loss": loss, "lr": learning_rate(params, epoch * steps, params.epochs * steps)}
+        row = {
+            "epoch": float(epoch + 1),
+            "loss": loss,
+            "lr": learning_rate(params, epoch * steps, params.epochs * steps),
+        }
         is_last = state.epoch == params.epochs
         if place.rank == 0:
             if state.epoch % params.val_every == 0 or is_last:
@@ -145,5 +149,6 @@ def _epoch(
 def _precision(wanted: str, device: torch.device) -> AbstractContextManager[Any]:
     on_gpu = device.type == "cuda" and torch.cuda.is_bf16_supported()
     if wanted == "bfloat16" or (wanted == "auto" and on_gpu):
-        return torch.autocast(device.type, dtype=torch.bfloat16)
+        mixed: AbstractContextManager[Any] = torch.autocast(device.type, dtype=torch.bfloat16)
+        return mixed
     return nullcontext()

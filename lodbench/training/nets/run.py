@@ -48,6 +48,7 @@ def run_training(
         if stored is not None:
             state.restore(stored)
         started_at.append(state.epoch)
+        state.history = state.history if place.rank == 0 else []
         board = _board(out) if params.tensorboard and place.rank == 0 else None
 
         def after_epoch(row: dict[str, float]) -> None:

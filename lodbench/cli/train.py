@@ -1,0 +1,48 @@
+"""`lodbench train`: a segmentation network from views with masks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from omegaconf import DictConfig
+
+from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
+from lodbench.errors import ConfigError
+from lodbench.training.train import Trained, train_network
+from lodbench.training.train_params import TrainParams
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    return run_hydra("train", "train", task, argv)
+
+
+def task(config: DictConfig) -> None:
+    """Trains the network of one configuration."""
+    values = plain(config)
+    settings, schedule = section(values, "segmenter"), section(values, "schedule")
+    others = {key: value for key, value in values.items() if key not in ("segmenter", "schedule")}
+    params = to_params(schedule | others, TrainParams, "")
+    part = load_plugin("segmenters", settings.get("name", ""))
+    if not hasattr(part, "build"):
+        raise ConfigError(
+            f"segmenter={settings['name']} has no network to train.",
+            "Trainable: compact, sam2_unet, sam1_adapter.",
+        )
+    trained = train_network(part(to_params(settings, part.params_type, "segmenter")), params)
+    if trained.history:
+        sys.stdout.write(report(trained))
+
+
+def report(trained: Trained) -> str:
+    """Returns what is said at the end."""
+    last = trained.history[-1]
+    iou = f"mean per view {last['mean_iou']:.4f}, pooled {last['pooled_iou']:.4f}"
+    before = f" ({trained.started_at} were there already)" if trained.started_at else ""
+    return (
+        f"epochs:  {len(trained.history)}{before} over {trained.views} views, last loss {last['loss']:.4f}\n"
+        f"val IoU: {iou}, over {last['views']:.0f} {trained.validated_on}\n"
+        f"weights: {trained.weights}\n"
+        f"curves:  {trained.weights.parent / 'curves.png'}\n"
+    )

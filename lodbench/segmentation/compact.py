@@ -1,0 +1,146 @@
+"""``segmenter=compact``: the small network that comes with the package; needs OpenCV only."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import ConfigError
+from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+from lodbench.segmentation.probability import check_normalise
+from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
+from lodbench.storage import file_digest
+
+WEIGHTS_FILE = "compact.onnx"
+_TRAINING_FILE = "compact.json"
+
+
+@dataclass(frozen=True, slots=True)
+class CompactParams:
+    """Settings of ``segmenter=compact``.
+
+    Attributes:
+        name: Name to report.
+        size: Long side that photos are brought to, pixels.
+        normalise: ``none``, or ``paper`` for a stretch to 0 to 1 per photo; see ``probability_of``.
+        weights: ONNX file of ``lodbench train segmenter=compact``; None for the weights in the package.
+
+    Raises:
+        ConfigError: A setting is out of range.
+    """
+
+    name: str = "compact"
+    size: int = 512
+    normalise: str = "none"
+    weights: str | None = None
+
+    def __post_init__(self) -> None:
+        if not 32 <= self.size <= 4096:
+            raise ConfigError(f"segmenter.size={self.size} is not within 32 to 4096.")
+        check_normalise(self.normalise)
+
+
+class Compact(PhotoSegmenter):
+    """A residual U-Net of 1.5 million weights, run by OpenCV.
+
+    Args:
+        params: Its settings.
+
+    Raises:
+        ConfigError: The weights are missing or no network of this kind.
+    """
+
+    params_type = CompactParams
+    domain = "synthetic"
+    # Sides of what the network sees are multiples of this.
+    stride = 32
+
+    def __init__(self, params: CompactParams) -> None:
+        super().__init__(params)
+        given = params.weights
+        self._path = Path(given).expanduser() if given else packaged_weights()
+        if given and not self._path.is_file():
+            raise ConfigError(
+                f"There are no weights {self._path}.", "Leave segmenter.weights out for those of the package."
+            )
+
+    @cached_property
+    def weights_digest(self) -> str:
+        """Returns the SHA-256 of the ONNX file."""
+        if not self._path.is_file():
+            raise ConfigError(f"There are no weights {self._path}.", "Set segmenter.weights=FILE.")
+        return file_digest(self._path)
+
+    @cached_property
+    def _net(self) -> Any:
+        """Returns OpenCV's network; read on first use."""
+        import cv2
+
+        try:
+            net = cv2.dnn.readNetFromONNX(np.frombuffer(self._path.read_bytes(), np.uint8))
+        except (cv2.error, OSError) as error:
+            raise ConfigError(
+                f"{self._path} is no ONNX network that OpenCV can read.",
+                "lodbench train segmenter=compact writes one.",
+            ) from error
+        return net
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns that the network has seen made-up pictures only."""
+        training = packaged_training()
+        views = training.get("views", {}).get("train") if self.params.weights is None else None
+        seen = f"{views} rendered views" if views else "rendered views"
+        return (f"segmenter compact, domain: {self.domain}: trained on {seen}; real photos look different",)
+
+    def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns (h, w) logits of a (H, W, 3) RGB photo whose long side is brought to ``size``."""
+        height, width = photo.shape[:2]
+        width, height = working_size(width, height, self.params.size)
+        image = padded_photo(resized_photo(photo, width, height), self.stride)
+        blob = np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
+        self._net.setInput(blob)
+        found = np.asarray(self._net.forward(), np.float32)
+        if found.shape != (1, 1, *image.shape[:2]):
+            raise ConfigError(
+                f"{self._path} answers {found.shape} to a photo of {image.shape[:2]}.",
+                "lodbench train segmenter=compact writes networks that answer one value per pixel.",
+            )
+        return found[0, 0, :height, :width]
+
+    def build(self, init: str | None) -> Any:
+        """Returns the torch network, with random weights or those of a training's checkpoint.
+
+        Raises:
+            ConfigError: The file holds no weights of this network.
+        """
+        from lodbench.segmentation.nets.compact import CompactNet
+        from lodbench.segmentation.nets.weights import load_own
+
+        return load_own(CompactNet(), init)
+
+    def store(self, net: Any, folder: Path) -> Path:
+        """Writes a network as ONNX, its normalisations folded into the convolutions; returns the file."""
+        from lodbench.segmentation.nets.onnx_export import write_onnx
+
+        path = folder / WEIGHTS_FILE
+        write_onnx(net, path, self.stride)
+        return path
+
+
+def packaged_weights() -> Path:
+    """Returns the weights that come with the package."""
+    return Path(str(files("lodbench.segmentation") / "weights" / WEIGHTS_FILE))
+
+
+def packaged_training() -> dict[str, Any]:
+    """Returns what the package's weights were trained on and how."""
+    path = packaged_weights().with_name(_TRAINING_FILE)
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return found

@@ -1,0 +1,57 @@
+"""Masks kept by content: the same photo through the same weights at the same size is read, not computed."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.storage import digest_of, file_digest, write_bytes
+from lodbench.storage.paths import cache_root
+
+Probability = NDArray[np.float32]
+_FOLDER = "segmentations"
+
+
+def cached_probability(photo: Path, identity: str, compute: Callable[[], Probability]) -> Probability:
+    """Returns the probability of a photo: from the cache, or computed and put there.
+
+    What is computed passes through the cache's 16 bits as well, so that a second run gives the same
+    bytes as the first; a cache that cannot be written is no fault.
+
+    Args:
+        photo: The photo's file; its content counts, not its name.
+        identity: Digest of all else the answer follows from: network, weights, size, normalisation.
+        compute: Returns (H, W) float32 in [0, 1].
+    """
+    name = digest_of([file_digest(photo), identity], length=32)
+    path = cache_root() / _FOLDER / f"{name}.npz"
+    stored = _read(path)
+    if stored is None:
+        stored = np.rint(compute() * 65535.0).astype(np.uint16)
+        content = io.BytesIO()
+        np.savez_compressed(content, probability=stored)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(path, content.getvalue())
+        except OSError:
+            pass  # a read-only cache or a full disk costs time, not the answer
+    return stored.astype(np.float32) / np.float32(65535)
+
+
+def _read(path: Path) -> NDArray[np.uint16] | None:
+    """Returns what is stored, or None where there is nothing that can be read."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            stored = archive["probability"]
+    except (OSError, ValueError, KeyError, EOFError):
+        return None
+    except Exception as error:
+        # zipfile has errors of its own for a file cut short.
+        if type(error).__name__ in ("BadZipFile", "error"):
+            return None
+        raise
+    return np.asarray(stored) if stored.dtype == np.uint16 and stored.ndim == 2 else None

@@ -1,0 +1,89 @@
+"""Weights into networks: shapes compared first, nothing unpickled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeVar
+
+import torch
+from torch import Tensor, nn
+
+from lodbench.errors import ConfigError
+
+Net = TypeVar("Net", bound=nn.Module)
+Weights = dict[str, Tensor]
+_SHOWN = 3
+
+
+def load_own(net: Net, path: str | None) -> Net:
+    """Returns a network with the weights of a file that ``lodbench train`` or ``save_weights`` wrote.
+
+    Raises:
+        ConfigError: The file is missing or holds other weights.
+    """
+    if path is not None:
+        fill(net, read_weights(Path(path).expanduser()), path)
+    return net
+
+
+def read_weights(path: Path) -> Weights:
+    """Returns the tensors of a safetensors or torch file by name; wrappers such as ``net`` are opened.
+
+    Raises:
+        ConfigError: The file is missing, or no such file.
+    """
+    if not path.is_file():
+        raise ConfigError(f"There are no weights {path}.", "Check the path.")
+    try:
+        if path.suffix == ".safetensors":
+            from safetensors.torch import load_file
+
+            return dict(load_file(path))
+        stored = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        raise ConfigError(
+            f"{path} cannot be read as weights: {str(error).splitlines()[0][:120]}",
+            "safetensors, or a torch file of tensors alone; nothing else is unpickled.",
+        ) from error
+    for wrapper in ("net", "model", "state_dict"):
+        if isinstance(stored, dict) and isinstance(stored.get(wrapper), dict):
+            stored = stored[wrapper]
+    if not isinstance(stored, dict) or not all(isinstance(v, Tensor) for v in stored.values()):
+        raise ConfigError(f"{path} holds no weights by name.", "A torch file of a state_dict is wanted.")
+    return {str(name).removeprefix("module."): value for name, value in stored.items()}
+
+
+def fill(net: nn.Module, weights: Weights, source: str) -> None:
+    """Puts weights into a network.
+
+    Raises:
+        ConfigError: Names or shapes differ; the message counts them and shows the first of each.
+    """
+    wanted = net.state_dict()
+    missing = [name for name in wanted if name not in weights and not name.endswith("num_batches_tracked")]
+    unknown = [name for name in weights if name not in wanted]
+    misshapen = [
+        f"{name} is {list(weights[name].shape)} instead of {list(value.shape)}"
+        for name, value in wanted.items()
+        if name in weights and weights[name].shape != value.shape
+    ]
+    if missing or unknown or misshapen:
+        faults = [
+            f"{len(names)} {kind}: {', '.join(names[:_SHOWN])}{', ...' if len(names) > _SHOWN else ''}"
+            for kind, names in (("missing", missing), ("unknown", unknown), ("of another shape", misshapen))
+            if names
+        ]
+        raise ConfigError(
+            f"{source} does not fit the network: {'; '.join(faults)}.",
+            "Weights of another network or another size of it?",
+        )
+    net.load_state_dict(weights, strict=False)
+
+
+def save_weights(net: nn.Module, path: Path) -> None:
+    """Writes a network's weights as safetensors, whole or not at all."""
+    from safetensors.torch import save
+
+    from lodbench.storage import write_bytes
+
+    write_bytes(path, save({name: value.contiguous() for name, value in net.state_dict().items()}))

@@ -1,0 +1,99 @@
+"""``segmenter=oracle`` and ``noisy_oracle``: masks made from the truth, to bound what networks can bring."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.query import Entry
+from lodbench.datasets.roughening import roughen_mask
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.storage import random_stream
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class OracleParams:
+    """Settings of ``segmenter=oracle``.
+
+    Attributes:
+        name: Name to report.
+        width: Of the mask, pixels.
+
+    Raises:
+        ConfigError: The width is out of range.
+    """
+
+    name: str = "oracle"
+    width: int = 1024
+
+    def __post_init__(self) -> None:
+        if not 16 <= self.width <= 8192:
+            raise ConfigError(f"segmenter.width={self.width} is not within 16 to 8192.")
+
+
+@dataclass(frozen=True, slots=True)
+class NoisyOracleParams(OracleParams):
+    """Settings of ``segmenter=noisy_oracle``.
+
+    Attributes:
+        iou: IoU of each mask with the true silhouette, in (0, 1].
+        trees: Whether trees stand in front of buildings.
+        seed: Of the errors.
+
+    Raises:
+        ConfigError: A setting is out of range.
+    """
+
+    name: str = "noisy_oracle"
+    iou: float = 0.88
+    trees: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        super(NoisyOracleParams, self).__post_init__()
+        if not 0.0 < self.iou <= 1.0:
+            raise ConfigError(f"segmenter.iou={self.iou} is not within 0 to 1.")
+
+
+class Oracle:
+    """The silhouette at the true pose. Whoever holds the truth draws it: a segmenter never sees a pose."""
+
+    params_type: type[OracleParams] = OracleParams
+
+    def __init__(self, params: OracleParams) -> None:
+        self.params = params
+        self.name = params.name
+
+    def segment(self, entry: Entry) -> NDArray[np.float32]:
+        """Never answers: a photo alone does not hold the truth.
+
+        Raises:
+            QueryFault: Always.
+        """
+        raise QueryFault(f"segmenter={self.name} needs the truth")
+
+    def from_silhouette(self, silhouette: Mask, key: str) -> NDArray[np.float32]:
+        """Returns the (H, W) float32 mask, 0 or 1, made of the true silhouette of the query ``key``."""
+        return silhouette.astype(np.float32)
+
+    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
+        """Returns nothing: the run's digest names the settings, the city and the true poses already."""
+        return ""
+
+
+class NoisyOracle(Oracle):
+    """The true silhouette, wrong as a network's masks are wrong."""
+
+    params_type = NoisyOracleParams
+
+    def from_silhouette(self, silhouette: Mask, key: str) -> NDArray[np.float32]:
+        """Returns the (H, W) float32 mask, 0 or 1, roughened to the wanted IoU."""
+        params = self.params
+        assert isinstance(params, NoisyOracleParams)  # noqa: S101
+        stream = random_stream(params.seed, "noisy_oracle", key)
+        rough, _ = roughen_mask(silhouette, params.iou, stream, trees=params.trees)
+        return rough.astype(np.float32)

@@ -1,0 +1,90 @@
+"""What all segmenters share that look at photos: reading, working size, cache, fingerprint, notes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.query import Entry
+from lodbench.errors import QueryFault
+from lodbench.segmentation.mask_cache import cached_probability
+from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.probability import probability_of
+from lodbench.storage import digest_of, file_digest
+
+# A change of how photos are read or brought to size makes another answer.
+_VERSION = 1
+
+
+class PhotoSegmenter(ABC):
+    """Segments a query's photo with a network.
+
+    Args:
+        params: Settings of the segmenter, a frozen dataclass with ``name`` and ``normalise``.
+    """
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+        self.name: str = params.name
+
+    @property
+    @abstractmethod
+    def weights_digest(self) -> str:
+        """Returns the SHA-256 of the weights, or ``random``."""
+
+    @abstractmethod
+    def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns (h, w) logits of a (H, W, 3) uint8 RGB photo, at the working size.
+
+        Raises:
+            QueryFault: This photo cannot be segmented.
+        """
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns what a reader of the results must know about the network."""
+        return ()
+
+    def invalid_reason(self) -> str:
+        """Returns why results with it belong in no table; empty where they do."""
+        return ""
+
+    def segment(self, entry: Entry) -> NDArray[np.float32]:
+        """Returns the (h, w) float32 probability of building, in [0, 1], at the working size.
+
+        Raises:
+            QueryFault: The query has no photo, or it cannot be read.
+        """
+        if entry.image is None:
+            raise QueryFault("no photo to segment")
+        photo = entry.image
+        try:
+            return cached_probability(photo, self._identity(), lambda: self.probability(read_photo(photo)))
+        except OSError as error:
+            raise QueryFault(f"photo {photo.name} cannot be read: {error.strerror}") from error
+
+    def probability(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns the (h, w) float32 probability of building of a (H, W, 3) RGB photo."""
+        return probability_of(self.logits(photo), self.params.normalise)
+
+    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
+        """Returns a digest of the photos' contents, the settings and the weights."""
+        return digest_of([self._identity(), [[entry.key, _content(entry.image)] for entry in entries]])
+
+    def _identity(self) -> str:
+        settings = {key: value for key, value in asdict(self.params).items() if key != "weights"}
+        return digest_of([_VERSION, settings, self.weights_digest], length=32)
+
+
+def _content(photo: Path | None) -> str | None:
+    """Returns a file's digest; one that cannot be read fails in its own query, not here."""
+    if photo is None:
+        return None
+    try:
+        return file_digest(photo)
+    except OSError:
+        return "unreadable"

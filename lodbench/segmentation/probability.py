@@ -1,0 +1,41 @@
+"""From a network's logits to the probability that is thresholded (paper, section 3.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import ConfigError, nearest_names
+
+NORMALISATIONS = ("paper", "none")
+# A photo whose likeliest pixel is less likely than this shows no building: stretching it would invent one.
+_LEAST_PEAK = 0.5
+
+
+def check_normalise(value: str) -> None:
+    """Makes sure that a normalisation is known.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    if value not in NORMALISATIONS:
+        raise ConfigError(f"segmenter.normalise={value} is not known.", nearest_names(value, NORMALISATIONS))
+
+
+def probability_of(logits: NDArray[np.float32], normalise: str) -> NDArray[np.float32]:
+    """Returns (H, W) float32 probabilities in [0, 1].
+
+    Args:
+        logits: (H, W).
+        normalise: ``none``: the sigmoid; ``paper``: stretched to 0 to 1 per photo after it, as the
+            released code does, except where no pixel reaches 0.5, which that would turn into noise, or
+            where none falls below it.
+    """
+    with np.errstate(over="ignore"):
+        probability = (1.0 / (1.0 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
+    if normalise == "none":
+        return probability
+    low, high = float(probability.min()), float(probability.max())
+    if high < _LEAST_PEAK or low >= _LEAST_PEAK or high - low < 1e-6:
+        return probability
+    return (probability - np.float32(low)) / np.float32(high - low)

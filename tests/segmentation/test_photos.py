@@ -1,0 +1,70 @@
+"""Any image file becomes 8 bit RGB, at any size; the network's size follows the photo's aspect."""
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.errors import QueryFault
+from lodbench.segmentation.photos import as_rgb, read_photo
+from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
+
+
+def written(path, image):
+    assert cv2.imwrite(str(path), image)
+    return path
+
+
+def test_colours_come_in_rgb(tmp_path):
+    blue = np.zeros((4, 6, 3), np.uint8)
+    blue[..., 0] = 200
+    assert read_photo(written(tmp_path / "blue.png", blue))[0, 0].tolist() == [0, 0, 200]
+
+
+def test_grey_and_16_bits_fill_three_channels(tmp_path):
+    grey = np.array([[1000, 3000], [2000, 1000]], np.uint16)
+    photo = read_photo(written(tmp_path / "thermal.png", grey))
+    assert photo.shape == (2, 2, 3)
+    assert photo[..., 0].tolist() == [[0, 255], [128, 0]]
+    assert (photo == photo[..., :1]).all()
+
+
+def test_transparent_pixels_are_black(tmp_path):
+    image = np.full((2, 2, 4), 255, np.uint8)
+    image[0, 0, 3] = 0
+    photo = read_photo(written(tmp_path / "alpha.png", image))
+    assert photo[0, 0].tolist() == [0, 0, 0]
+    assert photo[1, 1].tolist() == [255, 255, 255]
+
+
+def test_one_pixel_is_a_photo(tmp_path):
+    photo = read_photo(written(tmp_path / "line.png", np.full((300, 1), 7, np.uint8)))
+    assert photo.shape == (300, 1, 3)
+    assert working_size(1, 300, 512) == (2, 512)
+    assert padded_photo(resized_photo(photo, 2, 512), 32).shape == (512, 32, 3)
+
+
+def test_a_constant_16_bit_picture_is_no_division_by_zero():
+    assert as_rgb(np.full((3, 3), 500, np.uint16)).max() == 0
+
+
+@pytest.mark.parametrize("content", [b"", b"no image", b"\x89PNG\r\n\x1a\n"])
+def test_what_is_no_image_is_a_fault_of_its_query(tmp_path, content):
+    path = tmp_path / "broken.png"
+    path.write_bytes(content)
+    with pytest.raises(QueryFault, match=r"broken\.png"):
+        read_photo(path)
+    with pytest.raises(QueryFault, match="cannot be read"):
+        read_photo(tmp_path / "missing.png")
+
+
+def test_the_long_side_is_the_working_size():
+    assert working_size(5280, 3956, 512) == (512, 384)
+    assert working_size(300, 400, 512) == (384, 512)
+
+
+def test_padding_repeats_the_edge():
+    photo = np.arange(30, dtype=np.uint8).reshape(2, 5, 3)
+    padded = padded_photo(photo, 4)
+    assert padded.shape == (4, 8, 3)
+    assert (padded[:2, :5] == photo).all()
+    assert (padded[3, 7] == photo[1, 4]).all()

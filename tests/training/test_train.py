@@ -1,0 +1,169 @@
+"""Training networks: the losses by hand, determinism, exact resume, what is left behind."""
+
+import json
+import math
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.cli import main
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.storage import random_stream
+from lodbench.training.augment import flipped, random_crop, relit
+from lodbench.training.samples import find_samples, split_samples
+from lodbench.training.train_params import TrainParams
+
+torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
+pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory):
+    """Twelve pictures of red squares on green ground: something a network learns in seconds."""
+    root = tmp_path_factory.mktemp("views")
+    for split, count in (("train", 10), ("val", 2)):
+        for kind in ("images", "masks"):
+            (root / split / kind).mkdir(parents=True)
+        for number in range(count):
+            generator = random_stream(1, split, number)
+            picture = generator.integers(0, 60, (64, 96, 3), dtype=np.uint8)
+            picture[..., 1] += 100
+            mask = np.zeros((64, 96), np.uint8)
+            top, left = int(generator.integers(4, 30)), int(generator.integers(4, 60))
+            mask[top : top + 28, left : left + 30] = 255
+            picture[mask > 0] = picture[mask > 0] // 2 + np.array([0, 0, 180], np.uint8)
+            cv2.imwrite(str(root / split / "images" / f"{number}.png"), picture)
+            cv2.imwrite(str(root / split / "masks" / f"{number}.png"), mask)
+    return root
+
+
+def train(views, out, *words):
+    schedule = ["schedule.batch=4", "schedule.crop=64", "schedule.val_every=1", "threads=1"]
+    return main(["train", f"data={views}", f"out={out}", "schedule.epochs=3", *schedule, *words])
+
+
+def structure_loss_by_hand(logits, truth, weighting):
+    height, width = truth.shape
+    padded = np.pad(truth, 15)
+    mean = np.array(
+        [[padded[r : r + 31, c : c + 31].sum() / 961 for c in range(width)] for r in range(height)]
+    )
+    weights = 1 + 5 * abs(mean - truth)
+    p = 1 / (1 + np.exp(-logits))
+    each = -(truth * np.log(p) + (1 - truth) * np.log(1 - p))
+    entropy = (weights * each).sum() / weights.sum() if weighting == "paper" else each.mean()
+    shared, both = (p * truth * weights).sum(), ((p + truth) * weights).sum()
+    return entropy + 1 - (shared + 1) / (both - shared + 1)
+
+
+@pytest.mark.parametrize("weighting", ["paper", "released"])
+def test_the_loss_is_the_papers(weighting):
+    from lodbench.training.nets.losses import total_loss
+
+    generator = np.random.default_rng(0)
+    logits, truth = generator.normal(0, 2, (40, 50)), (generator.random((40, 50)) < 0.3) * 1.0
+    expected = structure_loss_by_hand(logits, truth, weighting)
+    pair = [torch.tensor(a, dtype=torch.float32)[None, None] for a in (logits, truth)]
+    assert float(total_loss((pair[0],), pair[1], weighting)) == pytest.approx(expected, rel=1e-5)
+    assert float(total_loss((pair[0],) * 3, pair[1], weighting)) == pytest.approx(3 * expected, rel=1e-5)
+
+
+def test_training_learns_and_leaves_weights_curves_and_a_record(views, tmp_path, capsys):
+    assert train(views, tmp_path / "a", "schedule.epochs=6") == 0
+    printed = capsys.readouterr().out
+    record = json.loads((tmp_path / "a" / "training.json").read_text())
+    assert [row["epoch"] for row in record["history"]] == [1, 2, 3, 4, 5, 6]
+    assert record["history"][-1]["loss"] < 0.8 * record["history"][0]["loss"]
+    assert record["domain"] == "synthetic"
+    assert f"{record['history'][-1]['mean_iou']:.4f}" in printed
+    assert cv2.imread(str(tmp_path / "a" / "curves.png")) is not None
+    # The weights run where there is no torch.
+    from lodbench.segmentation.compact import Compact, CompactParams
+    from lodbench.segmentation.photos import read_photo
+
+    segmenter = Compact(CompactParams(weights=str(tmp_path / "a" / "compact.onnx"), size=96))
+    found = segmenter.probability(read_photo(views / "val" / "images" / "0.png"))
+    assert found.shape == (64, 96)
+
+
+def test_a_stopped_training_ends_in_the_same_bytes(views, tmp_path, monkeypatch):
+    assert train(views, tmp_path / "whole") == 0
+    from lodbench.training.nets import loop
+
+    saved = loop.save_checkpoint
+
+    def stops(state, folder):
+        saved(state, folder)
+        if state["epoch"] == 2:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "save_checkpoint", stops)
+        assert train(views, tmp_path / "parts") == 130
+    assert train(views, tmp_path / "parts") == 0
+    for name in ("compact.onnx", "training.json"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_another_training_in_the_same_folder_is_refused(views, tmp_path, capsys):
+    assert train(views, tmp_path / "a", "schedule.epochs=1") == 0
+    assert train(views, tmp_path / "a", "schedule.epochs=1", "schedule.lr=0.01") == 2
+    assert "other settings" in capsys.readouterr().err
+
+
+def test_faults_of_the_data(views, tmp_path, capsys):
+    assert main(["train", f"data={tmp_path / 'none'}"]) == 2
+    assert "There is no folder" in capsys.readouterr().err
+    (tmp_path / "train" / "images").mkdir(parents=True)
+    assert main(["train", f"data={tmp_path}"]) == 2
+    assert "no views to train on" in capsys.readouterr().err
+    cv2.imwrite(str(tmp_path / "train" / "images" / "1.png"), np.zeros((9, 9, 3), np.uint8))
+    with pytest.raises(DatasetError, match=r"1 pictures in .* have no mask"):
+        find_samples(tmp_path, "train")
+    assert main(["train", f"data={views}", "segmenter=masks"]) == 2
+    assert "no network to train" in capsys.readouterr().err
+
+
+def test_views_are_held_out_where_there_are_none_to_validate_on(views, tmp_path):
+    train_views, val_views, source = split_samples(views, None)
+    assert (len(train_views), len(val_views)) == (10, 2)
+    only = tmp_path / "only"
+    shutil.copytree(views / "train", only / "train")
+    train_views, val_views, source = split_samples(only, None)
+    assert (len(train_views), len(val_views)) == (9, 1)
+    assert "held out" in source
+    assert not {s.key for s in train_views} & {s.key for s in val_views}
+
+
+def test_pictures_and_masks_change_together():
+    generator = np.random.default_rng(0)
+    mask = (cv2.GaussianBlur(generator.random((90, 120)), (0, 0), 6) > 0.5).astype(np.float32)
+    photo = np.repeat(mask[..., None], 3, axis=2)
+    for draw in range(5):
+        stream = np.random.default_rng(draw)
+        picture, truth = random_crop(*flipped(photo, mask, stream), 64, (0.8, 1.5), stream)
+        assert truth.shape == (64, 64)
+        assert abs(picture[..., 0] - truth).max() < 1e-5
+        again = relit(picture, np.random.default_rng(draw))
+        assert 0 <= again.min() <= again.max() <= 1
+        assert (again == relit(picture, np.random.default_rng(draw))).all()
+
+
+def test_the_learning_rate_rises_and_falls_along_a_cosine():
+    from lodbench.training.nets.loop import learning_rate
+
+    params = TrainParams("d", lr=1.0, lr_end=0.0, warmup=0.1)
+    rates = [learning_rate(params, step, 100) for step in range(100)]
+    assert rates[0] == pytest.approx(0.1)
+    assert rates[10] == pytest.approx(1.0)
+    assert rates[55] == pytest.approx(0.5)
+    assert rates[99] < 0.001
+    assert max(rates) <= 1.0
+
+
+@pytest.mark.parametrize("wrong", [{"weighting": "fair"}, {"batch": 0}, {"lr": math.nan}, {"size": 0}])
+def test_settings_out_of_range_are_named(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        TrainParams("d", **wrong)
