@@ -33,6 +33,7 @@ PATH_KEYS = frozenset(
         "val_data",
         "init",
         "segmenter.weights",
+        "segmenter.encoder_weights",
         "texture_model",
         "props",
         "terrain",

@@ -276,7 +276,7 @@ class TestFaults:
     @pytest.mark.parametrize(
         ("words", "expected"),
         [
-            ([], ["no mask", "--mask", "--segmenter"]),
+            (["--segmenter", "masks"], ["no mask"]),
             (["--segmenter", "fishy"], ["fishy"]),
             (["--mask", "nowhere.png"], ["nowhere.png"]),
             (["--mask", "MASK", "--camera", "PINHOLE 1 2"], ["--camera"]),

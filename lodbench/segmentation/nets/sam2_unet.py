@@ -1,0 +1,182 @@
+"""SAM2-UNet: a frozen Hiera encoder with adapters, receptive-field blocks, a U-Net decoder, three heads.
+
+Parts bear the names of the authors' checkpoints (arXiv 2408.08870), so that those can be read.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from lodbench.segmentation.nets.hiera import (
+    channels_of,
+    encoder_weights,
+    make_hiera,
+    stages_of,
+    transformers_name,
+)
+from lodbench.segmentation.nets.weights import Weights, fill
+
+# ImageNet's mean and standard deviation, which SAM2 was trained with.
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+STRIDE = 32
+_CHANNELS = 64
+_BOTTLENECK = 32
+
+
+class Adapter(nn.Module):
+    """A frozen block whose input is corrected by a small trainable bottleneck."""
+
+    def __init__(self, block: nn.Module, dim: int) -> None:
+        super().__init__()
+        self.block = block
+        self.prompt_learn = nn.Sequential(
+            nn.Linear(dim, _BOTTLENECK), nn.GELU(), nn.Linear(_BOTTLENECK, dim), nn.GELU()
+        )
+
+    def forward(self, features: Tensor, **options: Any) -> Tensor:
+        """Returns the block's answer to features (B, H, W, C) plus their correction."""
+        answer: Tensor = self.block(features + self.prompt_learn(features), **options)
+        return answer
+
+
+class _Conv(nn.Module):
+    """A convolution with batch normalisation and nothing after it."""
+
+    def __init__(
+        self, inputs: int, outputs: int, kernel: int | tuple[int, int], padding: Any = 0, dilation: int = 1
+    ) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(inputs, outputs, kernel, padding=padding, dilation=dilation, bias=False)
+        self.bn = nn.BatchNorm2d(outputs)
+
+    def forward(self, features: Tensor) -> Tensor:
+        normalised: Tensor = self.bn(self.conv(features))
+        return normalised
+
+
+class ReceptiveFieldBlock(nn.Module):
+    """Four branches that see 1, 3, 5 and 7 pixels, the larger ones dilated, down to 64 channels."""
+
+    def __init__(self, inputs: int, outputs: int = _CHANNELS) -> None:
+        super().__init__()
+        self.branch0 = nn.Sequential(_Conv(inputs, outputs, 1))
+        for number, side in enumerate((3, 5, 7), start=1):
+            reach = side // 2
+            branch = nn.Sequential(
+                _Conv(inputs, outputs, 1),
+                _Conv(outputs, outputs, (1, side), padding=(0, reach)),
+                _Conv(outputs, outputs, (side, 1), padding=(reach, 0)),
+                _Conv(outputs, outputs, 3, padding=side, dilation=side),
+            )
+            setattr(self, f"branch{number}", branch)
+        self.conv_cat = _Conv(4 * outputs, outputs, 3, padding=1)
+        self.conv_res = _Conv(inputs, outputs, 1)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Returns features (B, 64, H, W) of features (B, C, H, W)."""
+        branches = [getattr(self, f"branch{number}")(features) for number in range(4)]
+        return torch.relu(self.conv_cat(torch.cat(branches, dim=1)) + self.conv_res(features))
+
+
+class _DoubleConv(nn.Module):
+    def __init__(self, inputs: int, middle: int, outputs: int) -> None:
+        super().__init__()
+        self.double_conv = nn.Sequential(
+            nn.Conv2d(inputs, middle, 3, padding=1, bias=False),
+            nn.BatchNorm2d(middle),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(middle, outputs, 3, padding=1, bias=False),
+            nn.BatchNorm2d(outputs),
+            nn.ReLU(inplace=True),
+        )
+
+    def forward(self, features: Tensor) -> Tensor:
+        convolved: Tensor = self.double_conv(features)
+        return convolved
+
+
+class Up(nn.Module):
+    """Doubles the coarser features, joins the finer ones, convolves twice."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv = _DoubleConv(2 * _CHANNELS, _CHANNELS, _CHANNELS)
+
+    def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
+        """Returns features at the finer size."""
+        doubled = F.interpolate(coarse, scale_factor=2, mode="bilinear", align_corners=True)
+        below, right = (fine.shape[axis] - doubled.shape[axis] for axis in (2, 3))
+        doubled = F.pad(doubled, (right // 2, right - right // 2, below // 2, below - below // 2))
+        joined: Tensor = self.conv(torch.cat([fine, doubled], dim=1))
+        return joined
+
+
+class Sam2UNet(nn.Module):
+    """The network of the paper's segmentation; only adapters and decoder are trained.
+
+    Photos come in as (B, 3, H, W) float32 RGB in [0, 1], sides multiples of ``STRIDE``; out come three
+    logits (B, 1, H, W), the finest head first.
+
+    Args:
+        size: Of the encoder: ``tiny``, ``small``, ``base_plus`` or ``large``.
+    """
+
+    def __init__(self, size: str = "large") -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.tensor(MEAN)[:, None, None], persistent=False)
+        self.register_buffer("deviation", torch.tensor(DEVIATION)[:, None, None], persistent=False)
+        self.encoder = make_hiera(size)
+        for weight in self.encoder.parameters():
+            weight.requires_grad_(False)
+        self.encoder.blocks = nn.ModuleList(Adapter(block, block.dim) for block in self.encoder.blocks)
+        for number, channels in enumerate(channels_of(size), start=1):
+            setattr(self, f"rfb{number}", ReceptiveFieldBlock(channels))
+        self.up1, self.up2, self.up3 = Up(), Up(), Up()
+        self.side1, self.side2, self.head = (nn.Conv2d(_CHANNELS, 1, 1) for _ in range(3))
+
+    def forward(self, photos: Tensor) -> tuple[Tensor, ...]:
+        """Returns the logits of the three heads, each at the photos' size."""
+        stages = stages_of(self.encoder((photos - self.mean) / self.deviation))
+        x1, x2, x3, x4 = (getattr(self, f"rfb{k}")(stage) for k, stage in enumerate(stages, start=1))
+        merged = self.up1(x4, x3)
+        first = F.interpolate(self.side1(merged), scale_factor=16, mode="bilinear")
+        merged = self.up2(merged, x2)
+        second = F.interpolate(self.side2(merged), scale_factor=8, mode="bilinear")
+        merged = self.up3(merged, x1)
+        finest = F.interpolate(self.head(merged), scale_factor=4, mode="bilinear")
+        return finest, first, second
+
+
+def fill_encoder(net: Sam2UNet, weights: Weights, source: str) -> None:
+    """Puts SAM2's encoder weights, named by Meta or by transformers, under the adapters.
+
+    Raises:
+        ConfigError: They do not fit this size.
+    """
+    bare = type(net.encoder)(net.encoder.config)
+    fill(bare, encoder_weights(weights), source)
+    adapted = {_under_adapter(name): value for name, value in bare.state_dict().items()}
+    net.encoder.load_state_dict(adapted, strict=False)
+
+
+def whole_checkpoint(weights: Weights) -> Weights:
+    """Returns a SAM2-UNet checkpoint under this module's names: the authors' or its own.
+
+    The authors' ``up4`` is defined but never used, and left out.
+    """
+    named = {}
+    for name, value in weights.items():
+        if name.startswith("up4."):
+            continue
+        prefix, dot, rest = name.partition(".")
+        named[f"encoder.{transformers_name(rest)}" if prefix == "encoder" and dot else name] = value
+    return named
+
+
+def _under_adapter(name: str) -> str:
+    parts = name.split(".")
+    return ".".join([*parts[:2], "block", *parts[2:]]) if parts[0] == "blocks" else name

@@ -1,0 +1,185 @@
+"""Segmenters that run a torch network: device, memory, weights from files or a local hub folder."""
+
+from __future__ import annotations
+
+import sys
+from abc import abstractmethod
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.segmentation.extras import require
+from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+from lodbench.segmentation.tiles import tiled
+from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
+from lodbench.storage import file_digest
+
+RANDOM = "random"
+_MOST_PARTS = 8
+
+
+class TorchSegmenter(PhotoSegmenter):
+    """Segments photos with a torch network, in tiles where memory does not suffice.
+
+    Args:
+        params: Settings with ``name``, ``size``, ``weights``, ``device`` and ``normalise``.
+
+    Raises:
+        ConfigError: A package is missing.
+    """
+
+    domain = "as its weights"
+    stride = 32
+    # Whether photos are brought to size x size whatever their aspect, as the paper does.
+    is_square = True
+    # Whether the network answers to smaller pictures as well.
+    can_tile = True
+
+    def __init__(self, params: Any) -> None:
+        super().__init__(params)
+        for package in ("torch", "transformers", "safetensors"):
+            require(package, "models", f"segmenter={params.name}")
+        self._parts = 1
+
+    @abstractmethod
+    def build(self, init: str | None) -> Any:
+        """Returns the network; see ``TrainableSegmenter``."""
+
+    @cached_property
+    def weights_digest(self) -> str:
+        """Returns the SHA-256 of the weights' file, or ``random``."""
+        if self.params.weights == RANDOM:
+            return RANDOM
+        return file_digest(weights_file(self.params.weights, self.name))
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns that the weights are random, where they are."""
+        if self.params.weights != RANDOM:
+            return ()
+        return (
+            f"segmenter {self.name} has random weights: nothing it says counts. Set segmenter.weights=FILE",
+        )
+
+    def invalid_reason(self) -> str:
+        """Returns ``random weights`` where they are."""
+        return "random weights" if self.params.weights == RANDOM else ""
+
+    @cached_property
+    def _net(self) -> Any:
+        import torch
+
+        torch.manual_seed(0)
+        return self.build(self._init()).to(self._device).eval()
+
+    def _init(self) -> str | None:
+        """Returns the file that the network's weights are in, or None for random ones."""
+        weights = self.params.weights
+        return None if weights == RANDOM else str(weights_file(weights, self.name))
+
+    @cached_property
+    def _device(self) -> Any:
+        import torch
+
+        wanted = self.params.device
+        if wanted == "auto":
+            wanted = "cuda" if torch.cuda.is_available() else "cpu"
+        return torch.device(wanted)
+
+    def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns (h, w) logits of a (H, W, 3) RGB photo, at its own aspect.
+
+        Raises:
+            QueryFault: The photo does not fit into memory, not even in tiles.
+        """
+        height, width = photo.shape[:2]
+        width, height = working_size(width, height, self.params.size)
+        seen = (self.params.size, self.params.size) if self.is_square else (width, height)
+        image = padded_photo(resized_photo(photo, *seen), self.stride)
+        found = self._within_memory(image)[: seen[1], : seen[0]]
+        if (seen[1], seen[0]) == (height, width):
+            return found
+        import cv2
+
+        return np.asarray(cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+
+    def _within_memory(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        while True:
+            try:
+                return tiled(image, self._parts, self.stride, self._run)
+            except (MemoryError, RuntimeError) as error:
+                if not is_out_of_memory(error):
+                    raise
+            if self._parts >= _MOST_PARTS or not self.can_tile:
+                raise QueryFault(f"{self.name} runs out of memory at size {self.params.size}")
+            self._parts *= 2
+            sys.stderr.write(
+                f"lodbench: {self.name}: out of memory; going on in {self._parts} x {self._parts} tiles.\n"
+            )
+
+    def _run(self, tile: NDArray[np.uint8]) -> NDArray[np.float32]:
+        import torch
+
+        blob = np.ascontiguousarray(tile.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
+        with torch.no_grad():
+            answer = self._net(torch.from_numpy(blob).to(self._device))[0]
+        return np.asarray(answer[0, 0].float().cpu().numpy(), np.float32)
+
+    def store(self, net: Any, folder: Path) -> Path:
+        """Writes a trained network as safetensors and returns the file."""
+        from lodbench.segmentation.nets.weights import save_weights
+
+        path = folder / f"{self.name}.safetensors"
+        save_weights(net, path)
+        return path
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Returns whether an error says that memory ran out, on whatever device."""
+    told = str(error).lower()
+    return isinstance(error, MemoryError) or "out of memory" in told or "not enough memory" in told
+
+
+def weights_file(weights: str, name: str) -> Path:
+    """Returns the file that weights are in: a path, or the safetensors of a hub id fetched before.
+
+    Nothing is fetched here: a run must not depend on a network, and licences are accepted by people.
+
+    Raises:
+        ConfigError: It is not there; the message says how to get it.
+    """
+    path = Path(weights).expanduser()
+    if path.is_file():
+        return path
+    if path.is_dir():
+        found = sorted(path.glob("*.safetensors"))
+        if len(found) == 1:
+            return found[0]
+        raise ConfigError(
+            f"{path} holds {len(found)} safetensors files instead of one.", "Name the file itself."
+        )
+    if weights.count("/") == 1 and not weights.startswith((".", "/", "~")) and not path.suffix:
+        return weights_file(str(hub_folder(weights)), name)
+    raise ConfigError(f"There are no weights {weights}.", f"segmenter.weights=FILE, for {name}.")
+
+
+def hub_folder(identity: str) -> Path:
+    """Returns the local folder of a Hugging Face repository fetched before.
+
+    Raises:
+        ConfigError: It is not there; the message has the id, the expected path and the command.
+    """
+    from huggingface_hub import snapshot_download
+    from huggingface_hub.constants import HF_HUB_CACHE
+
+    try:
+        return Path(snapshot_download(identity, local_files_only=True))
+    except Exception as error:
+        folder = Path(HF_HUB_CACHE) / f"models--{identity.replace('/', '--')}"
+        raise ConfigError(
+            f"The weights {identity} are not at {folder}.",
+            f"Read and accept the licence at huggingface.co/{identity}, then: hf download {identity}",
+        ) from error
