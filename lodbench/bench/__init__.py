@@ -8,6 +8,7 @@ from lodbench.bench.evaluation import EvaluationOptions, EvaluationReport, measu
 from lodbench.bench.figures import Figure
 from lodbench.bench.scale import ScaleOptions, measure_scale
 from lodbench.bench.scale_report import ScaleReport
+from lodbench.bench.segmentation import SegmentationOptions, SegmentationReport, measure_segmentation
 from lodbench.bench.silhouette_report import SilhouetteReport
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 from lodbench.bench.training_data import (
@@ -27,6 +28,8 @@ __all__ = [
     "Figure",
     "ScaleOptions",
     "ScaleReport",
+    "SegmentationOptions",
+    "SegmentationReport",
     "SilhouetteOptions",
     "SilhouetteReport",
     "TrainingDataOptions",
@@ -36,6 +39,7 @@ __all__ = [
     "measure_city",
     "measure_evaluation",
     "measure_scale",
+    "measure_segmentation",
     "measure_silhouettes",
     "measure_training_data",
 ]

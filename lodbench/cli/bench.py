@@ -1,4 +1,4 @@
-"""`lodbench bench silhouettes|scale|accuracy|city|evaluation|training-data`: measure this machine."""
+"""`lodbench bench WHAT`: measure this machine, beside other programs where there are some."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from lodbench.bench import (
     EvaluationReport,
     ScaleOptions,
     ScaleReport,
+    SegmentationOptions,
+    SegmentationReport,
     SilhouetteOptions,
     SilhouetteReport,
     TrainingDataOptions,
@@ -27,6 +29,7 @@ from lodbench.bench import (
     measure_city,
     measure_evaluation,
     measure_scale,
+    measure_segmentation,
     measure_silhouettes,
     measure_training_data,
 )
@@ -128,6 +131,15 @@ def _evaluation(options: argparse.Namespace, steps: ProgressCallback) -> Evaluat
     return measure_evaluation(asked, steps)
 
 
+def _segmentation(options: argparse.Namespace, steps: ProgressCallback) -> SegmentationReport:
+    report = measure_segmentation(
+        _city_file(options), SegmentationOptions(options.views, seed=options.seed), steps
+    )
+    if options.pictures is not None:
+        report.write_picture(options.pictures)
+    return report
+
+
 def _training_data(options: argparse.Namespace, steps: ProgressCallback) -> TrainingDataReport:
     city = _city_file(options)
     props = options.props
@@ -145,6 +157,7 @@ Report = (
     | BudgetReport
     | CityBench
     | EvaluationReport
+    | SegmentationReport
 )
 MEASURES: dict[str, Callable[..., Report]] = {
     "silhouettes": _silhouettes,
@@ -153,6 +166,7 @@ MEASURES: dict[str, Callable[..., Report]] = {
     "budget": _budget,
     "city": _city,
     "evaluation": _evaluation,
+    "segmentation": _segmentation,
     "training-data": _training_data,
 }
 
@@ -207,15 +221,18 @@ def _parser() -> argparse.ArgumentParser:
     evaluation = actions.add_parser("evaluation", help="scoring many methods on many queries; a run's page")
     evaluation.add_argument("--queries", type=int, default=2192, help="as the largest published split (2192)")
     evaluation.add_argument("--methods", type=int, default=100, help="scored on all of them (100)")
+    segmentation = actions.add_parser("segmentation", help="recall over the IoU of the masks")
+    segmentation.add_argument("--views", type=int, default=50, help="seeded views (50)")
+    segmentation.add_argument("--pictures", type=Path, help="folder for the curve")
     training = actions.add_parser("training-data", help="masks and photos per second; memory")
     training.add_argument("--views", type=int, default=24, help="photos of each size; masks 10 x (24)")
     training.add_argument("--workers", type=int, help="processes (one per core)")
     training.add_argument("--props", type=Path, help="scene props to picture; made up if not given")
-    for action in (speed, scale, accuracy, budget, evaluation, training):
+    for action in (speed, scale, accuracy, budget, evaluation, segmentation, training):
         action.add_argument("--seed", type=int, default=0)
-    for action in (speed, accuracy, budget, city, training):
+    for action in (speed, accuracy, budget, city, segmentation, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
-    for action in (speed, scale, accuracy, budget, city, evaluation, training):
+    for action in (speed, scale, accuracy, budget, city, evaluation, segmentation, training):
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser
 
