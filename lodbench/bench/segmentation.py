@@ -98,11 +98,11 @@ class SegmentationReport:
             axes.fill_between(self.ious, rows[:, 1], rows[:, 2], color=colour, alpha=0.15, lw=0)
         for iou, network in _REPORTED:
             axes.axvline(iou, color="#999999", lw=0.8, ls=":")
-            axes.text(iou, 102, network, ha="center", va="bottom", fontsize=8, color="#666666")
+            axes.text(iou, 104, network, ha="center", va="bottom", fontsize=8, color="#666666")
         axes.set(
             xlabel="IoU of the mask with the true silhouette",
             ylabel=f"recall {_THRESHOLD.label}, %",
-            ylim=(0, 100),
+            ylim=(0, 103),
         )
         axes.grid(alpha=0.3)
         axes.legend(loc="lower right", title=f"{self.city}, lodlocv2")

@@ -23,6 +23,7 @@ from lodbench.harness.gallery import write_overlays
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import tables_of
+from lodbench.segmentation import notes_of
 
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
 # The origin of a published dataset is withheld for privacy, so it is not written down either.
@@ -202,7 +203,8 @@ def report(runs: Sequence[Run]) -> str:
                 cost = f"{hypotheses:.0f} hypotheses and {seconds:.2f} s per query"
                 lines.append(f"{name}, tilt={run.config['tilt']}, {split}: {cost}")
         lines += _failure_lines(run)
-        lines += [f"  note: {plain_text(note)}" for note in run.dataset.notes]
+        notes = (*notes_of(run.preparation.segmenter), *run.dataset.notes)
+        lines += [f"  note: {plain_text(note)}" for note in notes]
         resumed = f" ({run.resumed} queries were there already)" if run.resumed else ""
         lines += [f"  results:  {run.folder}{resumed}", f"  pictures: {run.folder / 'overlays'}"]
     return "\n".join(parts) + "\n" + "\n".join(lines) + "\n"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Entry
-from lodbench.errors import QueryFault
+from lodbench.errors import DatasetError, QueryFault
 from lodbench.segmentation.mask_cache import cached_probability
 from lodbench.segmentation.photos import read_photo
 from lodbench.segmentation.probability import probability_of
@@ -52,6 +52,18 @@ class PhotoSegmenter(ABC):
     def invalid_reason(self) -> str:
         """Returns why results with it belong in no table; empty where they do."""
         return ""
+
+    def require(self, entries: tuple[Entry, ...]) -> None:
+        """Makes sure, before any work, that there is at least one photo.
+
+        Raises:
+            DatasetError: There is none.
+        """
+        if entries and all(entry.image is None for entry in entries):
+            raise DatasetError(
+                f"segmenter={self.name} looks at photos, and the dataset has none.",
+                "segmenter=masks reads masks made beforehand; segmenter=oracle draws them from the truth.",
+            )
 
     def segment(self, entry: Entry) -> NDArray[np.float32]:
         """Returns the (h, w) float32 probability of building, in [0, 1], at the working size.
