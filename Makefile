@@ -5,9 +5,9 @@ BIN := $(VENV)/bin
 
 .PHONY: demo ablation test fuzz lint clean
 
-# Builds the demo town, localises its 40 queries with the sensor's tilt and with the true one.
+# Builds the demo town, localises its 40 photos, from pixels, with the sensor's tilt and with the true one.
 demo: $(VENV)/.base
-	$(BIN)/lodbench run --multirun method=lodlocv2 dataset=demo tilt=prior,truth
+	$(BIN)/lodbench run --multirun method=lodlocv2 dataset=demo segmenter=compact tilt=prior,truth
 
 # The paper's Table 1 on the demo: without refinement, without selection, in full.
 ablation: $(VENV)/.base
