@@ -98,10 +98,10 @@ class MaskFiles:
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of the mask files' names and contents."""
-        return digest_of([[entry.key, _content(entry.mask)] for entry in entries])
+        return digest_of([[entry.key, content_digest(entry.mask)] for entry in entries])
 
 
-def _content(mask: Path | None) -> str | None:
+def content_digest(mask: Path | None) -> str | None:
     """Returns a file's digest; one that cannot be read fails in its own query, not here."""
     if mask is None:
         return None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,10 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Entry
 from lodbench.errors import DatasetError, QueryFault
 from lodbench.segmentation.mask_cache import cached_probability
+from lodbench.segmentation.masks import content_digest
 from lodbench.segmentation.photos import read_photo
 from lodbench.segmentation.probability import probability_of
-from lodbench.storage import digest_of, file_digest
+from lodbench.storage import digest_of
 
 # A change of how photos are read or brought to size makes another answer.
 _VERSION = 1
@@ -85,18 +85,8 @@ class PhotoSegmenter(ABC):
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of the photos' contents, the settings and the weights."""
-        return digest_of([self._identity(), [[entry.key, _content(entry.image)] for entry in entries]])
+        return digest_of([self._identity(), [[entry.key, content_digest(entry.image)] for entry in entries]])
 
     def _identity(self) -> str:
         settings = {key: value for key, value in asdict(self.params).items() if key != "weights"}
         return digest_of([_VERSION, settings, self.weights_digest], length=32)
-
-
-def _content(photo: Path | None) -> str | None:
-    """Returns a file's digest; one that cannot be read fails in its own query, not here."""
-    if photo is None:
-        return None
-    try:
-        return file_digest(photo)
-    except OSError:
-        return "unreadable"

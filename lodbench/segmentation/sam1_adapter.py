@@ -6,41 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lodbench.errors import ConfigError
-from lodbench.segmentation.probability import check_normalise
-from lodbench.segmentation.torch_segmenter import RANDOM, TorchSegmenter, weights_file
+from lodbench.segmentation.sam2_unet import Sam2UNetParams
+from lodbench.segmentation.torch_segmenter import TorchSegmenter, weights_file
 
 
 @dataclass(frozen=True, slots=True)
-class Sam1AdapterParams:
-    """Settings of ``segmenter=sam1_adapter``.
+class Sam1AdapterParams(Sam2UNetParams):
+    """Settings of ``segmenter=sam1_adapter``: those of ``sam2_unet``, on SAM's encoders.
 
     Attributes:
-        name: Name to report.
         encoder: Size of SAM's encoder: ``base``, ``large`` or ``huge``.
-        weights: Weights of ``lodbench train segmenter=sam1_adapter``; ``random`` makes a run invalid.
-        encoder_weights: SAM to train on, by transformers' names: file, folder or id of a repository
-            fetched before; None for none.
-        size: Photos are brought to ``size`` x ``size``, pixels.
-        normalise: ``paper`` or ``none``; see ``probability_of``.
-        device: ``auto``, ``cpu``, ``cuda``, ...
-
-    Raises:
-        ConfigError: A setting is out of range.
     """
 
     name: str = "sam1_adapter"
     encoder: str = "huge"
-    weights: str = RANDOM
-    encoder_weights: str | None = None
-    size: int = 1024
-    normalise: str = "paper"
-    device: str = "auto"
-
-    def __post_init__(self) -> None:
-        if not 32 <= self.size <= 4096 or self.size % 32:
-            raise ConfigError(f"segmenter.size={self.size} is no multiple of 32 within 32 to 4096.")
-        check_normalise(self.normalise)
 
 
 class Sam1AdapterSegmenter(TorchSegmenter):
