@@ -16,16 +16,15 @@ from lodbench.harness.compare import paired_comparison, require_same_queries
 from lodbench.harness.stored import StoredRun, read_run
 from lodbench.harness.verify import changed_files
 from lodbench.reporting.comparison import format_comparison
-from lodbench.reporting.table_formats import FORMATS
-from lodbench.reporting.tables import (
-    RecallTable,
+from lodbench.reporting.summaries import with_seconds
+from lodbench.reporting.table_columns import (
     detail_columns,
     interval_columns,
     paper_columns,
     segmenter_columns,
-    tables_of,
-    with_seconds,
 )
+from lodbench.reporting.table_formats import FORMATS
+from lodbench.reporting.tables import RecallTable, tables_of
 
 _COLUMNS = {
     "paper": paper_columns,

@@ -20,7 +20,7 @@ from lodbench.evaluation.rows import seconds_per_query, summarize_rows
 from lodbench.harness.result import Result
 from lodbench.harness.run import Run
 from lodbench.reporting.leaderboard_entry import has_random_weights
-from lodbench.reporting.tables import SUMMARY_SCHEMA
+from lodbench.reporting.summaries import SUMMARY_SCHEMA
 from lodbench.storage import hide_formula, write_text
 
 

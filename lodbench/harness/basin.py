@@ -15,8 +15,10 @@ from lodbench.harness.cost_maps import CostGrid, cost_csv_rows, measure_cost_map
 from lodbench.harness.result import chosen_entries
 from lodbench.harness.run import Run
 from lodbench.reporting.basin_figures import RecallCurve, draw_cost_maps, draw_recall_curves
-from lodbench.reporting.table_formats import format_latex, format_markdown
-from lodbench.reporting.tables import RecallTable, TableRow, cells_of, title_of
+from lodbench.reporting.cells import cells_of
+from lodbench.reporting.table_formats import format_markdown
+from lodbench.reporting.table_latex import format_latex
+from lodbench.reporting.tables import RecallTable, TableRow, title_of
 from lodbench.storage import digest_of, write_bytes, write_text
 
 _AXES = {

@@ -29,8 +29,10 @@ from lodbench.reporting.run_figures import (
     draw_top_view,
     draw_traces,
 )
-from lodbench.reporting.table_formats import format_html
-from lodbench.reporting.tables import detail_columns, interval_columns, tables_of, with_seconds
+from lodbench.reporting.summaries import with_seconds
+from lodbench.reporting.table_columns import detail_columns, interval_columns
+from lodbench.reporting.table_html import format_html
+from lodbench.reporting.tables import tables_of
 
 Floats = NDArray[np.float64]
 # JPEG quality of the pictures inside the page: outlines stay sharp, a picture weighs about 60 kB.

@@ -16,7 +16,7 @@ from lodbench.evaluation.errors import FAILED, FAILED_PARTS, ErrorParts, PoseErr
 from lodbench.evaluation.rows import QueryRow
 from lodbench.geometry import Pose
 from lodbench.harness.result import is_without_truth
-from lodbench.reporting.tables import read_summary
+from lodbench.reporting.summaries import read_summary
 from lodbench.storage import show_formula
 
 _FOLDER_HINT = "Name a folder that `lodbench run` or `lodbench evaluate` made."

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from lodbench.evaluation.statistics import Comparison
 from lodbench.reporting.columns import format_columns
-from lodbench.reporting.tables import finite_text
+from lodbench.reporting.table_columns import finite_text
 
 
 def format_comparison(rows: Iterable[Comparison]) -> str:

@@ -15,19 +15,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from lodbench.reporting.cells import SplitCells, cells_of
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.leaderboard_page import INDEX, dataset_page, index_page
 from lodbench.reporting.safe_text import csv_cell, plain_text
-from lodbench.reporting.table_formats import format_latex, format_markdown
-from lodbench.reporting.tables import (
-    Column,
-    RecallTable,
-    SplitCells,
-    TableRow,
-    cells_of,
-    paper_columns,
-    segmenter_columns,
-)
+from lodbench.reporting.table_columns import Column, paper_columns, segmenter_columns
+from lodbench.reporting.table_formats import format_markdown
+from lodbench.reporting.table_latex import format_latex
+from lodbench.reporting.tables import RecallTable, TableRow
 from lodbench.storage import digest_of
 
 # What must agree for two rows to rank together. Renderer and seed may differ: they are the method's own.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from lodbench.reporting.page import definition_list, html_page, section, text
-from lodbench.reporting.table_formats import format_html
+from lodbench.reporting.table_html import format_html
 from lodbench.reporting.tables import RecallTable
 
 INDEX = "index.html"

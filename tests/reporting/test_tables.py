@@ -6,8 +6,10 @@ from dataclasses import replace
 import pytest
 
 from lodbench.errors import DatasetError
+from lodbench.reporting.summaries import read_summary, with_seconds
+from lodbench.reporting.table_columns import detail_columns, segmenter_columns
 from lodbench.reporting.table_formats import FORMATS, format_csv, format_text
-from lodbench.reporting.tables import detail_columns, read_summary, segmenter_columns, tables_of, with_seconds
+from lodbench.reporting.tables import tables_of
 
 
 def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q", masks: str = "m") -> dict:

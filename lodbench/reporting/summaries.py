@@ -1,0 +1,45 @@
+"""What a run left: its ``summary.json``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from lodbench.errors import DatasetError
+
+# Raised whenever a number of a summary gets another meaning, or a new one must be there.
+SUMMARY_SCHEMA = 2
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """Returns the summary of a run folder, with the times that ``provenance.json`` holds.
+
+    Raises:
+        DatasetError: The folder holds no readable summary, or one of another version of lodbench.
+    """
+    path = folder / "summary.json"
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DatasetError(
+            f"{path} is not a readable run summary.", "Name a folder that `lodbench run` made."
+        ) from error
+    if not isinstance(summary, dict) or "splits" not in summary or "protocol" not in summary:
+        raise DatasetError(f"{path} is not a run summary.")
+    if summary.get("schema") != SUMMARY_SCHEMA:
+        raise DatasetError(
+            f"{path} has schema {summary.get('schema')}, this lodbench writes and reads {SUMMARY_SCHEMA}.",
+            "Run again: the same command resumes nothing of another version, and ranks with nothing of it.",
+        )
+    if summary.get("invalid"):
+        raise DatasetError(f"The run {folder} is invalid: {summary['invalid']}.", "It can enter no table.")
+    return summary
+
+
+def with_seconds(summary: dict[str, Any], seconds: dict[str, float | None]) -> dict[str, Any]:
+    """Returns a summary whose splits also hold the wall time per query: no part of the summary's file."""
+    splits = {
+        name: {**split, "seconds_per_query": seconds.get(name)} for name, split in summary["splits"].items()
+    }
+    return {**summary, "splits": splits}
