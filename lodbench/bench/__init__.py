@@ -6,9 +6,11 @@ from lodbench.bench.budget import BudgetReport, measure_budget
 from lodbench.bench.city import CityBench, CityOptions, measure_city
 from lodbench.bench.evaluation import EvaluationOptions, EvaluationReport, measure_evaluation
 from lodbench.bench.figures import Figure
+from lodbench.bench.iou_recall import IouRecallOptions, IouRecallReport, measure_iou_recall
+from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
+from lodbench.bench.mask_quality_report import MaskQualityReport
 from lodbench.bench.scale import ScaleOptions, measure_scale
 from lodbench.bench.scale_report import ScaleReport
-from lodbench.bench.segmentation import SegmentationOptions, SegmentationReport, measure_segmentation
 from lodbench.bench.silhouette_report import SilhouetteReport
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 from lodbench.bench.training_data import (
@@ -26,10 +28,12 @@ __all__ = [
     "EvaluationOptions",
     "EvaluationReport",
     "Figure",
+    "IouRecallOptions",
+    "IouRecallReport",
+    "MaskQualityOptions",
+    "MaskQualityReport",
     "ScaleOptions",
     "ScaleReport",
-    "SegmentationOptions",
-    "SegmentationReport",
     "SilhouetteOptions",
     "SilhouetteReport",
     "TrainingDataOptions",
@@ -38,8 +42,9 @@ __all__ = [
     "measure_budget",
     "measure_city",
     "measure_evaluation",
+    "measure_iou_recall",
+    "measure_masks",
     "measure_scale",
-    "measure_segmentation",
     "measure_silhouettes",
     "measure_training_data",
 ]

@@ -16,10 +16,10 @@ from lodbench.bench import (
     CityOptions,
     EvaluationOptions,
     EvaluationReport,
+    IouRecallReport,
+    MaskQualityReport,
     ScaleOptions,
     ScaleReport,
-    SegmentationOptions,
-    SegmentationReport,
     SilhouetteOptions,
     SilhouetteReport,
     TrainingDataOptions,
@@ -29,11 +29,11 @@ from lodbench.bench import (
     measure_city,
     measure_evaluation,
     measure_scale,
-    measure_segmentation,
     measure_silhouettes,
     measure_training_data,
 )
 from lodbench.bench.silhouette_pictures import write_pictures
+from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
 from lodbench.cli.hydra_app import load_plugin
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
@@ -131,15 +131,6 @@ def _evaluation(options: argparse.Namespace, steps: ProgressCallback) -> Evaluat
     return measure_evaluation(asked, steps)
 
 
-def _segmentation(options: argparse.Namespace, steps: ProgressCallback) -> SegmentationReport:
-    report = measure_segmentation(
-        _city_file(options), SegmentationOptions(options.views, seed=options.seed), steps
-    )
-    if options.pictures is not None:
-        report.write_picture(options.pictures)
-    return report
-
-
 def _training_data(options: argparse.Namespace, steps: ProgressCallback) -> TrainingDataReport:
     city = _city_file(options)
     props = options.props
@@ -157,7 +148,8 @@ Report = (
     | BudgetReport
     | CityBench
     | EvaluationReport
-    | SegmentationReport
+    | IouRecallReport
+    | MaskQualityReport
 )
 MEASURES: dict[str, Callable[..., Report]] = {
     "silhouettes": _silhouettes,
@@ -166,7 +158,7 @@ MEASURES: dict[str, Callable[..., Report]] = {
     "budget": _budget,
     "city": _city,
     "evaluation": _evaluation,
-    "segmentation": _segmentation,
+    "segmentation": measure_segmentation,
     "training-data": _training_data,
 }
 
@@ -221,16 +213,14 @@ def _parser() -> argparse.ArgumentParser:
     evaluation = actions.add_parser("evaluation", help="scoring many methods on many queries; a run's page")
     evaluation.add_argument("--queries", type=int, default=2192, help="as the largest published split (2192)")
     evaluation.add_argument("--methods", type=int, default=100, help="scored on all of them (100)")
-    segmentation = actions.add_parser("segmentation", help="recall over the IoU of the masks")
-    segmentation.add_argument("--views", type=int, default=50, help="seeded views (50)")
-    segmentation.add_argument("--pictures", type=Path, help="folder for the curve")
+    segmentation = add_segmentation(actions)
     training = actions.add_parser("training-data", help="masks and photos per second; memory")
     training.add_argument("--views", type=int, default=24, help="photos of each size; masks 10 x (24)")
     training.add_argument("--workers", type=int, help="processes (one per core)")
     training.add_argument("--props", type=Path, help="scene props to picture; made up if not given")
-    for action in (speed, scale, accuracy, budget, evaluation, segmentation, training):
+    for action in (speed, scale, accuracy, budget, evaluation, training):
         action.add_argument("--seed", type=int, default=0)
-    for action in (speed, accuracy, budget, city, segmentation, training):
+    for action in (speed, accuracy, budget, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
     for action in (speed, scale, accuracy, budget, city, evaluation, segmentation, training):
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")

@@ -6,20 +6,17 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lodbench.cli.hydra_app import load_plugin
 from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
-from lodbench.cli.sources import load_profile, option_pairs
-from lodbench.errors import ConfigError
+from lodbench.cli.segmenters import segmenter_of
+from lodbench.cli.sources import load_profile
 
 if TYPE_CHECKING:
     from lodbench.harness.localize_photo import LocalizedPhoto
 
-# Taken where neither a mask nor a segmenter is named, as soon as it is installed.
-_DEFAULT_SEGMENTER = "compact"
 _EXAMPLES = """\
 The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goes before it.
 
@@ -34,7 +31,7 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    segmenter = None if asked.mask is not None else _segmenter(asked.segmenter, asked.segmenter_option)
+    segmenter = None if asked.mask is not None else segmenter_of(asked.segmenter, asked.segmenter_option)
 
     from lodbench.datasets.photo_pose import RoughPlace
     from lodbench.harness.localize_photo import PhotoRequest, localize_photo
@@ -90,24 +87,6 @@ def describe(found: LocalizedPhoto) -> str:
     return "\n".join([*lines, *(f"  note: {note}" for note in found.notes)])
 
 
-def _segmenter(name: str | None, words: Sequence[str]) -> Any:
-    """Returns the segmenter asked for, or the default one where it is installed.
-
-    Raises:
-        ConfigError: None is asked for and none is there, or an option is not one of it.
-    """
-    installed = sorted(point.name for point in entry_points(group="lodbench.segmenters"))
-    if name is None and _DEFAULT_SEGMENTER not in installed:
-        raise ConfigError(
-            "There is no mask of the buildings in the photo.",
-            "Give --mask FILE (white = building), or --segmenter NAME. Installed: " + ", ".join(installed),
-        )
-    from lodbench.cli.hydra_app import to_params
-
-    part = load_plugin("segmenters", name or _DEFAULT_SEGMENTER)
-    return part(to_params(option_pairs(words), part.params_type, "segmenter"))
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "lodbench localize",
@@ -122,7 +101,9 @@ def _parser() -> argparse.ArgumentParser:
         "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
     )
     parser.add_argument("--mask", type=Path, metavar="FILE", help="the photo's buildings in white")
-    parser.add_argument("--segmenter", metavar="NAME", help="makes the mask where none is given")
+    parser.add_argument(
+        "--segmenter", default="compact", metavar="NAME", help="makes the mask where none is given (compact)"
+    )
     parser.add_argument(
         "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
     )

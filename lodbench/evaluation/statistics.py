@@ -88,6 +88,15 @@ def bootstrap_means(values: Floats) -> list[Interval]:
     return [_ends(column) for column in means.T]
 
 
+def bootstrap_ratio(parts: Floats, wholes: Floats) -> Interval:
+    """Returns the 95 % percentile interval of ``sum(parts) / sum(wholes)`` over (N,) pairs drawn together."""
+    if len(parts) == 0:
+        return math.nan, math.nan
+    order = np.lexsort((wholes, parts))
+    weights = _weights(len(parts))
+    return _ends((weights @ parts[order]) / (weights @ wholes[order]))
+
+
 def bootstrap_median(values: Floats) -> Interval:
     """Returns the 95 % percentile interval of the median of (N,) values, infinite ones included."""
     if len(values) == 0:

@@ -1,0 +1,168 @@
+"""How good are a segmenter's masks? IoU over the views of a training set, and of what can be seen at best."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.bench.figures import Progress, no_progress
+from lodbench.bench.mask_quality_report import MaskQualityReport, Overlap, ViewQuality
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.segmentation import binary_mask, notes_of
+from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+from lodbench.segmentation.photos import read_photo
+from lodbench.training.samples import Sample, find_samples
+
+Mask = NDArray[np.bool_]
+_SPLITS = ("train", "val", "test")
+# A visible part may lie outside its mask by this share of the view: none but for a file's rounding.
+_STRAY_SHARE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class MaskQualityOptions:
+    """What to measure.
+
+    Attributes:
+        data: Training set with photos and masks, or a folder of such sets; all splits count.
+        visible: The same set with ``occluders_in_mask=true``: masks of what trees and cars leave
+            visible; None to leave the ceiling out.
+        least_share: Views with fewer buildings in them do not count: one wrong shed halves their IoU.
+    """
+
+    data: Path
+    visible: Path | None = None
+    least_share: float = 0.05
+
+
+class _Truth(NamedTuple):
+    mask: Mask
+    visible: Mask | None
+
+
+def measure_masks(
+    segmenter: PhotoSegmenter, options: MaskQualityOptions, progress: Progress = no_progress
+) -> MaskQualityReport:
+    """Returns how well a segmenter's masks agree with those of a training set, and how long one takes.
+
+    Masks are compared at their own size, thresholded as a run does. Nothing is taken from the cache.
+
+    Args:
+        segmenter: Looks at the photos.
+        options: Which views.
+        progress: Called after each view.
+
+    Raises:
+        LodbenchError: A set is missing or broken, or the two sets do not show the same views.
+    """
+    samples = [sample for split in _SPLITS for sample in find_samples(options.data, split)]
+    if not samples:
+        raise DatasetError(f"{options.data} holds no views.", "lodbench generate-training-data makes some.")
+    views = []
+    with one_core():
+        for number, sample in enumerate(samples, start=1):
+            truth = _truth(sample, options)
+            if truth.mask.mean() >= options.least_share:
+                views.append(_measured(segmenter, sample, truth))
+            progress(number, len(samples))
+    if not views:
+        raise DatasetError(
+            f"None of the {len(samples)} views of {options.data} shows "
+            f"{100 * options.least_share:g} % buildings or more."
+        )
+    return MaskQualityReport(
+        segmenter=segmenter.name,
+        weights=segmenter.weights_digest[:12],
+        data=options.data.name,
+        num_views=len(samples),
+        least_share=options.least_share,
+        views=tuple(views),
+        notes=notes_of(segmenter),
+    )
+
+
+def require_photo_segmenter(segmenter: object, name: str) -> PhotoSegmenter:
+    """Returns a segmenter that looks at photos.
+
+    Raises:
+        ConfigError: It does not.
+    """
+    if not isinstance(segmenter, PhotoSegmenter):
+        raise ConfigError(f"segmenter {name} looks at no photos: there is nothing to measure.")
+    return segmenter
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Lets OpenCV, and torch if it is loaded, compute on one core."""
+    torch, threads = sys.modules.get("torch"), cv2.getNumThreads()
+    torch_threads = torch.get_num_threads() if torch else 0
+    cv2.setNumThreads(1)
+    if torch:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+        if torch:
+            torch.set_num_threads(torch_threads)
+
+
+def found_mask(segmenter: PhotoSegmenter, photo: Path, shape: Sequence[int]) -> Mask:
+    """Returns the (H, W) mask that a segmenter makes of a photo, at the size of its true mask."""
+    probability = segmenter.probability(read_photo(photo))
+    return binary_mask(probability, shape[1], shape[0])
+
+
+def _measured(segmenter: PhotoSegmenter, sample: Sample, truth: _Truth) -> ViewQuality:
+    started = time.process_time()
+    found = found_mask(segmenter, sample.photo, truth.mask.shape)
+    seconds = time.process_time() - started
+    visible = truth.visible
+    return ViewQuality(
+        key=sample.key,
+        photo=sample.photo,
+        mask=sample.mask,
+        found=found,
+        with_mask=_overlap(found, truth.mask),
+        ceiling=None if visible is None else _overlap(visible, truth.mask),
+        with_visible=None if visible is None else _overlap(found, visible),
+        seconds=seconds,
+    )
+
+
+def _truth(sample: Sample, options: MaskQualityOptions) -> _Truth:
+    mask = _read(sample.mask)
+    if options.visible is None:
+        return _Truth(mask, None)
+    path = options.visible / sample.mask.relative_to(options.data)
+    if not path.is_file():
+        raise DatasetError(f"{options.visible} has no mask of {sample.key}.", _SAME_VIEWS)
+    visible = _read(path)
+    if visible.shape != mask.shape or (visible & ~mask).mean() > _STRAY_SHARE:
+        raise DatasetError(f"{path} is not the visible part of {sample.mask}.", _SAME_VIEWS)
+    return _Truth(mask, visible)
+
+
+_SAME_VIEWS = "Make it with the same settings and seed, and occluders_in_mask=true images=false."
+
+
+def _read(path: Path) -> Mask:
+    try:
+        return np.asarray(read_mask(path) >= 0.5)
+    except LodbenchError as fault:
+        raise DatasetError(f"{path}: {fault.message}", "Delete it and generate the set again.") from fault
+
+
+def _overlap(first: Mask, second: Mask) -> Overlap:
+    return Overlap(int((first & second).sum()), int((first | second).sum()))

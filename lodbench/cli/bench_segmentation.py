@@ -1,0 +1,107 @@
+"""`lodbench bench segmentation`: masks of a network, or recall over the IoU of masks."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from lodbench.bench import (
+    IouRecallOptions,
+    IouRecallReport,
+    MaskQualityOptions,
+    MaskQualityReport,
+    measure_iou_recall,
+    measure_masks,
+)
+from lodbench.cli.hydra_app import load_plugin
+from lodbench.cli.segmenters import segmenter_of
+from lodbench.errors import ConfigError
+from lodbench.execution import ProgressCallback
+from lodbench.localization import Method
+
+_VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
+_MORE = """\
+  lodbench bench segmentation                                the shipped network on the town it has never seen
+  lodbench bench segmentation --segmenter-option weights=compact.onnx --pictures DIR
+  lodbench bench segmentation --data SET --visible SET2      views of `lodbench generate-training-data`
+  lodbench bench segmentation --city CITY --pictures DIR     recall over the IoU of masks, no network at all
+"""
+
+
+def add_segmentation(actions: Any) -> argparse.ArgumentParser:
+    """Adds the command's options to ``lodbench bench`` and returns its parser."""
+    parser: argparse.ArgumentParser = actions.add_parser(
+        "segmentation",
+        help="IoU and time of a network's masks; with --city, recall over the IoU of masks",
+        epilog=_MORE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--segmenter", default="compact", metavar="NAME", help="that looks at photos (compact)"
+    )
+    parser.add_argument(
+        "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
+    )
+    parser.add_argument(
+        "--data", type=Path, metavar="SET", help="training set, or folder of sets; else a town"
+    )
+    parser.add_argument("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
+    parser.add_argument("--town", default="test", help="test or train: views made on first use (test)")
+    parser.add_argument("--city", type=Path, help="measure recall over the IoU of masks on views of it")
+    parser.add_argument("--method", default="lodlocv2", help="methods of --city, comma-separated (lodlocv2)")
+    parser.add_argument("--views", type=int, help="of the town (80), or of the city (50)")
+    parser.add_argument("--seed", type=int, default=0, help="of the city's views")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="folder for a picture")
+    return parser
+
+
+def measure_segmentation(
+    options: argparse.Namespace, steps: ProgressCallback
+) -> MaskQualityReport | IouRecallReport:
+    """Returns what was asked for, its picture written."""
+    if options.city is not None:
+        if options.data is not None or options.visible is not None:
+            raise ConfigError("--city draws masks of its own.", "Leave out --data, or --city.")
+        return _curve(options, steps)
+    if options.visible is not None and options.data is None:
+        raise ConfigError("--visible is of no use without --data.", "Name the set that it is the same as.")
+    return _masks(options, steps)
+
+
+def _curve(options: argparse.Namespace, steps: ProgressCallback) -> IouRecallReport:
+    views = _VIEWS_OF_CITY if options.views is None else options.views
+    report = measure_iou_recall(
+        options.city,
+        IouRecallOptions(views, seed=options.seed),
+        steps,
+        [_method(name) for name in options.method.split(",")],
+    )
+    if options.pictures is not None:
+        report.write_picture(options.pictures)
+    return report
+
+
+def _masks(options: argparse.Namespace, steps: ProgressCallback) -> MaskQualityReport:
+    from lodbench.bench.mask_pictures import write_sheet
+    from lodbench.bench.mask_quality import require_photo_segmenter
+    from lodbench.bench.mask_town import town_sets
+
+    segmenter = require_photo_segmenter(
+        segmenter_of(options.segmenter, options.segmenter_option), options.segmenter
+    )
+    data, visible = options.data, options.visible
+    if data is None:
+        data, visible = town_sets(options.town, _VIEWS_OF_TOWN if options.views is None else options.views)
+    elif options.views is not None:
+        raise ConfigError("--views is for a town or a city.", "All views of --data count.")
+    report = measure_masks(segmenter, MaskQualityOptions(data, visible), steps)
+    if options.pictures is not None:
+        write_sheet(report, options.pictures)
+    return report
+
+
+def _method(name: str) -> Method:
+    plugin = load_plugin("methods", name)
+    method: Method = plugin(plugin.params_type())
+    return method
