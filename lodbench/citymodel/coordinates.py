@@ -112,7 +112,7 @@ def _decimal(mantissa: np.uint64, exponent: int, powers: NDArray[np.float64]) ->
 
 
 @numba.njit(cache=True, nogil=True)
-def _scan(  # noqa: C901 - one state machine; splitting it would cost the speed it exists for
+def _scan(  # noqa: C901 - one state machine; as three functions it takes a tenth longer
     data: NDArray[np.uint8],
     powers: NDArray[np.float64],
     values: NDArray[np.float64],

@@ -22,7 +22,7 @@ from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
 
 from lodbench.rendering.bits import words_per_row
-from lodbench.rendering.lane_kernels import mark_lines, set_up_lines
+from lodbench.rendering.lane_marks import mark_lines, set_up_lines
 from lodbench.rendering.lanes import LANES
 
 # A sum is read as 16 bits: it is looked at before more triangles than this could pile up.

@@ -220,3 +220,8 @@ class Running:
 def arrays(context: Any, builder: Any, signature: Any, args: Any, which: Sequence[int]) -> list[Memory]:
     """Returns the memory of some array arguments of an intrinsic."""
     return [Memory(context, builder, signature.args[i], args[i]) for i in which]
+
+
+def times_lanes(builder: Any, index: Any) -> Any:
+    """Returns where the numbers of the ``index``-th vertex, triangle or edge begin in a flat array."""
+    return builder.mul(index, constant_index(LANES))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from lodbench.rendering.coverage import append_edge, blank_coverage, edge_lists, mark_edges, pack_corner
-from lodbench.rendering.lane_kernels import face_triangles, project_vertices
+from lodbench.rendering.lane_outline import face_triangles, project_vertices
 from lodbench.rendering.lanes import LANES
 
 # The guard band, in sub-pixels.
