@@ -91,11 +91,7 @@ def _blocks(
         )
     corners = rings[ring_starts[polygon_starts[:-1]]]
     ground = _ground(columns, corners, owner, options.crs or str(crs), options)
-    # One word where nothing could give the ground; else those that fall through its gaps.
-    is_lost = ~np.isfinite(ground)
-    for name in [""] if is_lost.all() else [ids[i] for i in np.unique(owner[is_lost])]:
-        findings.add(GROUND_DEFAULTED, name, f"ground_m={options.ground_m:g}")
-    ground = np.where(np.isfinite(ground), ground, options.ground_m)
+    ground = _without_gaps(ground, owner, ids, options, findings)
     blocks = extrude(rings, ring_starts, polygon_starts, ground, ground + heights[owner])
     used, building = np.unique(owner[blocks.footprint], return_inverse=True)
     return RawCity(
@@ -135,6 +131,21 @@ def _ground(
     elif options.terrain is not None:
         ground = ground_under(corners, crs, options)
     return ground
+
+
+def _without_gaps(
+    ground: NDArray[np.float64],
+    owner: NDArray[np.int64],
+    ids: list[str],
+    options: ReadOptions,
+    findings: Findings,
+) -> NDArray[np.float64]:
+    """Returns ground heights with the default in place of what is not known, and says where."""
+    is_lost = ~np.isfinite(ground)
+    # One word where nothing could give the ground; else those that fall through its gaps.
+    for name in [""] if is_lost.all() else [ids[i] for i in np.unique(owner[is_lost])]:
+        findings.add(GROUND_DEFAULTED, name, f"ground_m={options.ground_m:g}")
+    return np.where(is_lost, options.ground_m, ground)
 
 
 def _heights(

@@ -14,21 +14,16 @@ from lodbench.datasets.codes import (
     CITY_NOT_IN_VIEW,
     COUNT_UNEXPECTED,
     FILE_MISSING,
-    GPS_IN_IMAGE,
-    IMAGE_SIZE,
-    IMAGE_UNREADABLE,
     PRIORS_UNLIKE_PAPER,
     WRONG_DIRECTION,
 )
-from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.pose_direction import sample_corners, sees, suspect_direction
 from lodbench.datasets.published.specs import SPECS, Download
-from lodbench.datasets.query import Dataset, Entry
-from lodbench.errors import DatasetError
+from lodbench.datasets.query import Dataset
 from lodbench.evaluation.errors import PoseError, pose_error
-from lodbench.execution import Progress
 from lodbench.findings import Findings
 from lodbench.harness.city import open_city
+from lodbench.harness.photo_check import check_photos
 from lodbench.storage import file_digest
 
 # Medians of a file that is the paper's agree to rounding; of another draw of the same kind to this.
@@ -101,7 +96,7 @@ def check_dataset(dataset: Dataset, *, with_pixels: bool = True) -> DatasetRepor
         scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
         _check_views(dataset, scene, findings)
     _check_downloads(dataset, findings)
-    _check_photos(dataset, with_pixels, findings)
+    check_photos(dataset, with_pixels, findings)
     splits = tuple(_report_split(dataset, split, scene) for split in dataset.splits)
     for split in splits:
         _compare_with_paper(split, findings)
@@ -204,46 +199,6 @@ def _check_downloads(dataset: Dataset, findings: Findings) -> None:
 def _named_as(download: Download, dataset: Dataset) -> list[Path]:
     city = dataset.city_model
     return [city] if city is not None and city.name == Path(download.path).name else []
-
-
-def _check_photos(dataset: Dataset, with_pixels: bool, findings: Findings) -> None:
-    entries = [entry for entry in dataset.entries if entry.image is not None]
-    with Progress("photos", len(entries)) as progress:
-        for entry in entries:
-            _check_photo(entry, with_pixels, findings)
-            progress.advance()
-
-
-def _check_photo(entry: Entry, with_pixels: bool, findings: Findings) -> None:
-    """Looks at one photo, its header first: pixels are decoded only if their number is sane."""
-    assert entry.image is not None  # noqa: S101 - the caller has looked
-    try:
-        header = read_photo_metadata(entry.image)
-    except DatasetError as error:
-        findings.add(IMAGE_UNREADABLE, entry.key, error.message)
-        return
-    if header.has_position:
-        findings.add(GPS_IN_IMAGE, entry.key)
-    camera = entry.camera
-    if camera is not None and (header.width, header.height) != (camera.width, camera.height):
-        detail = f"{header.width} x {header.height}, intrinsics {camera.width} x {camera.height}"
-        findings.add(IMAGE_SIZE, entry.key, detail)
-    if with_pixels and not _is_decodable(entry.image):
-        findings.add(IMAGE_UNREADABLE, entry.key, f"{entry.image} is damaged or cut off")
-
-
-def _is_decodable(path: Path) -> bool:
-    """Tells whether all of a picture is there; unlike OpenCV, Pillow does not pass a cut-off file."""
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            # JPEG: an eighth of the size, which still reads the file to its end.
-            image.draft("L", (max(1, image.width // 8), max(1, image.height // 8)))
-            image.load()
-    except Exception:  # Pillow lets the errors of its decoders through
-        return False
-    return True
 
 
 def _city_in_words(dataset: Dataset, scene: Scene | None) -> str:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.exchange.geojson import camera_feature, view_feature, write_geojson
 from lodbench.datasets.map_frame import MapFrame, Place
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
@@ -23,11 +22,10 @@ from lodbench.errors import DatasetError
 from lodbench.evaluation import PoseError, pose_error
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.photo_outputs import PhotoView, write_photo_map, write_photo_overlay
 from lodbench.localization import Estimate, Method
 from lodbench.localization.api import localize
-from lodbench.rendering import make_renderer
-from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
-from lodbench.segmentation import Segmenter, binary_mask, check_mask, notes_of
+from lodbench.segmentation import Segmenter, check_mask, notes_of
 from lodbench.segmentation.masks import read_mask
 
 # Below this overlap of mask and model a pose is not to be trusted.
@@ -140,22 +138,13 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     prior = _prior(request, photo, frame)
     _check_distance(prior, city.scene, request.photo.name)
     estimate = localize(city.scene, pinhole, prior, mask, method=request.method, seed=request.seed)
-    photo_pixels = read_picture(request.photo)
-    shown = OverlayInput(
-        camera=pinhole,
-        mask=binary_mask(mask, mask.shape[1], mask.shape[0]),
-        image=None if photo_pixels is None else undistorted(photo_pixels, camera, pinhole),
-        prior=prior.shifted(-city.scene.origin),
-        estimate=estimate.pose.shifted(-city.scene.origin),
-        truth=None,
-        caption=f"{request.photo.name}: score {estimate.score:.3f}",
-    )
+    view = PhotoView(request.photo.name, read_picture(request.photo), camera, pinhole, mask)
     request.out.mkdir(parents=True, exist_ok=True)
     overlay = request.out / f"{request.photo.stem}_overlay.png"
-    write_picture(overlay, draw_overlay(shown, make_renderer("silhouette", city.scene)))
+    write_photo_overlay(overlay, view, city.scene, prior, estimate)
     geojson = None if frame is None else request.out / f"{request.photo.stem}.geojson"
     if frame is not None and geojson is not None:
-        _write_map(geojson, frame, request.photo.name, prior, estimate)
+        write_photo_map(geojson, frame, request.photo.name, prior, estimate)
     return LocalizedPhoto(
         photo=request.photo.name,
         crs=city.scene.crs,
@@ -172,7 +161,7 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
         notes=(
             *city.notes(),
             *_segmenter_notes(request),
-            *_notes(photo, frame, camera, estimate, photo_pixels is not None),
+            *_notes(photo, frame, camera, estimate, view.pixels is not None),
         ),
     )
 
@@ -228,16 +217,6 @@ def _check_distance(prior: Pose, scene: Scene, name: str) -> None:
             f"By its position {name} was taken {distance / 1000:.1f} km outside the city model.",
             "Is it the right tile, and its reference system right? lodbench city info says where it is.",
         )
-
-
-def _write_map(path: Path, frame: MapFrame, name: str, prior: Pose, estimate: Estimate) -> None:
-    stated = {"name": name, "kind": "estimate", "score": round(float(estimate.score), 4)}
-    features = [
-        camera_feature(frame, estimate.pose, stated),
-        view_feature(frame, estimate.pose, {"name": name}),
-        camera_feature(frame, prior, {"name": name, "kind": "prior"}),
-    ]
-    write_geojson(features, path)
 
 
 def _segmenter_notes(request: PhotoRequest) -> tuple[str, ...]:

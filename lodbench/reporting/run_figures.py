@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
@@ -102,48 +103,41 @@ def draw_top_view(
     scale = 7.0 / max(width, height)
 
     def draw(figure: Figure) -> None:
-        from matplotlib.collections import LineCollection, PolyCollection
-
         axis = figure.subplots()
         if vertices is not None and triangles is not None:
-            corners = vertices[triangles]
-            inside = ((corners.min(axis=1) < high + margin) & (corners.max(axis=1) > low - margin)).all(
-                axis=1
-            )
-            axis.add_collection(
-                PolyCollection(
-                    list(corners[inside]),
-                    facecolor="#d5d9de",
-                    edgecolor="#c2c7cd",
-                    linewidth=0.2,
-                    rasterized=True,
-                )
-            )
-        for start, colour in ((places.priors, PRIOR), (places.estimates, ESTIMATE)):
-            lines = np.stack([start, places.truths], axis=1)
-            lines = lines[np.isfinite(lines).all(axis=(1, 2))]
-            axis.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.7, alpha=0.7))
-        for points, colour, marker, size, name in (
-            (places.truths, TRUTH, "o", 14, "truth"),
-            (places.priors, PRIOR, "x", 14, "prior"),
-            (places.estimates, ESTIMATE, ".", 14, "estimate"),
-        ):
-            axis.scatter(
-                points[:, 0],
-                points[:, 1],
-                c=colour,
-                marker=marker,
-                s=size,
-                linewidths=0.8,
-                label=name,
-                zorder=3,
-            )
+            _draw_city(axis, vertices[triangles], low - margin, high + margin)
+        _draw_cameras(axis, places)
         axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
         axis.set(xlabel="east, m", ylabel="north, m", aspect="equal")
         axis.ticklabel_format(useOffset=False, style="plain")
         figure.legend(*axis.get_legend_handles_labels(), loc="outside upper center", ncols=3)
 
     return draw_figure(max(4.0, width * scale), max(3.0, height * scale), draw)
+
+
+def _draw_city(axis: Axes, corners: Floats, low: Floats, high: Floats) -> None:
+    """Draws the triangles, (T, 3, 2), that reach into a box."""
+    from matplotlib.collections import PolyCollection
+
+    inside = ((corners.min(axis=1) < high) & (corners.max(axis=1) > low)).all(axis=1)
+    look = {"facecolor": "#d5d9de", "edgecolor": "#c2c7cd", "linewidth": 0.2}
+    axis.add_collection(PolyCollection(list(corners[inside]), rasterized=True, **look))
+
+
+def _draw_cameras(axis: Axes, places: Places) -> None:
+    """Draws the cameras, and lines from where they were thought to where they are."""
+    from matplotlib.collections import LineCollection
+
+    for start, colour in ((places.priors, PRIOR), (places.estimates, ESTIMATE)):
+        lines = np.stack([start, places.truths], axis=1)
+        lines = lines[np.isfinite(lines).all(axis=(1, 2))]
+        axis.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.7, alpha=0.7))
+    for points, colour, marker, name in (
+        (places.truths, TRUTH, "o", "truth"),
+        (places.priors, PRIOR, "x", "prior"),
+        (places.estimates, ESTIMATE, ".", "estimate"),
+    ):
+        axis.scatter(*points.T, c=colour, marker=marker, s=14, linewidths=0.8, label=name, zorder=3)
 
 
 def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:
