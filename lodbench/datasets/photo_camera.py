@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.datasets.photo_tags import Dewarp
@@ -57,10 +57,22 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
     with the width of a known sensor, and as the equivalent of a 35 mm camera, which is rounded to a
     millimetre and so good to a few percent.
 
+    A digital zoom enlarges the middle of the lens's picture. So it multiplies EXIF's focal length, and DJI's
+    numbers, which are of the whole picture, are left out. The equivalent has the photo's field of view
+    by its definition, zoom included.
+
     Raises:
         DatasetError: The photo states none of them, or one that no camera has.
     """
     width, height = _size_when_taken(photo)
+    if photo.digital_zoom != 1.0:
+        photo = replace(
+            photo,
+            dewarp=None,
+            calibrated_focal_px=None,
+            optical_center_x_px=None,
+            optical_center_y_px=None,
+        )
     if photo.dewarp is not None:
         return PhotoCamera(_checked(photo, _dewarped(photo, photo.dewarp, width, height)), "dewarp")
     fx, fy, source = _focal_px(photo, width, height)
@@ -92,16 +104,18 @@ def _focal_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float, flo
     if photo.calibrated_focal_px is not None and photo.calibrated_focal_px > 0:
         return photo.calibrated_focal_px, photo.calibrated_focal_px, "calibrated"
     if photo.focal_mm is not None and photo.pixel_mm is not None:
-        return photo.focal_mm / photo.pixel_mm[0], photo.focal_mm / photo.pixel_mm[1], "focal_plane"
+        focal_mm = photo.focal_mm * photo.digital_zoom
+        return focal_mm / photo.pixel_mm[0], focal_mm / photo.pixel_mm[1], "focal_plane"
     sensor_mm = _SENSOR_WIDTH_MM.get(photo.model.upper())
     if photo.focal_mm is not None and sensor_mm is not None:
-        focal = photo.focal_mm / sensor_mm * max(width, height)
+        focal = photo.focal_mm * photo.digital_zoom / sensor_mm * max(width, height)
         return focal, focal, "sensor"
     if photo.focal_35mm is not None:
         focal = photo.focal_35mm / _DIAGONAL_35MM * math.hypot(width, height)
         return focal, focal, "35mm"
+    zoomed = "" if photo.digital_zoom == 1.0 else ", taken with a digital zoom,"
     raise DatasetError(
-        f"{photo.name} does not say its camera's focal length.",
+        f"{photo.name}{zoomed} does not say its camera's focal length.",
         "Give --camera 'MODEL W H PARAMETERS', as in intrinsic.txt.",
     )
 

@@ -36,6 +36,7 @@ class PhotoMetadata:
         focal_mm: Focal length, millimetres.
         focal_35mm: Focal length of a 36 x 24 mm camera with the same diagonal field of view.
         pixel_mm: Width and height of a sensor's pixel, millimetres (EXIF's focal plane resolution).
+        digital_zoom: What part of the lens's picture the photo shows enlarged: 2 for a half; 1 for all of it.
         calibrated_focal_px: DJI's focal length in pixels.
         optical_center_x_px: DJI's principal point by design, pixels.
         optical_center_y_px: Likewise.
@@ -62,6 +63,7 @@ class PhotoMetadata:
     focal_mm: float | None = None
     focal_35mm: float | None = None
     pixel_mm: tuple[float, float] | None = None
+    digital_zoom: float = 1.0
     calibrated_focal_px: float | None = None
     optical_center_x_px: float | None = None
     optical_center_y_px: float | None = None

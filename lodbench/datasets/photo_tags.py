@@ -23,7 +23,7 @@ _DJI_NAMESPACE = "drone-dji"
 _MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 _TAKEN_AT, _FOCAL_MM, _FOCAL_35MM, _WIDTH, _HEIGHT = 0x9003, 0x920A, 0xA405, 0xA002, 0xA003
-_PLANE_X, _PLANE_Y, _PLANE_UNIT = 0xA20E, 0xA20F, 0xA210
+_PLANE_X, _PLANE_Y, _PLANE_UNIT, _ZOOM = 0xA20E, 0xA20F, 0xA210, 0xA404
 _LAT_REF, _LAT, _LON_REF, _LON, _ALT_REF, _ALT = 1, 2, 3, 4, 5, 6
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}
 # Older firmware misspells the longitude.
@@ -111,7 +111,14 @@ def exif_values(tags: Mapping[int, Any]) -> dict[str, Any]:
         "focal_mm": _positive(exif.get(_FOCAL_MM)),
         "focal_35mm": _positive(exif.get(_FOCAL_35MM)),
         "pixel_mm": _pixel_mm(exif),
+        "digital_zoom": _zoom(exif),
     }
+
+
+def _zoom(exif: Mapping[int, Any]) -> float | None:
+    """Returns how much of a digital zoom was used; EXIF writes 0 for none, and less than 1 is none either."""
+    ratio = _positive(exif.get(_ZOOM))
+    return None if ratio is None or ratio <= 1.0 else ratio
 
 
 def xmp_values(path: Path, packet: bytes) -> dict[str, Any]:

@@ -50,6 +50,7 @@ def exif_of(
     focal_35mm: int | None = 24,
     size: tuple[int, int] | None = None,
     orientation: int = 1,
+    zoom: float | None = None,
 ) -> bytes:
     """Returns EXIF with the tags DJI writes."""
     exif = Image.Exif()
@@ -59,6 +60,8 @@ def exif_of(
         details[0x920A] = IFDRational(Fraction(focal_mm).limit_denominator(1000))
     if focal_35mm is not None:
         details[0xA405] = focal_35mm
+    if zoom is not None:
+        details[0xA404] = IFDRational(Fraction(zoom).limit_denominator(1000))
     if size is not None:
         details[0xA002], details[0xA003] = size
     exif._ifds[0x8769] = details

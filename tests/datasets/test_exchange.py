@@ -262,6 +262,23 @@ class TestNerfstudio:
         np.testing.assert_allclose(found.pose.center, pose.center, rtol=0, atol=1e-8)
 
     @pytest.mark.parametrize(
+        ("stated", "focal_px"),
+        [
+            # 90 degrees across 640 pixels, and across 480.
+            ({"camera_angle_x": np.pi / 2}, (320.0, 320.0)),
+            ({"camera_angle_y": np.pi / 2}, (240.0, 240.0)),
+            ({"camera_angle_x": np.pi / 2, "camera_angle_y": np.pi / 2}, (320.0, 240.0)),
+            ({"fl_x": 500.0, "camera_angle_x": 1.0, "camera_angle_y": np.pi / 2}, (500.0, 240.0)),
+            ({"fl_x": 500.0, "fl_y": 510.0, "camera_angle_y": 1.0}, (500.0, 510.0)),
+        ],
+    )
+    def test_a_field_of_view_stands_for_a_focal_length(self, tmp_path, stated, focal_px):
+        frame = {"file_path": "a", "transform_matrix": np.eye(4).tolist(), **stated}
+        (tmp_path / "transforms.json").write_text(json.dumps({"w": 640, "h": 480, "frames": [frame]}))
+        (found,) = read_nerfstudio(tmp_path)
+        assert (found.camera.fx, found.camera.fy) == pytest.approx(focal_px, abs=1e-9)
+
+    @pytest.mark.parametrize(
         ("text", "match"),
         [
             ("{", "transforms.json"),

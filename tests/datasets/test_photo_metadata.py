@@ -54,6 +54,12 @@ def test_exif_alone(tmp_path):
     assert photo.has_position
 
 
+@pytest.mark.parametrize(("written", "zoom"), [(2.5, 2.5), (1, 1.0), (0, 1.0), (0.5, 1.0), (None, 1.0)])
+def test_a_digital_zoom_where_one_was_used(tmp_path, written, zoom):
+    photo = read_photo_metadata(write_photo(tmp_path / "a.jpg", exif=exif_of(zoom=written)))
+    assert photo.digital_zoom == zoom
+
+
 def test_a_photo_that_says_nothing(tmp_path):
     assert read_photo_metadata(write_photo(tmp_path / "a.jpg")) == PhotoMetadata("a.jpg", 64, 48)
 

@@ -205,6 +205,22 @@ class TestCamera:
         # A 3:2 sensor has the shape of the 35 mm frame, so widths give the same.
         assert rounded.camera.fx == pytest.approx(24 / 36 * 5472, rel=1e-9)
 
+    def test_a_digital_zoom_multiplies_exifs_focal_length_alone(self):
+        zoomed = replace(PHOTO, model="FC6310R", focal_mm=8.8, digital_zoom=2.0)
+        assert camera_from_photo(zoomed).camera.fx == pytest.approx(2 * 8.8 / 13.2 * 5472)
+        plane = camera_from_photo(replace(zoomed, pixel_mm=(0.0024, 0.0025))).camera
+        assert (plane.fx, plane.fy) == (pytest.approx(2 * 8.8 / 0.0024), pytest.approx(2 * 8.8 / 0.0025))
+        # The equivalent is that of the photo, and DJI's numbers are of the picture without the zoom.
+        assert camera_from_photo(replace(PHOTO, focal_35mm=48.0, digital_zoom=2.0)).camera.fx == (
+            pytest.approx(48 / 36 * 5472)
+        )
+        dewarp = Dewarp("2019", 3666.0, 3660.0, -12.5, 8.5, (-0.26, 0.11, 0.001, -0.002, -0.03))
+        known = {"dewarp": dewarp, "calibrated_focal_px": 3600.0, "optical_center_x_px": 2000.0}
+        found = camera_from_photo(replace(zoomed, **known))
+        assert (found.source, found.camera.cx, found.camera.distortion) == ("sensor", 5472 / 2, ())
+        with pytest.raises(DatasetError, match="focal length"):
+            camera_from_photo(replace(PHOTO, dewarp=dewarp, digital_zoom=2.0))
+
     def test_nothing_or_nonsense(self):
         with pytest.raises(DatasetError, match="focal length"):
             camera_from_photo(PHOTO)

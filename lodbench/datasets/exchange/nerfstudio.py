@@ -17,6 +17,8 @@ from lodbench.geometry.angles import blender_from_opencv
 from lodbench.storage import write_text
 
 _LAYOUT = "file_path and transform_matrix (4 x 4) of each frame"
+# Along x and y: pixels, or the angle that the whole picture sees, as Blender and instant-ngp write it.
+_FOCAL_KEYS = (("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y"))
 _OPENCV_KEYS = ("k1", "k2", "p1", "p2")
 _FISHEYE_KEYS = ("k1", "k2", "k3", "k4")
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
@@ -90,14 +92,13 @@ def _undoing(values: Mapping[str, Any]) -> tuple[NDArray[np.float64], float]:
 
 
 def _camera(values: Mapping[str, Any]) -> Camera | None:
-    if "fl_x" not in values and "camera_angle_x" not in values:
+    if not any(key in values for keys in _FOCAL_KEYS for key in keys):
         return None
     width, height = int(values["w"]), int(values["h"])
-    if "fl_x" in values:
-        fx = float(values["fl_x"])
-    else:
-        fx = width / 2 / float(np.tan(float(values["camera_angle_x"]) / 2))
-    size_and_focal = width, height, fx, float(values.get("fl_y", fx))
+    stated = [_focal_px(values, *keys, size) for keys, size in zip(_FOCAL_KEYS, (width, height), strict=True)]
+    focal_px = [focal for focal in stated if focal is not None]
+    # One alone is that of both: pixels are square.
+    size_and_focal = width, height, focal_px[0], focal_px[-1]
     center = float(values.get("cx", width / 2)), float(values.get("cy", height / 2))
     model = str(values.get("camera_model", "OPENCV"))
     if model == "OPENCV_FISHEYE":
@@ -112,6 +113,13 @@ def _camera(values: Mapping[str, Any]) -> Camera | None:
     if k3:
         return Camera(*size_and_focal, *center, (*distortion, k3, 0.0, 0.0, 0.0), "FULL_OPENCV")
     return Camera(*size_and_focal, *center, distortion if any(distortion) else ())
+
+
+def _focal_px(values: Mapping[str, Any], focal: str, angle: str, size: int) -> float | None:
+    """Returns a focal length as stated, else from the field of view in radians; None without either."""
+    if focal in values:
+        return float(values[focal])
+    return size / 2 / float(np.tan(float(values[angle]) / 2)) if angle in values else None
 
 
 def _intrinsics(image: FoundPose) -> dict[str, Any]:
