@@ -120,8 +120,10 @@ def _draw_city(axis: Axes, corners: Floats, low: Floats, high: Floats) -> None:
     from matplotlib.collections import PolyCollection
 
     inside = ((corners.min(axis=1) < high) & (corners.max(axis=1) > low)).all(axis=1)
-    look = {"facecolor": "#d5d9de", "edgecolor": "#c2c7cd", "linewidth": 0.2}
-    axis.add_collection(PolyCollection(list(corners[inside]), rasterized=True, **look))
+    polygons = PolyCollection(
+        list(corners[inside]), facecolor="#d5d9de", edgecolor="#c2c7cd", linewidth=0.2, rasterized=True
+    )
+    axis.add_collection(polygons)
 
 
 def _draw_cameras(axis: Axes, places: Places) -> None:
@@ -137,7 +139,8 @@ def _draw_cameras(axis: Axes, places: Places) -> None:
         (places.priors, PRIOR, "x", "prior"),
         (places.estimates, ESTIMATE, ".", "estimate"),
     ):
-        axis.scatter(*points.T, c=colour, marker=marker, s=14, linewidths=0.8, label=name, zorder=3)
+        east, north = points.T
+        axis.scatter(east, north, c=colour, marker=marker, s=14, linewidths=0.8, label=name, zorder=3)
 
 
 def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:
