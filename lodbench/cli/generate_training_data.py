@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, section, to_params
 from lodbench.cli.sources import profile_of
+from lodbench.errors import ConfigError
 from lodbench.rendering.photo import LookRanges
 from lodbench.training.generate import Generated, generate_training_data
 from lodbench.training.params import TrainingParams
@@ -32,17 +33,28 @@ def task(config: DictConfig) -> None:
 
 
 def with_demo(values: dict[str, Any]) -> dict[str, Any]:
-    """Returns a configuration in which ``city=demo`` is the town to train on, with its own surroundings."""
-    if values["city"] != "demo" or Path("demo").exists():
-        return values
-    from lodbench.datasets.demo.build import CITY_FILE, PROPS_FILE
-    from lodbench.datasets.demo.open import DemoTrainParams, demo_folder
+    """Returns a configuration in which ``city=demo`` is a built-in town, with its own surroundings.
 
+    ``demo`` is the town to train on, ``demo:SEED`` another of its kind, ``demo:test`` the town to test on.
+
+    Raises:
+        ConfigError: What follows the colon is neither.
+    """
+    name, _, which = str(values["city"]).partition(":")
+    if name != "demo" or Path(values["city"]).exists():
+        return values
+    from lodbench.datasets.demo.build import CITY_FILE, FINE_CITY_FILE, PROPS_FILE
+    from lodbench.datasets.demo.open import DemoParams, DemoTrainParams, demo_folder
+
+    if which not in ("", "test") and not which.isdecimal():
+        raise ConfigError(f"city={values['city']} is not known.", "demo, demo:SEED or demo:test.")
     # The town alone is wanted; two queries are the fewest it is built with.
-    root = demo_folder(DemoTrainParams(num_queries=2))
-    props = values["props"] or str(root / PROPS_FILE)
-    # Its level 1 is a map grown old, to test on; what is there today is in level 2.
-    return values | {"city": str(root / CITY_FILE), "props": props, "lod": values["lod"] or "2"}
+    town = DemoParams(num_queries=2) if which == "test" else DemoTrainParams(num_queries=2)
+    root = demo_folder(replace(town, town_seed=int(which)) if which.isdecimal() else town)
+    # Its level 1 is a map grown old, to test on; what is there today is in level 2, and finer in 3.
+    lod = str(values["lod"] or "2")
+    city = root / (FINE_CITY_FILE if lod == "3" else CITY_FILE)
+    return values | {"city": str(city), "props": values["props"] or str(root / PROPS_FILE), "lod": lod}
 
 
 def params_of(values: dict[str, Any]) -> TrainingParams:

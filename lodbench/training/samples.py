@@ -15,7 +15,7 @@ from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photos import read_photo
 from lodbench.storage import digest_of
 
-Photo = NDArray[np.float32]
+Photo = NDArray[np.uint8]
 _HELD_OUT = 20
 _ENDINGS = (".jpg", ".jpeg", ".png")
 
@@ -35,7 +35,7 @@ class Sample:
     mask: Path
 
     def read(self, size: int, square: bool) -> tuple[Photo, NDArray[np.float32]]:
-        """Returns the picture (H, W, 3) RGB and the mask (H, W), float32 in [0, 1].
+        """Returns the picture (H, W, 3) RGB uint8 and the mask (H, W) float32 in [0, 1].
 
         Args:
             size: Long side to bring them to; 0 for as they are.
@@ -53,8 +53,7 @@ class Sample:
             factor = size / max(height, width)
             height, width = max(1, round(height * factor)), max(1, round(width * factor))
             height, width = (size, size) if square else (height, width)
-        picture = _brought(photo, width, height).astype(np.float32) / np.float32(255)
-        return picture, _brought(mask, width, height).astype(np.float32)
+        return _brought(photo, width, height), _brought(mask, width, height)
 
 
 def _brought(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:

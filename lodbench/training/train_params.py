@@ -9,6 +9,7 @@ from typing import Any
 from lodbench.errors import ConfigError, nearest_names
 
 WEIGHTINGS = ("paper", "released")
+OPTIMIZERS = ("adamw", "muon")
 PRECISIONS = ("auto", "float32", "bfloat16")
 
 
@@ -22,7 +23,10 @@ class TrainParams:
             every twentieth of its training views, held out.
         out: Folder of checkpoints, curves and weights.
         epochs: Passes over the training views.
+        optimizer: ``adamw``, the paper's; or ``muon`` for the kernels of convolutions and AdamW for the rest:
+            a small network from scratch learns several times faster.
         lr: Highest learning rate; it falls to ``lr_end`` along half a cosine.
+        muon_lr: Highest learning rate of Muon; it falls as ``lr`` does.
         lr_end: Learning rate at the end.
         warmup: Share of the steps in which it rises to ``lr``.
         weight_decay: Of AdamW.
@@ -51,7 +55,9 @@ class TrainParams:
     val_data: str | None = None
     out: str = "training"
     epochs: int = 20
+    optimizer: str = "adamw"
     lr: float = 1e-3
+    muon_lr: float = 0.02
     lr_end: float = 1e-7
     warmup: float = 0.0
     weight_decay: float = 5e-4
@@ -75,6 +81,7 @@ class TrainParams:
             ("weighting", WEIGHTINGS),
             ("precision", PRECISIONS),
             ("augment", ("full", "flips")),
+            ("optimizer", OPTIMIZERS),
         ):
             if getattr(self, name) not in choices:
                 raise ConfigError(
@@ -83,6 +90,7 @@ class TrainParams:
         for name, low, high in (
             ("epochs", 1, 100_000),
             ("lr", 1e-12, 10.0),
+            ("muon_lr", 1e-12, 10.0),
             ("lr_end", 0.0, 10.0),
             ("warmup", 0.0, 0.9),
             ("weight_decay", 0.0, 10.0),

@@ -65,7 +65,12 @@ def _changed(sample: Sample, params: TrainParams, epoch: int) -> tuple[Floats, F
     photo, mask = flipped(photo, mask, generator)
     if params.crop:
         photo, mask = random_crop(photo, mask, params.crop, params.scale, generator)
-    return (relit(photo, generator) if params.augment == "full" else photo), mask
+    return (relit(photo, generator) if params.augment == "full" else as_floats(photo)), mask
+
+
+def as_floats(photo: NDArray[np.uint8]) -> Floats:
+    """Returns a picture of bytes in [0, 1]."""
+    return photo.astype(np.float32) / np.float32(255)
 
 
 def as_tensors(photos: list[Floats], masks: list[Floats]) -> tuple[Tensor, Tensor]:

@@ -17,6 +17,7 @@ from lodbench.training.nets.batches import batches, steps_per_epoch
 from lodbench.training.nets.checkpoints import save_checkpoint
 from lodbench.training.nets.distributed import Place
 from lodbench.training.nets.losses import total_loss
+from lodbench.training.nets.optimizers import make_optimizers, set_rate
 from lodbench.training.nets.validate import validation_iou
 from lodbench.training.samples import Sample
 from lodbench.training.train_params import TrainParams
@@ -31,13 +32,13 @@ class State:
 
     Attributes:
         net: The network, on its device.
-        optimizer: AdamW over its trainable weights.
+        optimizers: Of its trainable weights, each weight in one of them.
         epoch: Epochs done.
         history: Per epoch: mean loss, learning rate and, where validated, IoUs.
     """
 
     net: nn.Module
-    optimizer: torch.optim.Optimizer
+    optimizers: list[torch.optim.Optimizer]
     epoch: int = 0
     history: list[dict[str, float]] = field(default_factory=list)
 
@@ -48,20 +49,20 @@ class State:
             "epoch": self.epoch,
             "history": self.history,
             "net": self.net.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
         }
 
     def restore(self, stored: dict[str, Any]) -> None:
         """Takes up what was stored."""
         self.net.load_state_dict(stored["net"])
-        self.optimizer.load_state_dict(stored["optimizer"])
+        for optimizer, kept in zip(self.optimizers, stored["optimizers"], strict=True):
+            optimizer.load_state_dict(kept)
         self.epoch, self.history = stored["epoch"], stored["history"]
 
 
 def make_state(net: nn.Module, params: TrainParams) -> State:
-    """Returns the state at the start: AdamW over the weights that are not frozen."""
-    trainable = [weight for weight in net.parameters() if weight.requires_grad]
-    return State(net, torch.optim.AdamW(trainable, lr=params.lr, weight_decay=params.weight_decay))
+    """Returns the state at the start."""
+    return State(net, make_optimizers(net, params))
 
 
 def learning_rate(params: TrainParams, step: int, steps: int) -> float:
@@ -129,18 +130,19 @@ def _epoch(
     total = 0.0
     with Progress(f"epoch {epoch + 1} of {params.epochs}", steps) as progress:
         for step, (images, truth) in enumerate(batches(train, params, epoch, 0, place.rank, place.ranks)):
-            for group in state.optimizer.param_groups:
-                group["lr"] = learning_rate(params, epoch * steps + step, params.epochs * steps)
+            rate = learning_rate(params, epoch * steps + step, params.epochs * steps)
+            set_rate(state.optimizers, rate / params.lr)
             images, truth = images.to(place.device), truth.to(place.device)
             if place.device.type == "cpu":
                 images = images.contiguous(memory_format=torch.channels_last)
             with _precision(params.precision, place.device):
                 outputs = model(images)
             loss = total_loss(outputs, truth, params.weighting)
-            state.optimizer.zero_grad(set_to_none=True)
+            model.zero_grad(set_to_none=True)
             loss.backward()
             nn.utils.clip_grad_norm_(state.net.parameters(), _LONGEST_GRADIENT)
-            state.optimizer.step()
+            for optimizer in state.optimizers:
+                optimizer.step()
             total += float(loss.detach())
             progress.advance()
     return total / steps

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from lodbench.segmentation.nets.working import padded
-from lodbench.training.nets.batches import as_tensors
+from lodbench.training.nets.batches import as_floats, as_tensors
 from lodbench.training.samples import Sample
 
 # Views with fewer buildings say little: one wrong shed halves their IoU.
@@ -35,7 +35,7 @@ def validation_iou(
     shared_counts, union_counts = [], []
     for sample in samples:
         photo, mask = sample.read(size, square)
-        images, truth = as_tensors([photo], [mask])
+        images, truth = as_tensors([as_floats(photo)], [mask])
         images, (height, width) = padded(images, stride)
         logits = net(images.to(device))[0][..., :height, :width].float().cpu()
         found, wanted = logits >= 0, truth >= 0.5
