@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo ablation test fuzz lint clean
+.PHONY: demo ablation test fuzz weights lint clean
 
 # Builds the demo town, localises its 40 photos, from pixels, with the sensor's tilt and with the true one.
 demo: $(VENV)/.base
@@ -20,6 +20,11 @@ test: $(VENV)/.test lint
 COUNT ?= 20000
 fuzz: $(VENV)/.test
 	$(BIN)/python -m tests.citymodel.test_fuzz $(COUNT)
+
+# The weights of segmenter=compact, from nothing: about two hours on two cores. CITIES= adds open city models.
+OUT ?= weights
+weights: $(VENV)/.test
+	PATH="$(abspath $(BIN)):$$PATH" recipes/compact.sh $(OUT) $(CITIES)
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
