@@ -36,5 +36,6 @@ train() { # folder, further settings
 }
 export OMP_NUM_THREADS=1
 train first schedule.epochs="$first"
-train second schedule.epochs="$second" schedule.lr=0.0015 schedule.muon_lr=0.01 init="$out/first/checkpoint.pt"
+train second schedule.epochs="$second" schedule.lr=0.0015 schedule.muon_lr=0.01 \
+    schedule.one_band=0.12 init="$out/first/checkpoint.pt"
 echo "compact.onnx and training.json (as compact.json) of $out/second belong in lodbench/segmentation/weights"

@@ -52,17 +52,24 @@ def random_crop(
     return np.asarray(taken[0], np.uint8), np.asarray(taken[1], np.float32)
 
 
-def relit(photo: Bytes, generator: np.random.Generator) -> Floats:
+def relit(photo: Bytes, generator: np.random.Generator, one_band: float = 0.0) -> Floats:
     """Returns a picture in other light, taken by another camera: (H, W, 3) float32 in [0, 1].
 
     Rendered views have drawn their looks already; this moves each a little further.
+
+    Args:
+        photo: (H, W, 3) RGB.
+        generator: The only source of randomness.
+        one_band: Share of pictures that lose their colours altogether, as if of another sensor.
     """
     gamma = np.exp(generator.normal(0.0, 0.12))
     gains = np.exp(generator.normal(0.0, 0.08) + generator.normal(0.0, 0.03, 3))
     # Light changes each channel by itself: a table of 256 values instead of a power per pixel.
     table = (np.linspace(0.0, 1.0, 256)[:, None] ** gamma * gains).astype(np.float32)
-    picture = np.asarray(cv2.LUT(photo, table[None]))
-    if generator.random() < 0.25:
+    picture = np.asarray(cv2.LUT(photo, table[None]), np.float32)
+    if one_band and generator.random() < one_band:
+        picture = _one_band(picture, generator)
+    elif generator.random() < 0.25:
         grey = picture @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
         saturation = np.float32(generator.uniform(0.0, 1.3))
         picture = grey[..., None] + saturation * (picture - grey[..., None])
@@ -71,3 +78,15 @@ def relit(photo: Bytes, generator: np.random.Generator) -> Floats:
         picture = picture + sigma * generator.standard_normal(picture.shape, dtype=np.float32)
     clipped: Floats = np.clip(picture, 0.0, 1.0, dtype=np.float32)
     return clipped
+
+
+def _one_band(picture: Floats, generator: np.random.Generator) -> Floats:
+    """Returns a picture as another sensor may see it: one band, its tones bent or inverted."""
+    band = picture @ generator.dirichlet((1.0, 1.0, 1.0)).astype(np.float32)
+    low, high = np.quantile(band[::4, ::4], (0.01, 0.99))
+    tones = np.clip((band - low) / max(high - low, 0.05), 0.0, 1.0, dtype=np.float32)
+    if generator.random() < 0.3:
+        tones = 1 - tones
+    tones = tones ** np.float32(np.exp(generator.normal(0.0, 0.4)))
+    floor, gain = generator.uniform(0.0, 0.15), generator.uniform(0.7, 1.0)
+    return np.repeat((floor + gain * tones)[..., None], 3, axis=2).astype(np.float32)

@@ -36,6 +36,7 @@ class TrainParams:
             ``size`` x ``size`` as the paper does.
         scale: Range of the random scale of a crop.
         augment: ``full`` (light, colour, blur, noise, turns) or ``flips`` (SAM2-UNet's own).
+        one_band: Share of pictures that ``full`` turns into those of one band, tones bent or inverted.
         weighting: ``paper``: pixels near outlines weigh up to six times in both losses; ``released``: in
             the IoU loss only, which is what the published code computes.
         precision: ``bfloat16`` for mixed precision; ``auto`` takes it on GPUs that have it.
@@ -66,6 +67,7 @@ class TrainParams:
     crop: int = 0
     scale: tuple[float, float] = (1.0, 1.0)
     augment: str = "flips"
+    one_band: float = 0.0
     weighting: str = "paper"
     precision: str = "auto"
     device: str = "auto"
@@ -95,6 +97,7 @@ class TrainParams:
             ("warmup", 0.0, 0.9),
             ("weight_decay", 0.0, 10.0),
             ("batch", 1, 4096),
+            ("one_band", 0.0, 1.0),
             ("size", 0, 8192),
             ("crop", 0, 8192),
             ("val_every", 1, 100_000),

@@ -151,6 +151,17 @@ def test_pictures_and_masks_change_together():
         assert (again == relit(picture, np.random.default_rng(draw))).all()
 
 
+def test_a_share_of_pictures_loses_its_colours():
+    photo = np.random.default_rng(0).integers(0, 256, (64, 64, 3)).astype(np.uint8)
+    for draw in range(8):
+        colours = relit(photo, np.random.default_rng(draw))
+        band = relit(photo, np.random.default_rng(draw), one_band=1.0)
+        assert 0 <= band.min() <= band.max() <= 1
+        assert band.std() > 0.1
+        # Noise, where it is drawn, differs by channel.
+        assert np.median(np.ptp(band, axis=2)) < 0.1 < np.median(np.ptp(colours, axis=2))
+
+
 def test_the_learning_rate_rises_and_falls_along_a_cosine():
     from lodbench.training.nets.loop import learning_rate
 

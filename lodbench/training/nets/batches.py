@@ -65,7 +65,9 @@ def _changed(sample: Sample, params: TrainParams, epoch: int) -> tuple[Floats, F
     photo, mask = flipped(photo, mask, generator)
     if params.crop:
         photo, mask = random_crop(photo, mask, params.crop, params.scale, generator)
-    return (relit(photo, generator) if params.augment == "full" else as_floats(photo)), mask
+    if params.augment == "full":
+        return relit(photo, generator, params.one_band), mask
+    return as_floats(photo), mask
 
 
 def as_floats(photo: NDArray[np.uint8]) -> Floats:
