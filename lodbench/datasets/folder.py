@@ -4,7 +4,7 @@
 
     ROOT/                       or one such folder per split: ROOT/in_place, ROOT/out_of_place, ...
         GT_pose.txt             name qw qx qy qz tx ty tz, world to camera (or poses.txt)
-        GPS_pose.txt            the priors, likewise
+        GPS_pose.txt            the priors, likewise; several lines of a name are its hypotheses, best first
         intrinsic.txt           name PINHOLE W H fx fy cx cy
         Query_image/            the photos (optional; or images/)
         masks/                  building masks, 255 = building (optional)
@@ -21,7 +21,7 @@ from pathlib import Path
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.posed import read_json
-from lodbench.datasets.pose_text import read_cameras, read_poses
+from lodbench.datasets.pose_text import read_cameras, read_hypotheses, read_poses
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, Pose
@@ -117,7 +117,7 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
     has_truth, has_priors = about.get("truth") is not False, about.get("priors") is not False
     truth_file = _truth_file(folder) or folder / TRUTH_FILE
     truth = read_poses(truth_file) if has_truth else {}
-    priors = read_poses(folder / PRIOR_FILE) if has_priors else {}
+    priors = read_hypotheses(folder / PRIOR_FILE) if has_priors else {}
     cameras = read_cameras(folder / CAMERA_FILE)
     if has_truth and not truth:
         raise DatasetError(f"{truth_file} holds no poses.", _LAYOUT_HINT)
@@ -131,19 +131,25 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
         notes.append(f"{split}: there is no truth, so nothing is scored")
     if not has_priors:
         notes.append(f"{split}: there are no priors; prior=uniform draws them around the truth")
-    entries = [_entry(folder, split, name, cameras, priors) for name in names]
+    entries = [_entry(folder, split, name, cameras, priors.get(name, ())) for name in names]
+    several = sum(len(entry.hypotheses) > 1 for entry in entries)
+    if several:
+        notes.append(f"{split}: {several} queries have several priors; the first is the prior of each")
     return entries, {f"{split}/{name}": pose for name, pose in truth.items()}, notes
 
 
-def _entry(folder: Path, split: str, name: str, cameras: dict[str, Camera], priors: dict[str, Pose]) -> Entry:
+def _entry(
+    folder: Path, split: str, name: str, cameras: dict[str, Camera], priors: tuple[Pose, ...]
+) -> Entry:
     return Entry(
         name=name,
         split=split,
         camera=cameras.get(name),
-        prior=priors.get(name),
+        prior=priors[0] if priors else None,
         image=_first_file(folder / "Query_image", [name]) or _first_file(folder / RENDERED_IMAGES, [name]),
         # A mask is stored under the photo's name, or under its stem as PNG.
         mask=_first_file(folder / "masks", [name, Path(name).stem + ".png"]),
+        hypotheses=priors,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
@@ -13,6 +13,7 @@ T = TypeVar("T")
 
 # No place on Earth is further from the origin of its CRS.
 _MAX_COORDINATE_M = 1e8
+_POSE_LAYOUT = "name qw qx qy qz tx ty tz"
 
 
 def read_poses(path: str | Path) -> dict[str, Pose]:
@@ -25,7 +26,19 @@ def read_poses(path: str | Path) -> dict[str, Pose]:
         DatasetError: The file cannot be read, or a line is malformed, repeats a name or holds a
             coordinate beyond 1e8 m; the message names the line.
     """
-    return _read_lines(Path(path), _parse_place, "name qw qx qy qz tx ty tz")
+    return _only_ones(Path(path), _parse_place, _POSE_LAYOUT)
+
+
+def read_hypotheses(path: str | Path) -> dict[str, tuple[Pose, ...]]:
+    """Returns all world-to-camera poses of each image, in the order of the lines; a name may occur often.
+
+    Raises:
+        DatasetError: As for ``read_poses``, but for the repeated name.
+    """
+    found: dict[str, tuple[Pose, ...]] = {}
+    for _, name, pose in _read_lines(Path(path), _parse_place, _POSE_LAYOUT):
+        found[name] = (*found.get(name, ()), pose)
+    return found
 
 
 def read_cameras(path: str | Path) -> dict[str, Camera]:
@@ -34,7 +47,7 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     Raises:
         DatasetError: As for ``read_poses``.
     """
-    return _read_lines(Path(path), parse_camera, "name PINHOLE W H fx fy cx cy")
+    return _only_ones(Path(path), parse_camera, "name PINHOLE W H fx fy cx cy")
 
 
 def format_pose(name: str, pose: Pose) -> str:
@@ -54,7 +67,20 @@ def lines_to_text(lines: Iterable[str]) -> str:
     return "".join(line + "\n" for line in lines)
 
 
-def _read_lines(path: Path, parse: Callable[[list[str]], T], layout: str) -> dict[str, T]:
+def _only_ones(path: Path, parse: Callable[[list[str]], T], layout: str) -> dict[str, T]:
+    """Returns what the lines say by name, each name once."""
+    values: dict[str, T] = {}
+    for number, name, value in _read_lines(path, parse, layout):
+        if name in values:
+            raise DatasetError(
+                f"{path}, line {number}: the name {name} occurs twice.", f"Each line reads: {layout}"
+            )
+        values[name] = value
+    return values
+
+
+def _read_lines(path: Path, parse: Callable[[list[str]], T], layout: str) -> Iterator[tuple[int, str, T]]:
+    """Yields number, name and value of each line."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -64,20 +90,16 @@ def _read_lines(path: Path, parse: Callable[[list[str]], T], layout: str) -> dic
         ) from error
     except UnicodeDecodeError as error:
         raise DatasetError(f"{path} cannot be read: it is no UTF-8 text.", "Save it as UTF-8.") from error
-    values: dict[str, T] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         words = line.split()
-        name = PurePosixPath(words[0]).name
         try:
-            if name in values:
-                raise LodbenchError(f"the name {name} occurs twice")
-            values[name] = parse(words[1:])
+            value = parse(words[1:])
         except (LodbenchError, ValueError) as error:
             reason = str(error).rstrip(".")
             raise DatasetError(f"{path}, line {number}: {reason}.", f"Each line reads: {layout}") from error
-    return values
+        yield number, PurePosixPath(words[0]).name, value
 
 
 def parse_pose(words: list[str]) -> Pose:

@@ -179,9 +179,11 @@ def prior_text(entries: Sequence[Entry], describe: str, seed: int) -> str:
 
 def prior_digest(entries: Sequence[Entry]) -> str:
     """Returns a digest of where a method is told to start."""
-    return digest_of(
-        [[e.key, None if e.prior is None else e.prior.cam_from_world[:3].ravel().tolist()] for e in entries]
-    )
+    return digest_of([[e.key, _numbers(e.prior), *map(_numbers, e.hypotheses[1:])] for e in entries])
+
+
+def _numbers(pose: Pose | None) -> list[float] | None:
+    return None if pose is None else pose.cam_from_world[:3].ravel().tolist()
 
 
 def _by_key(path: Path, entries: Sequence[Entry]) -> dict[str, tuple[Pose, ...]]:

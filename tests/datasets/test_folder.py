@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from lodbench.datasets.folder import FolderParams, open_folder, select_splits
+from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import ConfigError, DatasetError
 
 POSE = "1 0 0 0 1 2 3"
@@ -116,6 +119,21 @@ class TestFaults:
         with pytest.raises(DatasetError, match="nowhere is not a folder") as caught:
             open_at(tmp_path / "nowhere", city)
         assert "dataset.root" in caught.value.hint
+
+    def test_several_priors_of_a_query_are_its_hypotheses(self, tmp_path, city):
+        root = write_split(tmp_path / "d", truth=("a.jpg", "b.jpg"), priors=("a.jpg", "b.jpg"))
+        with (root / "GPS_pose.txt").open("a") as stream:
+            stream.write("query/a.jpg 1 0 0 0 4 5 6\n")
+        dataset = open_at(root, city)
+        first, second = dataset.entries
+        assert [pose.translation.tolist() for pose in first.hypotheses] == [[1, 2, 3], [4, 5, 6]]
+        assert first.prior is first.hypotheses[0]
+        assert (second.prior, second.hypotheses) == (second.hypotheses[0], (second.prior,))
+        assert dataset.notes == ("d: 1 queries have several priors; the first is the prior of each",)
+        # A method may read the second, so a run that changes it is another run.
+        alone = replace(first, hypotheses=first.hypotheses[:1])
+        assert prior_digest([first]) != prior_digest([alone])
+        assert prior_digest([alone]) == prior_digest([replace(first, hypotheses=())])
 
     def test_no_such_city(self, tmp_path):
         with pytest.raises(DatasetError, match=r"none\.obj does not exist"):
