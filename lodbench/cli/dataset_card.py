@@ -7,9 +7,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from lodbench.datasets.cards import card_markdown, card_of
+from lodbench.datasets.cards import CARDS, card_markdown
 from lodbench.datasets.croissant import croissant_text
+from lodbench.datasets.demo_card import DEMO, demo_card_markdown
+from lodbench.errors import ConfigError, nearest_names
 from lodbench.storage import write_text
+
+MARKDOWN, CROISSANT = ".md", ".croissant.json"
 
 
 def main(argv: Sequence[str]) -> int:
@@ -20,18 +24,36 @@ def main(argv: Sequence[str]) -> int:
     """
     parser = argparse.ArgumentParser("lodbench dataset card", description="Print or write a dataset's card.")
     parser.add_argument("dataset", metavar="NAME")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write NAME.md and NAME.croissant.json there")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write NAME.md, and NAME.croissant.json for a download"
+    )
     parser.add_argument("--croissant", action="store_true", help="print the JSON-LD instead of Markdown")
     options = parser.parse_args(argv[1:])
-    card = card_of(options.dataset)
+    texts = _texts(options.dataset)
     if options.out is None:
-        sys.stdout.write(croissant_text(card) if options.croissant else card_markdown(card))
+        if options.croissant and CROISSANT not in texts:
+            raise ConfigError(
+                f"{options.dataset} has no Croissant: that describes files to download.",
+                "It is made on your machine; the card without --croissant says how.",
+            )
+        sys.stdout.write(texts[CROISSANT if options.croissant else MARKDOWN])
         return 0
     options.out.mkdir(parents=True, exist_ok=True)
-    for name, text in (
-        (f"{card.spec.id}.md", card_markdown(card)),
-        (f"{card.spec.id}.croissant.json", croissant_text(card)),
-    ):
-        write_text(options.out / name, text)
-        sys.stdout.write(f"{options.out / name}\n")
+    for ending, text in texts.items():
+        path = options.out / f"{options.dataset}{ending}"
+        write_text(path, text)
+        sys.stdout.write(f"{path}\n")
     return 0
+
+
+def _texts(name: str) -> dict[str, str]:
+    """Returns the files of a card by their endings.
+
+    Raises:
+        ConfigError: There is no card of that name.
+    """
+    if name == DEMO:
+        return {MARKDOWN: demo_card_markdown()}
+    if name not in CARDS:
+        raise ConfigError(f"There is no card of {name!r}.", nearest_names(name, [*CARDS, DEMO]))
+    return {MARKDOWN: card_markdown(CARDS[name]), CROISSANT: croissant_text(CARDS[name])}

@@ -9,7 +9,6 @@ import json
 from dataclasses import dataclass
 
 from lodbench.datasets.published.specs import SPECS, PublishedSpec, SplitSpec
-from lodbench.errors import ConfigError, nearest_names
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,17 +152,6 @@ CARDS = {
         _swiss("swiss_epflv2", "LoD1, derived from swissBUILDINGS3D.", _V2),
     )
 }
-
-
-def card_of(name: str) -> Card:
-    """Returns the card of a dataset.
-
-    Raises:
-        ConfigError: There is none of that name.
-    """
-    if name not in CARDS:
-        raise ConfigError(f"There is no card of {name!r}.", nearest_names(name, CARDS))
-    return CARDS[name]
 
 
 def card_markdown(card: Card) -> str:

@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from lodbench.datasets.cards import CARDS, card_markdown, card_of
+from lodbench.cli.dataset_card import main
+from lodbench.datasets.cards import CARDS, card_markdown
 from lodbench.datasets.codes import CATALOGUE
 from lodbench.datasets.croissant import card_croissant, croissant_text
+from lodbench.datasets.demo.town import TOWN_VERSION
+from lodbench.datasets.demo_card import demo_card_markdown
 from lodbench.datasets.published.specs import SPECS
 from lodbench.errors import ConfigError
 from tests.data.published_layouts import write_uavd4l
@@ -18,10 +21,43 @@ from tests.data.published_layouts import write_uavd4l
 _FOLDER = Path(__file__).resolve().parents[2] / "data_cards"
 
 
+def _parts(card):
+    """Returns a card's YAML head, read, and its text."""
+    head, body = re.fullmatch(r"---\n(.*?)---\n(.*)", card, re.S).groups()
+    return yaml.safe_load(head), body
+
+
 def test_every_published_dataset_has_one():
     assert set(CARDS) == set(SPECS)
-    with pytest.raises(ConfigError, match="no card of 'swiss'"):
-        card_of("swiss")
+
+
+def test_the_demo_has_one():
+    # After a change: lodbench dataset card demo --out data_cards
+    assert (_FOLDER / "demo.md").read_text() == demo_card_markdown()
+    head, body = _parts(demo_card_markdown())
+    assert head["splits"] == {"in_place": 20, "out_of_place": 20}
+    assert head["version"] == f"town {TOWN_VERSION}"
+    assert all(f"| {split} | {count} |" in body for split, count in head["splits"].items())
+
+
+class TestCommand:
+    def test_writes_what_a_dataset_has(self, tmp_path, capsys):
+        assert main(["card", "demo", "--out", str(tmp_path)]) == 0
+        assert main(["card", "swiss_epfl", "--out", str(tmp_path)]) == 0
+        written = {"demo.md", "swiss_epfl.md", "swiss_epfl.croissant.json"}
+        assert {path.name for path in tmp_path.iterdir()} == written
+        assert [Path(line).name for line in capsys.readouterr().out.splitlines()] == [
+            "demo.md",
+            "swiss_epfl.md",
+            "swiss_epfl.croissant.json",
+        ]
+
+    @pytest.mark.parametrize(
+        ("words", "match"), [(["swiss"], "no card of 'swiss'"), (["demo", "--croissant"], "no Croissant")]
+    )
+    def test_says_what_there_is_not(self, words, match):
+        with pytest.raises(ConfigError, match=match):
+            main(["card", *words])
 
 
 @pytest.mark.parametrize("name", sorted(CARDS))
@@ -33,8 +69,7 @@ def test_the_files_are_those_that_are_made(name):
 
 @pytest.mark.parametrize("name", sorted(CARDS))
 def test_a_card_says_what_a_reader_must_know(name):
-    head, body = re.fullmatch(r"---\n(.*?)---\n(.*)", card_markdown(CARDS[name]), re.S).groups()
-    values = yaml.safe_load(head)
+    values, body = _parts(card_markdown(CARDS[name]))
     assert values["id"] == name
     assert set(values["splits"]) == {split.name for split in SPECS[name].splits}
     for word in ("How to get it", "Splits", "Provenance", "True poses", "Priors", "What to know"):
