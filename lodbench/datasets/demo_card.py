@@ -44,8 +44,8 @@ def demo_card_markdown() -> str:
 _ABOUT = (
     "# The demo town",
     f"Drawn photos of {QUERY_CAMERA.width} x {QUERY_CAMERA.height} pixels with true and rough poses over a "
-    "made-up town in three levels of detail. It shows that everything works, and tells methods apart; it says "
-    "nothing about how well one does on real photos.",
+    "made-up town in three levels of detail. It shows that everything works, and tells methods apart; it "
+    "says nothing about how well one does on real photos.",
     "## How to get it",
     "`dataset=demo` makes it on first use and keeps it in the cache; `lodbench dataset make-demo DIR` writes "
     "it to a folder. The same seed gives the same bytes. `dataset=demo_train` is another town, with other "
@@ -54,10 +54,10 @@ _ABOUT = (
 )
 _REST = (
     "## Provenance",
-    "A generator draws streets, blocks, houses, landmarks, trees and cars on a hilly ground from one seed. The "
-    "photos show the town in LoD3 with its props, sun, haze and noise. The LoD1 and LoD2 map is an older "
-    "survey: about 5 % of the buildings are new and not in it, 4 % are gone, up to 8 % were raised since, and the "
-    "heights of its LoD1 blocks are off by 0.5 m (sigma).",
+    "A generator draws streets, blocks, houses, landmarks, trees and cars on a hilly ground from one seed. "
+    "The photos show the town in LoD3 with its props, sun, haze and noise. The LoD1 and LoD2 map is an older "
+    "survey: about 5 % of the buildings are new and not in it, 4 % are gone, up to 8 % were raised since, "
+    "and the heights of its LoD1 blocks are off by 0.5 m (sigma).",
     "## True poses",
     "Those the photos were drawn from. Uncertainty: none.",
     "## Priors",
@@ -67,7 +67,7 @@ _REST = (
     "- The photos are drawn: what a network scores on them is no forecast for photos of a real drone.\n"
     "- `masks/` holds the true silhouette less what trees and cars hide, roughened to the IoU above. "
     "`segmenter=masks` reads them; the tables name the segmenter.\n"
-    "- The priors out of place were widened after looking at a method's score, so that methods differ. Recall "
-    "out of place is no forecast of the paper's.\n"
+    "- The priors out of place were widened after looking at a method's score, so that methods differ. "
+    "Recall out of place is no forecast of the paper's.\n"
     "- Results of two versions of the town do not compare; every row says which it is.",
 )
