@@ -144,10 +144,6 @@ class BoundaryFit:
         mean = to_query / np.maximum(lengths, 1) + from_query / max(length, 1)
         return np.where(has_both, 1.0 - mean / (2.0 * self.reach_px), 0.0)
 
-    def distance_px(self, fit: Floats) -> Floats:
-        """Returns the mean distance between outlines, pixels, that a fit stands for."""
-        return (1.0 - fit) * self.reach_px
-
 
 def _size_of(picture: NDArray[np.generic]) -> tuple[int, int]:
     if picture.ndim != 2 or picture.size == 0:

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from pathlib import Path
@@ -128,23 +127,6 @@ class SceneProps:
         """Returns the same in the local frame of another origin, for example that of a ``Scene``."""
         shift = (self.origin - origin).astype(np.float32)
         return replace(self, vertices=self.vertices + shift, origin=np.asarray(origin, dtype=np.float64))
-
-
-def join_props(parts: Sequence[SceneProps]) -> SceneProps:
-    """Returns all triangles of several parts in one frame, that of the first; objects keep their numbers."""
-    first = parts[0]
-    parts = [part.in_frame(first.origin) for part in parts]
-    starts = np.cumsum([0, *[len(part.vertices) for part in parts[:-1]]])
-    return replace(
-        first,
-        vertices=np.concatenate([part.vertices for part in parts]),
-        triangles=np.concatenate(
-            [part.triangles + np.int32(start) for part, start in zip(parts, starts, strict=True)]
-        ),
-        surface=np.concatenate([part.surface for part in parts]),
-        objects=np.concatenate([part.objects for part in parts]),
-        tint=np.concatenate([part.tint for part in parts]),
-    )
 
 
 _FIELDS = tuple(field.name for field in fields(SceneProps))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import RenderingError
-from lodbench.rendering.props import SceneProps, SurfaceClass, join_props, read_props, write_props
+from lodbench.rendering.props import SceneProps, SurfaceClass, read_props, write_props
 
 
 def props_of(surfaces, origin=(0.0, 0.0, 0.0)):
@@ -45,13 +45,11 @@ def test_a_part_keeps_only_the_vertices_it_uses():
     assert not props.part(~props.is_building).has_buildings
 
 
-def test_joined_parts_are_in_one_frame():
-    near, far = props_of([SurfaceClass.ROAD]), props_of([SurfaceClass.WALL], origin=(1000.0, 0.0, 5.0))
-    both = join_props([near, far])
-    np.testing.assert_array_equal(
-        both.vertices[both.triangles[1]], far.vertices + np.array([1000.0, 0.0, 5.0])
-    )
-    np.testing.assert_array_equal(both.in_frame(far.origin).vertices[3:], far.vertices)
+def test_props_stay_where_they_are_in_another_frame():
+    far = props_of([SurfaceClass.WALL], origin=(1000.0, 0.0, 5.0))
+    here = far.in_frame(np.zeros(3))
+    np.testing.assert_array_equal(here.vertices, far.vertices + np.array([1000.0, 0.0, 5.0]))
+    np.testing.assert_array_equal(here.in_frame(far.origin).vertices, far.vertices)
 
 
 def test_a_file_gives_back_what_was_written_and_is_stable(tmp_path):
