@@ -71,7 +71,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(usage())
         return 0
-    if words[0] in ("-V", "--version"):
+    # Of any command too: Hydra would answer with a version of its own.
+    if words[0] == "-V" or "--version" in words:
         from lodbench import __version__
 
         sys.stdout.write(f"lodbench {__version__}\n")

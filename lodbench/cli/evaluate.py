@@ -54,7 +54,7 @@ def task(config: DictConfig) -> None:
     settings = EvaluateSettings(
         poses=Path(options.poses).expanduser(),
         runs_root=Path(values["paths"]["runs"]).expanduser(),
-        config={**plain_settings, **data_identity(dataset_params, source)},
+        config={**plain_settings, "split": options.split, **data_identity(dataset_params, source)},
         format=options.format,
         method_name=options.method_name or "",
         tilt=options.tilt,

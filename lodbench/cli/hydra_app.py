@@ -51,8 +51,8 @@ _is_registered = False
 def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None], argv: Sequence[str]) -> int:
     """Composes the configuration of a command and runs its task, once or per job of a sweep.
 
-    A job of a sweep that fails is reported on standard error and does not keep the others from
-    running.
+    A job of a sweep that fails is reported on standard error, by what it has apart from the others, and
+    does not keep them from running.
 
     Returns:
         The exit code: 0, or 2 if a job of a sweep failed.
@@ -61,15 +61,18 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         LodbenchError: An override is malformed, unknown or of the wrong type; or the only job's own.
     """
     import hydra
+    from hydra.core.hydra_config import HydraConfig
     from hydra.errors import HydraException
 
-    faults: list[LodbenchError] = []
+    jobs: list[list[str]] = []
+    faults: dict[int, LodbenchError] = {}
 
     def job(config: DictConfig) -> None:
+        jobs.append(list(HydraConfig.get().overrides.task))
         try:
             task(config)
         except LodbenchError as fault:
-            faults.append(fault)
+            faults[len(jobs) - 1] = fault
 
     _register_config_sources()
     # Hydra's parser wants its flags before the overrides; people write them anywhere.
@@ -85,11 +88,18 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         raise _explained(error, config_name) from error
     finally:
         sys.argv = saved
-    if len(faults) == 1 and not flags:
+    if faults and not flags:
         raise faults[0]
-    for fault in faults:
-        report_fault(fault)
+    for number, fault in faults.items():
+        report_fault(LodbenchError(f"{_own_words(jobs, number)}: {fault.message}", fault.hint))
     return 2 if faults else 0
+
+
+def _own_words(jobs: Sequence[Sequence[str]], number: int) -> str:
+    """Returns the overrides that tell a job of a sweep from the others; all of them where none does."""
+    shared = set(jobs[0]).intersection(*jobs) if len(jobs) > 1 else set()
+    own = [word for word in jobs[number] if word not in shared]
+    return " ".join(own or jobs[number]) or "the only job"
 
 
 def quote_path(word: str) -> str:
@@ -124,13 +134,20 @@ def plain(config: DictConfig) -> dict[str, Any]:
 def to_params(values: dict[str, Any], params_type: type[T], prefix: str) -> T:
     """Returns a frozen Params made from a section of the configuration, checked for names and types.
 
+    One name stands for a list of one: ``split=in_place``.
+
     Raises:
         ConfigError: A name is unknown or a value has the wrong type.
     """
-    known = [f.name for f in fields(params_type)]  # type: ignore[arg-type]
+    types = {f.name: f.type for f in fields(params_type)}  # type: ignore[arg-type]
+    known = list(types)
     for name in values:
         if name not in known:
             raise ConfigError(f"{_dotted(prefix, name)} is not a setting.", nearest_names(name, known))
+    values = {
+        name: [value] if isinstance(value, str) and str(types[name]) == "list[str]" else value
+        for name, value in values.items()
+    }
     try:
         merged = OmegaConf.merge(OmegaConf.structured(params_type), _literal(values))
         return cast(T, OmegaConf.to_object(merged))

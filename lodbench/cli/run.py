@@ -137,8 +137,6 @@ def run_config(values: dict[str, Any]) -> Run:
 def _options_of(values: dict[str, Any]) -> RunOptions:
     """Returns the settings that belong to no section; nothing else may stand beside the sections."""
     plain_keys = {key: value for key, value in values.items() if key not in _SECTIONS}
-    if isinstance(plain_keys.get("split"), str):
-        plain_keys["split"] = [plain_keys["split"]]
     options = to_params(plain_keys, RunOptions, "")
     return replace(options, split=sorted(set(options.split)))
 

@@ -34,7 +34,7 @@ def test_a_file_is_scored_without_a_city_and_verifies(lodbench, tmp_path, data):
     poses["view_01.png"] = poses["view_01.png"].shifted([3.5, 0.0, 0.0])
     path = tmp_path / "ours (final, v=2).txt"
     path.write_text(lines({**poses, "elsewhere.png": truth["view_00.png"]}))
-    done = lodbench(*evaluate(data, path, "method_name=ours"))
+    done = lodbench(*evaluate(data, path, "method_name=ours", "split=data"))
     assert done.returncode == 0, done.stderr
     assert "1 x no pose in the pose file" in done.stdout
     assert "elsewhere.png" in done.stdout

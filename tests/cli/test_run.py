@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lodbench import __version__
+from lodbench.cli import main
 from lodbench.datasets.pose_text import read_poses
 from lodbench.evaluation import pose_error
 from tests.town import write_dataset
@@ -94,6 +96,21 @@ def test_another_seed_or_tilt_is_another_run(lodbench, tmp_path, dataset):
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 4
     assert done.stdout.count("tilt=truth · ") == 2
+
+
+def test_a_fault_in_a_sweep_names_its_job_and_spares_the_others(lodbench, tmp_path, dataset):
+    done = lodbench(*words(dataset, "--multirun", "tilt=prior,sideways", "seed=3", "limit=1"))
+    assert done.returncode == 2
+    (said,) = [line for line in done.stderr.splitlines() if line.startswith("lodbench: ")]
+    assert said.startswith("lodbench: tilt=sideways: ")
+    assert "tilt=prior" in done.stdout
+    assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 1
+
+
+@pytest.mark.parametrize("command", [["run"], ["localize"], ["dataset", "check"], ["train"]])
+def test_any_command_says_the_version_of_lodbench(command, capsys):
+    assert main([*command, "--version"]) == 0
+    assert capsys.readouterr().out == f"lodbench {__version__}\n"
 
 
 def test_changed_input_under_the_same_path_is_another_run(lodbench, tmp_path):
