@@ -69,7 +69,7 @@ def run_words(root: Path, city: Path) -> list[str]:
         ("GT_pose.txt", "# none\n", ["GT_pose.txt", "no poses"]),
         ("GPS_pose.txt", "a.png 1 0 0 0 0 0 0\n\nb.png 1 0 0 0 0 0 nan\n", ["line 3", "not finite"]),
         ("GPS_pose.txt", "a.png 2 0 0 0 0 0 0\n", ["line 1", "length 2"]),
-        ("GPS_pose.txt", "a.png 1 0 0 0 0 0 0\na.png 1 0 0 0 0 0 0\n", ["line 2", "twice"]),
+        ("GT_pose.txt", "a.png 1 0 0 0 0 0 0\na.png 1 0 0 0 0 0 0\n", ["line 2", "twice"]),
         ("intrinsic.txt", "a.png FISHY 10 10 1 1 1 1\n", ["line 1", "FISHY"]),
         ("intrinsic.txt", "a.png PINHOLE 10 10 1 1 1\n", ["line 1", "4 parameters"]),
     ],
