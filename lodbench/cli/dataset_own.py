@@ -141,6 +141,7 @@ def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
         f"dataset.root={written.folder}",
         f"dataset.city_model={asked.city or 'FILE'}",
         "" if made.num_priors else "prior=uniform",
+        "" if asked.masks else "segmenter=compact",
         # The run must read the city as it was read here.
         f"dataset.crs={asked.crs}" if asked.crs else "",
         f"source={asked.source}" if asked.source != "folder" else "",

@@ -63,6 +63,7 @@ class TestFromPhotos:
         out = init(capsys, case, tmp_path / "town")
         assert "1 images, 1 with a prior, without truth, 1 undistorted" in out
         assert f"dataset.root={tmp_path / 'town'}" in out
+        assert "segmenter" not in out
         dataset = open_folder(FolderParams(str(tmp_path / "town"), str(case.city)))
         (entry,) = dataset.entries
         assert entry.camera == pinhole_of(LENS)
@@ -176,6 +177,13 @@ class TestFromPhotos:
         out = init(capsys, case, tmp_path / "town", *words)
         assert "1 images" in out
         assert "left out" not in out
+
+    def test_without_masks_the_next_command_makes_them(self, capsys, tmp_path, case):
+        code, out, err = run(
+            capsys, "dataset", "init", tmp_path / "town", "--images", case.photo.parent, "--city", case.city
+        )
+        assert code == 0, err
+        assert out.splitlines()[-1].endswith(" segmenter=compact")
 
     def test_nothing_is_written_over(self, capsys, tmp_path, case):
         (tmp_path / "town").mkdir()
