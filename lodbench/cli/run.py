@@ -12,6 +12,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
+from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.cli.sources import profile_of
 from lodbench.datasets.prior_sources import PRIORS, FilePrior, PriorSource, prior_digest
 from lodbench.datasets.query import Dataset
@@ -106,10 +107,11 @@ def run_config(values: dict[str, Any]) -> Run:
     options = _options_of(values)
     executor = to_params(section(values, "executor"), ExecutorParams, "executor")
     paths = to_params(section(values, "paths"), PathParams, "paths")
-    method, method_params = _made(values, "method")
-    segmenter, segmenter_params = _made(values, "segmenter")
+    method, method_params = _method(section(values, "method"))
+    named = named_segmenter(section(values, "segmenter"))
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     dataset = with_source(opener(dataset_params), section(values, "source"))
+    segmenter, segmenter_params = named or default_segmenter(dataset)
     dataset, prior = with_prior(dataset, section(values, "prior"), options.seed)
     config = {
         **asdict(options),
@@ -141,11 +143,10 @@ def _options_of(values: dict[str, Any]) -> RunOptions:
     return replace(options, split=sorted(set(options.split)))
 
 
-def _made(values: dict[str, Any], kind: str) -> tuple[Any, Any]:
-    """Returns the method or the segmenter a configuration asks for, and its parameters."""
-    settings = section(values, kind)
-    part = load_plugin(f"{kind}s", settings.get("name", ""))
-    params = to_params(settings, part.params_type, kind)
+def _method(settings: dict[str, Any]) -> tuple[Any, Any]:
+    """Returns the method that a configuration's section asks for, and its parameters."""
+    part = load_plugin("methods", settings.get("name", ""))
+    params = to_params(settings, part.params_type, "method")
     return part(params), params
 
 

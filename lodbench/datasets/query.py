@@ -85,6 +85,7 @@ class Dataset:
         findings: What was met while reading, one by one; ``notes`` count them.
         photo_crs: CRS of which the frame is a shift, where that is known apart from the city model.
         photo_origin: East, north and height of the frame's zero in ``photo_crs``, or None.
+        segmenter: Segmenter to run where none is named; None for masks, or photos, as there are.
     """
 
     name: str
@@ -103,6 +104,7 @@ class Dataset:
     findings: tuple[Finding, ...] = ()
     photo_crs: str | None = None
     photo_origin: tuple[float, ...] | None = None
+    segmenter: str | None = None
 
 
 def notes_of(findings: Findings) -> tuple[str, ...]:

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError
+from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.probability import check_normalise
+from lodbench.segmentation.tiles import MemoryTiles
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
 from lodbench.storage import file_digest
 
@@ -64,6 +66,7 @@ class Compact(PhotoSegmenter):
 
     def __init__(self, params: CompactParams) -> None:
         super().__init__(params)
+        self._memory = MemoryTiles(params.name, params.size, self.stride)
         given = params.weights
         self._path = Path(given).expanduser() if given else packaged_weights()
         if given and not self._path.is_file():
@@ -81,16 +84,7 @@ class Compact(PhotoSegmenter):
     @cached_property
     def _net(self) -> Any:
         """Returns OpenCV's network; read on first use."""
-        import cv2
-
-        try:
-            net = cv2.dnn.readNetFromONNX(np.frombuffer(self._path.read_bytes(), np.uint8))
-        except (cv2.error, OSError) as error:
-            raise ConfigError(
-                f"{self._path} is no ONNX network that OpenCV can read.",
-                "lodbench train segmenter=compact writes one.",
-            ) from error
-        return net
+        return read_onnx(self._path, "lodbench train segmenter=compact writes one.")
 
     def notes(self) -> tuple[str, ...]:
         """Returns that the network has seen made-up pictures only."""
@@ -100,19 +94,27 @@ class Compact(PhotoSegmenter):
         return (f"segmenter compact, domain: {self.domain}: trained on {seen}; real photos look different",)
 
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Returns (h, w) logits of a (H, W, 3) RGB photo whose long side is brought to ``size``."""
+        """Returns (h, w) logits of a (H, W, 3) RGB photo whose long side is brought to ``size``.
+
+        Raises:
+            ConfigError: The weights are no network of this kind.
+            QueryFault: The photo does not fit into memory, not even in tiles.
+        """
         height, width = photo.shape[:2]
         width, height = working_size(width, height, self.params.size)
         image = padded_photo(resized_photo(photo, width, height), self.stride)
-        blob = np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
+        return self._memory.run(image, self._run)[:height, :width]
+
+    def _run(self, tile: NDArray[np.uint8]) -> NDArray[np.float32]:
+        blob = np.ascontiguousarray(tile.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
         self._net.setInput(blob)
         found = np.asarray(self._net.forward(), np.float32)
-        if found.shape != (1, 1, *image.shape[:2]):
+        if found.shape != (1, 1, *tile.shape[:2]):
             raise ConfigError(
-                f"{self._path} answers {found.shape} to a photo of {image.shape[:2]}.",
+                f"{self._path} answers {found.shape} to a photo of {tile.shape[:2]}.",
                 "lodbench train segmenter=compact writes networks that answer one value per pixel.",
             )
-        return found[0, 0, :height, :width]
+        return np.asarray(found[0, 0])
 
     def build(self, init: str | None) -> Any:
         """Returns the torch network, with random weights or those of a training's checkpoint.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.pictures import decoded, has_too_many_pixels
 from lodbench.errors import QueryFault
 
 
@@ -18,36 +19,35 @@ def read_photo(path: str | Path) -> NDArray[np.uint8]:
     A turn that EXIF asks for is not made: the camera and its pose are those of the file's pixels.
 
     Raises:
-        QueryFault: The file is missing or no image, or has neither 8 nor 16 bits.
+        QueryFault: The file is missing or no image, has too many pixels, or neither 8 nor 16 bits.
     """
-    import cv2
-
     name = Path(path).name
     try:
-        content = np.frombuffer(Path(path).read_bytes(), dtype=np.uint8)
+        content = Path(path).read_bytes()
     except OSError as error:
         raise QueryFault(f"photo {name} cannot be read: {error.strerror}") from error
-    try:
-        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
-    except cv2.error:
-        image = None
+    if has_too_many_pixels(content):
+        raise QueryFault(f"photo {name} has too many pixels")
+    image = decoded(content, as_stored=True)
     if image is None or str(image.dtype) not in ("uint8", "uint16"):
         raise QueryFault(f"photo {name} is not a readable 8 or 16 bit image")
-    return as_rgb(np.asarray(image))
+    return as_rgb(image)
 
 
 def as_rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Returns a decoded image, (H, W) or (H, W, 1 to 4) uint8 or uint16 in OpenCV's order, as RGB."""
-    if image.dtype == np.uint16:
-        # A thermal or raw-like picture uses a small part of 16 bits: its own range is what is there to see.
-        low, high = int(image.min()), int(image.max())
-        image = ((image.astype(np.float32) - low) * (255.0 / max(high - low, 1)) + 0.5).astype(np.uint8)
     if image.ndim == 2:
         image = image[:, :, None]
-    channels = image.shape[2]
-    if channels in (2, 4):
-        alpha = image[:, :, -1:].astype(np.float32) / 255.0
-        image = (image[:, :, :-1] * alpha + 0.5).astype(np.uint8)
+    has_alpha = image.shape[2] in (2, 4)
+    colours, alpha = (image[:, :, :-1], image[:, :, -1:]) if has_alpha else (image, None)
+    if image.dtype == np.uint16:
+        # A thermal or raw-like picture uses a small part of 16 bits: its own range is what is there to see.
+        low, high = int(colours.min()), int(colours.max())
+        colours = ((colours.astype(np.float32) - low) * (255.0 / max(high - low, 1)) + 0.5).astype(np.uint8)
+    if alpha is not None:
+        share = alpha.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
+        colours = (colours * share + 0.5).astype(np.uint8)
+    image = colours
     if image.shape[2] == 1:
         return np.ascontiguousarray(np.repeat(image, 3, axis=2))
     return np.ascontiguousarray(image[:, :, ::-1])

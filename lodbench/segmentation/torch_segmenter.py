@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from abc import abstractmethod
 from functools import cached_property
 from pathlib import Path
@@ -11,15 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.errors import ConfigError
 from lodbench.segmentation.extras import require
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
-from lodbench.segmentation.tiles import tiled
+from lodbench.segmentation.tiles import MemoryTiles
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
 from lodbench.storage import file_digest
 
 RANDOM = "random"
-_MOST_PARTS = 8
 
 
 class TorchSegmenter(PhotoSegmenter):
@@ -43,7 +41,7 @@ class TorchSegmenter(PhotoSegmenter):
         super().__init__(params)
         for package in ("torch", "transformers", "safetensors"):
             require(package, "models", f"segmenter={params.name}")
-        self._parts = 1
+        self._memory = MemoryTiles(params.name, params.size, self.stride, self.can_tile)
 
     @abstractmethod
     def build(self, init: str | None) -> Any:
@@ -99,26 +97,12 @@ class TorchSegmenter(PhotoSegmenter):
         width, height = working_size(width, height, self.params.size)
         seen = (self.params.size, self.params.size) if self.is_square else (width, height)
         image = padded_photo(resized_photo(photo, *seen), self.stride)
-        found = self._within_memory(image)[: seen[1], : seen[0]]
+        found = self._memory.run(image, self._run)[: seen[1], : seen[0]]
         if (seen[1], seen[0]) == (height, width):
             return found
         import cv2
 
         return np.asarray(cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
-
-    def _within_memory(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        while True:
-            try:
-                return tiled(image, self._parts, self.stride, self._run)
-            except (MemoryError, RuntimeError) as error:
-                if not is_out_of_memory(error):
-                    raise
-            if self._parts >= _MOST_PARTS or not self.can_tile:
-                raise QueryFault(f"{self.name} runs out of memory at size {self.params.size}")
-            self._parts *= 2
-            sys.stderr.write(
-                f"lodbench: {self.name}: out of memory; going on in {self._parts} x {self._parts} tiles.\n"
-            )
 
     def _run(self, tile: NDArray[np.uint8]) -> NDArray[np.float32]:
         import torch
@@ -135,12 +119,6 @@ class TorchSegmenter(PhotoSegmenter):
         path = folder / f"{self.name}.safetensors"
         save_weights(net, path)
         return path
-
-
-def is_out_of_memory(error: BaseException) -> bool:
-    """Returns whether an error says that memory ran out, on whatever device."""
-    told = str(error).lower()
-    return isinstance(error, MemoryError) or "out of memory" in told or "not enough memory" in told
 
 
 def weights_file(weights: str, name: str) -> Path:

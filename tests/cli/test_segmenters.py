@@ -5,10 +5,14 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
+from omegaconf import OmegaConf
 
 from lodbench.cli import main
+from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.segmentation.choice import chosen_segmenter
 from tests.town import write_dataset
 
 
@@ -93,3 +97,58 @@ def test_random_weights_enter_no_table(dataset, tmp_path, capsys, monkeypatch):
     ):
         assert main(command) == 2
         assert "random weights" in capsys.readouterr().err
+
+
+class TestNoneNamed:
+    """Masks go before photos, what a dataset says before both; the reason is printed."""
+
+    @pytest.fixture
+    def with_masks(self, tmp_path):
+        return write_dataset(tmp_path / "data", count=2)
+
+    def config_of(self, out):
+        (path,) = out.rglob("config.yaml")
+        return OmegaConf.load(path)
+
+    def test_masks_are_taken_where_there_are_any(self, with_masks, tmp_path, capsys):
+        root, _ = with_masks
+        (root / "masks" / "view_01.png").unlink()
+        assert run(with_masks, tmp_path / "runs") == 0
+        assert "segmenter=masks: 1 of 2 queries have masks" in capsys.readouterr().out
+        assert self.config_of(tmp_path / "runs").segmenter == {"name": "masks"}
+
+    def test_a_network_looks_at_photos_without_masks(self, with_masks, tmp_path, capsys, monkeypatch):
+        monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
+        root, _ = with_masks
+        # The masks are photos of a kind.
+        shutil.rmtree(root / "Query_image", ignore_errors=True)
+        (root / "masks").rename(root / "Query_image")
+        assert run(with_masks, tmp_path / "runs") == 0
+        printed = capsys.readouterr()
+        assert "segmenter=compact: the dataset has photos and no masks" in printed.out
+        assert "domain: synthetic" in printed.out
+        assert self.config_of(tmp_path / "runs").segmenter.name == "compact"
+        # The same as naming it: the same folder, nothing done twice.
+        assert run(with_masks, tmp_path / "runs", "segmenter=compact") == 0
+        assert "2 queries were there already" in capsys.readouterr().out
+
+    def test_a_dataset_may_say_which(self, with_masks):
+        params = FolderParams(str(with_masks[0]), str(with_masks[1]))
+        dataset = replace(open_folder(params), segmenter="compact")
+        assert chosen_segmenter(dataset) == ("compact", "as folder says")
+
+    def test_neither_masks_nor_photos_is_a_fault(self, dataset, tmp_path, capsys):
+        bare = tmp_path / "bare"
+        shutil.copytree(dataset[0], bare)
+        shutil.rmtree(bare / "Query_image", ignore_errors=True)
+        assert run((bare, dataset[1]), tmp_path / "runs") == 2
+        told = capsys.readouterr().err
+        assert "None of the 2 queries of folder has a mask or a photo" in told
+        assert not (tmp_path / "runs").exists()
+
+    def test_a_basin_chooses_likewise(self, with_masks, tmp_path, capsys):
+        root, city = with_masks
+        words = [f"dataset.root={root}", f"dataset.city_model={city}", f"paths.runs={tmp_path / 'runs'}"]
+        settings = ["ranges=[10]", "yaw_ranges=[]", "maps=false", "limit=1"]
+        assert main(["basin", "dataset=folder", *words, *settings]) == 0
+        assert "segmenter=masks: 2 of 2 queries" in capsys.readouterr().out

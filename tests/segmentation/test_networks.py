@@ -1,10 +1,11 @@
 """The paper's networks with random weights: shapes, names of published weights, faults, memory."""
 
+import cv2
 import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.segmentation.tiles import tiled
+from lodbench.segmentation.tiles import MemoryTiles, tiled
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
 pytest.importorskip("transformers", reason="transformers is not installed (extra [models])")
@@ -143,6 +144,30 @@ def test_other_faults_of_the_network_are_not_hidden(small):
     segmenter._run = lambda tile: (_ for _ in ()).throw(RuntimeError("a bug"))
     with pytest.raises(RuntimeError, match="a bug"):
         segmenter.logits(photo_of(60, 60))
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        RuntimeError("CUDA out of memory"),
+        RuntimeError("DefaultCPUAllocator: not enough memory"),
+        cv2.error("OpenCV(5.0.0) alloc.cpp:73: error: (-4:Insufficient memory) Failed to allocate 9 bytes"),
+    ],
+)
+def test_memory_has_run_out_whoever_says_so(error):
+    sides = []
+
+    def short_of_memory(tile):
+        sides.append(len(tile))
+        if len(tile) > 128:
+            raise error
+        return tile[..., 0].astype(np.float32)
+
+    photo = photo_of(128, 224)
+    found = MemoryTiles("net", 224, 32).run(np.vstack([photo, photo]), short_of_memory)
+    np.testing.assert_allclose(found, np.vstack([photo, photo])[..., 0], rtol=1e-5)
+    assert sides[0] == 256
 
 
 @pytest.mark.parametrize("parts", [1, 2, 4])

@@ -1,8 +1,12 @@
 """Any image file becomes 8 bit RGB, at any size; the network's size follows the photo's aspect."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from lodbench.errors import QueryFault
 from lodbench.segmentation.photos import as_rgb, read_photo
@@ -34,6 +38,45 @@ def test_transparent_pixels_are_black(tmp_path):
     photo = read_photo(written(tmp_path / "alpha.png", image))
     assert photo[0, 0].tolist() == [0, 0, 0]
     assert photo[1, 1].tolist() == [255, 255, 255]
+
+
+def test_alpha_of_16_bits_is_no_brightness(tmp_path):
+    image = np.full((2, 2, 4), 1000, np.uint16)
+    image[0, 0, :3] = 3000
+    image[..., 3] = 65535
+    photo = read_photo(written(tmp_path / "alpha16.png", image))
+    assert photo[..., 0].tolist() == [[255, 0], [0, 0]]
+
+
+def test_inks_become_light(tmp_path):
+    # Cyan, magenta, yellow, black: full cyan is no red.
+    inks = np.zeros((16, 16, 4), np.uint8)
+    inks[..., 0] = 255
+    Image.fromarray(inks, mode="CMYK").save(tmp_path / "inks.jpg", quality=95)
+    red, green, blue = read_photo(tmp_path / "inks.jpg")[8, 8].tolist()
+    assert red < 40
+    assert min(green, blue) > 215
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_a_turn_by_exif_is_not_made(tmp_path, orientation):
+    image = Image.fromarray(np.tile(np.arange(0, 240, 10, dtype=np.uint8), (16, 1)))
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    image.save(tmp_path / "turned.jpg", exif=exif, quality=100)
+    photo = read_photo(tmp_path / "turned.jpg")
+    assert photo.shape == (16, 24, 3)
+    assert int(photo[8, 20, 0]) > int(photo[8, 2, 0]) + 100
+
+
+def test_a_photo_too_large_to_decode_is_refused(tmp_path):
+    whole = written(tmp_path / "bomb.png", np.zeros((2, 2), np.uint8)).read_bytes()
+    header = b"IHDR" + struct.pack(">II", 1_000_000, 1_000_000) + whole[24:29]
+    (tmp_path / "bomb.png").write_bytes(
+        whole[:12] + header + struct.pack(">I", zlib.crc32(header)) + whole[33:]
+    )
+    with pytest.raises(QueryFault, match=r"bomb\.png has too many pixels"):
+        read_photo(tmp_path / "bomb.png")
 
 
 def test_one_pixel_is_a_photo(tmp_path):

@@ -53,7 +53,8 @@ def open_demo(params: DemoParams) -> Dataset:
     city = root / (FINE_CITY_FILE if is_fine else CITY_FILE)
     folder = open_folder(FolderParams(str(root), str(city), lod=params.lod, name=params.name))
     look = "" if params.look == "test" else f", look {params.look}"
-    return replace(folder, version=f"town {TOWN_VERSION}{look}, seed {params.town_seed}")
+    # From pixels: its masks are drawn from the truth, as wrong as a network's, to compare with.
+    return replace(folder, version=f"town {TOWN_VERSION}{look}, seed {params.town_seed}", segmenter="compact")
 
 
 def open_demo_train(params: DemoTrainParams) -> Dataset:

@@ -1,0 +1,31 @@
+"""``segmenter=auto``: which segmenter a run takes where none is named, and why."""
+
+from __future__ import annotations
+
+from lodbench.datasets.query import Dataset
+from lodbench.errors import DatasetError
+
+AUTO = "auto"
+
+
+def chosen_segmenter(dataset: Dataset) -> tuple[str, str]:
+    """Returns the name of the segmenter for a dataset, and the reason in words.
+
+    Masks lie in a dataset because somebody made them for these photos, so they go before a network that has
+    seen rendered views only; unless the dataset says otherwise, as the demo does, whose masks are drawn.
+
+    Raises:
+        DatasetError: The dataset has neither masks nor photos.
+    """
+    if dataset.segmenter is not None:
+        return dataset.segmenter, f"as {dataset.name} says"
+    total = len(dataset.entries)
+    masks = sum(entry.mask is not None for entry in dataset.entries)
+    if masks:
+        return "masks", f"{masks} of {total} queries have masks made beforehand"
+    if any(entry.image is not None for entry in dataset.entries):
+        return "compact", "the dataset has photos and no masks"
+    raise DatasetError(
+        f"None of the {total} queries of {dataset.name} has a mask or a photo.",
+        "Put building masks (255 = building) in masks, or photos in Query_image, named as in the poses.",
+    )

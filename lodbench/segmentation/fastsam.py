@@ -1,0 +1,152 @@
+"""``segmenter=fastsam``: FastSAM's instances as a building mask, from an ONNX export; AGPL-3.0 weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import ConfigError
+from lodbench.segmentation.instances import STRIDE, Floats, decode, union_of
+from lodbench.segmentation.onnx_file import read_onnx
+from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+from lodbench.segmentation.working_size import resized_photo, working_size
+from lodbench.storage import file_digest
+
+_LICENCE = "ultralytics and weights trained with it are under AGPL-3.0"
+_EXPORT = (
+    "Where ultralytics is installed, outside this environment: "
+    "yolo export model=FastSAM-x.pt format=onnx imgsz={size}; then segmenter.weights=FastSAM-x.onnx"
+)
+# What YOLO networks see beside a photo that is not square.
+_GREY = 114
+
+
+@dataclass(frozen=True, slots=True)
+class FastSamParams:
+    """Settings of ``segmenter=fastsam``.
+
+    Attributes:
+        name: Name to report.
+        weights: ONNX export of a FastSAM or YOLOv8 segmentation checkpoint.
+        accept_agpl: Whether its licence, AGPL-3.0, is accepted.
+        size: Side of the square that the export was made for, pixels.
+        classes: Numbers of the classes that count as building; empty for all, as for a checkpoint that
+            was fine-tuned on buildings alone.
+        confidence: Least score of an instance.
+        overlap: IoU of boxes from which on the less likely goes.
+        most_share: Instances that cover more of the photo do not count.
+
+    Raises:
+        ConfigError: A setting is out of range.
+    """
+
+    name: str = "fastsam"
+    weights: str | None = None
+    accept_agpl: bool = False
+    size: int = 1024
+    classes: list[int] = field(default_factory=list)
+    confidence: float = 0.4
+    overlap: float = 0.9
+    most_share: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 32 <= self.size <= 4096 or self.size % 32:
+            raise ConfigError(f"segmenter.size={self.size} is no multiple of 32 within 32 to 4096.")
+        for name in ("confidence", "overlap", "most_share"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ConfigError(f"segmenter.{name}={getattr(self, name)} is not within 0 to 1.")
+
+    @property
+    def normalise(self) -> str:
+        """Returns ``none``: masks are 0 or 1 already."""
+        return "none"
+
+
+class FastSam(PhotoSegmenter):
+    """The union of the instances that a FastSAM network finds, run by OpenCV.
+
+    Args:
+        params: Its settings.
+
+    Raises:
+        ConfigError: The licence is not accepted, or the weights are missing or of another kind.
+    """
+
+    params_type = FastSamParams
+
+    def __init__(self, params: FastSamParams) -> None:
+        super().__init__(params)
+        if not params.accept_agpl:
+            raise ConfigError(
+                f"segmenter=fastsam: {_LICENCE}; whoever offers it to others, over a network too, owes them "
+                "the source of the whole.",
+                "If that suits you: segmenter.accept_agpl=true",
+            )
+        export = _EXPORT.format(size=params.size)
+        if params.weights is None:
+            raise ConfigError("segmenter=fastsam comes without weights.", export)
+        self._path = Path(params.weights).expanduser()
+        if self._path.suffix in (".pt", ".pth"):
+            raise ConfigError(f"{self._path} is a pickle, which lodbench does not open.", export)
+        if not self._path.is_file():
+            raise ConfigError(f"There are no weights {self._path}.", export)
+
+    @cached_property
+    def weights_digest(self) -> str:
+        """Returns the SHA-256 of the ONNX file."""
+        return file_digest(self._path)
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns the licence, and that all classes count, where they do."""
+        which = "" if self.params.classes else "; every instance counts as building, whatever it is"
+        return (f"segmenter {self.name}: {_LICENCE}{which}",)
+
+    def logits(self, photo: NDArray[np.uint8]) -> Floats:
+        """Returns (h, w): infinite where there is building, minus infinity elsewhere."""
+        params = self.params
+        height, width = photo.shape[:2]
+        width, height = working_size(width, height, params.size)
+        square = np.full((params.size, params.size, 3), _GREY, np.uint8)
+        square[:height, :width] = resized_photo(photo, width, height)
+        found = decode(*self._outputs(square), params.confidence, params.overlap)
+        mask = union_of(found, params.classes, params.most_share, square.shape[:2])
+        return np.where(mask[:height, :width], np.float32(np.inf), np.float32(-np.inf))
+
+    def _outputs(self, square: NDArray[np.uint8]) -> tuple[Floats, Floats]:
+        """Returns the anchors' rows (4 + classes + P, anchors) and the prototypes (P, h, w)."""
+        import cv2
+
+        blob = np.ascontiguousarray(square.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
+        try:
+            self._net.setInput(blob)
+            outputs = self._net.forward(self._net.getUnconnectedOutLayersNames())
+        except cv2.error as error:
+            raise ConfigError(
+                f"{self._path} does not take a photo of {square.shape[:2]}.",
+                "segmenter.size is the imgsz of the export.",
+            ) from error
+        shapes = [tuple(output.shape) for output in outputs]
+        rows = next((output[0] for output in outputs if output.ndim == 3), None)
+        prototypes = next((output[0] for output in outputs if output.ndim == 4), None)
+        side = self.params.size // STRIDE
+        if (
+            rows is None
+            or prototypes is None
+            or prototypes.shape[1:] != (side, side)
+            or len(rows) < 5 + len(prototypes)
+        ):
+            raise ConfigError(
+                f"{self._path} answers {shapes}, not the rows and the prototypes of a segmentation network.",
+                _EXPORT.format(size=self.params.size),
+            )
+        return np.asarray(rows, np.float32), np.asarray(prototypes, np.float32)
+
+    @cached_property
+    def _net(self) -> Any:
+        """Returns OpenCV's network; read on first use."""
+        return read_onnx(self._path, _EXPORT.format(size=self.params.size))
