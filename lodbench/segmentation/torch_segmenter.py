@@ -141,23 +141,31 @@ def weights_file(weights: str, name: str) -> Path:
         )
     if weights.count("/") == 1 and not weights.startswith((".", "/", "~")) and not path.suffix:
         return weights_file(str(hub_folder(weights)), name)
-    raise ConfigError(f"There are no weights {weights}.", f"segmenter.weights=FILE, for {name}.")
+    raise ConfigError(
+        f"There are no weights {weights} for {name}.",
+        "segmenter.weights= takes a file, a folder with one safetensors file, or a hub id fetched before.",
+    )
 
 
 def hub_folder(identity: str) -> Path:
     """Returns the local folder of a Hugging Face repository fetched before.
 
     Raises:
-        ConfigError: It is not there; the message has the id, the expected path and the command.
+        ConfigError: It is not there, or without its weights, as where a licence was not accepted; the
+            message has the id, the expected path and the command.
     """
     from huggingface_hub import snapshot_download
     from huggingface_hub.constants import HF_HUB_CACHE
 
+    hint = (
+        f"Its licence stands at https://huggingface.co/{identity}; where it is gated, accept it there and "
+        f"run: hf auth login. Then: hf download {identity}"
+    )
     try:
-        return Path(snapshot_download(identity, local_files_only=True))
+        folder = Path(snapshot_download(identity, local_files_only=True))
     except Exception as error:
-        folder = Path(HF_HUB_CACHE) / f"models--{identity.replace('/', '--')}"
-        raise ConfigError(
-            f"The weights {identity} are not at {folder}.",
-            f"Read and accept the licence at huggingface.co/{identity}, then: hf download {identity}",
-        ) from error
+        expected = Path(HF_HUB_CACHE) / f"models--{identity.replace('/', '--')}"
+        raise ConfigError(f"The weights {identity} are not at {expected}.", hint) from error
+    if not any(folder.glob("*.safetensors")):
+        raise ConfigError(f"{folder} holds no safetensors of {identity}: fetched in part, or refused.", hint)
+    return folder

@@ -119,6 +119,17 @@ def test_missing_hub_access_is_told_in_one_line():
     assert "hf download facebook/no-such-model" in told.value.hint
 
 
+def test_a_gated_repository_without_its_weights_is_told(tmp_path, monkeypatch):
+    import huggingface_hub
+
+    (tmp_path / "README.md").write_text("agree to the licence first")
+    monkeypatch.setattr(huggingface_hub, "snapshot_download", lambda *args, **kwargs: str(tmp_path))
+    with pytest.raises(ConfigError, match="holds no safetensors of facebook/sam3") as told:
+        Semantic(SemanticParams("facebook/sam3"))
+    for words in ("https://huggingface.co/facebook/sam3", "accept", "hf auth login", "hf download"):
+        assert words in told.value.hint
+
+
 def test_out_of_memory_falls_to_tiles(small, capsys):
     segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=512, normalise="none"))
     run, sides = segmenter._run, []

@@ -1,8 +1,11 @@
 """Training networks: the losses by hand, determinism, exact resume, what is left behind."""
 
+import importlib.util
 import json
 import math
 import shutil
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -42,6 +45,20 @@ def views(tmp_path_factory):
 def train(views, out, *words):
     schedule = ["schedule.batch=4", "schedule.crop=64", "schedule.val_every=1", "threads=1"]
     return main(["train", f"data={views}", f"out={out}", "schedule.epochs=3", *schedule, *words])
+
+
+def stop_after(patch, epoch):
+    """Has a training stopped from outside once the checkpoint of an epoch is written."""
+    from lodbench.training.nets import loop
+
+    saved = loop.save_checkpoint
+
+    def stops(state, folder):
+        saved(state, folder)
+        if state["epoch"] == epoch:
+            raise KeyboardInterrupt
+
+    patch.setattr(loop, "save_checkpoint", stops)
 
 
 def structure_loss_by_hand(logits, truth, weighting):
@@ -90,17 +107,8 @@ def test_training_learns_and_leaves_weights_curves_and_a_record(views, tmp_path,
 
 def test_a_stopped_training_ends_in_the_same_bytes(views, tmp_path, monkeypatch):
     assert train(views, tmp_path / "whole") == 0
-    from lodbench.training.nets import loop
-
-    saved = loop.save_checkpoint
-
-    def stops(state, folder):
-        saved(state, folder)
-        if state["epoch"] == 2:
-            raise KeyboardInterrupt
-
     with monkeypatch.context() as patch:
-        patch.setattr(loop, "save_checkpoint", stops)
+        stop_after(patch, epoch=2)
         assert train(views, tmp_path / "parts") == 130
     assert train(views, tmp_path / "parts") == 0
     for name in ("compact.onnx", "training.json"):
@@ -210,3 +218,67 @@ def test_every_weight_has_one_optimizer_and_the_paper_has_adamw_alone():
     counts = [sum(w.numel() for group in o.param_groups for w in group["params"]) for o in (adamw, muon)]
     assert sum(counts) == sum(w.numel() for w in net.parameters())
     assert counts[1] > 0.9 * sum(counts)
+
+
+class TestTwoProcesses:
+    """torchrun on a CPU: each process sees half of every batch, gradients are averaged."""
+
+    def torchrun(self, views, out, *words):
+        command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+        settings = ["schedule.epochs=3", "schedule.batch=4", "schedule.crop=64", "schedule.val_every=1"]
+        words = [f"data={views}", f"out={out}", "threads=1", "device=cpu", *settings, *words]
+        done = subprocess.run(
+            [*command, "-m", "lodbench", "train", *words], capture_output=True, text=True, timeout=500
+        )
+        assert done.returncode == 0, done.stderr
+        return json.loads((out / "training.json").read_text())
+
+    def test_they_learn_as_one_does(self, views, tmp_path):
+        assert train(views, tmp_path / "one", "device=cpu") == 0
+        one = json.loads((tmp_path / "one" / "training.json").read_text())
+        two = self.torchrun(views, tmp_path / "two")
+        assert two["digest"] == one["digest"]
+        # Not the same to the digit: each process normalises by the statistics of its own half.
+        losses = [[row["loss"] for row in record["history"]] for record in (one, two)]
+        assert losses[1] == pytest.approx(losses[0], rel=0.15)
+        assert losses[1][2] < 0.8 * losses[1][0]
+        assert (tmp_path / "two" / "compact.onnx").is_file()
+
+    def test_they_take_up_a_checkpoint(self, views, tmp_path, monkeypatch):
+        with monkeypatch.context() as patch:
+            stop_after(patch, epoch=2)
+            assert train(views, tmp_path / "a", "device=cpu") == 130
+        before = json.loads((tmp_path / "a" / "training.json").read_text())["history"]
+        after = self.torchrun(views, tmp_path / "a")["history"]
+        # What was there is there as it was; the last epoch is new.
+        assert after[: len(before)] == before
+        assert [row["epoch"] for row in after] == [1, 2, 3]
+        assert after[2]["loss"] < after[0]["loss"]
+
+
+def test_mixed_precision_learns_nearly_the_same(views, tmp_path):
+    histories = []
+    for precision in ("float32", "bfloat16"):
+        out = tmp_path / precision
+        assert train(views, out, "schedule.epochs=2", f"precision={precision}", "device=cpu") == 0
+        histories.append([row["loss"] for row in json.loads((out / "training.json").read_text())["history"]])
+    assert histories[0] != histories[1]
+    assert histories[1] == pytest.approx(histories[0], rel=0.1)
+
+
+def test_tensorboard_has_the_history(views, tmp_path, capsys):
+    words = ["schedule.epochs=1", "tensorboard=true"]
+    if importlib.util.find_spec("tensorboard") is None:
+        assert train(views, tmp_path / "a", *words) == 2
+        told = capsys.readouterr().err
+        assert "tensorboard=true needs tensorboard, which is not installed" in told
+        assert "lodbench[tensorboard]" in told
+        return
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    assert train(views, tmp_path / "a", *words) == 0
+    (row,) = json.loads((tmp_path / "a" / "training.json").read_text())["history"]
+    board = EventAccumulator(str(tmp_path / "a" / "tensorboard")).Reload()
+    for name in ("loss", "mean_iou", "lr"):
+        (event,) = board.Scalars(name)
+        assert (event.step, event.value) == (1, pytest.approx(row[name], rel=1e-6))

@@ -42,7 +42,7 @@ def read_weights(path: Path) -> Weights:
         stored = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         raise ConfigError(
-            f"{path} cannot be read as weights: {str(error).splitlines()[0][:120]}",
+            f"{path} cannot be read as weights ({type(error).__name__}).",
             "safetensors, or a torch file of tensors alone; nothing else is unpickled.",
         ) from error
     for wrapper in ("net", "model", "state_dict"):
