@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.spatial import SpatialIndex, index_scene
 from lodbench.errors import CityModelError
 from lodbench.storage import new_folder
 
 # Raise it whenever the arrays or their meaning change: older folders are then read no more.
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 _ARRAYS = ("vertices", "triangles", "vertex_starts", "triangle_starts")
-_INDEX_ARRAYS = ("boxes", "grid", "cell_starts", "cell_buildings")
+# Version 2 kept these too; its folders may still be replaced.
+_FORMER_ARRAYS = ("boxes", "grid", "cell_starts", "cell_buildings")
 _META = "scene.json"
 
 
 def write_scene(scene: Scene, folder: Path, extra: dict[str, Any] | None = None) -> None:
-    """Writes a scene and its spatial index as a folder, which appears whole or not at all.
+    """Writes a scene as a folder, which appears whole or not at all.
 
     Args:
         scene: What to write.
@@ -37,9 +37,6 @@ def write_scene(scene: Scene, folder: Path, extra: dict[str, Any] | None = None)
     with new_folder(folder) as partial:
         for name in _ARRAYS:
             np.save(partial / f"{name}.npy", getattr(scene, name), allow_pickle=False)
-        index = index_scene(scene)
-        for name in _INDEX_ARRAYS:
-            np.save(partial / f"{name}.npy", getattr(index, name), allow_pickle=False)
         meta = {
             "version": FORMAT_VERSION,
             "building_ids": scene.building_ids,
@@ -59,7 +56,7 @@ def is_scene(path: Path) -> bool:
 
 def _is_ours(folder: Path) -> bool:
     """Tells whether a folder holds nothing but parts of a scene, so that it may be replaced."""
-    known = {_META, *(f"{name}.npy" for name in (*_ARRAYS, *_INDEX_ARRAYS))}
+    known = {_META, *(f"{name}.npy" for name in (*_ARRAYS, *_FORMER_ARRAYS))}
     return folder.is_dir() and {path.name for path in folder.iterdir()} <= known
 
 
@@ -88,15 +85,6 @@ def read_extra(folder: Path) -> dict[str, Any]:
     """Returns the plain values kept with a scene."""
     extra: dict[str, Any] = _read_meta(folder).get("extra", {})
     return extra
-
-
-def read_index(folder: Path) -> SpatialIndex:
-    """Returns the spatial index of a scene on disk, mapped as its arrays are.
-
-    Raises:
-        CityModelError: There is none.
-    """
-    return SpatialIndex(**{name: _load(folder, name) for name in _INDEX_ARRAYS})
 
 
 def _read_meta(folder: Path) -> dict[str, Any]:

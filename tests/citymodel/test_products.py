@@ -13,8 +13,7 @@ from lodbench.citymodel.cache import open_cached_scene
 from lodbench.citymodel.check import check_city, format_report
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.scene_file import read_extra, read_index, read_scene, write_scene
-from lodbench.citymodel.spatial import index_scene
+from lodbench.citymodel.scene_file import read_extra, read_scene, write_scene
 from lodbench.errors import CityModelError, ConfigError
 
 from .gml_text import (
@@ -203,7 +202,6 @@ class TestSceneFile:
         assert same(scene, again)
         assert isinstance(again.vertices, np.memmap)
         assert read_extra(tmp_path / "a.scene") == {"note": "x"}
-        assert np.array_equal(read_index(tmp_path / "a.scene").boxes, index_scene(scene).boxes)
 
     def test_damage_is_told(self, tmp_path: Path) -> None:
         scene = open_scene(write(tmp_path / "a.gml", box_city()))
@@ -212,9 +210,13 @@ class TestSceneFile:
         (folder / "triangles.npy").write_bytes(b"\x93NUMPY")
         with pytest.raises(CityModelError, match="damaged"):
             read_scene(folder)
-        (folder / "scene.json").write_text('{"version": 0}')
+        (folder / "scene.json").write_text('{"version": 2}')
+        (folder / "boxes.npy").write_bytes(b"")
         with pytest.raises(CityModelError, match="another version"):
             read_scene(folder)
+        write_scene(scene, folder)
+        assert same(read_scene(folder), scene)
+        assert not (folder / "boxes.npy").exists()
         with pytest.raises(CityModelError, match="no scene"):
             read_scene(tmp_path)
 
@@ -261,19 +263,6 @@ class TestCache:
     def test_unwritable_cache_is_no_fault(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("LODBENCH_CACHE", str(write(tmp_path / "file", "x")))
         assert open_cached_scene(write(tmp_path / "a.gml", box_city())).num_buildings == 1
-
-
-def test_spatial_index_against_all_boxes(shared_data: Path) -> None:
-    scene = open_scene(shared_data / "uavd4l" / "UAVD4L-LoD1.obj")
-    index = index_scene(scene)
-    rng = np.random.default_rng(7)
-    low, high = scene.extent_m
-    for _ in range(50):
-        corner = rng.uniform(low[:2] - 50, high[:2])
-        west, south, east, north = *corner, *(corner + rng.uniform(1, 400, 2))
-        box = index.boxes
-        expected = (box[:, 0] <= east) & (box[:, 3] >= west) & (box[:, 1] <= north) & (box[:, 4] >= south)
-        assert index.within(west, south, east, north).tolist() == np.flatnonzero(expected).tolist()
 
 
 class TestMeshes:
