@@ -7,7 +7,7 @@ set -euo pipefail
 out=$1
 cities=${2:-}
 views=${VIEWS:-800} # of each town
-first=${FIRST_EPOCHS:-8} second=${SECOND_EPOCHS:-16}
+first=${FIRST_EPOCHS:-8} second=${SECOND_EPOCHS:-10}
 
 generate() { # set, views, further settings
     lodbench generate-training-data out="$out/$1" limit="$2" count="$((4 * $2))" "${@:3}" \
