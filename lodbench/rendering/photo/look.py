@@ -61,6 +61,7 @@ class LookRanges:
         blur_px: Standard deviation of the lens, pixels.
         noise: Standard deviation of the sensor at middle grey, share of white.
         jpeg_quality: Of the file, where it is a JPEG.
+        repaint: Share of objects in a colour of the built-in palettes, whatever their own.
 
     Raises:
         ConfigError: A range is not ascending, or out of bounds.
@@ -90,6 +91,7 @@ class LookRanges:
     blur_px: Range = (0.0, 0.9)
     noise: Range = (0.002, 0.025)
     jpeg_quality: Range = (78.0, 97.0)
+    repaint: Range = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -132,6 +134,7 @@ PLAIN_LOOK = _fixed(
     blur_px=0.35,
     noise=0.004,
     jpeg_quality=95.0,
+    repaint=0.0,
 )
 
 
@@ -164,6 +167,7 @@ class Look(NamedTuple):
     window_spacing_m: float
     skylights: float
     roof_units: float
+    repaint: float
     seed: int
 
 
@@ -183,9 +187,11 @@ class Development(NamedTuple):
 
 def draw_look(ranges: LookRanges, generator: np.random.Generator) -> tuple[Look, Development]:
     """Returns a look drawn from ranges; always as many draws, so that one range changes nothing else."""
-    names = [field.name for field in fields(ranges)]
+    names = [field.name for field in fields(ranges) if field.name != "repaint"]
     drawn = {name: float(generator.uniform(*getattr(ranges, name))) for name in names}
     seeds = generator.integers(1 << 30, size=2)
+    # Drawn last, as it came last: looks without it stay what they were.
+    drawn["repaint"] = float(generator.uniform(*ranges.repaint))
     elevation, azimuth = math.radians(drawn["sun_elevation_deg"]), math.radians(drawn["sun_azimuth_deg"])
     level = math.cos(elevation)
     sun = np.array([level * math.sin(azimuth), level * math.cos(azimuth), math.sin(elevation)])

@@ -53,7 +53,7 @@ def palettes() -> Palettes:
 @per_pixel
 def _base_colour(table, red, green, blue, number, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns an object's colour: its own or one of a table's, a little off."""
-    if red < 0.0:
+    if red < 0.0 or unit_hash(number, look.seed, 2) < look.repaint:
         pick = np.int64(unit_hash(number, look.seed, 3) * table.shape[0])
         red, green, blue = table[pick, 0], table[pick, 1], table[pick, 2]
     spread = 2.0 * look.tint_jitter
