@@ -182,7 +182,7 @@ def _draw_reported(axes: Any) -> None:
         for row in rows:
             axes.annotate(
                 row.network, (row.iou, row.recall), (0, -13), textcoords="offset points", ha="center",
-                fontsize=7, color="#444444",
+                fontsize=7, color="#444444", bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.5},
             )  # fmt: skip
 
 

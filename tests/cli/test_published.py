@@ -57,11 +57,11 @@ def test_an_absent_city_model_is_explained_too(lodbench, tmp_path):
     assert "city model: none of swiss_LoD1_final.obj" in done.stderr
 
 
-def test_a_dataset_without_any_mask_stops_before_the_work(lodbench, tmp_path):
+def test_a_dataset_without_masks_and_photos_stops_before_the_work(lodbench, tmp_path):
     root = write_swiss(tmp_path / "data", ecef=False)
     for folder in root.glob("Swiss-EPFL/*/masks"):
         folder.rename(folder.with_name("elsewhere"))
     done = lodbench("run", "dataset=swiss_epflv2", f"dataset.root={root}")
     assert done.returncode == 2
-    assert "none of the 4 queries has a mask" in done.stderr
+    assert "None of the 4 queries of swiss_epflv2 has a mask or a photo" in done.stderr
     assert not (tmp_path / "runs").exists()
