@@ -52,16 +52,16 @@ def test_absent_data_is_explained_on_one_screen(lodbench, tmp_path, name):
 def test_an_absent_city_model_is_explained_too(lodbench, tmp_path):
     root = write_swiss(tmp_path / "data", ecef=False)
     (root / "MODEL" / "swiss_LoD1_final.obj").unlink()
-    done = lodbench("run", "dataset=swiss_epflv2", f"dataset.root={root}")
+    done = lodbench("run", "dataset=swiss_epflv2", f"dataset.root={root}", "segmenter=masks")
     assert done.returncode == 2
     assert "city model: none of swiss_LoD1_final.obj" in done.stderr
 
 
-def test_a_dataset_without_masks_and_photos_stops_before_the_work(lodbench, tmp_path):
+def test_masks_that_are_not_there_stop_before_the_work(lodbench, tmp_path):
     root = write_swiss(tmp_path / "data", ecef=False)
     for folder in root.glob("Swiss-EPFL/*/masks"):
         folder.rename(folder.with_name("elsewhere"))
-    done = lodbench("run", "dataset=swiss_epflv2", f"dataset.root={root}")
+    done = lodbench("run", "dataset=swiss_epflv2", f"dataset.root={root}", "segmenter=masks")
     assert done.returncode == 2
-    assert "None of the 4 queries of swiss_epflv2 has a mask or a photo" in done.stderr
+    assert "none of the 4 queries has a mask" in done.stderr
     assert not (tmp_path / "runs").exists()
