@@ -35,6 +35,9 @@ from lodbench.localization.method import Reaching
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.storage import random_stream
 
+# The halves of a city's bounding box: tune on one, report on the other.
+AREAS = ("west", "east", "south", "north")
+
 
 @dataclass(frozen=True, slots=True)
 class AccuracyOptions:
@@ -45,9 +48,11 @@ class AccuracyOptions:
         mask_iou: IoU of each query mask with the silhouette at the truth.
         tilt_deg: Half width of the prior's error in pitch and in roll, degrees, where tilt=prior.
         range_m: Half width of the prior's error along x, y and z, metres; None for the published ones.
+        height_m: The same along z alone; None for ``range_m``.
         seeds: Seeds of views, masks, priors and methods; each draws ``num_views`` views of its own.
         mask_lod: Level of detail that views and masks are drawn from; None for ``map_lod``.
         map_lod: Level of detail that is searched; None for the lowest there is.
+        area: The half of the city that views look at the middle of, one of ``AREAS``; None for all of it.
         threads: Threads of the engine; None for one per core. Results do not depend on it.
     """
 
@@ -55,9 +60,11 @@ class AccuracyOptions:
     mask_iou: float = 0.88
     tilt_deg: float = 1.0
     range_m: float | None = None
+    height_m: float | None = None
     seeds: tuple[int, ...] = (0,)
     mask_lod: str | None = None
     map_lod: str | None = None
+    area: str | None = None
     threads: int | None = None
 
     def __post_init__(self) -> None:
@@ -69,13 +76,35 @@ class AccuracyOptions:
             raise ConfigError(f"mask_iou lies in (0, 1], not {self.mask_iou}.")
         if not 0 <= self.tilt_deg <= 30:
             raise ConfigError(f"tilt_deg lies within 0 and 30, not {self.tilt_deg}.")
+        if self.area is not None and self.area not in AREAS:
+            raise ConfigError(f"area is one of {', '.join(AREAS)}, not {self.area}.")
 
-    def prior(self) -> UniformPrior:
-        """Returns the errors of the priors: the published ones, with this tilt and range."""
-        prior = UniformPrior(pitch_deg=self.tilt_deg, roll_deg=self.tilt_deg)
-        if self.range_m is None:
-            return prior
-        return replace(prior, x_m=self.range_m, y_m=self.range_m, z_m=self.range_m)
+    def prior(self, tilt: str = "prior") -> UniformPrior:
+        """Returns the errors of the priors: the published ones, with this tilt and range.
+
+        Args:
+            tilt: ``truth`` for priors whose tilt has no error.
+        """
+        tilt_deg = self.tilt_deg if tilt == "prior" else 0.0
+        prior = UniformPrior(pitch_deg=tilt_deg, roll_deg=tilt_deg)
+        if self.range_m is not None:
+            prior = replace(prior, x_m=self.range_m, y_m=self.range_m, z_m=self.range_m)
+        return prior if self.height_m is None else replace(prior, z_m=self.height_m)
+
+    def area_m(self, scene: Scene) -> tuple[float, float, float, float] | None:
+        """Returns the bounds (west, south, east, north) of the area in a scene, metres; None for all."""
+        if self.area is None:
+            return None
+        (west, south), (east, north) = scene.vertices[:, :2].min(axis=0), scene.vertices[:, :2].max(axis=0)
+        x, y = 0.5 * (float(west) + float(east)), 0.5 * (float(south) + float(north))
+        halves = {
+            "west": (west, south, x, north),
+            "east": (x, south, east, north),
+            "south": (west, south, east, y),
+            "north": (west, y, east, north),
+        }
+        w, s, e, n = halves[self.area]
+        return float(w), float(s), float(e), float(n)
 
     def protocol(self) -> str:
         """Returns in words what is drawn."""
@@ -84,6 +113,7 @@ class AccuracyOptions:
             f"masks of {width} x {height} roughened to IoU {self.mask_iou:g}, priors +-{prior.x_m:g}/"
             f"+-{prior.y_m:g}/+-{prior.z_m:g} m and +-{prior.yaw_deg:g} deg yaw, with tilt=prior "
             f"+-{self.tilt_deg:g} deg pitch and roll, {_seeds_in_words(self.seeds)}"
+            + (f", {self.area}ern half of the city" if self.area else "")
         )
 
 
@@ -122,7 +152,8 @@ def measure_accuracy(
 ) -> AccuracyReport:
     """Returns how well methods find seeded views over a city.
 
-    A method that can is told how far off the priors may be, tilt included; never whether it is.
+    A method that can is told how far off the priors may be, tilt included (0 with the true one); never
+    whether they are.
 
     Args:
         city: City model file.
@@ -136,20 +167,22 @@ def measure_accuracy(
     options = options or AccuracyOptions()
     scorer, seen = open_scenes(city, options)
     scene = scorer.scene
-    told = [reaching(method, options.prior()) for method in methods or (LodLocV2(),)]
+    told = {
+        tilt: [reaching(method, options.prior(tilt)) for method in methods or (LodLocV2(),)] for tilt in TILTS
+    }
     outcomes: list[Outcome] = []
     rejections = 0
     for seed in options.seeds:
         cases, rejected = make_cases(seen.scene, seen, options, seed)
         cases = [case.shifted(seen.scene.origin - scene.origin) for case in cases]
         rejections += rejected
-        for method, tilt, case in product(told, TILTS, cases):
-            outcomes.append(run_case(case, tilt, method, scorer, seed))
-            progress(len(outcomes), len(options.seeds) * len(told) * len(TILTS) * len(cases))
+        for number, tilt, case in product(range(len(told["prior"])), TILTS, cases):
+            outcomes.append(run_case(case, tilt, told[tilt][number], scorer, seed))
+            progress(len(outcomes), len(options.seeds) * len(told["prior"]) * len(TILTS) * len(cases))
     name = Path(city).name
     if options.mask_lod is not None or options.map_lod is not None:
         name += f" (masks LoD{seen.scene.lod}, map LoD{scene.lod})"
-    names = tuple(method.name for method in told)
+    names = tuple(method.name for method in told["prior"])
     return AccuracyReport(name, names, options.protocol(), rejections, tuple(outcomes))
 
 
@@ -184,7 +217,7 @@ def make_cases(
     """
     seed = options.seeds[0] if seed is None else seed
     drawn, rejections = draw_queries(
-        scene, scorer, options.num_views, options.mask_iou, options.prior(), seed
+        scene, scorer, options.num_views, options.mask_iou, options.prior(), seed, options.area_m(scene)
     )
     return [_case(query) for query in drawn], rejections
 

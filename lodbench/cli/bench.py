@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from lodbench.bench import (
+    AREAS,
     AccuracyOptions,
     AccuracyReport,
     BudgetReport,
@@ -83,6 +84,8 @@ def _views(options: argparse.Namespace) -> AccuracyOptions:
         mask_iou=options.mask_iou,
         tilt_deg=options.tilt_width,
         range_m=options.prior_range,
+        height_m=options.prior_height,
+        area=options.area,
         seeds=tuple(_whole(seed) for seed in seeds.split(",")),
         mask_lod=options.mask_lod,
         map_lod=options.map_lod,
@@ -197,6 +200,8 @@ def _parser() -> argparse.ArgumentParser:
         action.add_argument(
             "--prior-range", type=float, help="prior's error along x, y and z, +- metres (10, 10, 30)"
         )
+        action.add_argument("--prior-height", type=float, help="prior's error along z, +- metres")
+        action.add_argument("--area", choices=AREAS, help="half of the city to look at (all of it)")
         action.add_argument(
             "--seeds", help="seeds, comma-separated, each with views of its own; instead of --seed"
         )

@@ -95,17 +95,32 @@ class SyntheticQuery:
 
 
 def draw_queries(
-    scene: Scene, renderer: Renderer, num_views: int, mask_iou: float, prior: UniformPrior, seed: int
+    scene: Scene,
+    renderer: Renderer,
+    num_views: int,
+    mask_iou: float,
+    prior: UniformPrior,
+    seed: int,
+    area_m: tuple[float, float, float, float] | None = None,
 ) -> tuple[list[SyntheticQuery], int]:
     """Returns the queries of a city, and how many draws of views were rejected.
 
-    Query i depends on the seed and i only: asking for more keeps the first ones.
+    Query i depends on the seed, the area and i only: asking for more keeps the first ones.
+
+    Args:
+        scene: What masks are drawn from.
+        renderer: Renders it.
+        num_views: How many.
+        mask_iou: IoU of each mask with the silhouette at the truth.
+        prior: Errors of the priors.
+        seed: Seed of views, masks and priors.
+        area_m: West, south, east and north bounds of what the views look at, scene metres; None for all.
 
     Raises:
         DatasetError: No views can be drawn over the city.
     """
     camera = RGB_CAMERA.scaled(*FINE_SIZE)
-    views = sample_views(scene, renderer, camera, ViewSampling(seed=seed), num_views, "accuracy")
+    views = sample_views(scene, renderer, camera, ViewSampling(seed=seed, area_m=area_m), num_views, "accuracy")
     queries = []
     for index, truth in enumerate(views.poses):
         name = f"view_{index:04d}"

@@ -52,20 +52,47 @@ class Level:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """How far N points of a pose's outline lie inside the mask's, in pixels of the fine size.
+
+    Attributes:
+        points: The outline, in pixels of the working size.
+        distances: (N,) positive inside the mask.
+        slopes: (N, 7) their change per unit of the pose's numbers and per metre of the roof's height.
+        agreement: (N,) 1 where the mask's outline runs as the silhouette's does, 0 across or against it.
+        scale: Pixels of the working size per pixel of the fine size.
+        iou: Of silhouette and mask.
+    """
+
+    points: OutlinePoints
+    distances: Floats
+    slopes: Floats
+    agreement: Floats
+    scale: float
+    iou: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Linearization:
     """What the outlines say about a pose, to second order; the prior included.
 
     Attributes:
         information: (6, 6) of metres and degrees.
         gradient: (6,) of the cost.
-        spread_px: Standard deviation of the distances, outliers left out; fine pixels.
         iou: Of silhouette and mask.
+        evidence: Logarithm of the probability density of distances and prior, up to a constant; 0 where it
+            is not asked for.
     """
 
     information: Floats
     gradient: Floats
-    spread_px: float
     iou: float
+    evidence: float = 0.0
+
+    def step(self) -> Floats:
+        """Returns (6,) the Gauss-Newton step, no longer than a linearisation is good for."""
+        step = -np.linalg.solve(self.information, self.gradient)
+        return np.asarray(step * min(1.0, float(1.0 / np.max(np.abs(step) / _LONGEST_STEP))))
 
 
 class Aligner:
@@ -88,8 +115,7 @@ class Aligner:
             here = self.linearize(vector, reach_px, size)
             if here is None:
                 return vector
-            step = -np.linalg.solve(here.information, here.gradient)
-            vector = vector + step * min(1.0, float(1.0 / np.max(np.abs(step) / _LONGEST_STEP)))
+            vector = vector + here.step()
         return vector
 
     def linearize(self, vector: Floats, reach_px: float, size: tuple[int, int]) -> Linearization | None:
@@ -100,41 +126,43 @@ class Aligner:
             reach_px: Scale of the robust kernel, pixels of the fine size.
             size: Width and height of the silhouette, pixels.
         """
-        level = self._level(size)
-        points, iou = self._outline(vector, level)
-        count = len(points)
-        if count < _FEWEST_POINTS:
+        here = self.measure(vector, size)
+        if here is None:
             return None
-        residuals, slopes, agreement = np.empty(count), np.empty((count, 7)), np.empty(count)
-        measured = residuals, slopes, agreement
-        measure_distances(points.pixels, points.normals, points.moves, level.distance, *measured)
-        residuals /= level.scale
-        slopes /= level.scale
-        lengths = points.lengths * agreement / level.scale
-        kernel = 1.0 / (1.0 + (residuals / reach_px) ** 2)
-        per_length = 1.0 / (self._params.correlation_px * self._params.noise_px**2)
-        weights = lengths * kernel**2 * per_length
-        buildings = len(self.edges.rises)
-        products, gradients = building_sums(residuals, slopes, weights, points.buildings, buildings)
-        information, gradient = _without_roofs(products, gradients, self._params.roof_m)
-        offset = vector - self._prior
-        offset[5] = (offset[5] + 180.0) % 360.0 - 180.0
-        weight = float(weights.sum())
-        return Linearization(
-            information=information + np.diag(self._precision),
-            gradient=gradient + self._precision * offset,
-            spread_px=math.sqrt(float((weights * residuals**2).sum()) / weight) if weight else 0.0,
-            iou=iou,
+        lengths = here.points.lengths * here.agreement / here.scale
+        kernel = 1.0 / (1.0 + (here.distances / reach_px) ** 2)
+        weights = lengths * kernel**2 / (self._params.correlation_px * self._params.noise_px**2)
+        products, gradients = building_sums(
+            here.distances, here.slopes, weights, here.points.buildings, len(self.edges.rises)
         )
+        information, gradient = _without_roofs(products, gradients, self._params.roof_m)
+        prior_information, prior_gradient, _ = self.prior_terms(vector)
+        return Linearization(information + prior_information, gradient + prior_gradient, here.iou)
 
-    def _outline(self, vector: Floats, level: Level) -> tuple[OutlinePoints, float]:
-        pose = pose_from_vector(vector)
+    def measure(self, vector: Floats, size: tuple[int, int]) -> Residuals | None:
+        """Returns how far a pose's outline lies from the mask's; None if too little outline is seen."""
+        level, pose = self._level(size), pose_from_vector(vector)
         silhouette = self._scorer.render(level.camera, pose)
         self.rendered += 1
         union = int(np.count_nonzero(silhouette | level.mask))
         iou = int(np.count_nonzero(silhouette & level.mask)) / union if union else 0.0
         derivatives, spacing = rotation_derivatives(vector), self._params.spacing_px
-        return sample_outline(self.edges, level.camera, pose, derivatives, silhouette, spacing), iou
+        points = sample_outline(self.edges, level.camera, pose, derivatives, silhouette, spacing)
+        count = len(points)
+        if count < _FEWEST_POINTS:
+            return None
+        distances, slopes, agreement = np.empty(count), np.empty((count, 7)), np.empty(count)
+        measured = distances, slopes, agreement
+        measure_distances(points.pixels, points.normals, points.moves, level.distance, *measured)
+        distances, slopes = distances / level.scale, slopes / level.scale
+        return Residuals(points, distances, slopes, agreement, level.scale, iou)
+
+    def prior_terms(self, vector: Floats) -> tuple[Floats, Floats, float]:
+        """Returns the prior's information (6, 6), gradient (6,) and squared distance."""
+        offset = vector - self._prior
+        offset[5] = (offset[5] + 180.0) % 360.0 - 180.0
+        gradient = self._precision * offset
+        return np.diag(self._precision), gradient, float(offset @ gradient)
 
     def _level(self, size: tuple[int, int]) -> Level:
         if size not in self._levels:

@@ -11,9 +11,10 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.localization.method import Estimate, Streams
-from lodbench.localization.sixdof.alignment import Aligner, Linearization
+from lodbench.localization.sixdof.alignment import Aligner
 from lodbench.localization.sixdof.params import Params
 from lodbench.localization.sixdof.pose_vector import pose_from_vector
+from lodbench.localization.sixdof.refinement import refine
 from lodbench.localization.sixdof.starts import find_starts
 from lodbench.localization.sixdof.uncertainty import covariance, probability_within
 from lodbench.rendering import Scorer
@@ -45,8 +46,11 @@ class SixDof:
         starts, best, scored = find_starts(query, scorer, aligner, self.params)
         selected = time.perf_counter()
         found, trace = self._align(aligner, starts)
-        vector, at = self._finish(aligner, found)
-        spread = covariance(at, self.params)
+        refined = refine(aligner, found, self.params)
+        if refined is None:
+            raise QueryFault("no outline of a building is in view of the aligned pose")
+        vector, at = refined.vector, refined.at
+        spread = covariance(at)
         finished = time.perf_counter()
         return Estimate(
             pose=pose_from_vector(vector),
@@ -68,11 +72,3 @@ class SixDof:
         if max(ious) <= 0:
             raise QueryFault("no outline of a building is in view of any aligned pose")
         return aligned[int(np.argmax(ious))], tuple(ious)
-
-    def _finish(self, aligner: Aligner, vector: Floats) -> tuple[Floats, Linearization]:
-        near, size = self.params.near_px, self.params.fine_size
-        vector = aligner.align(vector, (near,) * self.params.final_steps, size)
-        at = aligner.linearize(vector, near, size)
-        if at is None:
-            raise QueryFault("no outline of a building is in view of the aligned pose")
-        return vector, at

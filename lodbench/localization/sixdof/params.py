@@ -23,6 +23,9 @@ _POSITIVE = (
     "near_px",
     "noise_px",
     "correlation_px",
+    "outline_px",
+    "outlier_sigmas",
+    "roof_part_px",
 )
 # Grids of more poses than this are left for basins: four times those of the published priors' grid.
 _MOST_POSES = 2000
@@ -56,10 +59,15 @@ class Params:
         spacing_px: Distance between outline points, pixels.
         reach_px: Scale of the robust kernel in the first step: how far outlines may lie apart, pixels of
             the fine size.
-        near_px: The same in the last steps.
-        noise_px: Standard deviation of a mask's outline, pixels of the fine size.
-        correlation_px: Length of outline that errs together: one observation, pixels.
+        near_px: The same in the last of these steps.
+        noise_px: Standard deviation of a mask's outline to begin with, pixels of the fine size; the final
+            steps find it from the view.
+        correlation_px: Length of outline that counts as one observation until then, pixels.
+        outline_px: Distance over which the errors of a mask's outline go together, pixels of the fine size.
+        outlier_sigmas: Scale of the robust kernel in the final steps, in standard deviations of the outline.
         roof_m: Standard deviation of each building's height in the map, metres; 0 trusts the map.
+        roof_part_m: The same of parts of a roof, each for itself.
+        roof_part_px: Distance over which a roof's error goes together, pixels of the fine size.
     """
 
     name: str = "lodlocv2_6dof"
@@ -80,13 +88,17 @@ class Params:
     basin_steps: int = 5
     starts: int = 8
     steps: int = 10
-    final_steps: int = 8
+    final_steps: int = 10
     spacing_px: float = 4.0
     reach_px: float = 24.0
     near_px: float = 3.0
     noise_px: float = 2.0
     correlation_px: float = 16.0
-    roof_m: float = 1.0
+    outline_px: float = 30.0
+    outlier_sigmas: float = 3.0
+    roof_m: float = 2.0
+    roof_part_m: float = 2.0
+    roof_part_px: float = 60.0
 
     def __post_init__(self) -> None:
         # OmegaConf hands over lists where a tuple is declared, and checks neither lengths nor ranges.
@@ -95,7 +107,7 @@ class Params:
             if len(size) != 2 or min(size) < 8 or max(size) > GUARD_PX:
                 raise ConfigError(f"method.{name} is a width and a height, 8 to 8192 px, not {list(size)}.")
             object.__setattr__(self, name, size)
-        for name in (*_RANGES, "roof_m"):
+        for name in (*_RANGES, "roof_m", "roof_part_m"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
         for name in _POSITIVE:

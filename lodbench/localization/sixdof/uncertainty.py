@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.localization.sixdof.alignment import Linearization
-from lodbench.localization.sixdof.params import Params
 from lodbench.localization.sixdof.pose_vector import turn_per_angle
 from lodbench.storage import random_stream
 
@@ -18,14 +17,10 @@ WITHIN_M, WITHIN_DEG = 2.0, 2.0
 _DRAWS = 2048
 
 
-def covariance(at: Linearization, params: Params) -> Floats:
-    """Returns the (6, 6) covariance of x, y, z (metres), pitch, roll and yaw (degrees).
-
-    The outline's noise is the one found, not the one assumed, where it is the larger.
-    """
-    excess = max(1.0, at.spread_px / params.noise_px) ** 2
+def covariance(at: Linearization) -> Floats:
+    """Returns the (6, 6) covariance of x, y, z (metres), pitch, roll and yaw (degrees)."""
     inverse = np.linalg.inv(at.information)
-    return np.asarray(0.5 * excess * (inverse + inverse.T))
+    return np.asarray(0.5 * (inverse + inverse.T))
 
 
 def probability_within(covariance_6: Floats, vector: Floats) -> float:

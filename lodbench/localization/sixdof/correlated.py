@@ -1,0 +1,67 @@
+"""Least squares under errors that go together: every outline point has a row in one covariance matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def error_covariance(pixels, rises, buildings, noise, lengths, roofs):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the lower half of the points' error covariance, (N, N) square pixels.
+
+    The mask's outline errs alike at points near each other in the picture. A building's roof errs as a
+    whole, and by parts: alike at points near each other.
+
+    Args:
+        pixels: (N, 2) points.
+        rises: (N,) how a distance changes per metre that the roof is higher.
+        buildings: (N,) which.
+        noise: Square pixels of the outline's error that goes together, and of its rest.
+        lengths: Pixels over which the outline's error goes together, and a roof's.
+        roofs: Square metres of a roof's error as a whole, and by parts.
+    """
+    count = len(pixels)
+    matrix = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i + 1):
+            dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
+            apart = np.sqrt(dx * dx + dy * dy)
+            value = noise[0] * np.exp(-apart / lengths[0])
+            if buildings[i] == buildings[j]:
+                value += rises[i] * rises[j] * (roofs[0] + roofs[1] * np.exp(-apart / lengths[1]))
+            matrix[i, j] = value
+        matrix[i, i] += noise[1]
+    return matrix
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def whiten(matrix, columns):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Divides columns by the Cholesky factor of a matrix, both in place; returns the log determinant.
+
+    On one core and in one order, so that the answer depends on no library's threads.
+
+    Args:
+        matrix: (N, N) positive definite; its lower half is overwritten by the factor.
+        columns: (N, M) overwritten.
+    """
+    count = len(matrix)
+    pivot = np.empty(count)
+    log_determinant = 0.0
+    for j in range(count):
+        root = np.sqrt(matrix[j, j])
+        log_determinant += 2.0 * np.log(root)
+        columns[j] /= root
+        for i in range(j + 1, count):
+            matrix[i, j] /= root
+            pivot[i] = matrix[i, j]
+            factor = pivot[i]
+            # Rows are left to right, so that the inner loop runs along memory.
+            for k in range(j + 1, i + 1):
+                matrix[i, k] -= factor * pivot[k]
+            for k in range(columns.shape[1]):
+                columns[i, k] -= factor * columns[j, k]
+    return log_determinant

@@ -1,0 +1,97 @@
+"""The last steps: least squares that know how the errors of an outline go together.
+
+A mask's outline leans over tens of pixels, so near points tell the same twice; how much it errs is
+found from the view itself. A roof of the map may be too high or too low, as a whole and by parts.
+Both are rows of one covariance matrix: what roofs or a leaning outline could explain moves the pose
+little, and widens the answer's own covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.localization.sixdof.alignment import Aligner, Linearization, Residuals
+from lodbench.localization.sixdof.correlated import error_covariance, whiten
+from lodbench.localization.sixdof.params import Params
+
+Floats = NDArray[np.float64]
+
+# Points in the matrix: a step costs their number cubed.
+_MOST_POINTS = 400
+# The outline's noise is looked for among points nearer than this, and is never less or more than that, px.
+_FAR_PX = 20.0
+_NOISE_PX = (0.7, 6.0)
+# Points that agree less with the mask's direction say nothing about its noise.
+_AGREES = 0.3
+# Share of the outline's variance that each point has for itself.
+_OWN_SHARE = 0.3
+# A point that weighs less than this has a variance that no factorisation feels.
+_LEAST_WEIGHT = 1e-8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A pose at the end of its steps.
+
+    Attributes:
+        vector: (6,) centre in metres and angles in degrees.
+        at: What the outlines say there.
+    """
+
+    vector: Floats
+    at: Linearization
+
+
+def refine(aligner: Aligner, vector: Floats, params: Params) -> Refined | None:
+    """Returns a pose after the last steps; None if too little outline is seen."""
+    at = None
+    for step in range(params.final_steps + 1):
+        here = aligner.measure(vector, params.fine_size)
+        if here is None:
+            return None
+        at = _linearize(aligner, vector, here, params)
+        if step < params.final_steps:
+            vector = vector + at.step()
+    return Refined(vector, at) if at is not None else None
+
+
+def outline_noise(here: Residuals) -> float:
+    """Returns the standard deviation of the mask's outline in pixels, from the median distance."""
+    near = np.abs(here.distances[(here.agreement > _AGREES) & (np.abs(here.distances) < _FAR_PX)])
+    low, high = _NOISE_PX
+    return float(np.clip(1.4826 * np.median(near), low, high)) if len(near) else high
+
+
+def _linearize(aligner: Aligner, vector: Floats, here: Residuals, params: Params) -> Linearization:
+    noise_px = outline_noise(here)
+    stride = -(-len(here.distances) // _MOST_POINTS)
+    chosen = slice(stride // 2, None, stride)
+    distances, slopes = here.distances[chosen], here.slopes[chosen]
+    reach_px = params.outlier_sigmas * max(noise_px, 1.0)
+    kernel = 1.0 / (1.0 + (distances / reach_px) ** 2)
+    weights = np.maximum(kernel**2 * np.maximum(here.agreement[chosen], 1e-3), _LEAST_WEIGHT)
+    variance = noise_px**2
+    matrix = error_covariance(
+        here.points.pixels[chosen] / here.scale,
+        slopes[:, 6],
+        here.points.buildings[chosen],
+        ((1.0 - _OWN_SHARE) * variance, _OWN_SHARE * variance),
+        (params.outline_px, params.roof_part_px),
+        (params.roof_m**2, params.roof_part_m**2),
+    )
+    # Outliers have an error of their own beside the shared one.
+    matrix[np.diag_indices(len(distances))] += variance * (1.0 / weights - 1.0)
+    columns = np.ascontiguousarray(np.column_stack([slopes[:, :6], distances]))
+    log_determinant = whiten(matrix, columns)
+    jacobian, residuals = columns[:, :6], columns[:, 6]
+    prior_information, prior_gradient, prior_cost = aligner.prior_terms(vector)
+    cost = float(residuals @ residuals) + log_determinant + prior_cost
+    return Linearization(
+        information=jacobian.T @ jacobian + prior_information,
+        gradient=jacobian.T @ residuals + prior_gradient,
+        iou=here.iou,
+        evidence=-0.5 * cost,
+    )
