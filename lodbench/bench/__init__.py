@@ -18,6 +18,7 @@ from lodbench.bench.training_data import (
     TrainingDataReport,
     measure_training_data,
 )
+from lodbench.bench.wide_priors import WidePriorReport, measure_wide_priors
 
 __all__ = [
     "AREAS",
@@ -39,6 +40,7 @@ __all__ = [
     "SilhouetteReport",
     "TrainingDataOptions",
     "TrainingDataReport",
+    "WidePriorReport",
     "measure_accuracy",
     "measure_budget",
     "measure_city",
@@ -48,4 +50,5 @@ __all__ = [
     "measure_scale",
     "measure_silhouettes",
     "measure_training_data",
+    "measure_wide_priors",
 ]

@@ -229,7 +229,7 @@ def run_case(case: Case, tilt: str, method: Method, scorer: Scorer, seed: int) -
     error, score, hypotheses, probability = FAILED, 0.0, 0, None
     try:
         # The streams know nothing of the tilt: both blocks try the same moves.
-        estimate = method.localize(query, scorer, _streams(seed, query.name))
+        estimate = method.localize(query, scorer, streams_of(seed, query.name))
         error = pose_error(estimate.pose, case.truth)
         score, hypotheses, probability = estimate.score, estimate.hypotheses, estimate.probability
     except QueryFault:
@@ -249,6 +249,11 @@ def run_case(case: Case, tilt: str, method: Method, scorer: Scorer, seed: int) -
     )
 
 
+def streams_of(seed: int, name: str) -> Callable[[str, int], np.random.Generator]:
+    """Returns the random numbers of a view's search."""
+    return partial(random_stream, seed, "accuracy", name)
+
+
 def _case(drawn: SyntheticQuery) -> Case:
     probability = drawn.mask.astype(np.float32)
     query = Query(drawn.name, "all", RGB_CAMERA, drawn.prior, probability)
@@ -257,7 +262,3 @@ def _case(drawn: SyntheticQuery) -> Case:
 
 def _seeds_in_words(seeds: tuple[int, ...]) -> str:
     return f"seed {seeds[0]}" if len(seeds) == 1 else "seeds " + ", ".join(str(seed) for seed in seeds)
-
-
-def _streams(seed: int, name: str) -> Callable[[str, int], np.random.Generator]:
-    return partial(random_stream, seed, "accuracy", name)

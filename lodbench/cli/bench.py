@@ -25,6 +25,7 @@ from lodbench.bench import (
     SilhouetteReport,
     TrainingDataOptions,
     TrainingDataReport,
+    WidePriorReport,
     measure_accuracy,
     measure_budget,
     measure_city,
@@ -32,6 +33,7 @@ from lodbench.bench import (
     measure_scale,
     measure_silhouettes,
     measure_training_data,
+    measure_wide_priors,
 )
 from lodbench.bench.silhouette_pictures import write_pictures
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
@@ -111,6 +113,10 @@ def _budget(options: argparse.Namespace, steps: ProgressCallback) -> BudgetRepor
     return report
 
 
+def _wide_priors(options: argparse.Namespace, steps: ProgressCallback) -> WidePriorReport:
+    return measure_wide_priors(_city_file(options), _views(options), steps)
+
+
 def _method(name: str) -> Method:
     plugin = load_plugin("methods", name)
     method: Method = plugin(plugin.params_type())
@@ -153,6 +159,7 @@ Report = (
     | EvaluationReport
     | IouRecallReport
     | MaskQualityReport
+    | WidePriorReport
 )
 MEASURES: dict[str, Callable[..., Report]] = {
     "silhouettes": _silhouettes,
@@ -163,6 +170,7 @@ MEASURES: dict[str, Callable[..., Report]] = {
     "evaluation": _evaluation,
     "segmentation": measure_segmentation,
     "training-data": _training_data,
+    "wide-priors": _wide_priors,
 }
 
 
@@ -192,7 +200,11 @@ def _parser() -> argparse.ArgumentParser:
     budget = actions.add_parser("budget", help="recall of both methods over the hypotheses they may render")
     budget.add_argument("--views", type=int, default=50, help="seeded views (50)")
     budget.add_argument("--pictures", type=Path, help="folder for the picture")
-    for action in (accuracy, budget):
+    wide = actions.add_parser(
+        "wide-priors", help="basins beside the full grid, pose by pose: --prior-range 50 to 200"
+    )
+    wide.add_argument("--views", type=int, default=6, help="seeded views (6)")
+    for action in (accuracy, budget, wide):
         action.add_argument("--mask-iou", type=float, default=0.88, help="of the roughened masks (0.88)")
         action.add_argument(
             "--tilt-width", "--tilt-deg", type=float, default=1.0, help="prior's tilt error, +- degrees (1.0)"
@@ -223,11 +235,11 @@ def _parser() -> argparse.ArgumentParser:
     training.add_argument("--views", type=int, default=24, help="photos of each size; masks 10 x (24)")
     training.add_argument("--workers", type=int, help="processes (one per core)")
     training.add_argument("--props", type=Path, help="scene props to picture; made up if not given")
-    for action in (speed, scale, accuracy, budget, evaluation, training):
+    for action in (speed, scale, accuracy, budget, wide, evaluation, training):
         action.add_argument("--seed", type=int, default=0)
-    for action in (speed, accuracy, budget, city, training):
+    for action in (speed, accuracy, budget, wide, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
-    for action in (speed, scale, accuracy, budget, city, evaluation, segmentation, training):
+    for action in (speed, scale, accuracy, budget, wide, city, evaluation, segmentation, training):
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser
 

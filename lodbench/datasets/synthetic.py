@@ -120,7 +120,9 @@ def draw_queries(
         DatasetError: No views can be drawn over the city.
     """
     camera = RGB_CAMERA.scaled(*FINE_SIZE)
-    views = sample_views(scene, renderer, camera, ViewSampling(seed=seed, area_m=area_m), num_views, "accuracy")
+    views = sample_views(
+        scene, renderer, camera, ViewSampling(seed=seed, area_m=area_m), num_views, "accuracy"
+    )
     queries = []
     for index, truth in enumerate(views.poses):
         name = f"view_{index:04d}"
