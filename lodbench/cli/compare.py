@@ -18,6 +18,7 @@ from lodbench.harness.verify import changed_files
 from lodbench.reporting.comparison import format_comparison
 from lodbench.reporting.summaries import with_seconds
 from lodbench.reporting.table_columns import (
+    calibration_columns,
     detail_columns,
     interval_columns,
     paper_columns,
@@ -27,6 +28,7 @@ from lodbench.reporting.table_formats import FORMATS
 from lodbench.reporting.tables import RecallTable, tables_of
 
 _COLUMNS = {
+    "calibration": calibration_columns,
     "paper": paper_columns,
     "details": detail_columns,
     "intervals": interval_columns,

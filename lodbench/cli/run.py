@@ -22,8 +22,9 @@ from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.artefacts import summary_of, write_artefacts
 from lodbench.harness.gallery import write_overlays
 from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.table_columns import calibration_columns
 from lodbench.reporting.table_formats import format_text
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.tables import RecallTable, tables_of
 from lodbench.segmentation import notes_of
 
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
@@ -188,7 +189,9 @@ def report(runs: Sequence[Run]) -> str:
     """Returns the tables of runs and what a reader wants next to them."""
     summaries = [summary_of(run) for run in runs]
     valid = [summary for summary in summaries if "invalid" not in summary]
-    parts = [format_text(table) for table in tables_of(valid)]
+    tables = tables_of(valid)
+    parts = [format_text(table) for table in tables]
+    parts += [_calibration_text(table) for table in tables if table.says_how_sure()]
     lines = []
     for run, summary in zip(runs, summaries, strict=True):
         if "invalid" in summary:
@@ -207,6 +210,15 @@ def report(runs: Sequence[Run]) -> str:
         resumed = f" ({run.resumed} queries were there already)" if run.resumed else ""
         lines += [f"  results:  {run.folder}{resumed}", f"  pictures: {run.folder / 'overlays'}"]
     return "\n".join(parts) + "\n" + "\n".join(lines) + "\n"
+
+
+def _calibration_text(table: RecallTable) -> str:
+    columns = calibration_columns(table.labels())
+    shown = replace(table, title=f"How sure methods were: {table.title}", columns=columns)
+    return (
+        format_text(shown) + "said: mean probability of being within (2 m, 2 deg); said-found: its distance "
+        "from what was found; risk area: not found as the surest 0 to 100 % are answered; all in percent.\n"
+    )
 
 
 def _failure_lines(run: Run) -> list[str]:

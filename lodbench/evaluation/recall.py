@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.evaluation.calibration import calibrate
 from lodbench.evaluation.errors import ErrorParts, PoseError
 from lodbench.evaluation.statistics import Interval, bootstrap_means, bootstrap_median, wilson_interval
 
@@ -29,6 +30,8 @@ class Threshold(NamedTuple):
         return f"{self.translation_m:g}m-{self.rotation_deg:g}deg"
 
 
+# What a method's probability is of.
+PROBABILITY_THRESHOLD = Threshold(2, 2)
 DEFAULT_THRESHOLDS = (Threshold(2, 2), Threshold(3, 3), Threshold(5, 5))
 
 
@@ -52,6 +55,10 @@ class SplitSummary:
         median_vertical_m: Median of the height error's size.
         median_yaw_deg: Median of the yaw error's size.
         mask_iou: Mean IoU of the query masks with the model's silhouette at the truth; NaN if unknown.
+        said: Mean probability of being within (2 m, 2 deg) that the method gave, percent; NaN if none.
+        said_found: Mean distance of these probabilities from what was found, over the bins of a
+            reliability diagram, percent.
+        risk_area: Area under the risk over the coverage, percent.
     """
 
     num_queries: int
@@ -69,9 +76,14 @@ class SplitSummary:
     median_vertical_m: float = math.nan
     median_yaw_deg: float = math.nan
     mask_iou: float = math.nan
+    said: float = math.nan
+    said_found: float = math.nan
+    risk_area: float = math.nan
 
     def to_json(self) -> dict[str, Any]:
-        """Returns a JSON object in which what is not finite is null."""
+        """Returns a JSON object in which what is not finite is null; ``calibration`` only where known."""
+        known = {"said": self.said, "said_found": self.said_found, "risk_area": self.risk_area}
+        calibration = {"calibration": known} if math.isfinite(self.said) else {}
         return {
             "num_queries": self.num_queries,
             "num_failed": self.num_failed,
@@ -88,6 +100,7 @@ class SplitSummary:
             "median_yaw_deg": _finite(self.median_yaw_deg),
             "mask_iou": _finite(self.mask_iou),
             "hypotheses_per_query": _finite(self.hypotheses_per_query),
+            **calibration,
         }
 
 
@@ -98,6 +111,7 @@ def summarize(
     *,
     parts: Sequence[ErrorParts] = (),
     mask_ious: Sequence[float] = (),
+    probabilities: Sequence[float | None] = (),
 ) -> SplitSummary:
     """Returns the summary of one split.
 
@@ -107,12 +121,15 @@ def summarize(
         thresholds: Where to measure recall.
         parts: The same errors taken apart, ``FAILED_PARTS`` for those without an answer; or none.
         mask_ious: IoU of each query mask that there is.
+        probabilities: One per error: what the method said of its being within (2 m, 2 deg), None if nothing;
+            or none at all.
     """
     table = np.array(errors, dtype=np.float64).reshape(-1, 2)
     answered = np.isfinite(table[:, 0])
     found = {t.label: hits_of(table, t) for t in thresholds}
     areas = {t.label: _area_shares(table, t) for t in thresholds}
     columns = 100.0 * np.array(list(areas.values()), dtype=np.float64).reshape(len(areas), len(table)).T
+    said, said_found, risk_area = _calibration(table, probabilities)
     sizes = np.abs(np.array(parts, dtype=np.float64).reshape(-1, 3))
     return SplitSummary(
         num_queries=len(table),
@@ -133,12 +150,31 @@ def summarize(
         median_vertical_m=_median(sizes[:, 1]),
         median_yaw_deg=_median(sizes[:, 2]),
         mask_iou=float(np.mean(mask_ious)) if len(mask_ious) else math.nan,
+        said=said,
+        said_found=said_found,
+        risk_area=risk_area,
     )
 
 
 def hits_of(errors: NDArray[np.float64], threshold: Threshold) -> NDArray[np.bool_]:
     """Returns which of (N, 2) errors in metres and degrees lie strictly below a threshold."""
     return np.asarray((errors[:, 0] < threshold.translation_m) & (errors[:, 1] < threshold.rotation_deg))
+
+
+def _calibration(
+    errors: NDArray[np.float64], probabilities: Sequence[float | None]
+) -> tuple[float, float, float]:
+    """Returns what was said, its distance from what was found, and the risk's area, percent; or NaN."""
+    if all(probability is None for probability in probabilities):
+        return math.nan, math.nan, math.nan
+    # A query without an answer is one the method declined.
+    said = [probability or 0.0 for probability in probabilities]
+    calibration = calibrate(said, hits_of(errors, PROBABILITY_THRESHOLD).tolist())
+    return (
+        100.0 * float(np.mean(said)),
+        100.0 * calibration.calibration_error,
+        100.0 * calibration.risk_area,
+    )
 
 
 def _area_shares(errors: NDArray[np.float64], threshold: Threshold) -> NDArray[np.float64]:

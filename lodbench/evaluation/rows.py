@@ -80,6 +80,7 @@ def summarize_rows(
             thresholds,
             parts=[row.parts or FAILED_PARTS for row in scored] if is_apart else (),
             mask_ious=[row.mask_iou for row in mine if row.mask_iou is not None],
+            probabilities=[row.probability for row in scored],
         ),
         summarize(priors, (), thresholds),
     )

@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import LodbenchError
+from lodbench.evaluation.calibration import calibrate
 from lodbench.evaluation.errors import FAILED
+from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.evaluation.rows import QueryRow
 from lodbench.execution import Ledger
 from lodbench.harness.city import open_city
 from lodbench.harness.gallery import chosen_rows, overlay_name
 from lodbench.harness.prepare import prior_of
 from lodbench.harness.verify import Verdict
+from lodbench.reporting.calibration_figures import draw_calibration
 from lodbench.reporting.page import definition_list, html_page, picture, section, text
 from lodbench.reporting.query_table import query_table
 from lodbench.reporting.run_figures import (
@@ -30,7 +33,7 @@ from lodbench.reporting.run_figures import (
     draw_traces,
 )
 from lodbench.reporting.summaries import with_seconds
-from lodbench.reporting.table_columns import detail_columns, interval_columns
+from lodbench.reporting.table_columns import calibration_columns, detail_columns, interval_columns
 from lodbench.reporting.table_html import format_html
 from lodbench.reporting.tables import tables_of
 
@@ -56,10 +59,16 @@ def run_report(verdict: Verdict, tilt: str) -> str:
         replace(table, columns=interval_columns(labels), title="Recall with 95 % intervals"),
         replace(table, columns=detail_columns(labels), title="Areas under recall, parts of the error, cost"),
     ]
+    if table.says_how_sure():
+        title = (
+            "Probability of being within (2 m, 2 deg): said, its distance from what was found, risk; percent"
+        )
+        tables.append(replace(table, columns=calibration_columns(labels), title=title))
     name = " ".join(filter(None, [summary["method"]["name"], summary["method"]["variant"]]))
     parts = {
         "tables": ("Recall", "".join(map(format_html, tables))),
         "errors": ("Errors", _error_curves(stored.rows, splits)),
+        "calibration": ("How sure it was", _calibration(stored.rows, splits)),
         "places": ("From above", _top_views(verdict, splits, tilt)),
         "worst": ("Worst queries", _gallery(stored.folder, stored.rows, splits, "worst")),
         "best": ("Best queries", _gallery(stored.folder, stored.rows, splits, "best")),
@@ -98,6 +107,23 @@ def _error_curves(rows: Sequence[QueryRow], splits: Sequence[str]) -> str:
         return ""
     caption = "Share of all queries below an error; a failed query is never below."
     return picture(draw_error_curves(samples)["svg"], "svg+xml", caption, "chart")
+
+
+def _calibration(rows: Sequence[QueryRow], splits: Sequence[str]) -> str:
+    """Returns reliability and risk over coverage by split; "" where the method gave no probability."""
+    curves = {}
+    for split in splits:
+        mine = [row for row in rows if row.split == split and row.error is not None]
+        if any(row.probability is not None for row in mine):
+            errors = np.array([row.error for row in mine], dtype=np.float64)
+            found = hits_of(errors, PROBABILITY_THRESHOLD).tolist()
+            curves[split] = calibrate([row.probability or 0.0 for row in mine], found)
+    if not curves:
+        return ""
+    caption = (
+        "Left: what was said and what was found; right: what is wrong of the answers let in, surest first."
+    )
+    return picture(draw_calibration(curves)["svg"], "svg+xml", caption, "chart")
 
 
 def _top_views(verdict: Verdict, splits: Sequence[str], tilt: str) -> str:

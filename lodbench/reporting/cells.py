@@ -10,6 +10,7 @@ from typing import Any
 from lodbench.evaluation.statistics import mean_and_spread
 
 _MORE = ("median_horizontal_m", "median_vertical_m", "median_yaw_deg", "mask_iou", "seconds_per_query")
+_CALIBRATION = ("said", "said_found", "risk_area")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,7 @@ def cells_of(summary: dict[str, Any]) -> SplitCells:
     def numbers(name: str) -> dict[str, float]:
         return {k: math.nan if v is None else float(v) for k, v in summary.get(name, {}).items()}
 
+    known = summary.get("calibration", {})
     bounds = summary.get("recall_interval_95", {})
     return SplitCells(
         recall=numbers("recall"),
@@ -66,7 +68,8 @@ def cells_of(summary: dict[str, Any]) -> SplitCells:
         interval={label: (low, high) for label, (low, high) in bounds.items() if low is not None},
         answered=numbers("recall_of_answered"),
         auc=numbers("auc"),
-        more={name: number(name) for name in _MORE},
+        more={name: number(name) for name in _MORE}
+        | {name: float(known.get(name, math.nan)) for name in _CALIBRATION},
     )
 
 

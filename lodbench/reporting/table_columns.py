@@ -66,6 +66,16 @@ def interval_columns(labels: Sequence[str]) -> tuple[Column, ...]:
     return tuple(_interval_column(label) for label in labels)
 
 
+def calibration_columns(labels: Sequence[str]) -> tuple[Column, ...]:
+    """Returns the first recall beside what methods said of it, and the risk of answering all to none."""
+    return (
+        *(_recall_column(label) for label in labels[:1]),
+        _more_column("said", "said", ".2f", 0),
+        _more_column("said-found", "said_found", ".2f", -1),
+        _more_column("risk area", "risk_area", ".2f", -1),
+    )
+
+
 def finite_text(value: float, spec: str) -> str:
     """Returns a number as text, a dash where it is not finite."""
     return format(value, spec) if math.isfinite(value) else "-"

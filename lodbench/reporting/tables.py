@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -54,6 +55,11 @@ class RecallTable:
     def shown(self) -> tuple[Column, ...]:
         """Returns the columns of each split."""
         return self.columns or paper_columns(self.labels())
+
+    def says_how_sure(self) -> bool:
+        """Tells whether any method gave a probability."""
+        every = [cells for row in self.rows for cells in row.cells.values()]
+        return any(math.isfinite(cells.more.get("said", math.nan)) for cells in every)
 
     def row_texts(self, row: TableRow) -> list[str]:
         """Returns the cells of a row, all columns of the first split first."""

@@ -80,14 +80,11 @@ class Linearization:
         information: (6, 6) of metres and degrees.
         gradient: (6,) of the cost.
         iou: Of silhouette and mask.
-        evidence: Logarithm of the probability density of distances and prior, up to a constant; 0 where it
-            is not asked for.
     """
 
     information: Floats
     gradient: Floats
     iou: float
-    evidence: float = 0.0
 
     def step(self) -> Floats:
         """Returns (6,) the Gauss-Newton step, no longer than a linearisation is good for."""
@@ -136,7 +133,7 @@ class Aligner:
             here.distances, here.slopes, weights, here.points.buildings, len(self.edges.rises)
         )
         information, gradient = _without_roofs(products, gradients, self._params.roof_m)
-        prior_information, prior_gradient, _ = self.prior_terms(vector)
+        prior_information, prior_gradient = self.prior_terms(vector)
         return Linearization(information + prior_information, gradient + prior_gradient, here.iou)
 
     def measure(self, vector: Floats, size: tuple[int, int]) -> Residuals | None:
@@ -157,12 +154,11 @@ class Aligner:
         distances, slopes = distances / level.scale, slopes / level.scale
         return Residuals(points, distances, slopes, agreement, level.scale, iou)
 
-    def prior_terms(self, vector: Floats) -> tuple[Floats, Floats, float]:
-        """Returns the prior's information (6, 6), gradient (6,) and squared distance."""
+    def prior_terms(self, vector: Floats) -> tuple[Floats, Floats]:
+        """Returns the prior's information (6, 6) and gradient (6,)."""
         offset = vector - self._prior
         offset[5] = (offset[5] + 180.0) % 360.0 - 180.0
-        gradient = self._precision * offset
-        return np.diag(self._precision), gradient, float(offset @ gradient)
+        return np.diag(self._precision), self._precision * offset
 
     def _level(self, size: tuple[int, int]) -> Level:
         if size not in self._levels:
