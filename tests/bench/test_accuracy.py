@@ -60,6 +60,22 @@ class TestCases:
             fewer[0].query.building_probability, cases[0][0].query.building_probability
         )
 
+    def test_an_area_holds_what_its_views_look_at(self, city):
+        scene = open_scene(city)
+        middle_x = 0.5 * (scene.vertices[:, 0].min() + scene.vertices[:, 0].max())
+        scorer = make_renderer("silhouette", scene, 1)
+        for area, sign in (("west", -1), ("east", 1)):
+            drawn, _ = make_cases(scene, scorer, AccuracyOptions(num_views=6, area=area, threads=1))
+            for case in drawn:
+                ray = case.truth.rotation[2]
+                looked_at = case.truth.center + ray * (case.truth.center[2] / -ray[2])
+                assert sign * (looked_at[0] - middle_x) > -15.0
+
+    def test_a_true_tilt_has_no_width(self):
+        prior = AccuracyOptions(tilt_deg=0.7).prior("truth")
+        assert (prior.pitch_deg, prior.roll_deg) == (0.0, 0.0)
+        assert AccuracyOptions(range_m=90.0, height_m=20.0).prior().z_m == 20.0
+
 
 @pytest.fixture(scope="module")
 def report(city):
@@ -209,6 +225,7 @@ class TestReport:
         {"tilt_deg": math.nan},
         {"seeds": ()},
         {"seeds": (1, 1)},
+        {"area": "middle"},
     ],
 )
 def test_options_that_make_no_sense(values):

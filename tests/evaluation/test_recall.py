@@ -155,3 +155,18 @@ class TestMoreThanThePaper:
         parts = error_parts(estimate, truth)
         assert parts == pytest.approx((5.0, -2.0, 2.0))
         assert pose_error(estimate, truth).translation_m == pytest.approx(math.hypot(*parts[:2]))
+
+
+def test_probabilities_are_compared_with_what_was_found():
+    errors = [PoseError(0.5, 0.5), PoseError(1.0, 1.0), PoseError(9.0, 1.0), FAILED]
+    summary = summarize(errors, probabilities=[0.95, 0.85, 0.25, None])
+    assert summary.said == pytest.approx(100 * 2.05 / 4)
+    assert summary.said_found == pytest.approx(100 * (0.05 + 0.15 + 0.25 + 0.0) / 4)
+    assert summary.risk_area == pytest.approx(100 * (0 + 0 + 1 / 3 + 2 / 4) / 4)
+    assert summary.to_json()["calibration"]["said"] == pytest.approx(summary.said)
+
+
+def test_no_probabilities_are_no_calibration():
+    errors = [PoseError(0.5, 0.5), FAILED]
+    for probabilities in ((), (None, None)):
+        assert "calibration" not in summarize(errors, probabilities=probabilities).to_json()

@@ -159,3 +159,15 @@ def test_the_segmenter_table_shows_the_masks_iou_beside_recall():
     assert "IoU" in text
     assert "0.88" in text
     assert "T.e./R.e." not in text
+
+
+def test_calibration_columns_stand_where_a_method_gave_a_probability():
+    run = summary("full", 97.9)
+    (silent,) = tables_of([run])
+    assert not silent.says_how_sure()
+    run["splits"]["in_place"]["calibration"] = {"said": 91.25, "said_found": 3.5, "risk_area": 0.75}
+    (table,) = tables_of([run])
+    assert table.says_how_sure()
+    text = format_text(replace(table, columns=calibration_columns(table.labels())))
+    for cell in ("91.25", "3.50", "0.75"):
+        assert cell in text

@@ -80,11 +80,14 @@ class Linearization:
         information: (6, 6) of metres and degrees.
         gradient: (6,) of the cost.
         iou: Of silhouette and mask.
+        evidence: Logarithm of the density of the distances, the pose integrated out, up to a constant; 0
+            where it is not looked for.
     """
 
     information: Floats
     gradient: Floats
     iou: float
+    evidence: float = 0.0
 
     def step(self) -> Floats:
         """Returns (6,) the Gauss-Newton step, no longer than a linearisation is good for."""

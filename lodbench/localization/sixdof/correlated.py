@@ -40,7 +40,7 @@ def error_covariance(pixels, rises, buildings, noise, lengths, roofs):  # type: 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def whiten(matrix, columns):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Divides columns by the Cholesky factor of a matrix, both in place.
+    """Divides columns by the Cholesky factor of a matrix, both in place; returns the log determinant.
 
     On one core and in one order, so that the answer depends on no library's threads.
 
@@ -50,8 +50,10 @@ def whiten(matrix, columns):  # type: ignore[no-untyped-def]  # noqa: ANN001, AN
     """
     count = len(matrix)
     pivot = np.empty(count)
+    log_determinant = 0.0
     for j in range(count):
         root = np.sqrt(matrix[j, j])
+        log_determinant += 2.0 * np.log(root)
         columns[j] /= root
         for i in range(j + 1, count):
             matrix[i, j] /= root
@@ -62,3 +64,4 @@ def whiten(matrix, columns):  # type: ignore[no-untyped-def]  # noqa: ANN001, AN
                 matrix[i, k] -= factor * pivot[k]
             for k in range(columns.shape[1]):
                 columns[i, k] -= factor * columns[j, k]
+    return log_determinant
