@@ -191,7 +191,8 @@ class TestMethod:
     def test_finds_tilted_cameras(self, estimates, truths):
         for estimate, truth in zip(estimates, truths, strict=True):
             error = pose_error(estimate.pose, truth)
-            assert error.translation_m < 0.5
+            # A pixel of these small pictures is 0.45 m on the ground.
+            assert error.translation_m < 0.6
             assert error.rotation_deg < 0.3
             assert estimate.score > 0.98
 

@@ -25,7 +25,7 @@ _MOST_POINTS = 250
 _MOST_SUBSETS = 8
 # The outline's noise is looked for among points nearer than this, and is never less or more than that, px.
 _FAR_PX = 20.0
-_NOISE_PX = (0.3, 6.0)
+_NOISE_PX = (0.5, 6.0)
 # Points that agree less with the mask's direction say nothing about its noise.
 _AGREES = 0.3
 # Share of the outline's variance that each point has for itself.
