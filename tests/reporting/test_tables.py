@@ -7,7 +7,7 @@ import pytest
 
 from lodbench.errors import DatasetError
 from lodbench.reporting.summaries import read_summary, with_seconds
-from lodbench.reporting.table_columns import detail_columns, segmenter_columns
+from lodbench.reporting.table_columns import calibration_columns, detail_columns, segmenter_columns
 from lodbench.reporting.table_formats import FORMATS, format_csv, format_text
 from lodbench.reporting.tables import tables_of
 
