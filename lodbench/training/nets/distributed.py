@@ -35,6 +35,14 @@ class Place:
         net = nn.SyncBatchNorm.convert_sync_batchnorm(net) if on_gpu else net
         return nn.parallel.DistributedDataParallel(net, [self.device.index] if on_gpu else None)
 
+    def mean(self, value: float) -> float:
+        """Returns the mean of a value over all processes; each of them has to ask."""
+        if self.ranks == 1:
+            return value
+        total = torch.tensor(value, dtype=torch.float64, device=self.device)
+        distributed.all_reduce(total)
+        return float(total) / self.ranks
+
 
 @contextmanager
 def joined(wanted: str) -> Iterator[Place]:

@@ -99,7 +99,7 @@ def fit(
     steps = steps_per_epoch(len(train), params.batch)
     model = place.wrapped(state.net)
     for epoch in range(state.epoch, params.epochs):
-        loss = _epoch(model, state, params, train, epoch, steps, place)
+        loss = place.mean(_epoch(model, state, params, train, epoch, steps, place))
         state.epoch = epoch + 1
         row = {
             "epoch": float(epoch + 1),
@@ -125,7 +125,7 @@ def _epoch(
     steps: int,
     place: Place,
 ) -> float:
-    """Trains one epoch and returns its mean loss."""
+    """Trains one epoch and returns the mean loss of this process."""
     model.train()
     total = 0.0
     with Progress(f"epoch {epoch + 1} of {params.epochs}", steps) as progress:
