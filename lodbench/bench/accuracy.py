@@ -222,6 +222,15 @@ def make_cases(
     return [_case(query) for query in drawn], rejections
 
 
+def seeded_cases(scorer: Scorer, seen: Scorer, options: AccuracyOptions) -> list[tuple[int, Case]]:
+    """Returns the cases of all seeds, each with its seed, in the frame of the map that is searched."""
+    return [
+        (seed, case.shifted(seen.scene.origin - scorer.scene.origin))
+        for seed in options.seeds
+        for case in make_cases(seen.scene, seen, options, seed)[0]
+    ]
+
+
 def run_case(case: Case, tilt: str, method: Method, scorer: Scorer, seed: int) -> Outcome:
     """Returns what a method makes of a case; a fault of the query is a failure, not an error."""
     query = case.query_with_tilt(tilt)

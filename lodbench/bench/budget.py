@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lodbench.bench.accuracy import AccuracyOptions, make_cases, open_scenes, reaching, run_case
+from lodbench.bench.accuracy import AccuracyOptions, open_scenes, reaching, run_case, seeded_cases
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.evaluation.statistics import wilson_interval
 from lodbench.localization import Method
@@ -79,11 +79,7 @@ def measure_budget(city: Path, options: AccuracyOptions, progress: Progress = no
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
     scorer, seen = open_scenes(city, options)
-    cases = [
-        (seed, case.shifted(seen.scene.origin - scorer.scene.origin))
-        for seed in options.seeds
-        for case in make_cases(seen.scene, seen, options, seed)[0]
-    ]
+    cases = seeded_cases(scorer, seen, options)
     curves: dict[str, list[BudgetPoint]] = {}
     ladder = [reaching(method, options.prior()) for method in _ladder()]
     for k, method in enumerate(ladder):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lodbench.bench.accuracy import AccuracyOptions, Case, make_cases, open_scenes, reaching, streams_of
+from lodbench.bench.accuracy import AccuracyOptions, Case, open_scenes, reaching, seeded_cases, streams_of
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.errors import QueryFault
 from lodbench.evaluation import PoseError, pose_error
@@ -106,11 +106,7 @@ def measure_wide_priors(
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
     scorer, seen = open_scenes(city, options)
-    cases = [
-        (seed, case.shifted(seen.scene.origin - scorer.scene.origin))
-        for seed in options.seeds
-        for case in make_cases(seen.scene, seen, options, seed)[0]
-    ]
+    cases = seeded_cases(scorer, seen, options)
     methods = {s: reaching(SixDof(replace(SixDof().params, search=s)), options.prior()) for s in SEARCHES}
     pairs: list[SearchPair] = []
     for seed, case in cases:
