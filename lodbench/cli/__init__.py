@@ -40,6 +40,7 @@ COMMANDS = {
         "lodbench.cli.bench",
         "measure speed and accuracy beside other programs: silhouettes, accuracy, city",
     ),
+    "check-method": ("lodbench.cli.check_method", "does a method, yours perhaps, keep to the protocol?"),
     "doctor": ("lodbench.cli.doctor", "say what works on this machine, and what to install for the rest"),
 }
 

@@ -9,6 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from lodbench.cli.console import check_lines
+
 if TYPE_CHECKING:
     from lodbench.harness.doctor import Check
 
@@ -34,15 +36,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _lines(checks: list[Check]) -> Iterator[str]:
     """Yields the report for people."""
-    width = max(len(check.name) for check in checks)
-    section = ""
-    for check in checks:
-        if check.section != section:
-            section = check.section
-            yield f"{section}:"
-        yield f"  {check.status:6}  {check.name.ljust(width)}  {check.detail}"
-        if check.hint:
-            yield f"  {'':6}  {'':{width}}  -> {check.hint}"
+    yield from check_lines(checks)
     faults = [check for check in checks if check.status != "ok"]
     broken = ", ".join(check.name for check in faults if check.is_base)
     optional = ", ".join(check.name for check in faults if not check.is_base)

@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar, cast
 
 from omegaconf import DictConfig, OmegaConf
@@ -74,7 +74,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         except LodbenchError as fault:
             faults[len(jobs) - 1] = fault
 
-    _register_config_sources()
+    register_config_sources()
     # Hydra's parser wants its flags before the overrides; people write them anywhere.
     flags = [word for word in argv if word in _SWEEP_FLAGS]
     words = flags + [free_option(quote_path(word)) for word in argv if word not in _SWEEP_FLAGS]
@@ -187,13 +187,22 @@ def load_plugin(group: str, name: str) -> Any:
     Raises:
         ConfigError: No installed package offers it.
     """
+    return find_plugin(group, name).load()
+
+
+def find_plugin(group: str, name: str) -> EntryPoint:
+    """Returns a plug-in's entry point, not loaded.
+
+    Raises:
+        ConfigError: No installed package offers it.
+    """
     points = {point.name: point for point in entry_points(group=f"lodbench.{group}")}
     if name not in points:
         raise ConfigError(f"There is no {group.rstrip('s')} {name!r}.", nearest_names(name, points))
-    return points[name].load()
+    return points[name]
 
 
-def _register_config_sources() -> None:
+def register_config_sources() -> None:
     """Lets installed plug-ins add their configuration folders (entry points `lodbench.config_sources`)."""
     global _is_registered
     if _is_registered:

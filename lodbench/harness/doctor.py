@@ -19,7 +19,7 @@ from importlib.util import find_spec
 
 from packaging.requirements import Requirement
 
-OK, ABSENT, BROKEN = "ok", "absent", "broken"
+OK, ABSENT, BROKEN, FAULT = "ok", "absent", "broken", "fault"
 
 # A probe that has not answered by then hangs; the slowest compiles for a few seconds, on a loaded
 # machine perhaps for ten times that.
@@ -34,9 +34,10 @@ class Check:
     """One thing looked at.
 
     Attributes:
-        section: ``machine``, ``packages``, ``extras``, ``folders``, ``renderers`` or ``traps``.
+        section: ``machine``, ``packages``, ``extras``, ``folders``, ``renderers`` or ``traps``; of a
+            method ``plug-in`` or ``answers``.
         name: What it is.
-        status: ``ok``, ``absent`` (optional, not installed) or ``broken``.
+        status: ``ok``, ``absent`` (optional, not installed) or ``broken``; of a method ``ok`` or ``fault``.
         detail: What was found.
         hint: What to do about it; empty when there is nothing to do.
         is_base: Whether lodbench is of no use without it.

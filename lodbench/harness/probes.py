@@ -12,9 +12,9 @@ from functools import partial
 
 import numpy as np
 
-from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.errors import LodbenchError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.blocks import scene_of_blocks
 from lodbench.rendering import RENDERERS, open_renderer
 from lodbench.rendering.gl_guard import trust_driver
 
@@ -32,7 +32,7 @@ def try_numba() -> str:
 
 def try_renderer(name: str) -> str:
     """Draws a tower and compares it with the reference; returns what there is to say."""
-    scene = _tower()
+    scene = scene_of_blocks([(-6.0, -6.0, 6.0, 6.0, 0.0, 25.0)])
     camera = Camera(160, 120, 110.0, 105.0, 83.0, 58.0)
     pose = Pose.from_euler(EulerAngles(35.0, 1.0, 20.0), (0.0, -20.0, 40.0))
     drawn = open_renderer(name, scene, 1).render(camera, pose)
@@ -80,14 +80,6 @@ def main(name: str) -> None:
         answer = {"ok": False, "detail": f"{type(error).__name__}: {error}", "hint": ""}
     # A line of its own: libraries write to standard output as they please.
     sys.stdout.write("\n" + json.dumps(answer) + "\n")
-
-
-def _tower() -> Scene:
-    """Returns a scene of one block, 12 x 12 x 25 m."""
-    corners = np.array([[x, y, z] for x in (-6.0, 6.0) for y in (-6.0, 6.0) for z in (0.0, 25.0)])
-    quads = [(0, 4, 5, 1), (2, 3, 7, 6), (0, 1, 3, 2), (4, 6, 7, 5), (1, 5, 7, 3)]
-    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
-    return build_scene(corners, triangles, np.zeros(len(triangles), dtype=np.int32), ("tower",))
 
 
 def _version(name: str) -> str:

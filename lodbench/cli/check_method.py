@@ -1,0 +1,101 @@
+"""`lodbench check-method NAME`: does a method keep to the protocol?"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from importlib.metadata import EntryPoint
+from typing import Any
+
+from lodbench.cli.console import check_lines
+from lodbench.cli.hydra_app import find_plugin, register_config_sources, section, to_params
+from lodbench.errors import ConfigError
+from lodbench.harness.doctor import FAULT, OK, Check
+from lodbench.harness.method_check import check_answers, check_class
+from lodbench.reporting.safe_text import plain_text
+
+_EPILOG = """\
+A method is an entry point under lodbench.methods, with conf/method/NAME.yaml: see CONTRIBUTING.md, "Add a
+method". It is asked for the poses of three photos over seven blocks, with exact masks, several times.
+Exit code: 0 it keeps to the protocol, 1 it does not, 2 there is no such method.
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code.
+
+    Raises:
+        ConfigError: There is no such method.
+    """
+    parser = argparse.ArgumentParser(
+        "lodbench check-method",
+        description="Check a method against the protocol: its class, its configuration, its answers.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("name", metavar="NAME", help="the method's name, as in method=NAME")
+    parser.add_argument("--json", action="store_true", help="one check per line, for machines")
+    options = parser.parse_args(argv)
+    checks = list(_checks(find_plugin("methods", options.name)))
+    faults = [check for check in checks if check.status != OK]
+    if options.json:
+        lines = [json.dumps(asdict(check)) for check in checks]
+    else:
+        verdict = f"breaks {len(faults)} of its rules" if faults else "keeps to the protocol"
+        # What a plug-in says is anybody's text; indents are ours.
+        lines = [*check_lines([_plain(check) for check in checks]), "", f"{options.name} {verdict}."]
+    sys.stdout.write("".join(line + "\n" for line in lines))
+    return 1 if faults else 0
+
+
+def _checks(point: EntryPoint) -> Iterator[Check]:
+    try:
+        kind = point.load()
+    except Exception as error:  # a plug-in's own modules may raise anything
+        detail = f"{point.value} does not load: {type(error).__name__}: {error}"
+        yield Check(
+            "plug-in", "entry point", FAULT, detail, "It is module:Class, and importing it must work."
+        )
+        return
+    yield Check("plug-in", "entry point", OK, point.value)
+    where = f"conf/method/{point.name}.yaml"
+    load = partial(_configuration, point.name, where)
+    plug_in = list(check_class(kind, point.name, load, lambda values: _params(kind, values), where))
+    yield from plug_in
+    broken = {check.name for check in plug_in if check.status != OK}
+    if "parameters" not in broken:
+        values = {} if "configuration" in broken else load()
+        yield from check_answers(lambda: kind(_params(kind, values or {})))
+
+
+def _configuration(name: str, where: str) -> dict[str, Any] | None:
+    """Returns what `lodbench run method=NAME` tells a method, nothing overridden; None if no file does.
+
+    Raises:
+        ConfigError: The file cannot be read.
+    """
+    from hydra import compose, initialize_config_module
+    from hydra.errors import MissingConfigException
+    from omegaconf import OmegaConf
+
+    register_config_sources()
+    try:
+        with initialize_config_module("lodbench.conf", version_base="1.3"):
+            config = compose("run", overrides=[f"method={name}"]).method
+        return section({"method": OmegaConf.to_container(config, resolve=True)}, "method")
+    except MissingConfigException:
+        return None
+    except Exception as error:  # the YAML reader's faults share no base with Hydra's
+        raise ConfigError(f"{where} cannot be read: {str(error).splitlines()[0]}") from error
+
+
+def _params(kind: Any, values: Mapping[str, Any]) -> Any:
+    return to_params(dict(values), kind.params_type, "method")
+
+
+def _plain(check: Check) -> Check:
+    return replace(check, detail=plain_text(check.detail), hint=plain_text(check.hint))

@@ -1,0 +1,220 @@
+"""The rules of the method protocol: each returns what was found, or raises what is wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import QueryFault
+from lodbench.evaluation import pose_error
+from lodbench.geometry import Pose
+from lodbench.harness.method_trial import Trial
+from lodbench.localization import Estimate, Method
+from lodbench.localization.method import Reaching
+
+# The priors are 9 m and 3 degrees off; answers beyond these are in another frame or turned round.
+_FURTHEST_M, _FURTHEST_DEG = 300.0, 60.0
+# Rounding may make a covariance uneven, or an eigenvalue negative, by this share of the largest.
+_TOLERANCE = 1e-9
+
+Answers = dict[str, Estimate | QueryFault]
+
+
+class Breach(Exception):
+    """A rule is not kept.
+
+    Args:
+        detail: What is wrong.
+        hint: What to do about it.
+    """
+
+    def __init__(self, detail: str, hint: str) -> None:
+        super().__init__(detail)
+        self.hint = hint
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heard:
+    """What a method said in the trial.
+
+    Attributes:
+        trial: The trial.
+        answers: By the queries' names.
+        rendered: Poses it had the scorer draw, by query.
+        seconds: Wall time per query.
+    """
+
+    trial: Trial
+    answers: Answers
+    rendered: dict[str, int] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """Returns the answers that are one."""
+        return {name: found for name, found in self.answers.items() if isinstance(found, Estimate)}
+
+
+def right_name(kind: Any, name: str) -> str:
+    """A class is called what its entry point is: runs are stored under that name."""
+    found = getattr(kind, "name", None)
+    if found != name:
+        raise Breach(f"the class says {found!r}", f"Set name = {name!r}, as the entry point does.")
+    return name
+
+
+def frozen_parameters(kind: Any, name: str) -> str:
+    """Parameters are a frozen dataclass that says the method's name."""
+    params = getattr(kind, "params_type", None)
+    if not (isinstance(params, type) and is_dataclass(params)):
+        raise Breach(f"params_type is {params!r}", "Set params_type to a frozen dataclass.")
+    if not params.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        raise Breach(f"{params.__name__} is not frozen", "Use @dataclass(frozen=True).")
+    if "name" not in {each.name for each in fields(params)}:
+        raise Breach(f"{params.__name__} has no field name", f"Add name: str = {name!r}.")
+    return f"{params.__name__}, frozen, fields: {len(fields(params))}"
+
+
+def whole_configuration(
+    kind: Any, config: Mapping[str, Any] | None, read: Callable[[Mapping[str, Any]], Any], where: str
+) -> str:
+    """The configuration says every parameter, with the class's default."""
+    if config is None:
+        raise Breach(f"there is no {where}", "Write it: name, and every parameter with its default.")
+    known = {each.name: each for each in fields(kind.params_type)}
+    for word, names in (
+        ("lacks", known.keys() - config.keys()),
+        ("has no use for", config.keys() - known.keys()),
+    ):
+        if names:
+            raise Breach(f"it {word} {', '.join(sorted(names))}", f"{where} holds what params_type does.")
+    stated = read(config)
+    for each in known.values():
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        value = getattr(stated, each.name)
+        if default is not MISSING and value != default:
+            raise Breach(
+                f"{each.name} is {value!r} in {where}, {default!r} in the class", "Make them the same."
+            )
+    return f"{where}, every default as in the class"
+
+
+def answered(heard: Heard) -> str:
+    """There is an answer, of the right type, to at least one query."""
+    for found in heard.answers.values():
+        if not isinstance(found, Estimate | QueryFault):
+            raise Breach(
+                f"localize returned {type(found).__name__}", "Return an Estimate, or raise QueryFault."
+            )
+    reasons = "; ".join(
+        sorted({str(found) for found in heard.answers.values() if isinstance(found, QueryFault)})
+    )
+    told = f"{len(heard.estimates)} of {len(heard.answers)} queries" + (f" ({reasons})" if reasons else "")
+    if not heard.estimates:
+        raise Breach(told, "The queries have exact masks and photos: one at least should be answered.")
+    return f"{told}, {heard.seconds:.3f} s each"
+
+
+def finite_pose(heard: Heard) -> str:
+    """A pose is a Pose, finite, its rotation one."""
+    for name, found in heard.estimates.items():
+        if not isinstance(found.pose, Pose):
+            raise Breach(f"{name}: pose is a {type(found.pose).__name__}", "Make it with Pose.from_matrix.")
+        if not np.isfinite(found.pose.cam_from_world).all():
+            raise Breach(f"{name}: the pose is not finite", "Raise QueryFault where there is no answer.")
+        Pose.from_matrix(found.pose.cam_from_world)
+    return "finite, rotations orthonormal"
+
+
+def near_the_prior(heard: Heard) -> str:
+    """A pose is in the query's frame, world to camera."""
+    errors, prior_errors = [], []
+    for query, truth in zip(heard.trial.queries, heard.trial.truths, strict=True):
+        if query.name not in heard.estimates:
+            continue
+        pose = heard.estimates[query.name].pose
+        away, off = pose_error(pose, query.prior), pose_error(pose, truth)
+        if not away.translation_m < _FURTHEST_M:
+            raise Breach(
+                f"{query.name}: {away.translation_m:.0f} m from the prior",
+                "Answer in the frame of query.prior and scorer.scene; the city's origin is added later.",
+            )
+        if not away.rotation_deg < _FURTHEST_DEG:
+            raise Breach(
+                f"{query.name}: turned by {away.rotation_deg:.0f} deg from the prior",
+                "A pose is world to camera, x right, y down, z forward.",
+            )
+        errors.append(off)
+        prior_errors.append(pose_error(query.prior, truth))
+    worst, prior = max(errors), max(prior_errors)
+    return (
+        f"at most {worst.translation_m:.2f} m from the truth, the priors {prior.translation_m:.2f} m "
+        "(no rule, for your eyes)"
+    )
+
+
+def counted_hypotheses(heard: Heard) -> str:
+    """Hypotheses are counted: no fewer than the scorer was asked to draw."""
+    for name, found in heard.estimates.items():
+        count = found.hypotheses
+        if not isinstance(count, int | np.integer) or count < 0:
+            raise Breach(
+                f"{name}: hypotheses is {count!r}", "Count the poses that were rendered and compared."
+            )
+        if count < heard.rendered[name]:
+            raise Breach(f"{name}: says {count}, had {heard.rendered[name]} drawn", "Count every pose drawn.")
+    return f"{max(int(found.hypotheses) for found in heard.estimates.values())} at most"
+
+
+def plain_score(heard: Heard) -> str:
+    """A score is a finite number, or NaN where a method has none; times and traces are finite."""
+    for name, found in heard.estimates.items():
+        if not isinstance(found.score, float | np.floating) or math.isinf(found.score):
+            raise Breach(f"{name}: score is {found.score!r}", "A float, higher is better; NaN for none.")
+        values = [*found.seconds.values(), *(v for steps in found.trace.values() for v in steps)]
+        if (
+            not np.isfinite(np.array(values, dtype=np.float64)).all()
+            or min(found.seconds.values(), default=0) < 0
+        ):
+            raise Breach(
+                f"{name}: seconds or trace hold {values}", "Finite numbers; seconds are not negative."
+            )
+    scores = [found.score for found in heard.estimates.values() if not math.isnan(found.score)]
+    return f"{min(scores):.3f} to {max(scores):.3f}" if scores else "none is given"
+
+
+def sound_uncertainty(heard: Heard) -> str:
+    """A covariance, if given, is one; a probability lies in [0, 1]."""
+    hint = "Leave it None, or see Estimate in lodbench/localization/method.py."
+    for name, found in heard.estimates.items():
+        if found.probability is not None and not 0.0 <= found.probability <= 1.0:
+            raise Breach(f"{name}: probability is {found.probability}", hint)
+        if found.covariance is None:
+            continue
+        matrix = np.asarray(found.covariance, dtype=np.float64)
+        if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
+            raise Breach(f"{name}: the covariance is of shape {matrix.shape}, or not finite", hint)
+        largest = float(np.abs(matrix).max())
+        if np.abs(matrix - matrix.T).max() > _TOLERANCE * largest:
+            raise Breach(f"{name}: the covariance is not symmetric", hint)
+        if np.linalg.eigvalsh(matrix).min() < -_TOLERANCE * largest:
+            raise Breach(f"{name}: the covariance has a negative eigenvalue", hint)
+    given = next(iter(heard.estimates.values()))
+    parts = {"covariance": given.covariance, "probability": given.probability}
+    return ", ".join(name for name, value in parts.items() if value is not None) or "none is given"
+
+
+def right_reach(method: Method) -> str:
+    """A method that offers ``reaching`` answers parameters of its own type."""
+    if not isinstance(method, Reaching):
+        return "not offered: `lodbench basin` runs the method as it is"
+    kind = type(method).params_type  # type: ignore[attr-defined]
+    found = method.reaching(UniformPrior(50.0, 50.0, 50.0))
+    if not isinstance(found, kind):
+        raise Breach(f"reaching returned {type(found).__name__}", f"Return {kind.__name__}.")
+    return f"returns {kind.__name__}"

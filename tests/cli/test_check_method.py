@@ -1,0 +1,226 @@
+"""`lodbench check-method`: methods that keep to the protocol, and some that break it, each in one way."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from lodbench.cli import main
+
+MODULE = '''
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lodbench.errors import QueryFault
+from lodbench.geometry import EulerAngles, Pose
+from lodbench.localization import Estimate
+
+COUNTER = itertools.count()
+
+
+def params(method, frozen=True):
+    """Returns a dataclass with the method's name, and steps."""
+    types = {"name": str, "steps": int}
+    return dataclass(frozen=frozen)(
+        type("Params", (), {"__annotations__": types, "name": method, "steps": 3})
+    )
+
+
+class Sound:
+    """Moves the prior by a random step; faults where there is no building."""
+
+    name = "sound"
+    params_type = params("sound")
+
+    def __init__(self, settings):
+        self.settings = settings
+        self.calls = 0
+
+    def localize(self, query, scorer, streams):
+        if not query.building_probability.any():
+            raise QueryFault("the mask holds no building")
+        step = streams("step", 0).normal(size=3)
+        scorer.render(query.camera, query.prior)
+        return Estimate(query.prior.shifted(step), 0.5, 1)
+
+
+def variant(method, **functions):
+    return type(method, (Sound,), {"name": method, "params_type": params(method), **functions})
+
+
+def changed(**values):
+    def localize(self, query, scorer, streams):
+        estimate = Sound.localize(self, query, scorer, streams)
+        return replace(estimate, **{key: v(query, estimate) for key, v in values.items()})
+
+    return localize
+
+
+def stateful(self, query, scorer, streams):
+    self.calls += 1
+    estimate = Sound.localize(self, query, scorer, streams)
+    return replace(estimate, pose=estimate.pose.shifted([self.calls, 0, 0]))
+
+
+def dreamy(self, query, scorer, streams):
+    estimate = Sound.localize(self, query, scorer, streams)
+    return replace(estimate, pose=estimate.pose.shifted([np.random.default_rng().normal(), 0, 0]))
+
+
+def careless(self, query, scorer, streams):
+    query.building_probability[:10] = 1.0
+    return Sound.localize(self, query, scorer, streams)
+
+
+def crashing(self, query, scorer, streams):
+    if not query.building_probability.any():
+        raise ZeroDivisionError("no pixels")
+    return Sound.localize(self, query, scorer, streams)
+
+
+def credulous(self, query, scorer, streams):
+    step = streams("step", 0).normal(size=3) + query.building_probability.mean()
+    return Estimate(query.prior.shifted(step), 0.5, 1)
+
+
+def speechless(self, query, scorer, streams):
+    raise QueryFault("I never know")
+
+
+def exploding(self, query, scorer, streams):
+    raise KeyError("oh")
+
+
+GLOBAL = np.array([281_000.0, 5_657_000.0, 60.0])
+Stateful = variant("stateful", localize=stateful)
+Counting = variant("counting", localize=changed(score=lambda q, e: float(next(COUNTER))))
+Dreamy = variant("dreamy", localize=dreamy)
+Careless = variant("careless", localize=careless)
+Crashing = variant("crashing", localize=crashing)
+Credulous = variant("credulous", localize=credulous)
+Speechless = variant("speechless", localize=speechless)
+Exploding = variant("exploding", localize=exploding)
+Wordless = variant("wordless", localize=lambda *_: None)
+NoNumber = variant(
+    "no_number", localize=changed(pose=lambda q, e: Pose(q.prior.rotation, np.full(3, np.nan)))
+)
+Sheared = variant("sheared", localize=changed(pose=lambda q, e: Pose(2 * q.prior.rotation, np.zeros(3))))
+Abroad = variant("abroad", localize=changed(pose=lambda q, e: e.pose.shifted(GLOBAL)))
+Inverted = variant(
+    "inverted", localize=changed(pose=lambda q, e: Pose.from_center(e.pose.rotation.T, e.pose.center))
+)
+Boundless = variant("boundless", localize=changed(score=lambda q, e: float("inf")))
+Uncounted = variant("uncounted", localize=changed(hypotheses=lambda q, e: 0))
+TooSure = variant("too_sure", localize=changed(probability=lambda q, e: 1.2))
+Lopsided = variant("lopsided", localize=changed(covariance=lambda q, e: np.triu(np.ones((6, 6)))))
+Negative = variant("negative", localize=changed(covariance=lambda q, e: np.diag([1.0, 1, 1, 1, 1, -1])))
+Small = variant("small", localize=changed(covariance=lambda q, e: np.eye(3)))
+Misnamed = variant("misnamed", name="somebody_else")
+Thawed = variant("thawed", params_type=params("thawed", frozen=False))
+Unconfigured, Poor, Rich, Other, Torn = map(variant, ["unconfigured", "poor", "rich", "other", "torn"])
+Reach = variant("reach", reaching=lambda self, prior: 7)
+'''
+CONFIGS = {
+    "unconfigured": None,
+    "poor": "name: poor\n",
+    "rich": "name: rich\nsteps: 3\nstride: 2\n",
+    "other": "name: other\nsteps: 4\n",
+    "torn": "name: [torn\n",
+}
+# Method, the check that finds the fault, a word of what is said.
+BROKEN = [
+    ("stateful", "any order", "other queries came before"),
+    ("counting", "same again", "same streams"),
+    ("dreamy", "same again", "same streams"),
+    ("careless", "query", "written to"),
+    ("crashing", "empty mask", "ZeroDivisionError: no pixels"),
+    ("credulous", "empty mask", "answered"),
+    ("speechless", "answers", "0 of 3 queries (I never know)"),
+    ("exploding", "answers", "KeyError"),
+    ("wordless", "answers", "NoneType"),
+    ("no_number", "pose", "not finite"),
+    ("sheared", "pose", "no rotation"),
+    ("abroad", "frame", "m from the prior"),
+    ("inverted", "frame", "turned by"),
+    ("boundless", "score", "inf"),
+    ("uncounted", "hypotheses", "had 1 drawn"),
+    ("too_sure", "uncertainty", "1.2"),
+    ("lopsided", "uncertainty", "not symmetric"),
+    ("negative", "uncertainty", "negative eigenvalue"),
+    ("small", "uncertainty", "(3, 3)"),
+    ("misnamed", "name", "somebody_else"),
+    ("thawed", "parameters", "not frozen"),
+    ("unconfigured", "configuration", "there is no conf/method/unconfigured.yaml"),
+    ("poor", "configuration", "lacks steps"),
+    ("rich", "configuration", "no use for stride"),
+    ("other", "configuration", "steps is 4"),
+    ("torn", "configuration", "cannot be read"),
+    ("reach", "reaching", "int"),
+    ("absent", "entry point", "absent_module"),
+]
+
+
+@pytest.fixture(scope="module")
+def plug_in(tmp_path_factory) -> Path:
+    """A package of methods as pip would install it, with its configuration."""
+    folder = tmp_path_factory.mktemp("site")
+    names = ["sound", *(name for name, _, _ in BROKEN)]
+    (folder / "trial_methods.py").write_text(MODULE)
+    (folder / "trial_conf" / "method").mkdir(parents=True)
+    (folder / "trial_conf" / "__init__.py").write_text("")
+    for name in names:
+        text = CONFIGS.get(name, f"name: {name}\nsteps: 3\n")
+        if text is not None:
+            (folder / "trial_conf" / "method" / f"{name}.yaml").write_text(text)
+    info = folder / "trial_methods-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: trial-methods\nVersion: 1.0\n")
+    points = [f"{name} = trial_methods:{name.title().replace('_', '')}" for name in names if name != "absent"]
+    points += ["absent = absent_module:Absent", "", "[lodbench.config_sources]", "trial = trial_conf"]
+    (info / "entry_points.txt").write_text("\n".join(["[lodbench.methods]", *points, ""]))
+    return folder
+
+
+@pytest.mark.parametrize("name", ["lodlocv2", "lodlocv2_6dof", "prior_only"])
+def test_ours_keep_to_it(capsys, name):
+    assert main(["check-method", name]) == 0
+    told = capsys.readouterr().out
+    assert f"{name} keeps to the protocol." in told
+    assert "  fault" not in told
+
+
+def test_a_sound_plug_in(capsys, monkeypatch, plug_in):
+    monkeypatch.syspath_prepend(plug_in)
+    assert main(["check-method", "sound", "--json"]) == 0
+    checks = {check["name"]: check for check in map(json.loads, capsys.readouterr().out.splitlines())}
+    assert {check["status"] for check in checks.values()} == {"ok"}
+    assert "another answer" in checks["another seed"]["detail"]
+    assert len(checks) == 16
+
+
+@pytest.mark.parametrize(("name", "rule", "word"), BROKEN)
+def test_each_breach_is_told_and_no_other(capsys, monkeypatch, plug_in, name, rule, word):
+    monkeypatch.syspath_prepend(plug_in)
+    assert main(["check-method", name, "--json"]) == 1
+    checks = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    (fault,) = [check for check in checks if check["status"] != "ok"]
+    assert (fault["name"], fault["status"]) == (rule, "fault")
+    assert word in fault["detail"]
+
+
+def test_a_breach_as_people_read_it(capsys, monkeypatch, plug_in):
+    monkeypatch.syspath_prepend(plug_in)
+    assert main(["check-method", "stateful"]) == 1
+    told = capsys.readouterr().out
+    assert "  fault   any order" in told
+    assert "-> Keep no state between queries" in told
+    assert told.endswith("\nstateful breaks 1 of its rules.\n")
+
+
+def test_an_unknown_name(capsys):
+    assert main(["check-method", "lodlocv3"]) == 2
+    assert "lodlocv2" in capsys.readouterr().err
