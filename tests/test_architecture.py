@@ -44,6 +44,7 @@ LATE = {
     "rasterio",
     "pooch",
     "requests",
+    "rerun",
 }
 
 

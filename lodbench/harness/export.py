@@ -37,7 +37,7 @@ _WRITERS = {
     "tum": _Format(write_tum, "poses.tum", needs_cameras=False),
     "visuallocalization": _Format(write_lines, "visuallocalization.txt", needs_cameras=False),
 }
-FORMATS = (*_WRITERS, "geojson")
+FORMATS = (*_WRITERS, "geojson", "rerun")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def export_run(
 
     Args:
         run: The run.
-        format_name: A name in ``FORMATS``.
+        format_name: A name in ``FORMATS``, but for ``rerun``: see ``export_rerun``.
         out: File or folder to write; by default in the run's folder ``export``.
         cameras: Intrinsics by ``split/name``, for formats that hold them.
         crs: Reference system of the poses, for GeoJSON.

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lodbench.citymodel.cache import open_cached_scene
 from lodbench.cli import main
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_poses
@@ -30,7 +34,7 @@ def run(tmp_path_factory) -> Path:
     return found
 
 
-@pytest.mark.parametrize("name", [name for name in FORMATS if name != "geojson"])
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("geojson", "rerun")])
 def test_every_format_is_read_back(capsys, tmp_path, run, name):
     assert main(["export", str(run), "--format", name, "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
@@ -93,3 +97,42 @@ def test_faults(capsys, tmp_path, run, words, expected):
 def test_no_run(capsys, tmp_path):
     assert main(["export", str(tmp_path), "--format", "tum"]) == 2
     assert "run" in capsys.readouterr().err
+
+
+class TestRerun:
+    def test_without_the_package(self, capsys, monkeypatch, tmp_path, run):
+        monkeypatch.setitem(sys.modules, "rerun", None)
+        assert main(["export", str(run), "--format", "rerun", "--out", str(tmp_path / "a.rrd")]) == 2
+        told = capsys.readouterr().err
+        assert "--format rerun needs rerun" in told
+        assert "lodbench[rerun]" in told
+        assert not (tmp_path / "a.rrd").exists()
+
+    def test_rerun_itself_reads_it(self, capsys, tmp_path, run):
+        pytest.importorskip("rerun", reason="rerun-sdk, 170 MB, is not among the tests' packages")
+        path = tmp_path / "a.rrd"
+        assert main(["export", str(run), "--format", "rerun", "--out", str(path)]) == 0
+        told = capsys.readouterr().out
+        assert "2 poses" in told
+        assert "view_02.png" in told
+        subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(path)], check=True)
+        words = [sys.executable, "-m", "rerun", "rrd", "print", "-vvv", str(path)]
+        text = subprocess.run(words, check=True, capture_output=True, text=True).stdout
+        told = [line for line in text.splitlines() if "┆" in line]
+        origin = open_cached_scene(
+            Path(json.loads((run / "provenance.json").read_text())["city_model"])
+        ).origin
+        for pose in read_poses(run / "poses.txt").values():
+            local = pose.shifted(-origin)
+            # Its matrices run down the columns: of R.T those are the rows of R. The last is cut off.
+            numbers = [*local.rotation.ravel()[:8], *local.center]
+            assert any(np.allclose(found, numbers, atol=1e-4) for found in map(_numbers, told) if found)
+        assert "no mask in the masks folder" in text
+        for entity in ("city", "cameras/prior", "cameras/truth", "cameras/estimate/mask"):
+            assert f"entity_path: /{entity} " in text
+
+
+def _numbers(line: str) -> list[float]:
+    """Returns the eleven numbers of a printed row that holds a transform, or none."""
+    found = [float(text) for text in re.findall(r"-?\d+\.\d+(?:e-\d+)?", line.split("┆", 3)[-1])]
+    return found if len(found) == 11 else []
