@@ -17,11 +17,11 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.export import Exported
 from lodbench.harness.prepare import prior_of
 from lodbench.harness.stored import StoredRun
-from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR, TRUTH_COLOUR
+from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR
 from lodbench.storage import write_bytes
 
-# Of each kind of pose: its colour (BGR, as in the overlays).
-_COLOURS = {"prior": PRIOR_COLOUR, "truth": TRUTH_COLOUR, "estimate": ESTIMATE_COLOUR}
+# BGR of each kind of pose, as in the overlays; but white would be lost on the viewer's light ground.
+_COLOURS = {"prior": PRIOR_COLOUR, "truth": (80, 170, 60), "estimate": ESTIMATE_COLOUR}
 _CITY_RGB = (176, 172, 164)
 # How far before a camera its picture is shown, metres.
 _PICTURE_M = 20.0
