@@ -117,15 +117,22 @@ class Compact(PhotoSegmenter):
         return np.asarray(found[0, 0])
 
     def build(self, init: str | None) -> Any:
-        """Returns the torch network, with random weights or those of a training's checkpoint.
+        """Returns the torch network, with random weights, those of a checkpoint or those of an ONNX file.
 
         Raises:
             ConfigError: The file holds no weights of this network.
         """
         from lodbench.segmentation.nets.compact import CompactNet
+        from lodbench.segmentation.nets.onnx_import import load_onnx
         from lodbench.segmentation.nets.weights import load_own
 
+        if init is not None and init.endswith(".onnx"):
+            return load_onnx(CompactNet(), Path(init).expanduser(), self.stride)
         return load_own(CompactNet(), init)
+
+    def packaged_weights(self) -> Path | None:
+        """Returns the weights in the package."""
+        return packaged_weights()
 
     def store(self, net: Any, folder: Path) -> Path:
         """Writes a network as ONNX, its normalisations folded into the convolutions; returns the file."""

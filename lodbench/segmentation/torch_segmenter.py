@@ -47,6 +47,10 @@ class TorchSegmenter(PhotoSegmenter):
     def build(self, init: str | None) -> Any:
         """Returns the network; see ``TrainableSegmenter``."""
 
+    def packaged_weights(self) -> Path | None:
+        """Returns that the package holds none."""
+        return None
+
     @cached_property
     def weights_digest(self) -> str:
         """Returns the SHA-256 of the weights' file, or ``random``."""

@@ -30,6 +30,10 @@ class TrainableSegmenter(Protocol):
         """
         ...
 
+    def packaged_weights(self) -> Path | None:
+        """Returns the weights in the package, or None where there are none."""
+        ...
+
     def store(self, net: Any, folder: Path) -> Path:
         """Writes a network's weights as ``segment`` loads them and returns the file."""
         ...

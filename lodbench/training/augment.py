@@ -10,9 +10,11 @@ Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 
-def flipped(photo: Bytes, mask: Floats, generator: np.random.Generator) -> tuple[Bytes, Floats]:
-    """Returns both mirrored left to right and top to bottom, each with even odds."""
-    for axis in (1, 0):
+def flipped(
+    photo: Bytes, mask: Floats, generator: np.random.Generator, axes: tuple[int, ...]
+) -> tuple[Bytes, Floats]:
+    """Returns both mirrored, with even odds for each axis: 1 left to right, 0 top to bottom."""
+    for axis in axes:
         if generator.random() < 0.5:
             photo, mask = np.flip(photo, axis), np.flip(mask, axis)
     return photo, mask

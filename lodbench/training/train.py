@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from lodbench import __version__
+from lodbench.errors import ConfigError
 from lodbench.segmentation.extras import require
 from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, write_text
@@ -19,6 +20,8 @@ from lodbench.training.train_params import TrainParams
 
 MANIFEST_FILE = "training.json"
 CURVES_FILE = "curves.png"
+# What init says for the weights that come with lodbench.
+PACKAGE = "package"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +55,7 @@ def train_network(segmenter: TrainableSegmenter, params: TrainParams) -> Trained
     require("torch", "torch", "lodbench train")
     from lodbench.training.nets.run import run_training
 
+    params = replace(params, init=_start(segmenter, params.init))
     data, val_data = Path(params.data).expanduser(), params.val_data
     train, val, source = split_samples(data, Path(val_data).expanduser() if val_data else None)
     out = Path(params.out).expanduser()
@@ -69,6 +73,22 @@ def train_network(segmenter: TrainableSegmenter, params: TrainParams) -> Trained
     finished = record | {"history": history, "weights": {weights.name: file_digest(weights)}}
     write_text(out / MANIFEST_FILE, _json(finished))
     return Trained(weights, history, source, len(train), started_at[0])
+
+
+def _start(segmenter: TrainableSegmenter, init: str | None) -> str | None:
+    """Returns the file of the weights to start from.
+
+    Raises:
+        ConfigError: There is no such file, or no weights of this segmenter in the package.
+    """
+    if init != PACKAGE:
+        if init is not None and not Path(init).expanduser().is_file():
+            raise ConfigError(f"There are no weights {init}.", f"init=FILE, or init={PACKAGE}.")
+        return init
+    packaged = segmenter.packaged_weights()
+    if packaged is None:
+        raise ConfigError("The package holds no weights of this segmenter.", "init=FILE names others.")
+    return str(packaged)
 
 
 def _record(

@@ -35,7 +35,7 @@ class TrainParams:
         crop: Side of the random square that a step sees; 0 for the whole view, brought to
             ``size`` x ``size`` as the paper does.
         scale: Range of the random scale of a crop.
-        augment: ``full`` (light, colour, blur, noise, turns) or ``flips`` (SAM2-UNet's own).
+        augment: ``full`` (light, colour, blur, noise, turns, left for right) or ``flips`` (SAM2-UNet's own).
         one_band: Share of pictures that ``full`` turns into those of one band, tones bent or inverted.
         weighting: ``paper``: pixels near outlines weigh up to six times in both losses; ``released``: in
             the IoU loss only, which is what the published code computes.
@@ -45,7 +45,7 @@ class TrainParams:
         seed: Of weights, order and augmentation.
         val_every: Epochs between validations and checkpoints.
         resume: Whether to go on from the checkpoint in ``out``.
-        init: Weights file to start from, or None.
+        init: Weights to start from: a file, ``package`` for those in the package, or None for random ones.
         tensorboard: Whether to log for TensorBoard as well.
 
     Raises:

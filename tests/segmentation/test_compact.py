@@ -52,6 +52,35 @@ def test_opencv_answers_as_torch_does(net, weights, shape):
     np.testing.assert_allclose(found, expected[0, 0, :height, :width], atol=1e-4)
 
 
+def test_an_exported_network_comes_back_and_answers_the_same(net, weights):
+    again = Compact(CompactParams()).build(str(weights)).eval()
+    images = torch.rand(2, 3, 64, 96)
+    with torch.no_grad():
+        torch.testing.assert_close(again(images)[0], net(images)[0], rtol=0, atol=1e-4)
+    # What a normalisation follows has a length of one: a learning rate means the same everywhere.
+    lengths = again.stages[1][0][0].weight.flatten(1).norm(dim=1)
+    torch.testing.assert_close(lengths, torch.ones_like(lengths))
+
+
+def test_another_network_does_not_come_back_from_onnx(tmp_path):
+    from lodbench.segmentation.nets.onnx_export import write_onnx
+
+    class Other(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.only = torch.nn.Conv2d(3, 1, 3, padding=1)
+
+        def forward(self, photos):
+            return (self.only(photos),)
+
+    write_onnx(Other(), tmp_path / "other.onnx", 32)
+    with pytest.raises(ConfigError, match="does not fit the network"):
+        Compact(CompactParams()).build(str(tmp_path / "other.onnx"))
+    (tmp_path / "junk.onnx").write_bytes(b"\x08junk")
+    with pytest.raises(ConfigError, match=r"cannot be read as ONNX|does not fit"):
+        Compact(CompactParams()).build(str(tmp_path / "junk.onnx"))
+
+
 def test_the_weights_fit_the_package(weights):
     assert weights.stat().st_size <= 8_000_000
 

@@ -1,5 +1,6 @@
 """Training networks: the losses by hand, determinism, exact resume, what is left behind."""
 
+import copy
 import importlib.util
 import json
 import math
@@ -151,7 +152,7 @@ def test_pictures_and_masks_change_together():
     photo = np.repeat((255 * mask[..., None]).astype(np.uint8), 3, axis=2)
     for draw in range(5):
         stream = np.random.default_rng(draw)
-        picture, truth = random_crop(*flipped(photo, mask, stream), 64, (0.8, 1.5), stream)
+        picture, truth = random_crop(*flipped(photo, mask, stream, (1, 0)), 64, (0.8, 1.5), stream)
         assert truth.shape == (64, 64)
         assert abs(picture[..., 0] / 255.0 - truth).max() < 0.02  # bytes, and their coarser interpolation
         again = relit(picture, np.random.default_rng(draw))
@@ -205,6 +206,46 @@ def test_muon_moves_a_kernel_as_it_moves_the_matrix_it_is():
         assert not torch.equal(kernel, values)
         # Half precision within Muon: the order of a matrix's columns changes the last digits.
         torch.testing.assert_close(kernel.detach(), plain.detach().view_as(kernel), rtol=0, atol=2e-3)
+
+
+def test_given_weights_answer_the_same_while_training():
+    from lodbench.segmentation.nets.compact import CompactNet
+    from lodbench.training.nets.warm_start import adapt_norms
+
+    torch.manual_seed(2)
+    net, images = CompactNet(), torch.rand(4, 3, 64, 64)
+    for norm in net.modules():  # statistics that these pictures do not have
+        if isinstance(norm, torch.nn.BatchNorm2d):
+            norm.running_mean.normal_(0, 0.3)
+            norm.running_var.uniform_(0.5, 2.0)
+            norm.bias.data.normal_(0, 0.3)
+    with torch.no_grad():
+        before = net.eval()(images)[0]
+        assert (before - copy.deepcopy(net).train()(images)[0]).abs().max() > 0.01
+        adapt_norms(net, [images[:2], images[2:]])
+        torch.testing.assert_close(net.eval()(images)[0], before, rtol=0, atol=1e-4)
+        torch.testing.assert_close(net.train()(images)[0], before, rtol=0, atol=1e-3)
+
+
+def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
+    """A first epoch at no rate worth the name leaves the shipped network as it was."""
+    rates = ["schedule.epochs=1", "schedule.lr=1e-12", "schedule.muon_lr=1e-12", "schedule.lr_end=0"]
+    assert train(views, tmp_path / "a", "init=package", *rates) == 0
+    kept = json.loads((tmp_path / "a" / "training.json").read_text())
+    from lodbench.segmentation.compact import Compact, CompactParams, packaged_weights
+    from lodbench.storage import file_digest
+
+    assert kept["init"] == file_digest(packaged_weights())
+    photo = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
+    shipped, again = (
+        Compact(CompactParams(weights=file, size=96)).logits(photo)
+        for file in (None, str(tmp_path / "a" / "compact.onnx"))
+    )
+    assert np.corrcoef(shipped.ravel(), again.ravel())[0, 1] > 0.98
+    assert train(views, tmp_path / "b", "init=package", "segmenter=sam2_unet") == 2
+    assert "package holds no weights" in capsys.readouterr().err
+    assert train(views, tmp_path / "b", "init=none.onnx") == 2
+    assert "There are no weights none.onnx" in capsys.readouterr().err
 
 
 def test_every_weight_has_one_optimizer_and_the_paper_has_adamw_alone():

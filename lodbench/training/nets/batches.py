@@ -62,7 +62,9 @@ def _batch(
 def _changed(sample: Sample, params: TrainParams, epoch: int) -> tuple[Floats, Floats]:
     generator = random_stream(params.seed, "train", sample.key, epoch)
     photo, mask = sample.read(params.size, square=not params.crop)
-    photo, mask = flipped(photo, mask, generator)
+    # Upside down, walls hang above their roofs: no camera sees that, and a small network has better to learn.
+    axes = (1,) if params.augment == "full" else (1, 0)
+    photo, mask = flipped(photo, mask, generator, axes)
     if params.crop:
         photo, mask = random_crop(photo, mask, params.crop, params.scale, generator)
     if params.augment == "full":

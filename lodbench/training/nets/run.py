@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 
 import torch
 
 from lodbench.segmentation.trainable import TrainableSegmenter
+from lodbench.training.nets.batches import batches
 from lodbench.training.nets.checkpoints import load_checkpoint
 from lodbench.training.nets.distributed import joined
 from lodbench.training.nets.loop import fit, make_state
+from lodbench.training.nets.warm_start import adapt_norms
 from lodbench.training.samples import Sample
 from lodbench.training.train_params import TrainParams
 
 History = list[dict[str, float]]
+# Batches that tell what the normalisations of given weights will meet.
+_PICTURED_BATCHES = 8
 
 
 def run_training(
@@ -43,8 +48,11 @@ def run_training(
         net = segmenter.build(params.init).to(place.device)
         if place.device.type == "cpu":
             net = net.to(memory_format=torch.channels_last)
-        state = make_state(net, params)
         stored = load_checkpoint(out, identity) if params.resume else None
+        if params.init and stored is None:
+            pictures = islice(batches(train, params, 0, 0, 0, 1), _PICTURED_BATCHES)
+            adapt_norms(net, (images.to(place.device) for images, _ in pictures))
+        state = make_state(net, params)
         if stored is not None:
             state.restore(stored)
         started_at.append(state.epoch)

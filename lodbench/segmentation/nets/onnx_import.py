@@ -1,0 +1,112 @@
+"""An ONNX file of ``onnx_export`` back into its network, to train on from there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor, nn
+
+from lodbench.errors import ConfigError
+from lodbench.segmentation.extras import require
+
+Net = TypeVar("Net", bound=nn.Module)
+_LAYERS = (nn.Conv2d, nn.BatchNorm2d)
+
+
+def load_onnx(net: Net, path: Path, stride: int) -> Net:
+    """Returns a network with the weights of an ONNX file of its kind; in evaluation it answers the same.
+
+    The export has folded normalisations into the convolutions before them. Such a kernel comes back with a
+    length of one per output, and what that changes goes into the normalisation: the answer stays, and steps
+    of a learning rate are of one size in all kernels.
+
+    Args:
+        net: Takes (B, 3, H, W).
+        path: The file.
+        stride: Least side of what the network takes, pixels.
+
+    Raises:
+        ConfigError: The package onnx is missing, or the file is of another network.
+    """
+    require("onnx", "torch", "training from an ONNX file")
+    layers = _layers(net, stride)
+    try:
+        for kind, tensors in _stored(path):
+            layer = next(layers)
+            if kind == "Conv" and isinstance(layer, nn.Conv2d):
+                kernel, *bias = tensors
+                if bias and layer.bias is None:
+                    _unfold(layer, next(layers), kernel, bias[0])
+                else:
+                    _fill([layer.weight, layer.bias], tensors)
+            elif kind == "BatchNormalization" and isinstance(layer, nn.BatchNorm2d):
+                _fill([layer.weight, layer.bias, layer.running_mean, layer.running_var], tensors)
+            else:
+                raise ValueError(f"{kind} where {type(layer).__name__} is wanted")
+        if next(layers, None) is not None:
+            raise ValueError("layers are missing")
+    except (ValueError, StopIteration) as error:
+        raise ConfigError(
+            f"{path} does not fit the network: {error or 'layers too many'}.",
+            "An ONNX file that lodbench train wrote for the same segmenter is wanted.",
+        ) from error
+    return net
+
+
+def _layers(net: nn.Module, stride: int) -> Iterator[nn.Module]:
+    """Yields convolutions and normalisations in the order in which they are called."""
+    called: list[nn.Module] = []
+    hooks = [
+        module.register_forward_hook(lambda module, _inputs, _output: called.append(module))
+        for module in net.modules()
+        if isinstance(module, _LAYERS)
+    ]
+    with torch.no_grad():
+        net.eval()(torch.zeros(1, 3, stride, stride))
+    for hook in hooks:
+        hook.remove()
+    net.train()
+    return iter(called)
+
+
+def _stored(path: Path) -> Iterator[tuple[str, list[Tensor]]]:
+    """Yields kind and weights of a file's convolutions and normalisations, in order.
+
+    Raises:
+        ConfigError: It is no ONNX file.
+    """
+    import onnx
+    from onnx import numpy_helper
+
+    try:
+        graph: Any = onnx.load(str(path), load_external_data=False).graph
+        tensors = {t.name: torch.from_numpy(numpy_helper.to_array(t).copy()) for t in graph.initializer}
+    except Exception as error:
+        raise ConfigError(f"{path} cannot be read as ONNX ({type(error).__name__}).") from error
+    for node in graph.node:
+        if node.op_type in ("Conv", "BatchNormalization"):
+            yield node.op_type, [tensors[name] for name in node.input[1:] if name in tensors]
+
+
+@torch.no_grad()
+def _unfold(conv: nn.Conv2d, norm: nn.Module, kernel: Tensor, bias: Tensor) -> None:
+    """Gives a convolution and the normalisation after it what an export has folded into one."""
+    if not isinstance(norm, nn.BatchNorm2d):
+        raise ValueError("a convolution has a bias that the network knows nothing of")
+    lengths = kernel.flatten(1).norm(dim=1).clamp_min(1e-12)
+    _fill([conv.weight], [kernel / lengths[:, None, None, None]])
+    mean, variance = torch.zeros_like(bias), torch.full_like(bias, 1 - norm.eps)
+    _fill([norm.weight, norm.bias, norm.running_mean, norm.running_var], [lengths, bias, mean, variance])
+
+
+@torch.no_grad()
+def _fill(wanted: list[Tensor | None], found: list[Tensor]) -> None:
+    present = [tensor for tensor in wanted if tensor is not None]
+    shapes = [[list(tensor.shape) for tensor in tensors] for tensors in (found, present)]
+    if shapes[0] != shapes[1]:
+        raise ValueError(f"weights of {shapes[0]} instead of {shapes[1]}")
+    for tensor, values in zip(present, found, strict=True):
+        tensor.copy_(values)
