@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from lodbench.bench.accuracy_report import TILTS, AccuracyReport, Outcome
 from lodbench.bench.figures import Progress, no_progress
 from lodbench.citymodel import Scene, open_scene
+from lodbench.citymodel.lods import lod_in_words
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.datasets.synthetic import SyntheticQuery, draw_queries
@@ -181,7 +182,7 @@ def measure_accuracy(
             progress(len(outcomes), len(options.seeds) * len(told["prior"]) * len(TILTS) * len(cases))
     name = Path(city).name
     if options.mask_lod is not None or options.map_lod is not None:
-        name += f" (masks LoD{seen.scene.lod}, map LoD{scene.lod})"
+        name += f" (masks {lod_in_words(seen.scene.lod)}, map {lod_in_words(scene.lod)})"
     names = tuple(method.name for method in told["prior"])
     return AccuracyReport(name, names, options.protocol(), rejections, tuple(outcomes))
 

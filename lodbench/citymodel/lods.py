@@ -4,9 +4,55 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lodbench.citymodel.codes import LOD_SUBSTITUTED
+from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+
+# Instead of one level for all: of each building the level with most detail, or with least.
+FINEST, COARSEST = "finest", "coarsest"
+
+
+def polygons_at(model: CityModel, wanted: str | None, findings: Findings) -> tuple[str, NDArray[np.bool_]]:
+    """Returns the name of what is meshed, and which of the model's polygons belong to it.
+
+    Args:
+        model: The city.
+        wanted: A level of the whole file, see ``choose_lod``; or ``finest`` or ``coarsest``: of each building
+            its own. Cities mix levels: a few landmarks at LoD2 among blocks at LoD1. Footprints (LoD0) are
+            no building's finest or coarsest, interiors nobody's.
+        findings: See ``choose_lod``.
+
+    Raises:
+        CityModelError: The level is absent.
+    """
+    polygons = model.polygons
+    wish = None if wanted is None else _plain(wanted)
+    if wish not in (FINEST, COARSEST):
+        name = choose_lod(model.lods, wanted, findings)
+        return name, polygons.lod == model.lods.index(name)
+    order = {name: rank for rank, name in enumerate(sorted(model.lods))}
+    ranks = np.array([order[name] for name in model.lods], np.int64)
+    ranks = ranks if wish == FINEST else len(ranks) - 1 - ranks
+    has_walls = np.array([not name.startswith("0") for name in model.lods], np.bool_)
+    counts = has_walls[polygons.lod] & (polygons.kind != SurfaceKind.INTERIOR)
+    rank = np.where(counts, ranks[polygons.lod], -1)
+    best = np.full(len(model.building_ids), -1, np.int64)
+    np.maximum.at(best, polygons.building, rank)
+    return wish, counts & (rank == best[polygons.building])
+
+
+def lod_in_words(lod: str) -> str:
+    """Returns a level's name for readers.
+
+    Example:
+        >>> lod_in_words("2.2"), lod_in_words("finest")
+        ('LoD2.2', 'finest LoD')
+    """
+    return f"{lod} LoD" if lod in (FINEST, COARSEST) else f"LoD{lod}"
 
 
 def choose_lod(present: Sequence[str], wanted: str | None, findings: Findings) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import INTERIOR_SKIPPED, LOD_ABSENT
 from lodbench.citymodel.derive import derive_lod1
-from lodbench.citymodel.lods import choose_lod, has_lod
+from lodbench.citymodel.lods import has_lod, lod_in_words, polygons_at
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.scene import Scene, SceneBuilder
 from lodbench.citymodel.selection import polygon_blocks
@@ -45,7 +45,8 @@ def mesh_model(model: CityModel, lod: str | None = None, *, roof_height: str | N
 
     Args:
         model: The city as read.
-        lod: Level name, or None for the lowest that has walls (see ``choose_lod``).
+        lod: Level name, ``finest`` or ``coarsest`` for each building's own (see ``polygons_at``), or None
+            for the lowest that has walls.
         roof_height: Rule by which level 1 is derived where it is asked for and absent; None makes
             that an error.
 
@@ -57,9 +58,8 @@ def mesh_model(model: CityModel, lod: str | None = None, *, roof_height: str | N
         if lod.lower().removeprefix("lod") == "1":
             blocks = derive_lod1(model, roof_height, findings)
             model = replace(model, lods=("1",), polygons=blocks, polygons_read=(len(blocks),))
-    name = choose_lod(model.lods, lod, findings)
+    name, at_level = polygons_at(model, lod, findings)
     polygons = model.polygons
-    at_level = polygons.lod == model.lods.index(name)
     is_interior = polygons.kind == SurfaceKind.INTERIOR
     for building, count in sorted(Counter(polygons.building[at_level & is_interior].tolist()).items()):
         findings.add(INTERIOR_SKIPPED, model.building_ids[building], f"{count} polygons")
@@ -71,7 +71,7 @@ def _mesh_level(model: CityModel, lod: str, chosen: NDArray[np.int64], findings:
     has_level = np.zeros(len(model.building_ids), np.bool_)
     has_level[model.polygons.building[chosen]] = True
     for building in np.flatnonzero(~has_level):
-        findings.add(LOD_ABSENT, model.building_ids[building], f"no LoD{lod}")
+        findings.add(LOD_ABSENT, model.building_ids[building], f"no {lod_in_words(lod)}")
     builder = SceneBuilder(model.building_ids)
     areas = np.zeros(3)
     num_triangles = 0
@@ -94,7 +94,7 @@ def mesh_city(model: CityModel, lod: str | None = None, *, roof_height: str | No
 
     Args:
         model: The city as read.
-        lod: Level name (``"1"``, ``"2.2"``), or None for the lowest that has walls.
+        lod: Level name (``"1"``, ``"2.2"``, ``"finest"``), or None for the lowest that has walls.
         roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
 
     Raises:

@@ -68,7 +68,7 @@ def open_scene(
 
     Args:
         path: The file.
-        lod: Level name (``"1"``), or None for the lowest that has walls.
+        lod: Level name (``"1"``), ``"finest"``, ``"coarsest"``, or None for the lowest that has walls.
         crs: Reference system of its coordinates, instead of the one it declares.
         options: All else that the source does not say itself.
         roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.

@@ -218,13 +218,13 @@ def _parser() -> argparse.ArgumentParser:
             "--seeds", help="seeds, comma-separated, each with views of its own; instead of --seed"
         )
         action.add_argument(
-            "--mask-lod", help="level of detail that views and masks are drawn from (the map's)"
+            "--mask-lod", help="level of detail that views and masks are drawn from, or finest (the map's)"
         )
         action.add_argument("--map-lod", help="level of detail that is searched (the lowest)")
     city = actions.add_parser(
         "city", help="reading and meshing a city model, beside the naive way and cjio; memory on a large file"
     )
-    city.add_argument("--lod", help="level of detail (lowest with walls)")
+    city.add_argument("--lod", help="level of detail, or finest (lowest with walls)")
     city.add_argument("--repeats", type=int, default=5, help="passes, the fastest counts (5)")
     city.add_argument("--large-mb", type=int, default=137, help="file made for the memory figure; 0 for none")
     evaluation = actions.add_parser("evaluation", help="scoring many methods on many queries; a run's page")

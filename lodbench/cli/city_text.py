@@ -6,6 +6,7 @@ from typing import Any
 
 from lodbench.citymodel.cache import open_city
 from lodbench.citymodel.codes import finding_catalogue
+from lodbench.citymodel.lods import lod_in_words
 from lodbench.citymodel.mesh import CityMesh
 from lodbench.citymodel.model import CityModel
 from lodbench.reporting.columns import format_columns
@@ -84,7 +85,7 @@ def format_conversion(summary: dict[str, Any]) -> str:
         what = f"LoD {lods}, {summary['buildings']:,} buildings, {summary['polygons']:,} polygons"
         lines = [f"{summary['written']}: {what}"]
     else:
-        lod = f"LoD{summary['lod']}, " if summary["lod"] else ""
+        lod = f"{lod_in_words(summary['lod'])}, " if summary["lod"] else ""
         what = f"{lod}{summary['buildings']:,} buildings, {summary['triangles']:,} triangles"
         origin = " ".join(f"{value:.3f}" for value in summary["origin"])
         areas = "{area_m2:,.2f} m2 in, {meshed_m2:,.2f} m2 meshed, {lost_m2:,.2f} m2 lost".format(**summary)

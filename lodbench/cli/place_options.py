@@ -13,7 +13,7 @@ from lodbench.geometry import Camera
 
 def add_city_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say how to read a city."""
-    parser.add_argument("--lod", help="level of detail (lowest with walls)")
+    parser.add_argument("--lod", help="level of detail, or finest: each building's own (lowest with walls)")
     parser.add_argument("--crs", help="CRS of the city, where its file says none or a wrong one")
     parser.add_argument(
         "--source", default="folder", metavar="PROFILE", help="publisher, as in run source=PROFILE"

@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from lodbench.citymodel.lods import lod_in_words
 from lodbench.reporting.cells import SplitCells, cells_of, mean_cells
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import Column, paper_columns
@@ -96,7 +97,7 @@ def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:
     """Returns what a run's table is headed with: everything that must agree to compare rows."""
     dataset, protocol = summary["dataset"], summary["protocol"]
     version = f" ({dataset['version']})" if dataset.get("version") else ""
-    lod = f" · LoD{protocol['lod']}" if protocol.get("lod") and "lod" not in free else ""
+    lod = f" · {lod_in_words(str(protocol['lod']))}" if protocol.get("lod") and "lod" not in free else ""
     words = [f"{name}={protocol[name]}" for name in ("tilt", "segmenter", "seed") if name not in free]
     drawn = protocol.get("prior", "file")
     if drawn != "file" and "prior" not in free:

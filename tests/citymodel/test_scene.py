@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
-from lodbench.citymodel.lods import choose_lod
+from lodbench.citymodel.lods import choose_lod, polygons_at
 from lodbench.citymodel.mesh import mesh_model
-from lodbench.citymodel.model import CityModel, Polygons
+from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
 from lodbench.citymodel.scene import build_scene
 from lodbench.citymodel.selection import group_cuts
 from lodbench.errors import CityModelError
@@ -104,6 +104,47 @@ class TestChooseLod:
             choose_lod(["0", "1"], "2", Findings())
         with pytest.raises(CityModelError, match="no geometry"):
             choose_lod([], "1", Findings())
+
+
+class TestEachBuildingsOwnLevel:
+    """Buildings a to d: a has LoD0 to 2, b LoD0 and 1, c LoD2 of the interior alone and LoD1, d LoD0 alone."""
+
+    lods = ("2", "0", "1")
+    held = (("a", "0"), ("a", "1"), ("a", "2"), ("b", "0"), ("b", "1"), ("c", "1"), ("c", "2"), ("d", "0"))
+
+    def model(self) -> CityModel:
+        corners = np.random.default_rng(1).normal(size=(len(self.held), 3, 3))
+        kind = [SurfaceKind.INTERIOR if held == ("c", "2") else SurfaceKind.WALL for held in self.held]
+        polygons = Polygons(
+            points=corners.reshape(-1, 3),
+            ring_starts=np.arange(len(self.held) + 1) * 3,
+            polygon_starts=np.arange(len(self.held) + 1),
+            building=np.array(["abcd".index(building) for building, _ in self.held], np.int32),
+            lod=np.array([self.lods.index(lod) for _, lod in self.held], np.int16),
+            kind=np.array(kind, np.uint8),
+        )
+        ids = ("a", "b", "c", "d")
+        return CityModel("x", "GML", None, None, np.zeros(3), ids, 0, self.lods, polygons, (8,), Findings())
+
+    @pytest.mark.parametrize(
+        ("wanted", "expected"),
+        [
+            ("finest", {("a", "2"), ("b", "1"), ("c", "1")}),
+            ("Coarsest", {("a", "1"), ("b", "1"), ("c", "1")}),
+            ("2", {("a", "2"), ("c", "2")}),
+            (None, {("a", "1"), ("b", "1"), ("c", "1")}),
+        ],
+    )
+    def test_choice(self, wanted: str | None, expected: set[tuple[str, str]]) -> None:
+        name, chosen = polygons_at(self.model(), wanted, Findings())
+        assert {self.held[k] for k in np.flatnonzero(chosen)} == expected
+        assert name == (wanted or "1").lower()
+
+    def test_what_has_no_walls_is_told(self) -> None:
+        mesh = mesh_model(self.model(), "finest")
+        assert mesh.scene.lod == "finest"
+        assert mesh.scene.triangle_starts.tolist() == [0, 1, 2, 3, 3]
+        assert [(f.object_id, f.detail) for f in mesh.findings.items] == [("d", "no finest LoD")]
 
 
 class TestBlocks:

@@ -13,7 +13,8 @@ Floats = NDArray[np.float64]
 def error_covariance(pixels, rises, buildings, noise, lengths, roofs):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the lower half of the points' error covariance, (N, N) square pixels.
 
-    The mask's outline errs alike at points near each other in the picture. A building's roof errs as a
+    The mask's outline errs alike at points near each other in the picture: a curve that bends, without
+    kinks (Matern's correlation of order 3/2). A building's roof errs as a
     whole, and by parts: alike at points near each other.
 
     Args:
@@ -30,7 +31,8 @@ def error_covariance(pixels, rises, buildings, noise, lengths, roofs):  # type: 
         for j in range(i + 1):
             dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
             apart = np.sqrt(dx * dx + dy * dy)
-            value = noise[0] * np.exp(-apart / lengths[0])
+            lags = np.sqrt(3.0) * apart / lengths[0]
+            value = noise[0] * (1.0 + lags) * np.exp(-lags)
             if buildings[i] == buildings[j]:
                 value += rises[i] * rises[j] * (roofs[0] + roofs[1] * np.exp(-apart / lengths[1]))
             matrix[i, j] = value

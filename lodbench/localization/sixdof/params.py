@@ -94,7 +94,7 @@ class Params:
     near_px: float = 3.0
     noise_px: float = 2.0
     correlation_px: float = 16.0
-    outline_px: float = 30.0
+    outline_px: float = 40.0
     outlier_sigmas: float = 3.0
     roof_m: float = 2.0
     roof_part_m: float = 2.0

@@ -35,7 +35,7 @@ _LEAST_WEIGHT = 1e-8
 # Maps from nearly exact to as coarse as the parameters allow.
 _ROOF_SHARES = (0.1, 0.4, 1.0)
 # By how much the logarithm of the evidence for a better map must be larger.
-_CLEAR = 10.0
+_CLEAR = 40.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
