@@ -68,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
             action.add_argument("out", type=Path, metavar="OUT", help="its ending names the format")
             action.add_argument(
                 "--lod",
-                help="level of detail for meshes and scenes, or finest: each building's own (lowest with walls)",
+                help="level of detail for meshes and scenes, or finest: each building's (lowest)",
             )
             action.add_argument(
                 "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"

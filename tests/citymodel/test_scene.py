@@ -107,7 +107,7 @@ class TestChooseLod:
 
 
 class TestEachBuildingsOwnLevel:
-    """Buildings a to d: a has LoD0 to 2, b LoD0 and 1, c LoD2 of the interior alone and LoD1, d LoD0 alone."""
+    """a has LoD0 to 2, b LoD0 and 1, c LoD1 and an interior at LoD2, d LoD0 alone."""
 
     lods = ("2", "0", "1")
     held = (("a", "0"), ("a", "1"), ("a", "2"), ("b", "0"), ("b", "1"), ("c", "1"), ("c", "2"), ("d", "0"))

@@ -22,7 +22,8 @@ def test_covariance_is_the_sum_of_what_is_shared(points):
     apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
     roofs = np.outer(rises, rises) * (4.0 + 9.0 * np.exp(-apart / 60.0))
     same = buildings[:, None] == buildings[None]
-    expected = 2.0 * np.exp(-apart / 30.0) + np.where(same, roofs, 0.0) + 0.5 * np.eye(40)
+    lags = np.sqrt(3.0) * apart / 30.0
+    expected = 2.0 * (1.0 + lags) * np.exp(-lags) + np.where(same, roofs, 0.0) + 0.5 * np.eye(40)
     np.testing.assert_allclose(matrix, np.tril(expected), rtol=1e-12)
 
 
