@@ -21,7 +21,7 @@ COUNT ?= 20000
 fuzz: $(VENV)/.test
 	$(BIN)/python -m tests.citymodel.test_fuzz $(COUNT)
 
-# The weights of segmenter=compact, from nothing: views in half an hour, training in one, on two cores. CITIES= adds open city models.
+# The weights of segmenter=compact, from nothing: views in 20 minutes, training in three hours, on two cores. CITIES= adds open city models.
 OUT ?= weights
 weights: $(VENV)/.test
 	PATH="$(abspath $(BIN)):$$PATH" recipes/compact.sh $(OUT) $(CITIES)

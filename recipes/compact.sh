@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
 # Makes the weights of segmenter=compact: eight built-in towns and, where they are at hand, open city models;
-# half an hour of training, then as much again on towns repainted as well. Two cores, no GPU, extra [torch].
+# half an hour of training, as much again on towns repainted as well, then an hour and three quarters on larger squares.
+# Two cores, no GPU, extra [torch].
 # Usage: recipes/compact.sh OUT [CITIES], with OUT a folder for everything, CITIES that of the open models.
 # Given again it goes on where it stopped.
 set -euo pipefail
 out=$1
 cities=${2:-}
 views=${VIEWS:-800} # of each town
-first=${FIRST_EPOCHS:-8} second=${SECOND_EPOCHS:-5}
+first=${FIRST_EPOCHS:-8} second=${SECOND_EPOCHS:-5} third=${THIRD_EPOCHS:-12}
 
 generate() { # set, views, further settings
     lodbench generate-training-data out="$out/$1" limit="$2" count="$((4 * $2))" "${@:3}" \
@@ -42,4 +43,8 @@ export OMP_NUM_THREADS=1
 train train/first weights1 schedule.epochs="$first"
 train train weights2 schedule.epochs="$second" schedule.lr=0.0015 schedule.muon_lr=0.01 \
     schedule.one_band=0.12 init="$out/weights1/checkpoint.pt"
-echo "compact.onnx and training.json (as compact.json) of $out/weights2 belong in lodbench/segmentation/weights"
+# From the ONNX file, whose kernels come back with a length of one: steps of one size in all of them.
+train train weights3 schedule.epochs="$third" schedule.lr=0.0015 schedule.muon_lr=0.006 schedule.one_band=0.04 \
+    schedule.crop=320 schedule.batch=6 schedule.scale='[0.75,1.35]' schedule.val_every=1 \
+    init="$out/weights2/compact.onnx"
+echo "compact.onnx and training.json (as compact.json) of $out/weights3 belong in lodbench/segmentation/weights"
