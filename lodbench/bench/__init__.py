@@ -1,6 +1,7 @@
 """Figures anyone can make again: accuracy on a real model, and speed beside other programs."""
 
-from lodbench.bench.accuracy import AREAS, AccuracyOptions, measure_accuracy
+from lodbench.bench.accuracy import measure_accuracy
+from lodbench.bench.accuracy_options import AREAS, AccuracyOptions
 from lodbench.bench.accuracy_report import AccuracyReport
 from lodbench.bench.budget import BudgetReport, measure_budget
 from lodbench.bench.city import CityBench, CityOptions, measure_city

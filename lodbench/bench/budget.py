@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lodbench.bench.accuracy import AccuracyOptions, open_scenes, reaching, run_case, seeded_cases
+from lodbench.bench.accuracy import open_scenes, reaching, run_case, seeded_cases
+from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.evaluation.statistics import wilson_interval
 from lodbench.localization import Method

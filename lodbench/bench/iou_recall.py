@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lodbench.bench.accuracy import AccuracyOptions, measure_accuracy
+from lodbench.bench.accuracy import measure_accuracy
+from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.accuracy_report import TILTS, Outcome
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.errors import ConfigError

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lodbench.bench.accuracy import AccuracyOptions, Case, open_scenes, reaching, seeded_cases, streams_of
+from lodbench.bench.accuracy import Case, open_scenes, reaching, seeded_cases, streams_of
+from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.errors import QueryFault
 from lodbench.evaluation import PoseError, pose_error

@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from lodbench.bench.accuracy import AccuracyOptions, make_cases, measure_accuracy, reaching
+from lodbench.bench.accuracy import make_cases, measure_accuracy, reaching
+from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.accuracy_report import AccuracyReport, Outcome
 from lodbench.citymodel import open_scene
 from lodbench.datasets.roughening import mask_iou

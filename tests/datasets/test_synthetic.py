@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.bench.accuracy import AccuracyOptions, make_cases
+from lodbench.bench.accuracy import make_cases
+from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.citymodel import open_scene
 from lodbench.datasets.synthetic import ViewsParams, open_views
 from lodbench.errors import ConfigError, DatasetError
