@@ -10,7 +10,7 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
-from lodbench.cli.run import data_identity, dataset_opener, with_source
+from lodbench.cli.run_dataset import data_identity, dataset_opener, with_source
 from lodbench.errors import LodbenchError
 from lodbench.harness.artefacts import summary_of, write_artefacts
 from lodbench.harness.evaluate import EvaluateSettings, draw_scored, evaluate_poses

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.cli.hydra_app import load_plugin
-from lodbench.cli.run import open_dataset
+from lodbench.cli.run_dataset import open_dataset
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
+from lodbench.cli.run_dataset import data_identity, dataset_opener, with_prior, with_source
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
-from lodbench.cli.sources import profile_of
-from lodbench.datasets.prior_sources import PRIORS, FilePrior, PriorSource, prior_digest
-from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError
 from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.artefacts import summary_of, write_artefacts
@@ -27,10 +24,6 @@ from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import RecallTable, tables_of
 from lodbench.segmentation import notes_of
 
-# What names the run folder leaves out paths, whose content is named instead, and how work is spread.
-# The origin of a published dataset is withheld for privacy, so it is not written down either.
-_PATHS_IN_DATASET = {"root", "city_model", "origin"}
-_PATHS_IN_OPTIONS = {"terrain"}
 _SECTIONS = {"method", "dataset", "segmenter", "source", "prior", "executor", "paths"}
 
 
@@ -151,40 +144,6 @@ def _method(settings: dict[str, Any]) -> tuple[Any, Any]:
     return part(params), params
 
 
-def data_identity(dataset_params: Any, source: dict[str, Any]) -> dict[str, Any]:
-    """Returns the settings of a dataset and its source, less paths: their content is named instead."""
-    options = _without(source.get("options") or {}, _PATHS_IN_OPTIONS)
-    return {
-        "dataset": _without(asdict(dataset_params), _PATHS_IN_DATASET),
-        "source": {**source, "options": options},
-    }
-
-
-def with_prior(dataset: Dataset, values: dict[str, Any], seed: int) -> tuple[Dataset, dict[str, Any]]:
-    """Returns a dataset with the priors a section asks for, and that section checked.
-
-    In it the digest of a file of priors stands for its path.
-
-    Raises:
-        LodbenchError: The kind of prior is unknown, a setting is wrong, or the priors cannot be had.
-    """
-    name, settings = str(values.get("name", "")), {key: v for key, v in values.items() if key != "name"}
-    if name not in PRIORS:
-        raise ConfigError(f"There is no prior {name!r}.", nearest_names(name, PRIORS))
-    source: PriorSource = to_params(settings, PRIORS[name], "prior")
-    dataset = source.apply(dataset, seed)
-    stated = {"name": name, **asdict(source)}  # type: ignore[call-overload]
-    if name == FilePrior.name:
-        stated = {"name": name}
-        if settings.get("path") is not None:
-            stated["content"] = prior_digest(dataset.entries)
-    return dataset, stated
-
-
-def _without(values: dict[str, Any], names: set[str]) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if key not in names}
-
-
 def report(runs: Sequence[Run]) -> str:
     """Returns the tables of runs and what a reader wants next to them."""
     summaries = [summary_of(run) for run in runs]
@@ -231,34 +190,3 @@ def _failure_lines(run: Run) -> list[str]:
         f"  {len(keys)} x {reason}: {', '.join(keys[:3])}{', ... (all in queries.csv)' if keys[3:] else ''}"
         for reason, keys in sorted(names.items())
     ]
-
-
-def dataset_opener(values: dict[str, Any]) -> tuple[Callable[[Any], Dataset], Any]:
-    """Returns what opens the dataset that a configuration's section describes, and its parameters.
-
-    Raises:
-        LodbenchError: The dataset is unknown or a setting is wrong.
-    """
-    opener = load_plugin("datasets", values.get("name", ""))
-    (parameter,) = signature(opener, eval_str=True).parameters.values()
-    return opener, to_params(values, parameter.annotation, "dataset")
-
-
-def open_dataset(values: dict[str, Any]) -> Dataset:
-    """Returns the dataset that a configuration's section describes.
-
-    Raises:
-        LodbenchError: It is unknown, a setting is wrong, or the data is missing or malformed.
-    """
-    opener, params = dataset_opener(values)
-    dataset: Dataset = opener(params)
-    return dataset
-
-
-def with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
-    """Returns a dataset whose city is read as the source says; the dataset's own words go before it."""
-    source = profile_of(values, dataset.city_options.crs)
-    lod = source.lod if dataset.lod is None else dataset.lod
-    # The frame of the data is no habit of a publisher: it was told by the data.
-    options = replace(source.options, ecef_origin=dataset.city_options.ecef_origin)
-    return replace(dataset, lod=lod, city_options=options)

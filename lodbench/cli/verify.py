@@ -13,7 +13,7 @@ from typing import Any, cast
 from omegaconf import OmegaConf
 
 from lodbench.cli.hydra_app import load_plugin, to_params
-from lodbench.cli.run import open_dataset, with_prior, with_source
+from lodbench.cli.run_dataset import open_dataset, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.harness.stored import read_run
