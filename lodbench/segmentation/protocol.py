@@ -64,7 +64,7 @@ def check_mask(mask: ArrayLike, camera: Camera) -> NDArray[np.float32]:
         camera: The camera of the full-size photo.
 
     Raises:
-        QueryFault: It is not such an array, or its aspect is off by more than 2 %.
+        QueryFault: It is not such an array, or its aspect is off by more than 2 % and than rounding.
     """
     try:
         given = np.asarray(mask)
@@ -79,7 +79,9 @@ def check_mask(mask: ArrayLike, camera: Camera) -> NDArray[np.float32]:
     _check_range(given)
     height, width = given.shape
     aspect = (width / height) / (camera.width / camera.height)
-    if abs(aspect - 1.0) > _ASPECT_TOLERANCE:
+    # Sides are whole: of a photo a few pixels wide, rounding alone changes the aspect by more.
+    rounding = 0.5 * max(1.0 / width, 1.0 / height)
+    if abs(aspect - 1.0) > max(_ASPECT_TOLERANCE, rounding):
         raise QueryFault(
             f"the mask is {width} x {height}, the camera {camera.width} x {camera.height}: another aspect"
         )

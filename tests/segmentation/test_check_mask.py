@@ -33,6 +33,10 @@ class TestAccepted:
     def test_no_building_is_for_the_method_to_say(self):
         assert not check_mask(np.zeros((64, 80)), CAMERA).any()
 
+    def test_a_photo_one_pixel_wide(self):
+        narrow = Camera(width=1, height=400, fx=400.0, fy=400.0, cx=0.5, cy=200.0)
+        assert check_mask(np.ones((512, 1)), narrow).shape == (512, 1)
+
     @pytest.mark.parametrize(("height", "width"), [(512, 640), (511, 640), (50, 63), (1024, 1280), (4, 5)])
     def test_any_size_of_the_aspect(self, height, width):
         assert check_mask(np.ones((height, width)), CAMERA).shape == (height, width)
