@@ -17,7 +17,7 @@ FINEST, COARSEST = "finest", "coarsest"
 
 
 def polygons_at(model: CityModel, wanted: str | None, findings: Findings) -> tuple[str, NDArray[np.bool_]]:
-    """Returns the name of what is meshed, and which of the model's polygons belong to it.
+    """Returns the name of what is meshed, and (P,) which of the model's P polygons belong to it.
 
     Args:
         model: The city.

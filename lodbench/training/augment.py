@@ -13,7 +13,14 @@ Floats = NDArray[np.float32]
 def flipped(
     photo: Bytes, mask: Floats, generator: np.random.Generator, axes: tuple[int, ...]
 ) -> tuple[Bytes, Floats]:
-    """Returns both mirrored, with even odds for each axis: 1 left to right, 0 top to bottom."""
+    """Returns a photo (H, W, 3) and its mask (H, W) mirrored, with even odds for each axis.
+
+    Args:
+        photo: (H, W, 3).
+        mask: (H, W).
+        generator: The only source of randomness.
+        axes: 1 for left to right, 0 for top to bottom.
+    """
     for axis in axes:
         if generator.random() < 0.5:
             photo, mask = np.flip(photo, axis), np.flip(mask, axis)

@@ -49,6 +49,8 @@ def adapt_norms(net: nn.Module, batches: Iterable[Tensor]) -> None:
     for hook in hooks:
         hook.remove()
     for norm, moments in norms.items():
+        if moments.batches == 0:  # part of the network, but not of its answer
+            continue
         mean, variance = moments.result()
         old_mean, old_variance = norm.get_buffer("running_mean"), norm.get_buffer("running_var")
         factor = norm.weight / (old_variance + norm.eps).sqrt()
