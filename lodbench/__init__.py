@@ -17,11 +17,11 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Camera": "lodbench.geometry",
     "EulerAngles": "lodbench.geometry",
-    "LodLocV2": "lodbench.localization.lodlocv2",
+    "LodLocV2": "lodbench.methods.lodlocv2",
     "LodbenchError": "lodbench.errors",
     "Pose": "lodbench.geometry",
     "Scene": "lodbench.citymodel.scene",
-    "localize": "lodbench.localization.api",
+    "localize": "lodbench.methods.localize",
     "make_renderer": "lodbench.rendering",
     "open_scene": "lodbench.citymodel",
     "pose_error": "lodbench.evaluation",
@@ -35,7 +35,7 @@ if not (Path(__file__).parent / "conf").is_dir():
     __path__.append(str(Path(__file__).parent.parent))
 
 # Where compiled functions stand; a test holds the list complete.
-_COMPILED = ("citymodel", "localization", "rendering")
+_COMPILED = ("citymodel", "methods", "rendering", "synthesis")
 keep_kernels_apart(Path(__file__).parent, _COMPILED)
 
 

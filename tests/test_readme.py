@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lodbench.datasets.demo.build import build_demo
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.evaluation import pose_error
+from lodbench.synthesis.town.build import build_demo
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lodbench.datasets.query import Query
-from lodbench.localization import Estimate, Streams
+from lodbench.methods import Estimate, Streams
 from lodbench.rendering import Scorer
 
 

@@ -25,17 +25,17 @@ from lodbench.citymodel import Scene, open_scene
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.datasets.synthetic import SyntheticQuery, draw_queries
-from lodbench.datasets.views import RGB_CAMERA
 from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.errors import FAILED
 from lodbench.geometry import Pose
-from lodbench.localization import Method
-from lodbench.localization.lodlocv2 import LodLocV2
-from lodbench.localization.method import Reaching
+from lodbench.methods import Method
+from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.methods.protocol import Reaching
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.storage import random_stream
+from lodbench.synthesis.view_sampling import RGB_CAMERA
+from lodbench.synthesis.views_dataset import SyntheticQuery, draw_queries
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 from lodbench.citymodel import Scene
 from lodbench.datasets.priors import UniformPrior
-from lodbench.datasets.views import FINE_SIZE
 from lodbench.errors import ConfigError
+from lodbench.synthesis.view_sampling import FINE_SIZE
 
 # The halves of a city's bounding box: tune on one, report on the other.
 AREAS = ("west", "east", "south", "north")

@@ -11,9 +11,9 @@ from lodbench.bench.accuracy import open_scenes, reaching, run_case, seeded_case
 from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.evaluation.statistics import wilson_interval
-from lodbench.localization import Method
-from lodbench.localization.lodlocv2 import LodLocV2
-from lodbench.localization.sixdof import SixDof
+from lodbench.methods import Method
+from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.reporting.calibration_figures import BudgetPoint, draw_budget
 from lodbench.reporting.columns import format_columns
 
@@ -98,10 +98,10 @@ def measure_budget(city: Path, options: AccuracyOptions, progress: Progress = no
 
 
 def _ladder() -> list[Method]:
-    paper, ours = LodLocV2().params, SixDof().params
+    paper, ours = LodLocV2().params, ContourAlignment().params
     methods: list[Method] = [LodLocV2(replace(paper, variant="no_refine"))]
     methods += [LodLocV2(replace(paper, steps=steps)) for steps in _STEPS]
     for stride_m, stride_yaw_deg, starts, steps in _SETTINGS:
         wider = replace(ours, stride_m=stride_m, stride_yaw_deg=stride_yaw_deg)
-        methods.append(SixDof(replace(wider, starts=starts, steps=steps)))
+        methods.append(ContourAlignment(replace(wider, starts=starts, steps=steps)))
     return methods

@@ -13,11 +13,11 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
 from lodbench.evaluation.rows import QueryRow
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.artefacts import summary_of, write_artefacts
-from lodbench.harness.report import run_report
-from lodbench.harness.result import Result, errors_of, parts_of, queries_digest
-from lodbench.harness.stored import read_run
-from lodbench.harness.verify import verify_run
+from lodbench.harness.runs.artefacts import summary_of, write_artefacts
+from lodbench.harness.runs.report import run_report
+from lodbench.harness.runs.result import Result, errors_of, parts_of, queries_digest
+from lodbench.harness.runs.stored import read_run
+from lodbench.harness.runs.verify import verify_run
 from lodbench.reporting.columns import format_columns
 from lodbench.reporting.table_formats import format_csv
 from lodbench.reporting.tables import tables_of

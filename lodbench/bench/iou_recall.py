@@ -17,8 +17,8 @@ from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.errors import ConfigError
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, hits_of
 from lodbench.evaluation.statistics import wilson_interval
-from lodbench.localization import Method
-from lodbench.localization.lodlocv2 import LodLocV2
+from lodbench.methods import Method
+from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.storage import write_bytes
 
 PICTURE_FILE = "iou_recall.png"

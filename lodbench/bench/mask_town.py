@@ -6,14 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from lodbench.datasets.demo.build import FINE_CITY_FILE, PROPS_FILE
-from lodbench.datasets.demo.open import DemoParams, DemoTrainParams, demo_folder
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.storage import digest_of, file_digest
 from lodbench.storage.paths import cache_root
-from lodbench.training import generate
-from lodbench.training.generate import generate_training_data
-from lodbench.training.params import TrainingParams
+from lodbench.synthesis.demo import DemoParams, DemoTrainParams, demo_folder
+from lodbench.synthesis.town.build import FINE_CITY_FILE, PROPS_FILE
+from lodbench.synthesis.training_data import generate
+from lodbench.synthesis.training_data.generate import generate_training_data
+from lodbench.synthesis.training_data.params import TrainingParams
 
 TOWNS: dict[str, DemoParams] = {"test": DemoParams(), "train": DemoTrainParams()}
 # Draws per view that is kept; what else a view must show is in ``_settings``.

@@ -21,11 +21,11 @@ from lodbench.bench.scale_report import ScaleReport, ScaleTimings
 from lodbench.bench.silhouettes import SilhouetteOptions, Swarm, make_swarm
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene
-from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera
 from lodbench.rendering.engine_store import arrays_folder
 from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
 Floats = NDArray[np.float64]
 

@@ -22,11 +22,11 @@ from lodbench.bench.figures import Progress, no_progress
 from lodbench.bench.silhouette_report import HORIZON, STEEP, SilhouetteReport, Timing
 from lodbench.citymodel import Scene, open_scene
 from lodbench.datasets.priors import UniformPrior
-from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.storage import random_stream
+from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
 Floats = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ from lodbench.errors import ConfigError, LodbenchError
 from lodbench.execution.fan_out import fan_out
 from lodbench.geometry import Camera
 from lodbench.rendering import open_renderer
-from lodbench.training.cameras import picture_camera
-from lodbench.training.generate import open_cities, world_parts
-from lodbench.training.params import TrainingParams
-from lodbench.training.plan_views import PlannedView, plan_views
-from lodbench.training.world import World, WorldParts, encode_mask, files_of
+from lodbench.synthesis.training_data.cameras import picture_camera
+from lodbench.synthesis.training_data.generate import open_cities, world_parts
+from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.plan_views import PlannedView, plan_views
+from lodbench.synthesis.training_data.world import World, WorldParts, encode_mask, files_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from lodbench.errors import QueryFault
 from lodbench.evaluation import PoseError, pose_error
 from lodbench.evaluation.errors import FAILED
 from lodbench.geometry import Pose
-from lodbench.localization.method import Method
-from lodbench.localization.sixdof import SixDof
+from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.methods.protocol import Method
 from lodbench.rendering import Scorer
 from lodbench.reporting.columns import format_columns
 
@@ -108,7 +108,10 @@ def measure_wide_priors(
     """
     scorer, seen = open_scenes(city, options)
     cases = seeded_cases(scorer, seen, options)
-    methods = {s: reaching(SixDof(replace(SixDof().params, search=s)), options.prior()) for s in SEARCHES}
+    methods = {
+        s: reaching(ContourAlignment(replace(ContourAlignment().params, search=s)), options.prior())
+        for s in SEARCHES
+    }
     pairs: list[SearchPair] = []
     for seed, case in cases:
         found = {}

@@ -15,9 +15,9 @@ from lodbench.cli.run import run_config
 from lodbench.errors import ConfigError
 from lodbench.evaluation.basin import BasinStep, basin_steps, protocol_lines
 from lodbench.evaluation.rows import seconds_per_query
-from lodbench.harness.basin import Basin, write_basin
-from lodbench.harness.cost_maps import CostGrid
-from lodbench.localization.method import Reaching
+from lodbench.harness.runs.basin import Basin, write_basin
+from lodbench.harness.runs.cost_maps import CostGrid
+from lodbench.methods.protocol import Reaching
 from lodbench.reporting.table_formats import format_text
 
 

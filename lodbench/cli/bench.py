@@ -40,7 +40,7 @@ from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentati
 from lodbench.cli.hydra_app import load_plugin
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
-from lodbench.localization import Method
+from lodbench.methods import Method
 from lodbench.storage.atomic import write_bytes
 
 
@@ -248,7 +248,7 @@ def _city_file(options: argparse.Namespace) -> Path:
     """Returns the city asked for, or the demo town's."""
     if options.city is not None:
         return Path(options.city)
-    from lodbench.datasets.demo.build import CITY_FILE
-    from lodbench.datasets.demo.open import DemoParams, open_demo
+    from lodbench.synthesis.demo import DemoParams, open_demo
+    from lodbench.synthesis.town.build import CITY_FILE
 
     return open_demo(DemoParams()).root / CITY_FILE

@@ -18,7 +18,7 @@ from lodbench.cli.hydra_app import load_plugin
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
-from lodbench.localization import Method
+from lodbench.methods import Method
 
 _VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
 _MORE = """\

@@ -12,9 +12,9 @@ from typing import Any
 from lodbench.errors import ConfigError
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.evaluation.rows import summarize_rows
-from lodbench.harness.compare import paired_comparison, require_same_queries
-from lodbench.harness.stored import StoredRun, read_run
-from lodbench.harness.verify import changed_files
+from lodbench.harness.runs.compare import paired_comparison, require_same_queries
+from lodbench.harness.runs.stored import StoredRun, read_run
+from lodbench.harness.runs.verify import changed_files
 from lodbench.reporting.comparison import format_comparison
 from lodbench.reporting.summaries import with_seconds
 from lodbench.reporting.table_columns import (

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from lodbench.datasets.cards import CARDS, card_markdown
 from lodbench.datasets.croissant import croissant_text
-from lodbench.datasets.demo_card import DEMO, demo_card_markdown
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.storage import write_text
+from lodbench.synthesis.demo_card import DEMO, demo_card_markdown
 
 MARKDOWN, CROISSANT = ".md", ".croissant.json"
 

@@ -19,7 +19,7 @@ def main(argv: Sequence[str]) -> int:
     )
     options = parser.parse_args(argv[1:])
 
-    from lodbench.datasets.demo.build import CITY_FILE, build_demo
+    from lodbench.synthesis.town.build import CITY_FILE, build_demo
 
     root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed, look=options.look)
     city = root / CITY_FILE

@@ -13,7 +13,7 @@ from lodbench.cli.place_options import add_city_options, add_height_options, giv
 from lodbench.cli.sources import load_profile
 
 if TYPE_CHECKING:
-    from lodbench.harness.own_dataset import OwnDataset
+    from lodbench.harness.photo.own_dataset import OwnDataset
 
 _INIT_EPILOG = """\
 Photos state where they were taken (EXIF, DJI's XMP): that becomes the rough pose. With --colmap the model's
@@ -105,7 +105,7 @@ def _import(asked: argparse.Namespace) -> int:
 
 
 def _make(asked: argparse.Namespace, **sources: Any) -> int:
-    from lodbench.harness.own_dataset import OwnRequest, make_own_dataset, to_json
+    from lodbench.harness.photo.own_dataset import OwnRequest, make_own_dataset, to_json
 
     profile = load_profile(asked.source, asked.option, asked.crs)
     made = make_own_dataset(

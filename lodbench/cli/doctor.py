@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from lodbench.cli.console import check_lines
 
 if TYPE_CHECKING:
-    from lodbench.harness.doctor import Check
+    from lodbench.harness.doctor.doctor import Check
 
 
 def main(argv: Sequence[str]) -> int:
@@ -23,7 +23,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="one check per line, for machines")
     options = parser.parse_args(argv)
 
-    from lodbench.harness.doctor import examine, is_base_broken
+    from lodbench.harness.doctor.doctor import examine, is_base_broken
 
     checks = examine()
     if options.json:

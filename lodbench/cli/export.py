@@ -12,9 +12,9 @@ from lodbench.cli.verify import add_path_options, reopen_dataset
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
 from lodbench.harness.city import open_city
-from lodbench.harness.export import FORMATS, Exported, export_run, needs_cameras
-from lodbench.harness.export_rerun import export_rerun, require_rerun
-from lodbench.harness.stored import read_run
+from lodbench.harness.export.export import FORMATS, Exported, export_run, needs_cameras
+from lodbench.harness.export.rerun import export_rerun, require_rerun
+from lodbench.harness.runs.stored import read_run
 
 _EPILOG = """\
 Poses are written in the dataset's coordinates; queries without one are named, not written (in GeoJSON they

@@ -13,9 +13,9 @@ from omegaconf import DictConfig
 from lodbench.cli.hydra_app import plain, run_hydra, section, to_params
 from lodbench.cli.sources import profile_of
 from lodbench.errors import ConfigError
-from lodbench.rendering.photo import LookRanges
-from lodbench.training.generate import Generated, generate_training_data
-from lodbench.training.params import TrainingParams
+from lodbench.synthesis.photo import LookRanges
+from lodbench.synthesis.training_data.generate import Generated, generate_training_data
+from lodbench.synthesis.training_data.params import TrainingParams
 
 
 def main(argv: Sequence[str]) -> int:
@@ -43,8 +43,8 @@ def with_demo(values: dict[str, Any]) -> dict[str, Any]:
     name, _, which = str(values["city"]).partition(":")
     if name != "demo" or Path(values["city"]).exists():
         return values
-    from lodbench.datasets.demo.build import CITY_FILE, FINE_CITY_FILE, PROPS_FILE
-    from lodbench.datasets.demo.open import DemoParams, DemoTrainParams, demo_folder
+    from lodbench.synthesis.demo import DemoParams, DemoTrainParams, demo_folder
+    from lodbench.synthesis.town.build import CITY_FILE, FINE_CITY_FILE, PROPS_FILE
 
     if which not in ("", "test") and not which.isdecimal():
         raise ConfigError(f"city={values['city']} is not known.", "demo, demo:SEED or demo:test.")

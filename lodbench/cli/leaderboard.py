@@ -10,8 +10,8 @@ from pathlib import Path
 from lodbench.cli.verify import add_path_options, describe, read_config, verify_folder
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import DatasetError
-from lodbench.harness.result import split_digest
-from lodbench.harness.verify import Verdict
+from lodbench.harness.runs.result import split_digest
+from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.leaderboard import build_leaderboard
 from lodbench.reporting.leaderboard_entry import entry_path, entry_text, measured_entry, reasons_against
 from lodbench.storage import write_text

@@ -15,7 +15,7 @@ from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.sources import load_profile
 
 if TYPE_CHECKING:
-    from lodbench.harness.localize_photo import LocalizedPhoto
+    from lodbench.harness.photo.localize import LocalizedPhoto
 
 _EXAMPLES = """\
 The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goes before it.
@@ -34,7 +34,7 @@ def main(argv: Sequence[str]) -> int:
     segmenter = None if asked.mask is not None else segmenter_of(asked.segmenter, asked.segmenter_option)
 
     from lodbench.datasets.photo_pose import RoughPlace
-    from lodbench.harness.localize_photo import PhotoRequest, localize_photo
+    from lodbench.harness.photo.localize import PhotoRequest, localize_photo
 
     profile = load_profile(asked.source, asked.option, asked.crs)
     method = load_plugin("methods", asked.method)

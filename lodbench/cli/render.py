@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, to_params
 from lodbench.cli.sources import profile_of
-from lodbench.harness.render import RenderParams, render_poses
+from lodbench.harness.render.render import RenderParams, render_poses
 
 
 def main(argv: Sequence[str]) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lodbench.cli.verify import add_path_options, read_config, verify_folder
-from lodbench.harness.report import run_report
+from lodbench.harness.runs.report import run_report
 from lodbench.storage import write_text
 
 

@@ -16,8 +16,8 @@ from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.errors import ConfigError
 from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
-from lodbench.harness.artefacts import summary_of, write_artefacts
-from lodbench.harness.gallery import write_overlays
+from lodbench.harness.runs.artefacts import summary_of, write_artefacts
+from lodbench.harness.runs.gallery import write_overlays
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import calibration_columns
 from lodbench.reporting.table_formats import format_text

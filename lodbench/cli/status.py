@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lodbench.execution.progress import format_seconds
-from lodbench.harness.status import RunStatus, read_status
+from lodbench.harness.runs.status import RunStatus, read_status
 from lodbench.reporting.safe_text import plain_text
 
 

@@ -16,8 +16,8 @@ from lodbench.cli.hydra_app import load_plugin, to_params
 from lodbench.cli.run_dataset import open_dataset, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError, LodbenchError
-from lodbench.harness.stored import read_run
-from lodbench.harness.verify import Verdict, verify_run
+from lodbench.harness.runs.stored import read_run
+from lodbench.harness.runs.verify import Verdict, verify_run
 
 _EPILOG = """\
 Exit code: 0 all numbers follow, 1 they do not (one line per difference), 2 the run cannot be read.

@@ -9,9 +9,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lodbench.harness.run import Run as Run
-    from lodbench.harness.run import RunSettings as RunSettings
-    from lodbench.harness.run import run_method as run_method
+    from lodbench.harness.runs.run import Run as Run
+    from lodbench.harness.runs.run import RunSettings as RunSettings
+    from lodbench.harness.runs.run import run_method as run_method
 
 __all__ = ["Run", "RunSettings", "run_method"]
 
@@ -19,4 +19,4 @@ __all__ = ["Run", "RunSettings", "run_method"]
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("lodbench.harness.run"), name)
+    return getattr(import_module("lodbench.harness.runs.run"), name)

@@ -23,7 +23,7 @@ from lodbench.datasets.query import Dataset
 from lodbench.evaluation.errors import PoseError, pose_error
 from lodbench.findings import Findings
 from lodbench.harness.city import open_city
-from lodbench.harness.photo_check import check_photos
+from lodbench.harness.photo.check import check_photos
 from lodbench.storage import file_digest
 
 # Medians of a file that is the paper's agree to rounding; of another draw of the same kind to this.

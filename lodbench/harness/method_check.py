@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lodbench.errors import LodbenchError, QueryFault
-from lodbench.harness.doctor import FAULT, OK, Check
+from lodbench.harness.doctor.doctor import FAULT, OK, Check
 from lodbench.harness.method_rules import (
     Answers,
     Breach,
@@ -29,7 +29,7 @@ from lodbench.harness.method_rules import (
     whole_configuration,
 )
 from lodbench.harness.method_trial import CountingScorer, Trial, ask, make_trial
-from lodbench.localization import Estimate, Method
+from lodbench.methods import Estimate, Method
 
 _STREAMS_HINT = "Draw random numbers from streams only; keep nothing in the class or module."
 

@@ -14,8 +14,8 @@ from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.method_trial import Trial
-from lodbench.localization import Estimate, Method
-from lodbench.localization.method import Reaching
+from lodbench.methods import Estimate, Method
+from lodbench.methods.protocol import Reaching
 
 # The priors are 9 m and 3 degrees off; answers beyond these are in another frame or turned round.
 _FURTHEST_M, _FURTHEST_DEG = 300.0, 60.0
@@ -190,7 +190,7 @@ def plain_score(heard: Heard) -> str:
 
 def sound_uncertainty(heard: Heard) -> str:
     """A covariance, if given, is one; a probability lies in [0, 1]."""
-    hint = "Leave it None, or see Estimate in lodbench/localization/method.py."
+    hint = "Leave it None, or see Estimate in lodbench/methods/protocol.py."
     for name, found in heard.estimates.items():
         if found.probability is not None and not 0.0 <= found.probability <= 1.0:
             raise Breach(f"{name}: probability is {found.probability}", hint)

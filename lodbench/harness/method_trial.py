@@ -14,8 +14,8 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.blocks import scene_of_blocks
-from lodbench.localization import Estimate, Method
+from lodbench.harness.doctor.blocks import scene_of_blocks
+from lodbench.methods import Estimate, Method
 from lodbench.rendering import LayerRenderer, Scorer, make_renderer, open_renderer
 from lodbench.rendering.fit import Fit
 from lodbench.rendering.protocol import Floats, IouCounts

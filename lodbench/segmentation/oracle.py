@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Entry
-from lodbench.datasets.roughening import roughen_mask
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.storage import random_stream
+from lodbench.synthesis.mask_degradation import roughen_mask
 
 Mask = NDArray[np.bool_]
 

@@ -10,15 +10,15 @@ from lodbench.bench.accuracy import make_cases, measure_accuracy, reaching
 from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.accuracy_report import AccuracyReport, Outcome
 from lodbench.citymodel import open_scene
-from lodbench.datasets.roughening import mask_iou
-from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA
 from lodbench.errors import ConfigError
 from lodbench.evaluation import PoseError, pose_error
 from lodbench.evaluation.errors import FAILED
-from lodbench.localization.lodlocv2 import LodLocV2
-from lodbench.localization.lodlocv2 import Params as LodLocV2Params
-from lodbench.localization.sixdof import SixDof
+from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.methods.lodlocv2 import Params as LodLocV2Params
 from lodbench.rendering import make_renderer
+from lodbench.synthesis.mask_degradation import mask_iou
+from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 
 
 @pytest.fixture(scope="module")
@@ -117,13 +117,13 @@ def outcome(tilt, error, score=0.9, truth_score=0.88, hypotheses=2425):
 @pytest.fixture(scope="module")
 def several(city):
     options = AccuracyOptions(num_views=1, seeds=(0, 1), tilt_deg=0.5, threads=1)
-    return measure_accuracy(city, options, methods=[LodLocV2(LodLocV2Params(steps=1)), SixDof()])
+    return measure_accuracy(city, options, methods=[LodLocV2(LodLocV2Params(steps=1)), ContourAlignment()])
 
 
 class TestSeveral:
     def test_every_method_runs_every_view_of_every_seed_under_both_tilts(self, several):
         assert len(several.outcomes) == 8
-        for method in ("lodlocv2", "lodlocv2_6dof"):
+        for method in ("lodlocv2", "contour_alignment"):
             for tilt in ("truth", "prior"):
                 assert [o.seed for o in several.of_tilt(tilt, method)] == [0, 1]
 
@@ -132,13 +132,16 @@ class TestSeveral:
         assert first.prior_error != second.prior_error
 
     def test_only_who_says_a_probability_is_judged_by_it(self, several):
-        assert list(several.calibrations()) == ["lodlocv2_6dof, tilt=truth", "lodlocv2_6dof, tilt=prior"]
+        assert list(several.calibrations()) == [
+            "contour_alignment, tilt=truth",
+            "contour_alignment, tilt=prior",
+        ]
         assert "seeds 0, 1" in several.to_text()
         names = [figure.to_json()["figure"] for figure in several.figures()]
         assert len(set(names)) == len(names)
 
     def test_methods_are_told_the_width_of_the_tilt(self):
-        told = reaching(SixDof(), AccuracyOptions(tilt_deg=0.3).prior())
+        told = reaching(ContourAlignment(), AccuracyOptions(tilt_deg=0.3).prior())
         assert told.params.range_tilt_deg == pytest.approx(0.6)
         assert reaching(told, AccuracyOptions(range_m=50.0).prior()).params.range_z_m == 100
 
@@ -148,7 +151,7 @@ def test_masks_of_one_level_are_found_in_the_map_of_another(tmp_path):
     city = tmp_path / "city.json"
     city.write_text(json.dumps(two_levels(boxes)))
     options = AccuracyOptions(num_views=1, mask_iou=1.0, mask_lod="2", map_lod="1", threads=1)
-    report = measure_accuracy(city, options, methods=[SixDof()])
+    report = measure_accuracy(city, options, methods=[ContourAlignment()])
     assert "(masks LoD2, map LoD1)" in report.city
     # The map's roofs are 3 m too low: with masks of its own level the fit would be perfect.
     assert 0.5 < report.of_tilt("truth")[0].score < 0.99

@@ -5,9 +5,9 @@ import json
 import pytest
 
 from lodbench.bench import AccuracyOptions, budget, measure_budget
-from lodbench.localization.lodlocv2 import LodLocV2
-from lodbench.localization.lodlocv2 import Params as LodLocV2Params
-from lodbench.localization.sixdof import Params, SixDof
+from lodbench.methods.contour_alignment import ContourAlignment, Params
+from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.methods.lodlocv2 import Params as LodLocV2Params
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +15,7 @@ def report(city):
     ladder = [
         LodLocV2(LodLocV2Params(variant="no_refine")),
         LodLocV2(LodLocV2Params(steps=1)),
-        SixDof(Params(starts=1, steps=3)),
+        ContourAlignment(Params(starts=1, steps=3)),
     ]
     steps = []
     with pytest.MonkeyPatch.context() as patch:
@@ -28,7 +28,7 @@ def report(city):
 
 def test_a_point_for_each_setting(report):
     assert [point.hypotheses for point in report.curves["lodlocv2"]] == [504, 553]
-    (point,) = report.curves["lodlocv2_6dof"]
+    (point,) = report.curves["contour_alignment"]
     assert 504 < point.hypotheses < 553
     assert 0 <= point.low <= point.recall <= point.high <= 100
 
@@ -41,7 +41,7 @@ def test_text_figures_and_picture(report, tmp_path):
 
 
 def test_the_ladder_rises():
-    ours = [m.params for m in budget._ladder() if m.name == "lodlocv2_6dof"]
+    ours = [m.params for m in budget._ladder() if m.name == "contour_alignment"]
     costs = [len(p.grid()) + p.starts * (p.steps + 1) for p in ours]
     assert costs == sorted(costs)
     assert not any(p.searches_basins() for p in ours)

@@ -12,10 +12,10 @@ from lodbench.bench.scale import is_inside, swarms_inside
 from lodbench.bench.scale_report import ScaleReport, ScaleTimings
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.cli import main
-from lodbench.datasets.views import FINE_SIZE, RGB_CAMERA
 from lodbench.errors import ConfigError
 from lodbench.rendering import engine_store
 from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 
 QUICK = ScaleOptions(buildings=2300, num_views=2, hypotheses=14, horizon_hypotheses=2, repeats=1)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from lodbench.errors import QueryFault
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.localization import Estimate
+from lodbench.methods import Estimate
 
 COUNTER = itertools.count()
 
@@ -185,7 +185,7 @@ def plug_in(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["lodlocv2", "lodlocv2_6dof", "prior_only"])
+@pytest.mark.parametrize("name", ["lodlocv2", "contour_alignment", "prior_only"])
 def test_ours_keep_to_it(capsys, name):
     assert main(["check-method", name]) == 0
     told = capsys.readouterr().out

@@ -15,7 +15,7 @@ from lodbench.citymodel.cache import open_cached_scene
 from lodbench.cli import main
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_poses
-from lodbench.harness.export import FORMATS
+from lodbench.harness.export.export import FORMATS
 from tests.town import CAMERA, write_dataset
 
 # Where the boxes could stand: export needs a reference system, and boxes have none.

@@ -108,8 +108,8 @@ def test_fault_of_the_city(lodbench, tmp_path, dataset, name, content, expected)
 
 
 def test_a_level_of_detail_that_is_not_there(lodbench, tmp_path):
-    from lodbench.datasets.demo.citygml_writer import citygml_text
-    from lodbench.datasets.demo.town import grow_town
+    from lodbench.synthesis.town.citygml_writer import citygml_text
+    from lodbench.synthesis.town.town import grow_town
 
     path = tmp_path / "town.gml"
     path.write_text(citygml_text(grow_town(0)))

@@ -34,7 +34,7 @@ def test_six_degrees_of_freedom_find_it_with_the_sensor_s_tilt(lodbench, tmp_pat
     folder = shared_data / "uavd4l"
     done = lodbench(
         "run",
-        "method=lodlocv2_6dof",
+        "method=contour_alignment",
         "dataset=folder",
         f"dataset.root={folder / 'demo'}",
         f"dataset.city_model={folder / 'UAVD4L-LoD1.obj'}",
@@ -42,7 +42,7 @@ def test_six_degrees_of_freedom_find_it_with_the_sensor_s_tilt(lodbench, tmp_pat
         "tilt=prior",
     )
     assert done.returncode == 0, done.stderr
-    (table,) = (tmp_path / "runs" / "folder" / "lodlocv2_6dof").glob("*/queries.csv")
+    (table,) = (tmp_path / "runs" / "folder" / "contour_alignment").glob("*/queries.csv")
     (row,) = csv.DictReader(table.open())
     assert float(row["translation_error_m"]) < 2.5
     assert float(row["rotation_error_deg"]) < 1.0

@@ -182,16 +182,16 @@ def test_a_photo_that_cannot_be_read_costs_no_table(lodbench, tmp_path, content)
 
 
 def test_other_code_is_another_run(tmp_path, monkeypatch):
-    from lodbench.harness import code_digest as module
+    from lodbench.harness.runs import code_digest as module
 
     before = module.code_digest()
     changed = tmp_path / "lodbench"
     for layer in (*module._LAYERS, "storage"):
-        shutil.copytree(Path(module.__file__).parents[1] / layer, changed / layer)
-    with (changed / "localization" / "method.py").open("a") as stream:
+        shutil.copytree(Path(module.__file__).parents[2] / layer, changed / layer)
+    with (changed / "methods" / "protocol.py").open("a") as stream:
         stream.write("# changed\n")
     module._own_digest.cache_clear()
-    monkeypatch.setattr(module, "__file__", str(changed / "harness" / "code_digest.py"))
+    monkeypatch.setattr(module, "__file__", str(changed / "harness" / "runs" / "code_digest.py"))
     assert module.code_digest() != before
     module._own_digest.cache_clear()
 

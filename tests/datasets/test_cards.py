@@ -12,10 +12,10 @@ from lodbench.cli.dataset_card import main
 from lodbench.datasets.cards import CARDS, card_markdown
 from lodbench.datasets.codes import CATALOGUE
 from lodbench.datasets.croissant import card_croissant, croissant_text
-from lodbench.datasets.demo.town import TOWN_VERSION
-from lodbench.datasets.demo_card import demo_card_markdown
 from lodbench.datasets.published.specs import SPECS
 from lodbench.errors import ConfigError
+from lodbench.synthesis.demo_card import demo_card_markdown
+from lodbench.synthesis.town.town import TOWN_VERSION
 from tests.data.published_layouts import write_uavd4l
 
 _FOLDER = Path(__file__).resolve().parents[2] / "data_cards"

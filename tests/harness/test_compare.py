@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from lodbench.evaluation.errors import FAILED, PoseError
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
 from lodbench.evaluation.rows import NO_TRUTH, QueryRow
-from lodbench.harness.compare import paired_comparison
+from lodbench.harness.runs.compare import paired_comparison
 
 
 def run(*errors: PoseError) -> SimpleNamespace:

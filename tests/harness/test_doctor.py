@@ -8,8 +8,8 @@ from importlib.metadata import PackageNotFoundError
 
 import pytest
 
-from lodbench.harness import doctor
-from lodbench.harness.doctor import ABSENT, BROKEN, OK, Check, is_base_broken, run_probe
+from lodbench.harness.doctor import doctor
+from lodbench.harness.doctor.doctor import ABSENT, BROKEN, OK, Check, is_base_broken, run_probe
 from lodbench.rendering import RENDERERS
 
 
@@ -117,7 +117,8 @@ def test_torchvision_that_does_not_fit_torch_is_explained(tmp_path):
     (tmp_path / "torchvision-0.28.0.dist-info" / "METADATA").write_text(
         "Name: torchvision\nVersion: 0.28.0\n"
     )
-    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from lodbench.harness.probes import main; "
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
+    code += "from lodbench.harness.doctor.probes import main\n"
     done = subprocess.run(
         [sys.executable, "-c", code + "main('torchvision')"], capture_output=True, text=True, timeout=120
     )

@@ -5,7 +5,7 @@ from PIL import Image
 
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.findings import Findings
-from lodbench.harness.photo_check import check_photos
+from lodbench.harness.photo.check import check_photos
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from lodbench.training.generate import generate_training_data
-from lodbench.training.params import TrainingParams
+from lodbench.synthesis.training_data.generate import generate_training_data
+from lodbench.synthesis.training_data.params import TrainingParams
 from tests.town import box_obj
 
 # Few and small: what is tested does not depend on the size.

@@ -16,12 +16,12 @@ import pytest
 
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.rendering.photo import LookRanges
-from lodbench.training import world
-from lodbench.training.generate import generate_training_data
-from lodbench.training.params import TrainingParams
+from lodbench.synthesis.photo import LookRanges
+from lodbench.synthesis.training_data import world
+from lodbench.synthesis.training_data.generate import generate_training_data
+from lodbench.synthesis.training_data.params import TrainingParams
+from tests.synthesis.test_generate import files_in
 from tests.training.conftest import SMALL, WHOLE
-from tests.training.test_generate import files_in
 
 
 def test_a_killed_run_leaves_whole_pictures_and_goes_on(small_set, tmp_path):

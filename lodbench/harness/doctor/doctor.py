@@ -1,0 +1,172 @@
+"""What works on this machine, and what to install for the rest.
+
+Nothing of lodbench is imported at the top: where numpy itself is broken, this still has to say so.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib.util import find_spec
+
+from packaging.requirements import Requirement
+
+OK, ABSENT, BROKEN, FAULT = "ok", "absent", "broken", "fault"
+
+# A probe that has not answered by then hangs; the slowest compiles for a few seconds, on a loaded
+# machine perhaps for ten times that.
+_PROBE_TIMEOUT_S = 120.0
+
+# Renderers, and whether they come with the base install.
+RENDERER_TRIALS = {"silhouette": True, "reference": True, "raster": True, "pyrender": False, "open3d": False}
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing looked at.
+
+    Attributes:
+        section: ``machine``, ``packages``, ``extras``, ``folders``, ``renderers`` or ``traps``; of a
+            method ``plug-in`` or ``answers``.
+        name: What it is.
+        status: ``ok``, ``absent`` (optional, not installed) or ``broken``; of a method ``ok`` or ``fault``.
+        detail: What was found.
+        hint: What to do about it; empty when there is nothing to do.
+        is_base: Whether lodbench is of no use without it.
+    """
+
+    section: str
+    name: str
+    status: str
+    detail: str
+    hint: str = ""
+    is_base: bool = False
+
+
+def examine(timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:
+    """Returns everything there is to know; takes some seconds.
+
+    Args:
+        timeout_s: How long each trial in a process of its own may take.
+    """
+    checks = [*_machine(), *_packages(), *_folders()]
+    trials = [("machine", "numba", True)]
+    trials += [("renderers", name, is_base) for name, is_base in RENDERER_TRIALS.items()]
+    if find_spec("torch") and find_spec("torchvision"):
+        trials.append(("traps", "torchvision", False))
+    with ThreadPoolExecutor(_cores()) as pool:
+        checks += pool.map(lambda trial: run_probe(trial[0], trial[1], trial[2], timeout_s), trials)
+    order = ("machine", "packages", "extras", "folders", "renderers", "traps")
+    return sorted(checks, key=lambda check: order.index(check.section))
+
+
+def is_base_broken(checks: list[Check]) -> bool:
+    """Tells whether anything fails that lodbench cannot do without."""
+    return any(check.is_base and check.status != OK for check in checks)
+
+
+def run_probe(section: str, name: str, is_base: bool, timeout_s: float) -> Check:
+    """Returns how a trial of ``lodbench.harness.doctor.probes`` went in a process of its own."""
+    command = [sys.executable, "-m", "lodbench.harness.doctor.probes", name]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)  # noqa: S603
+    except subprocess.TimeoutExpired:
+        return Check(section, name, BROKEN, f"gave no answer within {timeout_s:.0f} s", "", is_base)
+    lines = done.stdout.splitlines()
+    if done.returncode != 0 or not lines:
+        return Check(section, name, BROKEN, _end_of(done.returncode, done.stderr), "", is_base)
+    answer = json.loads(lines[-1])
+    status = OK if answer["ok"] else BROKEN
+    if status == BROKEN and not is_base and find_spec(name) is None:
+        status = ABSENT
+    return Check(section, name, status, answer["detail"], answer["hint"], is_base)
+
+
+def _end_of(code: int, errors: str) -> str:
+    """Returns how a process ended, in words."""
+    if code < 0:
+        return f"crashed ({signal.Signals(-code).name})"
+    lines = errors.strip().splitlines()
+    return f"ended with code {code}: {lines[-1] if lines else 'no message'}"
+
+
+def _machine() -> Iterator[Check]:
+    is_supported = (3, 11) <= sys.version_info[:2] <= (3, 13)
+    yield Check(
+        "machine",
+        "Python",
+        OK if is_supported else BROKEN,
+        platform.python_version(),
+        "" if is_supported else "Use Python 3.11, 3.12 or 3.13.",
+        is_base=True,
+    )
+    yield Check("machine", "system", OK, f"{platform.system()} {platform.machine()}, {_cores()} cores")
+
+
+def _packages() -> Iterator[Check]:
+    """Yields a check per package of the base install, and one per extra."""
+    try:
+        requirements = [Requirement(text) for text in distribution("lodbench").requires or []]
+    except PackageNotFoundError:
+        hint = "pip install -e . in the checkout, or pip install lodbench."
+        yield Check("packages", "lodbench", BROKEN, "is not installed", hint, is_base=True)
+        return
+    for requirement in requirements:
+        if _is_wanted(requirement, ""):
+            fault = _fault(requirement)
+            hint = f"pip install '{requirement}'" if fault else ""
+            found = fault or version(requirement.name)
+            yield Check("packages", requirement.name, BROKEN if fault else OK, found, hint, is_base=True)
+    for extra in distribution("lodbench").metadata.get_all("Provides-Extra") or []:
+        wanted = [r for r in requirements if _is_wanted(r, extra) and not _is_wanted(r, "")]
+        faults = {r.name: fault for r in wanted if (fault := _fault(r))}
+        detail = ", ".join(f"{name} {fault}" for name, fault in faults.items())
+        hint = f"pip install 'lodbench[{extra}]'" if faults else ""
+        yield Check("extras", extra, ABSENT if faults else OK, detail or "complete", hint)
+
+
+def _is_wanted(requirement: Requirement, extra: str) -> bool:
+    return requirement.marker is None or requirement.marker.evaluate({"extra": extra})
+
+
+def _fault(requirement: Requirement) -> str:
+    """Returns what is wrong with a required package, or nothing."""
+    try:
+        found = version(requirement.name)
+    except PackageNotFoundError:
+        return "is not installed"
+    if requirement.specifier.contains(found, prereleases=True):
+        return ""
+    return f"is {found}, not {requirement.specifier}"
+
+
+def _folders() -> Iterator[Check]:
+    try:
+        from lodbench.storage.paths import cache_root, data_root
+    except ImportError as error:
+        yield Check("folders", "data, cache", BROKEN, f"cannot be asked for: {error}", is_base=True)
+        return
+    for name, folder, variable in (
+        ("data", data_root(), "LODBENCH_DATA"),
+        ("cache", cache_root(), "LODBENCH_CACHE"),
+    ):
+        ground = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        can_write = ground.is_dir() and os.access(ground, os.W_OK | os.X_OK)
+        hint = "" if can_write else f"Set {variable} to a folder you may write to."
+        detail = f"{folder}" if can_write else f"{folder} cannot be written to"
+        yield Check("folders", name, OK if can_write else BROKEN, detail, hint, is_base=True)
+
+
+def _cores() -> int:
+    """Returns how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,92 @@
+"""Trials that may crash or hang: `python -m lodbench.harness.doctor.probes NAME` tries one, says how.
+
+`lodbench doctor` runs each in a process of its own, so that a driver's crash takes only that down.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from lodbench.errors import LodbenchError, RenderingError
+from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.doctor.blocks import scene_of_blocks
+from lodbench.rendering import RENDERERS, open_renderer
+from lodbench.rendering.gl_guard import trust_driver
+
+
+def try_numba() -> str:
+    """Compiles a function; returns what there is to say."""
+    import numba
+
+    # No cache: the compiler itself is to be seen at work.
+    function = numba.njit(lambda values: (values * values).sum())
+    if function(np.arange(4.0)) != 14.0:
+        raise LodbenchError("A compiled function gives a wrong result.", "Reinstall numba and llvmlite.")
+    return f"compiles, with numba {numba.__version__}"
+
+
+def try_renderer(name: str) -> str:
+    """Draws a tower and compares it with the reference; returns what there is to say."""
+    scene = scene_of_blocks([(-6.0, -6.0, 6.0, 6.0, 0.0, 25.0)])
+    camera = Camera(160, 120, 110.0, 105.0, 83.0, 58.0)
+    pose = Pose.from_euler(EulerAngles(35.0, 1.0, 20.0), (0.0, -20.0, 40.0))
+    drawn = open_renderer(name, scene, 1).render(camera, pose)
+    expected = open_renderer("reference", scene, 1).render(camera, pose)
+    share = float(np.mean(drawn != expected))
+    if not drawn.any() or share > 0.01:
+        raise RenderingError(
+            f"{name} draws something else than the reference: {100 * share:.2f} % of the pixels differ.",
+            "Please report this machine's driver and versions.",
+        )
+    return "draws; to the bit as the reference" if share == 0 else f"draws; {100 * share:.2f} % differ"
+
+
+def try_torchvision() -> str:
+    """Imports torchvision beside torch; returns what there is to say."""
+    import torch
+
+    try:
+        import torchvision
+    except RuntimeError as error:
+        # Built against another torch, it fails with no ImportError, which fools those that guard for one.
+        raise LodbenchError(
+            f"torchvision {_version('torchvision')} does not fit torch {torch.__version__} ({error}).",
+            "pip uninstall torchvision (lodbench does not need it), or install both from one index: "
+            "pip install torch torchvision --index-url https://download.pytorch.org/whl/cpu",
+        ) from error
+    return f"{torchvision.__version__} loads beside torch {torch.__version__}"
+
+
+PROBES: dict[str, Callable[[], str]] = {
+    "numba": try_numba,
+    "torchvision": try_torchvision,
+    **{name: partial(try_renderer, name) for name in RENDERERS},
+}
+
+
+def main(name: str) -> None:
+    """Tries one thing and writes one line of JSON: ok, detail, hint."""
+    trust_driver()
+    try:
+        answer = {"ok": True, "detail": PROBES[name](), "hint": ""}
+    except LodbenchError as error:
+        answer = {"ok": False, "detail": error.message, "hint": error.hint}
+    except Exception as error:  # whatever a driver raises is the answer
+        answer = {"ok": False, "detail": f"{type(error).__name__}: {error}", "hint": ""}
+    # A line of its own: libraries write to standard output as they please.
+    sys.stdout.write("\n" + json.dumps(answer) + "\n")
+
+
+def _version(name: str) -> str:
+    from importlib.metadata import version
+
+    return version(name)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

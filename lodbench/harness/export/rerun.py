@@ -1,0 +1,172 @@
+"""A run as a recording for the Rerun viewer: the city, the cameras of every query, photos and masks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import ConfigError
+from lodbench.evaluation.rows import QueryRow
+from lodbench.geometry import Camera, Pose
+from lodbench.harness.export.export import Exported
+from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.stored import StoredRun
+from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR
+from lodbench.storage import write_bytes
+
+# BGR of each kind of pose, as in the overlays; but white would be lost on the viewer's light ground.
+_COLOURS = {"prior": PRIOR_COLOUR, "truth": (80, 170, 60), "estimate": ESTIMATE_COLOUR}
+_CITY_RGB = (176, 172, 164)
+# How far before a camera its picture is shown, metres.
+_PICTURE_M = 20.0
+_TIMELINE = "query"
+
+
+def require_rerun() -> None:
+    """Makes sure that Rerun's package is there.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    try:
+        import rerun  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(
+            f"--format rerun needs rerun, which is not installed ({error}).", "pip install 'lodbench[rerun]'"
+        ) from error
+
+
+def export_rerun(run: StoredRun, dataset: Dataset, scene: Scene, out: Path | None = None) -> Exported:
+    """Writes a recording in the city's local frame, one step of the timeline ``query`` per query.
+
+    Photos and the dataset's masks lie in the estimate's camera; why a query has none is told.
+
+    Args:
+        run: The run.
+        dataset: Its dataset: cameras, priors, truth, pictures.
+        scene: Its city.
+        out: File to write; by default in the run's folder ``export``.
+
+    Raises:
+        ConfigError: Rerun's package is missing.
+    """
+    require_rerun()
+    import rerun as rr
+
+    record = rr.RecordingStream("lodbench", recording_id=f"lodbench {run.folder.name}")
+    memory = record.memory_recording()
+    record.send_blueprint(_layout())
+    record.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    record.log("city", _mesh(scene), static=True)
+    tilt = "truth" if "truth" in run.tilts else "prior"
+    entries = {entry.key: entry for entry in dataset.entries}
+    for number, row in enumerate(run.rows):
+        record.set_time(_TIMELINE, sequence=number)
+        record.log("about", rr.TextDocument(_about(row), media_type="text/markdown"))
+        entry = entries[row.key]
+        poses = {
+            "prior": prior_of(entry, dataset, tilt),
+            "truth": dataset.truth.get(row.key),
+            "estimate": row.pose,
+        }
+        _log_query(record, entry, poses, scene.origin)
+    path = out or run.folder / "export" / "run.rrd"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, memory.drain_as_bytes())
+    without = tuple(row.name for row in run.rows if row.pose is None)
+    return Exported(path, len(run.rows) - len(without), without)
+
+
+def _log_query(record: Any, entry: Entry, poses: dict[str, Pose | None], origin: NDArray[np.float64]) -> None:
+    import rerun as rr
+
+    for kind, pose in poses.items():
+        if pose is None:  # else the viewer would go on showing the last query's
+            record.log(f"cameras/{kind}", rr.Clear(recursive=True))
+        else:
+            _log_camera(record, f"cameras/{kind}", pose.shifted(-origin), entry.camera, _COLOURS[kind])
+    if poses["estimate"] is not None and entry.camera is not None:
+        _log_pictures(record, "cameras/estimate", entry, entry.camera)
+
+
+def _log_camera(
+    record: Any, path: str, pose: Pose, camera: Camera | None, colour: tuple[int, int, int]
+) -> None:
+    import rerun as rr
+
+    record.log(path, rr.Transform3D(translation=pose.center, mat3x3=pose.rotation.T))
+    rgb = colour[::-1]
+    record.log(f"{path}/centre", rr.Points3D([[0.0, 0.0, 0.0]], colors=[rgb], radii=[1.0]))
+    if camera is not None:
+        lens = rr.Pinhole(
+            resolution=(camera.width, camera.height),
+            focal_length=(camera.fx, camera.fy),
+            principal_point=(camera.cx, camera.cy),
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=_PICTURE_M,
+            color=rgb,
+        )
+        record.log(path, lens)
+
+
+def _log_pictures(record: Any, path: str, entry: Entry, camera: Camera) -> None:
+    """Logs the photo as it is stored, and the mask at the photo's size."""
+    import cv2
+    import rerun as rr
+
+    photo, mask = (None if file is None else read_picture(file) for file in (entry.image, entry.mask))
+    if photo is None or entry.image is None:
+        record.log(f"{path}/photo", rr.Clear(recursive=False))
+    elif entry.image.suffix.lower() in (".jpg", ".jpeg", ".png"):
+        record.log(f"{path}/photo", rr.EncodedImage(path=entry.image))
+    else:
+        record.log(f"{path}/photo", rr.Image(photo, color_model="BGR").compress())
+    if mask is None:
+        record.log(f"{path}/mask", rr.Clear(recursive=False))
+    else:
+        size = (camera.width, camera.height)
+        is_building = cv2.resize(mask[:, :, 0], size, interpolation=cv2.INTER_NEAREST) > 127
+        record.log(f"{path}/mask", rr.SegmentationImage(is_building.astype(np.uint8), opacity=0.4))
+
+
+def _mesh(scene: Scene) -> Any:
+    """Returns the city with a normal per triangle: edges stay sharp in the viewer's light."""
+    import rerun as rr
+
+    corners = scene.vertices[scene.triangles.ravel()].astype(np.float64).reshape(-1, 3, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return rr.Mesh3D(
+        vertex_positions=corners.reshape(-1, 3).astype(np.float32),
+        vertex_normals=np.repeat(normals, 3, axis=0).astype(np.float32),
+        triangle_indices=np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3),
+        albedo_factor=_CITY_RGB,
+    )
+
+
+def _about(row: QueryRow) -> str:
+    """Returns what is known of a query's answer, in Markdown."""
+    lines = [f"### {row.key}", row.failure or f"score {row.score}, {row.hypotheses} hypotheses"]
+    for what, error in (("estimate", row.error), ("prior", row.prior_error)):
+        if error is not None and np.isfinite(error.translation_m):
+            lines.append(
+                f"- {what}: {error.translation_m:.2f} m, {error.rotation_deg:.2f} deg from the truth"
+            )
+    return "\n\n".join(lines)
+
+
+def _layout() -> Any:
+    """Returns how the viewer opens: the city, the photo with the city over it, and the numbers."""
+    import rerun.blueprint as rrb
+
+    photo = rrb.Spatial2DView(origin="cameras/estimate", name="photo")
+    side = rrb.Vertical(photo, rrb.TextDocumentView(origin="about", name="about"), row_shares=[3, 1])
+    return rrb.Blueprint(
+        rrb.Horizontal(rrb.Spatial3DView(origin="/", name="city"), side), collapse_panels=True
+    )

@@ -1,0 +1,248 @@
+"""One photo and a city: from its metadata to a pose, a picture and a map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.map_frame import MapFrame, Place
+from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
+from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, datum_note, pose_at, pose_from_photo
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.query import Entry
+from lodbench.datasets.undistort import pinhole_of, undistorted
+from lodbench.errors import DatasetError
+from lodbench.evaluation import PoseError, pose_error
+from lodbench.geometry import Camera, Pose
+from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.photo.outputs import PhotoView, write_photo_map, write_photo_overlay
+from lodbench.methods import Estimate, Method
+from lodbench.methods.localize import localize
+from lodbench.segmentation import Segmenter, check_mask, notes_of
+from lodbench.segmentation.masks import read_mask
+
+# Below this overlap of mask and model a pose is not to be trusted.
+_POOR_FIT = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoRequest:
+    """What to localise, and how; what is None is taken from the photo's metadata.
+
+    Attributes:
+        photo: The photo.
+        city: City model.
+        out: Folder for the overlay and the map.
+        mask: Building mask of the photo as it is stored, white = building; goes before the segmenter.
+        segmenter: Makes the mask where none is given.
+        camera: Intrinsics of the photo as it is stored, lens distortion included.
+        given: Rough place and angles that go before the photo's.
+        center: Rough place in the city's coordinates (east, north, up, metres); goes before all others.
+        heights: How the drone's heights become the city's.
+        lod: Level of detail, or None for the lowest.
+        options: How to read the city.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+        method: How to localise; LoD-Loc v2 by default.
+        seed: Seed of the search.
+    """
+
+    photo: Path
+    city: Path
+    out: Path
+    mask: Path | None = None
+    segmenter: Segmenter | None = None
+    camera: Camera | None = None
+    given: RoughPlace = field(default_factory=RoughPlace)
+    center: tuple[float, float, float] | None = None
+    heights: HeightOptions = field(default_factory=HeightOptions)
+    lod: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    roof_height: str | None = None
+    method: Method | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizedPhoto:
+    """The answer.
+
+    Attributes:
+        photo: File name.
+        crs: Reference system of ``pose``, or None for a local frame.
+        lod: Level of detail localised against.
+        pose: In the city's coordinates.
+        prior: Likewise.
+        moved: How far the estimate lies from the prior.
+        score: Of the method: the overlap (IoU) of mask and model for LoD-Loc v2.
+        place: Where on Earth, or None without a reference system.
+        camera: Pinhole that was localised.
+        camera_source: Where its numbers came from.
+        overlay: Picture written.
+        geojson: Map written, or None without a reference system.
+        notes: What the reader should know.
+    """
+
+    photo: str
+    crs: str | None
+    lod: str
+    pose: Pose
+    prior: Pose
+    moved: PoseError
+    score: float
+    place: Place | None
+    camera: Camera
+    camera_source: str
+    overlay: Path
+    geojson: Path | None
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain values for JSON, units in the names."""
+        return {
+            "photo": self.photo,
+            "place": None if self.place is None else self.place._asdict(),
+            "crs": self.crs,
+            "lod": self.lod,
+            "pose": _pose_values(self.pose),
+            "prior": _pose_values(self.prior),
+            "moved_m": self.moved.translation_m,
+            "turned_deg": self.moved.rotation_deg,
+            "score": self.score,
+            "camera": {"colmap": [*self.camera.to_colmap()], "source": self.camera_source},
+            "overlay": str(self.overlay),
+            "geojson": None if self.geojson is None else str(self.geojson),
+            "notes": list(self.notes),
+        }
+
+
+def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
+    """Returns the pose of a photo, and writes its overlay and map.
+
+    Raises:
+        LodbenchError: The photo, its metadata, mask or camera, or the city is missing or not fit; nothing
+            is written then.
+    """
+    photo = read_photo_metadata(request.photo)
+    camera, camera_source = _camera(request, photo)
+    pinhole = pinhole_of(camera)
+    mask = _pinhole_mask(request, camera, pinhole)
+    city = open_city(request.city, request.lod, request.options, request.roof_height)
+    frame = None if city.scene.crs is None else MapFrame(city.scene.crs)
+    prior = _prior(request, photo, frame)
+    _check_distance(prior, city.scene, request.photo.name)
+    estimate = localize(city.scene, pinhole, prior, mask, method=request.method, seed=request.seed)
+    view = PhotoView(request.photo.name, read_picture(request.photo), camera, pinhole, mask)
+    request.out.mkdir(parents=True, exist_ok=True)
+    overlay = request.out / f"{request.photo.stem}_overlay.png"
+    write_photo_overlay(overlay, view, city.scene, prior, estimate)
+    geojson = None if frame is None else request.out / f"{request.photo.stem}.geojson"
+    if frame is not None and geojson is not None:
+        write_photo_map(geojson, frame, request.photo.name, prior, estimate)
+    return LocalizedPhoto(
+        photo=request.photo.name,
+        crs=city.scene.crs,
+        lod=city.scene.lod,
+        pose=estimate.pose,
+        prior=prior,
+        moved=pose_error(estimate.pose, prior),
+        score=float(estimate.score),
+        place=None if frame is None else frame.place_of(estimate.pose),
+        camera=pinhole,
+        camera_source=camera_source,
+        overlay=overlay,
+        geojson=geojson,
+        notes=(
+            *city.notes(),
+            *_segmenter_notes(request),
+            *_notes(photo, frame, camera, estimate, view.pixels is not None),
+        ),
+    )
+
+
+def _camera(request: PhotoRequest, photo: PhotoMetadata) -> tuple[Camera, str]:
+    if request.camera is None:
+        found = camera_from_photo(photo)
+        return found.camera, found.source
+    camera = request.camera
+    if (camera.width, camera.height) != (photo.width, photo.height):
+        raise DatasetError(
+            f"The camera is of {camera.width} x {camera.height} pixels, {photo.name} has "
+            f"{photo.width} x {photo.height}.",
+            "Give the intrinsics of the photo as it is stored.",
+        )
+    return camera, "given"
+
+
+def _pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:
+    """Returns the probability of building at each pixel, as the pinhole sees it."""
+    if request.mask is not None:
+        probability = read_mask(request.mask)
+    elif request.segmenter is not None:
+        entry = Entry(request.photo.name, "", camera, None, request.photo, None)
+        probability = request.segmenter.segment(entry)
+    else:
+        raise DatasetError("There is no mask of the buildings.", "Give --mask FILE: white is building.")
+    return np.asarray(undistorted(check_mask(probability, camera), camera, pinhole))
+
+
+def _prior(request: PhotoRequest, photo: PhotoMetadata, frame: MapFrame | None) -> Pose:
+    if request.center is not None:
+        east, north, _ = request.center
+        convergence = 0.0 if frame is None else frame.convergence_deg(east, north)
+        return pose_at(request.center, convergence, photo, request.given)
+    if frame is None:
+        raise DatasetError(
+            f"{request.city.name} names no reference system, so GPS means nothing in it.",
+            "Name it with --crs, or give --center EAST NORTH UP in the city's coordinates.",
+        )
+    return pose_from_photo(photo, frame, request.heights, request.given)
+
+
+def _check_distance(prior: Pose, scene: Scene, name: str) -> None:
+    """Makes sure that the camera is near the city.
+
+    Raises:
+        DatasetError: It is kilometres away from it.
+    """
+    distance = distance_outside_m(prior, scene)
+    if distance > FURTHEST_M:
+        raise DatasetError(
+            f"By its position {name} was taken {distance / 1000:.1f} km outside the city model.",
+            "Is it the right tile, and its reference system right? lodbench city info says where it is.",
+        )
+
+
+def _segmenter_notes(request: PhotoRequest) -> tuple[str, ...]:
+    return notes_of(request.segmenter) if request.mask is None else ()
+
+
+def _notes(
+    photo: PhotoMetadata, frame: MapFrame | None, camera: Camera, estimate: Estimate, is_decoded: bool
+) -> list[str]:
+    datum = None if frame is None else datum_note(frame)
+    notes = [] if datum is None else [datum]
+    if photo.orientation > 1:
+        notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
+    if not is_decoded:
+        notes.append("the photo's pixels cannot be decoded: the overlay shows none")
+    if camera.distortion:
+        notes.append(f"the lens distortion ({camera.lens}) was undone before localising")
+    if estimate.score < _POOR_FIT:
+        notes.append(f"mask and model overlap by {estimate.score:.2f} only: do not trust this pose")
+    return notes
+
+
+def _pose_values(pose: Pose) -> dict[str, Any]:
+    return {
+        "center_m": [float(v) for v in pose.center],
+        **pose.euler._asdict(),
+        "quat_wxyz": list(pose.quat_wxyz),
+        "translation_m": [float(v) for v in pose.translation],
+    }

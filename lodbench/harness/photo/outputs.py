@@ -1,0 +1,62 @@
+"""What localising a photo leaves: a picture of mask and city over the photo, and a map of the cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.exchange.geojson import camera_feature, view_feature, write_geojson
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.undistort import undistorted
+from lodbench.geometry import Camera, Pose
+from lodbench.methods import Estimate
+from lodbench.rendering import make_renderer
+from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
+from lodbench.segmentation import binary_mask
+
+
+class PhotoView(NamedTuple):
+    """A photo as the camera took it, and as it was localised.
+
+    Attributes:
+        name: File name.
+        pixels: (H, W, 3) uint8 of the photo as stored, or None where it cannot be decoded.
+        camera: Its camera, lens included.
+        pinhole: The camera that was localised.
+        mask: (H, W) probability of building as the pinhole sees it.
+    """
+
+    name: str
+    pixels: NDArray[np.uint8] | None
+    camera: Camera
+    pinhole: Camera
+    mask: NDArray[np.float32]
+
+
+def write_photo_overlay(path: Path, view: PhotoView, scene: Scene, prior: Pose, estimate: Estimate) -> None:
+    """Writes the photo with the city's outline at the estimate beside it at the prior."""
+    shown = OverlayInput(
+        camera=view.pinhole,
+        mask=binary_mask(view.mask, view.mask.shape[1], view.mask.shape[0]),
+        image=None if view.pixels is None else undistorted(view.pixels, view.camera, view.pinhole),
+        prior=prior.shifted(-scene.origin),
+        estimate=estimate.pose.shifted(-scene.origin),
+        truth=None,
+        caption=f"{view.name}: score {estimate.score:.3f}",
+    )
+    write_picture(path, draw_overlay(shown, make_renderer("silhouette", scene)))
+
+
+def write_photo_map(path: Path, frame: MapFrame, name: str, prior: Pose, estimate: Estimate) -> None:
+    """Writes the cameras of prior and estimate, and what the latter sees, as GeoJSON."""
+    stated = {"name": name, "kind": "estimate", "score": round(float(estimate.score), 4)}
+    features = [
+        camera_feature(frame, estimate.pose, stated),
+        view_feature(frame, estimate.pose, {"name": name}),
+        camera_feature(frame, prior, {"name": name, "kind": "prior"}),
+    ]
+    write_geojson(features, path)

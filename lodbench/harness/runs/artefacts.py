@@ -1,0 +1,199 @@
+"""What a finished run leaves in its folder; everything printed can be recomputed from it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import platform
+import sys
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from lodbench import __version__
+from lodbench.datasets.pose_text import format_pose, lines_to_text
+from lodbench.datasets.prior_sources import PRIORS, prior_text
+from lodbench.evaluation.errors import ErrorParts, PoseError
+from lodbench.evaluation.rows import seconds_per_query, summarize_rows
+from lodbench.harness.runs.result import Result
+from lodbench.harness.runs.run import Run
+from lodbench.reporting.leaderboard_entry import has_random_weights
+from lodbench.reporting.summaries import SUMMARY_SCHEMA
+from lodbench.storage import hide_formula, write_text
+
+
+def write_artefacts(run: Result, config_yaml: str) -> None:
+    """Writes config, poses, per-query rows and the summary; and, apart from them, times and provenance.
+
+    ``priors.txt`` has where a method started, before ``tilt``. All but the times and the provenance are
+    the same bytes whatever the machine's threads.
+    """
+    contents = {
+        "config.yaml": config_yaml,
+        "poses.txt": lines_to_text(_pose_lines(run)),
+        "queries.csv": _queries_csv(run),
+        "summary.json": _json(summary_of(run)),
+    }
+    if isinstance(run, Run):
+        scored = {row.key for row in run.rows}
+        entries = [entry for entry in run.dataset.entries if entry.key in scored]
+        words = _prior_in_words(run.config.get("prior", {"name": "file"}))
+        contents["priors.txt"] = prior_text(entries, words, run.config["seed"])
+    for name, content in contents.items():
+        write_text(run.folder / name, content)
+    write_text(run.folder / "timings.csv", _timings_csv(run))
+    # What lets a reader see that a file was changed afterwards, down to the last digit of a score.
+    digests = {name: sha256(content.encode()).hexdigest() for name, content in contents.items()}
+    write_text(run.folder / "provenance.json", _json({**_provenance(run), "files": digests}))
+
+
+def summary_of(run: Result) -> dict[str, Any]:
+    """Returns the summary: protocol, recalls by split, the priors' own, failures by reason."""
+    splits, priors = {}, {}
+    for split in run.splits:
+        estimates, prior = summarize_rows(run.rows, split)
+        splits[split], priors[split] = estimates.to_json(), prior.to_json()
+    failures: dict[str, int] = {}
+    for row in run.rows:
+        if row.failure:
+            failures[row.failure] = failures.get(row.failure, 0) + 1
+    config = run.config
+    return {
+        "schema": SUMMARY_SCHEMA,
+        "dataset": {"name": run.dataset.name, "version": run.dataset.version, **run.inputs},
+        "method": {
+            "name": config["method"]["name"],
+            "variant": config["method"].get("variant", ""),
+            "params": {k: v for k, v in config["method"].items() if k not in ("name", "variant", "notes")},
+        },
+        "protocol": {
+            "tilt": config["tilt"],
+            "seed": config["seed"],
+            "segmenter": config["segmenter"]["name"],
+            "renderer": config["renderer"],
+            "lod": run.lod,
+            "prior": _prior_in_words(config.get("prior", {"name": "file"})),
+        },
+        "splits": splits,
+        "prior": priors,
+        "failures": dict(sorted(failures.items())),
+        "notes": list(run.dataset.notes),
+        **({"invalid": "random weights"} if has_random_weights(config) else {}),
+    }
+
+
+def _prior_in_words(prior: dict[str, Any]) -> str:
+    """Returns the protocol of a configuration's priors; of a file only its digest is known."""
+    settings = {key: value for key, value in prior.items() if key not in ("name", "content")}
+    words: str = PRIORS[prior["name"]](**settings).describe()
+    return f"of another file ({prior['content']})" if "content" in prior else words
+
+
+def _pose_lines(run: Result) -> list[str]:
+    return [
+        format_pose(row.key if len(run.splits) > 1 else row.name, row.pose)
+        for row in run.rows
+        if row.pose is not None
+    ]
+
+
+def _queries_csv(run: Result) -> str:
+    header = [
+        "query",
+        "split",
+        "translation_error_m",
+        "rotation_error_deg",
+        "score",
+        "hypotheses",
+        "failure",
+        "prior_translation_error_m",
+        "prior_rotation_error_deg",
+        "tilt",
+        "horizontal_error_m",
+        "vertical_error_m",
+        "yaw_error_deg",
+        "mask_iou",
+        "probability",
+        "covariance",
+    ]
+    rows = [
+        [
+            hide_formula(row.name),
+            hide_formula(row.split),
+            *_error_cells(row.error),
+            "" if row.score is None else repr(row.score),
+            "" if row.hypotheses is None else row.hypotheses,
+            hide_formula(row.failure),
+            *_error_cells(row.prior_error),
+            run.config["tilt"],
+            *_part_cells(row.parts),
+            "" if row.mask_iou is None else repr(row.mask_iou),
+            "" if row.probability is None else repr(row.probability),
+            " ".join(repr(value) for value in row.covariance),
+        ]
+        for row in run.rows
+    ]
+    return csv_text(header, rows)
+
+
+def _error_cells(error: PoseError | None) -> list[str]:
+    """Returns two cells, empty where there is no finite number."""
+    if error is None or math.isinf(error.translation_m):
+        return ["", ""]
+    return [repr(error.translation_m), repr(error.rotation_deg)]
+
+
+def _part_cells(parts: ErrorParts | None) -> list[str]:
+    if parts is None or math.isinf(parts.horizontal_m):
+        return ["", "", ""]
+    return [repr(value) for value in parts]
+
+
+def _timings_csv(run: Result) -> str:
+    stages = list(dict.fromkeys(stage for row in run.rows for stage in row.seconds))
+    rows = [
+        [hide_formula(row.name), hide_formula(row.split), *(row.seconds.get(stage, "") for stage in stages)]
+        for row in run.rows
+    ]
+    return csv_text(["query", "split", *(f"{stage}_s" for stage in stages)], rows)
+
+
+def csv_text(header: list[str], rows: list[list[Any]]) -> str:
+    """Returns a CSV file: a header and lines."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def _provenance(run: Result) -> dict[str, Any]:
+    import numba
+    import numpy
+
+    city = run.dataset.city_model
+    return {
+        "lodbench": __version__,
+        "python": sys.version.split()[0],
+        "numpy": numpy.__version__,
+        "numba": numba.__version__,
+        "machine": platform.machine(),
+        "system": platform.platform(),
+        "city_model": None if city is None else str(Path(city).resolve()),
+        "dataset_root": str(Path(run.dataset.root).resolve()),
+        **(_work(run) if isinstance(run, Run) else {}),
+        "seconds_per_query": {
+            split: (None if math.isnan(s := seconds_per_query(run.rows, split)) else s)
+            for split in run.splits
+        },
+    }
+
+
+def _work(run: Run) -> dict[str, Any]:
+    return {"threads": getattr(run.scorer, "threads", 1), "queries_resumed": run.resumed}
+
+
+def _json(value: dict[str, Any]) -> str:
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"

@@ -1,0 +1,161 @@
+"""A convergence basin: runs over ever wider priors, their tables and pictures."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from lodbench.evaluation.basin import ORIENTATION, TRANSLATION, BasinStep
+from lodbench.evaluation.recall import SplitSummary
+from lodbench.evaluation.rows import seconds_per_query, summarize_rows
+from lodbench.harness.runs.artefacts import csv_text, summary_of
+from lodbench.harness.runs.cost_maps import CostGrid, cost_csv_rows, measure_cost_maps
+from lodbench.harness.runs.result import chosen_entries
+from lodbench.harness.runs.run import Run
+from lodbench.reporting.basin_figures import RecallCurve, draw_cost_maps, draw_recall_curves
+from lodbench.reporting.cells import cells_of
+from lodbench.reporting.table_formats import format_markdown
+from lodbench.reporting.table_latex import format_latex
+from lodbench.reporting.tables import RecallTable, TableRow, title_of
+from lodbench.storage import digest_of, write_bytes, write_text
+
+_AXES = {
+    TRANSLATION: "prior's half width in x, y and z, m",
+    ORIENTATION: "prior's half width in yaw, deg",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Basin:
+    """The runs of a basin.
+
+    Attributes:
+        protocol: The protocol, in words.
+        steps: Rows of the tables and their runs.
+    """
+
+    protocol: tuple[str, ...]
+    steps: list[tuple[BasinStep, Run]]
+
+    def add(self, step: BasinStep, run: Run) -> None:
+        """Adds a finished row."""
+        self.steps.append((step, run))
+
+    def run_of(self, step: BasinStep) -> Run:
+        """Returns the run of a row."""
+        return next(run for known, run in self.steps if known == step)
+
+    def summary(self, step: BasinStep, split: str) -> SplitSummary:
+        """Returns the recalls of a row."""
+        return summarize_rows(self.run_of(step).rows, split)[0]
+
+    def of_kind(self, kind: str) -> list[tuple[BasinStep, Run]]:
+        """Returns the rows of one of the two tables."""
+        return [(step, run) for step, run in self.steps if step.kind == kind]
+
+    def tables(self) -> list[RecallTable]:
+        """Returns the translation table and its orientation twin, where they have rows."""
+        return [_table(self, kind) for kind in (TRANSLATION, ORIENTATION) if self.of_kind(kind)]
+
+
+def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
+    """Writes the tables, the pictures and the protocol of a basin; returns their folder.
+
+    Args:
+        basin: The finished runs.
+        grid: Where to measure the cost around the truth; None for no maps.
+    """
+    first = basin.steps[0][1]
+    name = digest_of([run.folder.name for _, run in basin.steps])
+    folder = first.folder.parent.parent / "basin" / f"{first.folder.parent.name}-{name}"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "protocol.txt", "\n".join(basin.protocol) + "\n")
+    write_text(folder / "basin.csv", csv_text(*_csv_rows(basin)))
+    write_text(folder / "basin.md", "\n".join(map(format_markdown, basin.tables())))
+    write_text(folder / "basin.tex", "\n".join(map(format_latex, basin.tables())))
+    runs = [{"kind": s.kind, "half_width": s.half_width, "run": str(r.folder)} for s, r in basin.steps]
+    write_text(folder / "runs.json", json.dumps(runs, indent=2) + "\n")
+    panels = [
+        (_AXES[kind], _curves(basin, kind)) for kind in (TRANSLATION, ORIENTATION) if basin.of_kind(kind)
+    ]
+    _write_figure(folder / "recall", draw_recall_curves(panels))
+    if grid is not None:
+        _write_maps(folder, max((run for _, run in basin.steps), key=lambda run: len(run.rows)), grid)
+    return folder
+
+
+def _write_maps(folder: Path, run: Run, grid: CostGrid) -> None:
+    entries = chosen_entries(run.dataset, run.splits, run.config.get("limit"))
+    # Another grid, another ledger: its numbers stand at other offsets.
+    ledger = folder / f"cost_ledger_{digest_of(asdict(grid))}.jsonl"
+    maps = measure_cost_maps(run.preparation, run.scorer, entries, ledger, grid)
+    if maps is None:
+        return
+    header, *rows = cost_csv_rows(maps)
+    write_text(folder / "cost_maps.csv", csv_text([str(name) for name in header], rows))
+    pictures = draw_cost_maps(
+        maps.num_queries,
+        grid.xy(),
+        maps.xy,
+        (grid.z(), maps.z, maps.z_spread),
+        (grid.yaw(), maps.yaw, maps.yaw_spread),
+    )
+    _write_figure(folder / "cost_maps", pictures)
+
+
+def _write_figure(stem: Path, pictures: dict[str, bytes]) -> None:
+    for kind, content in pictures.items():
+        write_bytes(stem.with_suffix(f".{kind}"), content)
+
+
+def _table(basin: Basin, kind: str) -> RecallTable:
+    rows = basin.of_kind(kind)
+    summary = summary_of(rows[0][1])
+    splits = tuple(dict.fromkeys(split for _, run in rows for split in run.splits))
+    body = []
+    for step, run in rows:
+        cells = {split: cells_of(basin.summary(step, split).to_json()) for split in run.splits}
+        counts = {cell.num_queries for cell in cells.values()}
+        queries = "" if len(rows) == 1 else f" ({'/'.join(map(str, sorted(counts)))} queries)"
+        body.append(TableRow(f"{step.label}{queries}", cells))
+    method = f"{summary['method']['name']} {summary['method']['variant']}".strip()
+    title = f"{method}, {kind} of the prior · {title_of(summary, {'prior'})}"
+    return RecallTable(title, splits, tuple(body))
+
+
+def _curves(basin: Basin, kind: str) -> list[RecallCurve]:
+    rows = basin.of_kind(kind)
+    widths = tuple(step.half_width for step, _ in rows)
+    return [
+        RecallCurve(split, widths, tuple(basin.summary(step, split) for step, _ in rows))
+        for split in rows[0][1].splits
+    ]
+
+
+def _csv_rows(basin: Basin) -> tuple[list[str], list[list[Any]]]:
+    labels = list(basin.summary(basin.steps[0][0], basin.steps[0][1].splits[0]).recall)
+    header = ["kind", "half_width", "unit", "split", "queries", "failed", *labels]
+    header += [f"{label} {end}" for label in labels for end in ("low", "high")]
+    header += [
+        "median_translation_m",
+        "median_rotation_deg",
+        "hypotheses_per_query",
+        "seconds_per_query",
+        "run",
+    ]
+    rows: list[list[Any]] = []
+    for step, run in basin.steps:
+        for split in run.splits:
+            s = basin.summary(step, split)
+            rows.append(
+                [
+                    *(step.kind, step.half_width, step.unit, split, s.num_queries, s.num_failed),
+                    *s.recall.values(),
+                    *(end for bounds in s.interval.values() for end in bounds),
+                    *(s.median_translation_m, s.median_rotation_deg, s.hypotheses_per_query),
+                    *(seconds_per_query(run.rows, split), run.folder.name),
+                ]
+            )
+    return header, rows

@@ -1,0 +1,59 @@
+"""Whether two stored runs differ: tests over the queries that both were scored on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lodbench.evaluation.errors import PoseError
+from lodbench.evaluation.recall import Threshold, hits_of
+from lodbench.evaluation.rows import QueryRow
+from lodbench.evaluation.statistics import Comparison, mcnemar, paired_medians
+from lodbench.harness.runs.stored import StoredRun
+
+
+def require_same_queries(first: StoredRun, second: StoredRun) -> str:
+    """Returns why two runs cannot be compared query by query; "" if they can."""
+    if first.summary["dataset"]["name"] != second.summary["dataset"]["name"]:
+        return "the datasets differ"
+    keys = [{row.key for row in run.rows if row.error is not None} for run in (first, second)]
+    if keys[0] != keys[1]:
+        return f"the queries differ: {len(keys[0] ^ keys[1])} are in one run only"
+    truths = [run.summary["dataset"].get("queries") for run in (first, second)]
+    if truths[0] != truths[1]:
+        return "the names are the same, but not the cameras, priors or truths"
+    return ""
+
+
+def paired_comparison(
+    first: StoredRun, second: StoredRun, thresholds: Sequence[Threshold]
+) -> list[Comparison]:
+    """Returns the tests of each split: recall at each threshold, and the median errors.
+
+    Args:
+        first: A run.
+        second: Another over the same queries (see ``require_same_queries``).
+        thresholds: Where to compare recall.
+    """
+    found = []
+    for split in first.summary["splits"]:
+        one = _errors(first.rows, split)
+        if not one:
+            continue  # no truth to be tested against
+        order = {key: number for number, key in enumerate(one)}
+        two = dict(sorted(_errors(second.rows, split).items(), key=lambda item: order[item[0]]))
+        a, b = (np.array(list(errors.values()), dtype=np.float64).reshape(-1, 2) for errors in (one, two))
+        for threshold in thresholds:
+            hits = hits_of(a, threshold), hits_of(b, threshold)
+            before, after = (100.0 * float(hit.mean()) for hit in hits)
+            found.append(Comparison(split, f"recall {threshold.label}", "%", before, after, mcnemar(*hits)))
+        for column, (name, unit) in enumerate((("median translation", "m"), ("median rotation", "deg"))):
+            x, y = a[:, column], b[:, column]
+            medians = float(np.median(x)), float(np.median(y))
+            found.append(Comparison(split, name, unit, *medians, paired_medians(x, y)))
+    return found
+
+
+def _errors(rows: Sequence[QueryRow], split: str) -> dict[str, PoseError]:
+    return {row.key: row.error for row in rows if row.split == split and row.error is not None}

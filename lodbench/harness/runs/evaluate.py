@@ -1,0 +1,136 @@
+"""Scoring poses that were made elsewhere, into the artefacts that a run leaves."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.folder import select_splits
+from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import ConfigError
+from lodbench.evaluation.pose_matching import match_poses, suspect_convention
+from lodbench.evaluation.rows import NO_TRUTH, QueryRow
+from lodbench.geometry import Pose
+from lodbench.harness.city import open_city
+from lodbench.harness.runs.gallery import write_overlays
+from lodbench.harness.runs.prepare import TILTS, Preparation
+from lodbench.harness.runs.result import (
+    Result,
+    chosen_entries,
+    errors_of,
+    parts_of,
+    pose_numbers,
+    queries_digest,
+)
+from lodbench.rendering import make_renderer
+from lodbench.segmentation import Segmenter
+from lodbench.storage import digest_of
+
+NO_POSE = "no pose in the pose file"
+# What a pose file does not say about how it was made.
+UNSTATED = "unstated"
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluateSettings:
+    """What is scored, and under which name.
+
+    Attributes:
+        poses: The pose file, or folder.
+        runs_root: Folder that run folders are made in.
+        config: The resolved configuration that defines the result; this module adds what the file is.
+        format: ``auto``, or a name in ``pose_files.READERS``.
+        method_name: Name to report; the file's own if empty.
+        tilt: Which pitch and roll the method had, as its author says: ``prior`` or ``truth``.
+        splits: Splits to score; empty for all.
+        limit: At most this many queries per split, or None.
+    """
+
+    poses: Path
+    runs_root: Path
+    config: dict[str, Any] = field(default_factory=dict)
+    format: str = "auto"
+    method_name: str = ""
+    tilt: str = "prior"
+    splits: tuple[str, ...] = ()
+    limit: int | None = None
+
+
+def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
+    """Returns the scored poses of a file; a query without a pose is a failure and counts.
+
+    Raises:
+        LodbenchError: A fault of the file, the dataset or the settings; nothing is scored then.
+    """
+    name = _method_name(settings)
+    if settings.tilt not in TILTS:
+        raise ConfigError(f"tilt={settings.tilt} is not prior or truth.")
+    if settings.limit is not None and settings.limit < 1:
+        raise ConfigError(f"limit={settings.limit} is not a number of queries.")
+    splits = select_splits(dataset, settings.splits)
+    entries = chosen_entries(dataset, splits, settings.limit)
+    known = {word for entry in dataset.entries for word in (entry.name, entry.key)}
+    kind, found = read_pose_file(settings.poses, settings.format, known)
+    # Matched with all queries: a name of another split is no unknown name.
+    matched = match_poses(found, dataset.entries, kind)
+    suspicion = suspect_convention(matched.poses, _references(dataset), kind != "c2w")
+    notes = matched.notes + ((suspicion,) if suspicion else ())
+    inputs = {"queries": queries_digest(dataset, entries), "poses": _poses_digest(found)}
+    config = {
+        **settings.config,
+        "method": {"name": name, "variant": "", "format": kind, "notes": list(notes)},
+        "segmenter": {"name": UNSTATED},
+        "renderer": UNSTATED,
+        "seed": UNSTATED,
+    }
+    folder = settings.runs_root / dataset.name / name / digest_of({"config": config, "inputs": inputs})
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = tuple(_row(entry, matched.poses.get(entry.key), dataset, settings.tilt) for entry in entries)
+    told = replace(dataset, notes=dataset.notes + notes)
+    return Result(folder, config, told, splits, rows, inputs, lod=None)
+
+
+def draw_scored(result: Result, segmenter: Segmenter, tilt: str) -> list[Path]:
+    """Draws the overlays of scored poses over the dataset's city; returns their files.
+
+    Raises:
+        CityModelError: The city cannot be read.
+    """
+    dataset = result.dataset
+    if dataset.city_model is None:
+        return []
+    city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
+    preparation = Preparation(dataset, city.scene, segmenter, tilt)
+    return write_overlays(result, preparation, make_renderer("silhouette", city.scene, None))
+
+
+def _method_name(settings: EvaluateSettings) -> str:
+    name = settings.method_name or re.sub(r"[^\w.+-]+", "_", settings.poses.stem)
+    if not re.fullmatch(r"\w[\w.+-]*", name):
+        raise ConfigError(
+            f"method_name={name!r} cannot name a folder.", "Use letters, digits and any of _ . + -"
+        )
+    return name
+
+
+def _references(dataset: Dataset) -> dict[str, Pose]:
+    """Returns where the poses should about be: at the truth, or else at the prior."""
+    priors = {entry.key: entry.prior for entry in dataset.entries if entry.prior is not None}
+    return {**priors, **dataset.truth}
+
+
+def _poses_digest(found: list[FoundPose]) -> str:
+    return digest_of([[pose.name, pose_numbers(pose.pose)] for pose in found])
+
+
+def _row(entry: Entry, pose: Pose | None, dataset: Dataset, tilt: str) -> QueryRow:
+    is_known = entry.key in dataset.truth
+    pose = pose if is_known else None
+    failure = NO_TRUTH if not is_known else NO_POSE if pose is None else ""
+    error, prior_error = errors_of(entry, pose, dataset, tilt)
+    parts = parts_of(entry, pose, dataset)
+    return QueryRow(entry.name, entry.split, pose, None, None, failure, error, prior_error, {}, parts)

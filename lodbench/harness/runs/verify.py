@@ -1,0 +1,247 @@
+"""Whether a run's numbers follow from its poses: everything is computed again and compared.
+
+Three checks, each on its own: the files are those the run wrote (digests in ``provenance.json``), the
+errors in ``queries.csv`` follow from ``poses.txt`` and the dataset's truth, and ``summary.json``
+follows from ``queries.csv``. The second needs the data. A method's own scores and counts of hypotheses
+cannot be computed again without the method; for these the digests stand alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from lodbench.datasets.folder import select_splits
+from lodbench.datasets.prior_sources import prior_digest
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import LodbenchError
+from lodbench.evaluation.errors import ErrorParts, PoseError
+from lodbench.evaluation.rows import NO_TRUTH, QueryRow
+from lodbench.geometry import wrap_deg
+from lodbench.harness.city import open_city
+from lodbench.harness.runs.artefacts import summary_of
+from lodbench.harness.runs.result import (
+    Result,
+    chosen_entries,
+    errors_of,
+    is_without_truth,
+    parts_of,
+    queries_digest,
+)
+from lodbench.harness.runs.run import scene_digest
+from lodbench.harness.runs.stored import StoredRun, read_run
+from lodbench.segmentation import Segmenter
+from lodbench.storage import digest_of
+
+# A pose read back from text is off by rounding: 1e-9 m at coordinates of 5,000 km. A number that
+# matters to anybody is 1000 times coarser than this.
+TOLERANCE_M, TOLERANCE_DEG = 1e-6, 1e-6
+# Sums may be taken in another order on another machine.
+_RELATIVE = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What verifying a run found.
+
+    Attributes:
+        stored: The run.
+        differences: One line each; empty if all numbers follow.
+        notes: What could not be looked at, and why.
+        is_weak: True if the truth was not there, so that errors were taken as written.
+        dataset: The dataset, or None.
+        entries: The queries scored; empty without the dataset.
+    """
+
+    stored: StoredRun
+    differences: tuple[str, ...]
+    notes: tuple[str, ...]
+    is_weak: bool
+    dataset: Dataset | None
+    entries: tuple[Entry, ...]
+
+
+def verify_run(
+    folder: Path,
+    config: dict[str, Any],
+    dataset: Dataset | None,
+    segmenter: Segmenter | None = None,
+    *,
+    has_own_priors: bool = False,
+) -> Verdict:
+    """Returns what is wrong with a stored run, if anything.
+
+    Args:
+        folder: The run folder.
+        config: Its ``config.yaml``.
+        dataset: The dataset it was scored on, or None to compare the summary with the rows only.
+        segmenter: To look whether the masks are the same; None to leave that out.
+        has_own_priors: The dataset's priors are those of the run's ``priors.txt``: they cannot be had
+            again from anywhere else.
+
+    Raises:
+        LodbenchError: A file of the run cannot be read, or the configuration is of another kind.
+    """
+    stored = read_run(folder)
+    differences = [*changed_files(stored), *_changed_rows(stored, config)]
+    notes = [] if "files" in stored.provenance else ["provenance.json holds no digests of the files"]
+    entries: tuple[Entry, ...] = ()
+    inputs, lod = _inputs(stored), stored.summary["protocol"].get("lod")
+    told = _stand_in(stored)
+    if dataset is not None:
+        splits = select_splits(dataset, config.get("split") or ())
+        entries = chosen_entries(dataset, splits, config.get("limit"))
+        differences += _changed_errors(stored, entries, dataset, str(config["tilt"]))
+        if has_own_priors:
+            notes.append("the priors are taken from the run's own priors.txt")
+        else:
+            inputs["queries"] = queries_digest(dataset, entries)
+            if "priors" in inputs:
+                inputs["priors"] = prior_digest(entries)
+        # What was said of a pose file stands with its method: the file itself need not be there.
+        told = replace(dataset, notes=dataset.notes + tuple(config["method"].get("notes", ())))
+        if "masks" in inputs and segmenter is not None:
+            inputs["masks"] = segmenter.fingerprint(entries)
+        if "scene" in inputs and dataset.city_model is not None:
+            city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
+            inputs["scene"], lod = scene_digest(city.scene), city.scene.lod
+            told = replace(dataset, notes=dataset.notes + city.notes())
+        elif "scene" in inputs:
+            notes.append("the city model is not there: not compared")
+            told = replace(dataset, notes=_stand_in(stored).notes)
+    splits = tuple(dict.fromkeys(row.split for row in stored.rows))
+    expected = summary_of(Result(folder, config, told, splits, stored.rows, inputs, lod))
+    differences += compare_values(stored.summary, expected, "summary.json")
+    differences += _wrong_name(folder, config, inputs)
+    return Verdict(stored, tuple(differences), tuple(notes), dataset is None, dataset, entries)
+
+
+def compare_values(found: Any, expected: Any, where: str) -> list[str]:
+    """Returns a line for each place where a JSON value differs from the expected one."""
+    if isinstance(found, dict) and isinstance(expected, dict):
+        lines = []
+        for key in dict.fromkeys([*expected, *found]):
+            if key not in found or key not in expected:
+                lines.append(f"{where}: {key} is {'missing' if key in expected else 'not expected'}")
+            else:
+                lines += compare_values(found[key], expected[key], f"{where}: {key}")
+        return lines
+    if isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
+        pairs = enumerate(zip(found, expected, strict=True))
+        return [line for i, (a, b) in pairs for line in compare_values(a, b, f"{where}[{i}]")]
+    if isinstance(found, float) and isinstance(expected, float):
+        same = math.isclose(found, expected, rel_tol=_RELATIVE)
+    else:
+        # 1, 1.0 and true are equal in Python, not in a file; a whole number may be written either way.
+        same = found == expected and isinstance(found, bool) == isinstance(expected, bool)
+    return [] if same else [f"{where} is {found!r}, not {expected!r}"]
+
+
+def changed_files(stored: StoredRun) -> list[str]:
+    """Returns a line for each file that is no longer the one the run wrote."""
+    written = stored.provenance.get("files", {})
+    gone = [f"{name} is missing" for name in written if name not in stored.digests]
+    return gone + [
+        f"{name} is not the file the run wrote (SHA-256 {digest[:12]}, not {str(written[name])[:12]})"
+        for name, digest in stored.digests.items()
+        if name in written and written[name] != digest
+    ]
+
+
+def _changed_rows(stored: StoredRun, config: dict[str, Any]) -> list[str]:
+    """Returns contradictions between the rows, the poses and the configuration."""
+    lines = [f"poses.txt: {name} is no query of queries.csv" for name in stored.strays]
+    counts = Counter(row.key for row in stored.rows)
+    lines += [f"queries.csv: {key} occurs twice" for key, count in counts.items() if count > 1]
+    for row in stored.rows:
+        # A pose with nothing to compare it with is an answer all the same.
+        if row.failure not in ("", NO_TRUTH) and row.is_answered:
+            lines.append(f"queries.csv: {row.key} has a failure, and a pose in poses.txt")
+        if not row.failure and not row.is_answered:
+            lines.append(f"queries.csv: {row.key} has no failure, and no pose in poses.txt")
+        if row.error is not None and row.is_answered != math.isfinite(row.error.translation_m):
+            lines.append(f"queries.csv: {row.key} has an error but no pose, or a pose but no error")
+    for tilt in sorted(stored.tilts - {str(config["tilt"])}):
+        lines.append(f"queries.csv: a tilt is {tilt!r}, config.yaml says {config['tilt']!r}")
+    return lines
+
+
+def _changed_errors(stored: StoredRun, entries: tuple[Entry, ...], dataset: Dataset, tilt: str) -> list[str]:
+    """Returns where the rows' errors do not follow from the poses and the truth."""
+    rows = {row.key: row for row in stored.rows}
+    lines = [f"queries.csv: {entry.key} is missing" for entry in entries if entry.key not in rows]
+    known = {entry.key for entry in entries}
+    lines += [f"queries.csv: {key} is no query of the dataset" for key in rows if key not in known]
+    for entry in entries:
+        if entry.key in rows:
+            row = rows[entry.key]
+            error, prior_error = errors_of(entry, row.pose, dataset, tilt)
+            lines += _error_lines(row, "error", row.error, error)
+            lines += _error_lines(row, "prior error", row.prior_error, prior_error)
+            lines += _part_lines(row, parts_of(entry, row.pose, dataset))
+            if (error is None) != is_without_truth(row.failure):
+                lines.append(f"queries.csv: {row.key} fails with {row.failure!r}, against the truth list")
+    return lines
+
+
+def _error_lines(row: QueryRow, what: str, found: PoseError | None, expected: PoseError | None) -> list[str]:
+    if found is None or expected is None:
+        return (
+            [] if found is expected else [f"queries.csv: {row.key}: {what} without a truth, or none with one"]
+        )
+    # Infinite minus infinite is no number; a failure equals a failure.
+    if math.isinf(found.translation_m) and math.isinf(expected.translation_m):
+        return []
+    lines = []
+    for unit, a, b, tolerance in (
+        ("m", found.translation_m, expected.translation_m, TOLERANCE_M),
+        ("deg", found.rotation_deg, expected.rotation_deg, TOLERANCE_DEG),
+    ):
+        if not abs(a - b) <= tolerance:
+            lines.append(f"queries.csv: {row.key}: {what} is {a!r} {unit}, its pose says {b!r}")
+    return lines
+
+
+def _part_lines(row: QueryRow, expected: ErrorParts | None) -> list[str]:
+    found = row.parts
+    if (
+        found is None
+        or expected is None
+        or math.isinf(found.horizontal_m)
+        or math.isinf(expected.horizontal_m)
+    ):
+        # Whether there is an error at all was looked at with the error as a whole.
+        return []
+    lines = []
+    for name, a, b in zip(ErrorParts._fields, found, expected, strict=True):
+        distance = abs(wrap_deg(a - b)) if name == "yaw_deg" else abs(a - b)
+        if not distance <= TOLERANCE_M:
+            lines.append(f"queries.csv: {row.key}: {name} error is {a!r}, its pose says {b!r}")
+    return lines
+
+
+def _inputs(stored: StoredRun) -> dict[str, str]:
+    dataset = stored.summary.get("dataset")
+    if not isinstance(dataset, dict) or not {"name", "version"} <= set(dataset):
+        raise LodbenchError(f"{stored.folder / 'summary.json'} does not say which dataset it is of.")
+    return {key: str(value) for key, value in dataset.items() if key not in ("name", "version")}
+
+
+def _stand_in(stored: StoredRun) -> Dataset:
+    """Returns a dataset that only tells what the summary says of it."""
+    said = stored.summary["dataset"]
+    notes = tuple(stored.summary.get("notes", ()))
+    return Dataset(said["name"], said["version"], stored.folder, None, None, (), (), {}, notes)
+
+
+def _wrong_name(folder: Path, config: dict[str, Any], inputs: dict[str, str]) -> list[str]:
+    """Returns a line if a folder named by a digest has another one than its content."""
+    digest = digest_of({"config": config, "inputs": inputs})
+    name = folder.resolve().name
+    is_digest = len(name) == len(digest) and set(name) <= set("0123456789abcdef")
+    if not is_digest or name == digest:
+        return []
+    return [f"the folder is named {name}, its configuration and inputs make {digest}"]

@@ -1,5 +1,0 @@
-"""Methods: from a query and a scene to a pose."""
-
-from lodbench.localization.method import Estimate, Method, Streams
-
-__all__ = ["Estimate", "Method", "Streams"]

@@ -1,6 +1,0 @@
-"""LoD-Loc v2: silhouette alignment by a coarse 4D grid and a fine particle filter."""
-
-from lodbench.localization.lodlocv2.method import LodLocV2
-from lodbench.localization.lodlocv2.params import Params
-
-__all__ = ["LodLocV2", "Params"]

@@ -1,0 +1,5 @@
+"""Methods: from a query and a scene to a pose."""
+
+from lodbench.methods.protocol import Estimate, Method, Streams
+
+__all__ = ["Estimate", "Method", "Streams"]

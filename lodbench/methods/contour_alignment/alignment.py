@@ -1,0 +1,214 @@
+"""Outlines aligned by least squares: Gauss-Newton on six numbers under a prior, with a robust kernel.
+
+A pose is judged by how far the outline of the model's silhouette lies from that of the mask. Points
+far off count less and less (Geman and McClure's kernel), so buildings that one of the two misses
+pull nowhere. Every building's height may differ from the map's by a common unknown, which is
+eliminated point sums by point sums (Schur complement): a map of a lower level of detail has its
+roofs at other heights than a photo shows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.query import Query
+from lodbench.geometry import Camera
+from lodbench.methods.contour_alignment.outline import (
+    EdgeArrays,
+    OutlinePoints,
+    edges_in_reach,
+    sample_outline,
+)
+from lodbench.methods.contour_alignment.outline_kernel import building_sums, measure_distances
+from lodbench.methods.contour_alignment.params import Params
+from lodbench.methods.contour_alignment.pose_vector import (
+    pose_from_vector,
+    rotation_derivatives,
+    vector_from_pose,
+)
+from lodbench.rendering import Scorer
+from lodbench.segmentation import binary_mask
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# The longest step: a linearisation says little beyond it (metres, degrees; x, y, z, pitch, roll, yaw).
+_LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
+# Fewer points than this say nothing about six numbers.
+_FEWEST_POINTS = 12
+# By how much the stairs of a mask's outline are smoothed.
+_STAIR_PX = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """The query at one working size.
+
+    Attributes:
+        camera: Pinhole of that size.
+        mask: (H, W) the query mask.
+        distance: (H, W) float32 signed distance to its outline, pixels, positive inside.
+        scale: Pixels of this size per pixel of the fine size.
+    """
+
+    camera: Camera
+    mask: Mask
+    distance: NDArray[np.float32]
+    scale: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """How far N points of a pose's outline lie inside the mask's, in pixels of the fine size.
+
+    Attributes:
+        points: The outline, in pixels of the working size.
+        distances: (N,) positive inside the mask.
+        slopes: (N, 7) their change per unit of the pose's numbers and per metre of the roof's height.
+        agreement: (N,) 1 where the mask's outline runs as the silhouette's does, 0 across or against it.
+        scale: Pixels of the working size per pixel of the fine size.
+        iou: Of silhouette and mask.
+    """
+
+    points: OutlinePoints
+    distances: Floats
+    slopes: Floats
+    agreement: Floats
+    scale: float
+    iou: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearization:
+    """What the outlines say about a pose, to second order; the prior included.
+
+    Attributes:
+        information: (6, 6) of metres and degrees.
+        gradient: (6,) of the cost.
+        iou: Of silhouette and mask.
+        evidence: Logarithm of the density of the distances, the pose integrated out, up to a constant; 0
+            where it is not looked for.
+    """
+
+    information: Floats
+    gradient: Floats
+    iou: float
+    evidence: float = 0.0
+
+    def step(self) -> Floats:
+        """Returns (6,) the Gauss-Newton step, no longer than a linearisation is good for."""
+        step = -np.linalg.solve(self.information, self.gradient)
+        return np.asarray(step * min(1.0, float(1.0 / np.max(np.abs(step) / _LONGEST_STEP))))
+
+
+class Aligner:
+    """Aligns poses of one query."""
+
+    def __init__(self, query: Query, scorer: Scorer, params: Params) -> None:
+        self.rendered = 0
+        self._scorer, self._query, self._params = scorer, query, params
+        self._prior = vector_from_pose(query.prior)
+        self._precision = np.array(params.prior_sigmas()) ** -2.0
+        # Full widths, where half would do: steps may lead out of the range, though the prior calls back.
+        reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
+        turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
+        self.edges: EdgeArrays = edges_in_reach(scorer.scene, query.camera, query.prior, reach_m, turn_deg)
+        self._levels: dict[tuple[int, int], Level] = {}
+
+    def align(self, vector: Floats, reaches_px: tuple[float, ...], size: tuple[int, int]) -> Floats:
+        """Returns (6,) numbers after one Gauss-Newton step per entry of ``reaches_px``."""
+        for reach_px in reaches_px:
+            here = self.linearize(vector, reach_px, size)
+            if here is None:
+                return vector
+            vector = vector + here.step()
+        return vector
+
+    def linearize(self, vector: Floats, reach_px: float, size: tuple[int, int]) -> Linearization | None:
+        """Returns what the outlines say at a pose; None if too little outline is seen.
+
+        Args:
+            vector: (6,) centre in metres and angles in degrees.
+            reach_px: Scale of the robust kernel, pixels of the fine size.
+            size: Width and height of the silhouette, pixels.
+        """
+        here = self.measure(vector, size)
+        if here is None:
+            return None
+        lengths = here.points.lengths * here.agreement / here.scale
+        kernel = 1.0 / (1.0 + (here.distances / reach_px) ** 2)
+        weights = lengths * kernel**2 / (self._params.correlation_px * self._params.noise_px**2)
+        products, gradients = building_sums(
+            here.distances, here.slopes, weights, here.points.buildings, len(self.edges.rises)
+        )
+        information, gradient = _without_roofs(products, gradients, self._params.roof_m)
+        prior_information, prior_gradient = self.prior_terms(vector)
+        return Linearization(information + prior_information, gradient + prior_gradient, here.iou)
+
+    def measure(self, vector: Floats, size: tuple[int, int]) -> Residuals | None:
+        """Returns how far a pose's outline lies from the mask's; None if too little outline is seen."""
+        level, pose = self._level(size), pose_from_vector(vector)
+        silhouette = self._scorer.render(level.camera, pose)
+        self.rendered += 1
+        union = int(np.count_nonzero(silhouette | level.mask))
+        iou = int(np.count_nonzero(silhouette & level.mask)) / union if union else 0.0
+        derivatives, spacing = rotation_derivatives(vector), self._params.spacing_px
+        points = sample_outline(self.edges, level.camera, pose, derivatives, silhouette, spacing)
+        count = len(points)
+        if count < _FEWEST_POINTS:
+            return None
+        distances, slopes, agreement = np.empty(count), np.empty((count, 7)), np.empty(count)
+        measured = distances, slopes, agreement
+        measure_distances(points.pixels, points.normals, points.moves, level.distance, *measured)
+        distances, slopes = distances / level.scale, slopes / level.scale
+        return Residuals(points, distances, slopes, agreement, level.scale, iou)
+
+    def prior_terms(self, vector: Floats) -> tuple[Floats, Floats]:
+        """Returns the prior's information (6, 6) and gradient (6,)."""
+        offset = vector - self._prior
+        offset[5] = (offset[5] + 180.0) % 360.0 - 180.0
+        return np.diag(self._precision), self._precision * offset
+
+    def _level(self, size: tuple[int, int]) -> Level:
+        if size not in self._levels:
+            mask = binary_mask(self._query.building_probability, *size)
+            scale = size[0] / self._params.fine_size[0]
+            self._levels[size] = Level(self._query.camera.scaled(*size), mask, signed_distance(mask), scale)
+        return self._levels[size]
+
+
+def signed_distance(mask: Mask) -> NDArray[np.float32]:
+    """Returns the distance of pixel centres to a mask's outline, (H, W) float32 pixels, positive inside.
+
+    The outline runs halfway between two pixel centres, and is smoothed by a pixel: along a slanted edge the
+    distance to the nearest stair leans to one side for tens of pixels, which moves a pose by decimetres.
+    A mask with one value everywhere has no outline: all its distances are as far as the image is wide and
+    high.
+    """
+    if mask.all() or not mask.any():
+        return np.full(mask.shape, (1.0 if mask.any() else -1.0) * sum(mask.shape), dtype=np.float32)
+    inside = cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    outside = cv2.distanceTransform((~mask).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    stairs = np.asarray(inside - outside + np.where(mask, -0.5, 0.5), dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(stairs, (0, 0), _STAIR_PX), dtype=np.float32)
+
+
+def _without_roofs(products: Floats, gradients: Floats, roof_m: float) -> tuple[Floats, Floats]:
+    """Returns information (6, 6) and gradient (6,) with each building's height eliminated.
+
+    Args:
+        products: (B, 7, 7) weighted products of slopes by building; the height comes last.
+        gradients: (B, 7) of slopes and residuals.
+        roof_m: Standard deviation of a building's height, metres; 0 where the map is exact.
+    """
+    information, gradient = products[:, :6, :6].sum(axis=0), gradients[:, :6].sum(axis=0)
+    if roof_m > 0:
+        gain = products[:, :6, 6] / (products[:, 6, 6] + roof_m**-2.0)[:, None]
+        information = information - (gain[:, :, None] * products[:, None, :6, 6]).sum(axis=0)
+        gradient = gradient - (gain * gradients[:, 6:]).sum(axis=0)
+    return information, gradient

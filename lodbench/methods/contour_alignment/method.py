@@ -1,0 +1,74 @@
+"""The method: LoD-Loc v2's grid finds the neighbourhood, outlines aligned by least squares the pose."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.methods.contour_alignment.alignment import Aligner
+from lodbench.methods.contour_alignment.params import Params
+from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.methods.contour_alignment.refinement import refine
+from lodbench.methods.contour_alignment.starts import find_starts
+from lodbench.methods.contour_alignment.uncertainty import covariance, probability_within
+from lodbench.methods.protocol import Estimate, Streams
+from lodbench.rendering import Scorer
+
+Floats = NDArray[np.float64]
+
+
+class ContourAlignment:
+    """Finds all six numbers of a pose, and says how sure it is. Draws no random numbers."""
+
+    params_type = Params
+    name = "contour_alignment"
+
+    def __init__(self, settings: Params | None = None) -> None:
+        self.params = settings or Params()
+
+    def reaching(self, prior: UniformPrior) -> Params:
+        """Returns the parameters that search all that such a prior leaves open, tilt included."""
+        return self.params.reaching(prior)
+
+    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+        """Returns the pose whose outline fits the mask's best under the prior.
+
+        Raises:
+            QueryFault: The mask is empty, or no hypothesis overlaps it or shows an outline.
+        """
+        started = time.perf_counter()
+        aligner = Aligner(query, scorer, self.params)
+        starts, best, scored = find_starts(query, scorer, aligner, self.params)
+        selected = time.perf_counter()
+        found, trace = self._align(aligner, starts)
+        refined = refine(aligner, found, self.params)
+        if refined is None:
+            raise QueryFault("no outline of a building is in view of the aligned pose")
+        vector, at = refined.vector, refined.at
+        spread = covariance(at)
+        finished = time.perf_counter()
+        return Estimate(
+            pose=pose_from_vector(vector),
+            score=at.iou,
+            hypotheses=scored + aligner.rendered,
+            seconds={"coarse": selected - started, "fine": finished - selected},
+            trace={"coarse": (best,), "fine": trace},
+            covariance=spread,
+            probability=probability_within(spread, vector),
+        )
+
+    def _align(self, aligner: Aligner, starts: Floats) -> tuple[Floats, tuple[float, ...]]:
+        """Returns the start, aligned, whose silhouette fits best, and the IoU of each."""
+        width, height = self.params.fine_size
+        half = max(8, width // 2), max(8, height // 2)
+        aligned = [aligner.align(start, self.params.reaches_px(), half) for start in starts]
+        here = [aligner.linearize(vector, self.params.near_px, self.params.fine_size) for vector in aligned]
+        ious = [at.iou if at else 0.0 for at in here]
+        if max(ious) <= 0:
+            raise QueryFault("no outline of a building is in view of any aligned pose")
+        return aligned[int(np.argmax(ious))], tuple(ious)

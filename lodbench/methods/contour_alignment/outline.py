@@ -1,0 +1,176 @@
+"""The outline of a city's silhouette as points on its edges, with how each moves when the pose does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.geometry import Camera, Pose
+from lodbench.methods.contour_alignment.outline_kernel import sample_edges
+from lodbench.rendering.projection import view_planes, visible_buildings
+from lodbench.rendering.selection import bounding_spheres
+from lodbench.rendering.topology import edge_table
+
+Floats = NDArray[np.float64]
+
+# Points of a first try; a view with more is sampled again with room for all.
+_ROOM = 1 << 14
+
+
+class EdgeArrays(NamedTuple):
+    """The edges of some buildings, for the kernel.
+
+    Attributes:
+        vertices: (V, 3) float64, scene metres.
+        corners: (E, 2) int32 vertex indices.
+        sides: (E, 2) int32 triangle indices.
+        second_weight: (E,) int32, see ``EdgeTable``.
+        starts: (B + 1,) int64 edges of each building.
+        planes: (T, 4) float64 normal and offset of each triangle.
+        spheres: (B, 4) float64 centre and radius.
+        floors: (B,) float64 lowest height of each building, metres.
+        rises: (B,) float64 height of each building from there, metres.
+    """
+
+    vertices: Floats
+    corners: NDArray[np.int32]
+    sides: NDArray[np.int32]
+    second_weight: NDArray[np.int32]
+    starts: NDArray[np.int64]
+    planes: Floats
+    spheres: Floats
+    floors: Floats
+    rises: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutlinePoints:
+    """N points spread evenly along the outline of a silhouette.
+
+    Attributes:
+        pixels: (N, 2) where they are seen.
+        normals: (N, 2) unit, pointing out of the silhouette.
+        lengths: (N,) pixels of outline each stands for.
+        moves: (N, 7, 2) pixels per metre of x, y, z, per degree of pitch, roll, yaw, and per metre that
+            the building's roof is higher.
+        buildings: (N,) index into the arrays' buildings.
+    """
+
+    pixels: Floats
+    normals: Floats
+    lengths: Floats
+    moves: Floats
+    buildings: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+
+def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> EdgeArrays:
+    """Returns the edges of the buildings that may be seen from anywhere near a prior.
+
+    Args:
+        scene: The city.
+        camera: The query's.
+        prior: Where to look from.
+        reach_m: How far the centre may be off.
+        turn_deg: How far the view may be turned.
+    """
+    spheres = bounding_spheres(scene)
+    wider = spheres.copy()
+    away = np.linalg.norm(spheres[:, :3] - prior.center, axis=1)
+    chord = 2.0 * np.sin(np.radians(min(turn_deg, 180.0)) / 2.0)
+    wider[:, 3] += reach_m + chord * (np.where(np.isfinite(away), away, 0.0) + reach_m)
+    planes = view_planes(camera, 0, camera.width)
+    rotation, center = np.ascontiguousarray(prior.rotation), np.ascontiguousarray(prior.center)
+    chosen = visible_buildings(wider, rotation, center, planes)
+    return _edge_arrays(_part(scene, chosen), spheres[chosen])
+
+
+def sample_outline(
+    edges: EdgeArrays,
+    camera: Camera,
+    pose: Pose,
+    derivatives: Floats,
+    silhouette: NDArray[np.bool_],
+    spacing_px: float,
+) -> OutlinePoints:
+    """Returns points along those edges that separate a silhouette from what is not covered.
+
+    Args:
+        edges: Of the buildings in reach.
+        camera: Pinhole of the silhouette's size.
+        pose: Where the silhouette is seen from.
+        derivatives: (3, 3, 3) from ``rotation_derivatives``.
+        silhouette: (H, W) rendered from the pose.
+        spacing_px: Distance between points.
+    """
+    rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
+    visible = visible_buildings(edges.spheres, rotation, center, view_planes(camera, 0, camera.width))
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    room = _ROOM
+    while True:
+        found = np.empty((room, 19)), np.empty(room, dtype=np.int64)
+        view = rotation, center, derivatives, intrinsics
+        count = sample_edges(edges, visible, *view, silhouette, spacing_px, *found)
+        if count <= room:
+            break
+        room = count
+    rows, buildings = found[0][:count], found[1][:count]
+    moves = np.ascontiguousarray(rows[:, 5:].reshape(count, 7, 2))
+    return OutlinePoints(rows[:, 0:2], rows[:, 2:4], rows[:, 4], moves, buildings)
+
+
+def _part(scene: Scene, chosen: NDArray[np.int64]) -> Scene:
+    """Returns a scene of some of the buildings, in their order."""
+    vertex_counts = np.diff(scene.vertex_starts)[chosen]
+    triangle_counts = np.diff(scene.triangle_starts)[chosen]
+    vertex_starts = np.concatenate([[0], np.cumsum(vertex_counts)])
+    triangle_starts = np.concatenate([[0], np.cumsum(triangle_counts)])
+    vertices = _rows(scene.vertex_starts[chosen], vertex_counts)
+    triangles = _rows(scene.triangle_starts[chosen], triangle_counts)
+    shift = np.repeat(vertex_starts[:-1] - scene.vertex_starts[chosen], triangle_counts)
+    return Scene(
+        vertices=scene.vertices[vertices],
+        triangles=(scene.triangles[triangles] + shift[:, None]).astype(np.int32),
+        vertex_starts=vertex_starts,
+        triangle_starts=triangle_starts,
+        building_ids=tuple(scene.building_ids[b] for b in chosen),
+        lod=scene.lod,
+        crs=scene.crs,
+        origin=scene.origin,
+    )
+
+
+def _rows(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Returns the indices of runs of rows, one run after the other."""
+    before = np.concatenate([[0], np.cumsum(counts)[:-1]]) if len(counts) else counts
+    return np.asarray(np.arange(counts.sum()) + np.repeat(starts - before, counts), dtype=np.int64)
+
+
+def _edge_arrays(scene: Scene, spheres: Floats) -> EdgeArrays:
+    table = edge_table(scene)
+    vertices = scene.vertices.astype(np.float64)
+    a, b, c = (vertices[scene.triangles[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    offsets = -(normals * a).sum(axis=1)
+    filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
+    floors, tops = np.zeros(scene.num_buildings), np.zeros(scene.num_buildings)
+    if len(filled):
+        floors[filled] = np.minimum.reduceat(vertices[:, 2], scene.vertex_starts[filled])
+        tops[filled] = np.maximum.reduceat(vertices[:, 2], scene.vertex_starts[filled])
+    return EdgeArrays(
+        vertices=vertices,
+        corners=table.corners,
+        sides=table.sides,
+        second_weight=table.second_weight,
+        starts=table.starts,
+        planes=np.concatenate([normals, offsets[:, None]], axis=1),
+        spheres=np.ascontiguousarray(spheres),
+        floors=floors,
+        rises=tops - floors,
+    )

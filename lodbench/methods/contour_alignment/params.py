@@ -1,0 +1,179 @@
+"""Parameters of the six-degree-of-freedom method; docs/adr/0013 says how the defaults were chosen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import ConfigError, nearest_names
+from lodbench.geometry import AxisRange, PoseGrid
+from lodbench.rendering.raster_rule import GUARD_PX
+
+_RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
+SEARCHES = ("auto", "grid", "basins")
+_POSITIVE = (
+    "stride_m",
+    "stride_yaw_deg",
+    "basin_stride_m",
+    "basin_yaw_deg",
+    "basin_reach_px",
+    "spacing_px",
+    "reach_px",
+    "near_px",
+    "noise_px",
+    "correlation_px",
+    "outline_px",
+    "outlier_sigmas",
+    "roof_part_px",
+)
+# Grids of more poses than this are left for basins: four times those of the published priors' grid.
+_MOST_POSES = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """Everything the method can be told.
+
+    Attributes:
+        name: Name to report.
+        coarse_size: Width and height of masks in the grid stage, pixels.
+        fine_size: Width and height of masks where outlines are aligned, pixels.
+        range_x_m: Full width of the prior's error in x, metres; likewise y and z.
+        range_y_m: See range_x_m.
+        range_z_m: See range_x_m.
+        range_yaw_deg: Full width in yaw, degrees.
+        range_tilt_deg: Full width in pitch and in roll, degrees.
+        stride_m: Largest distance between samples of the grid along x, y and z, metres.
+        stride_yaw_deg: The same in yaw, degrees.
+        search: ``grid`` scores every sample; ``basins`` scores wider ones on small masks and aligns the
+            outlines of the best from afar; ``auto`` takes the grid unless it is large.
+        basin_stride_m: As stride_m, in ``basins``.
+        basin_yaw_deg: As stride_yaw_deg, in ``basins``.
+        basin_share: Share of the wider samples whose outlines are aligned.
+        basin_reach_px: How far their outlines may lie apart in the first step, pixels of the fine size.
+        basin_steps: Alignment steps of each, on masks of a quarter of the fine size.
+        starts: Best poses of the grid whose outlines are aligned.
+        steps: Alignment steps of each start, on masks of half the size.
+        final_steps: Alignment steps of the best of them, at full size.
+        spacing_px: Distance between outline points, pixels.
+        reach_px: Scale of the robust kernel in the first step: how far outlines may lie apart, pixels of
+            the fine size.
+        near_px: The same in the last of these steps.
+        noise_px: Standard deviation of a mask's outline to begin with, pixels of the fine size; the final
+            steps find it from the view.
+        correlation_px: Length of outline that counts as one observation until then, pixels.
+        outline_px: Distance over which the errors of a mask's outline go together, pixels of the fine size.
+        outlier_sigmas: Scale of the robust kernel in the final steps, in standard deviations of the outline.
+        roof_m: Standard deviation of each building's height in the map, metres; 0 trusts the map.
+        roof_part_m: The same of parts of a roof, each for itself.
+        roof_part_px: Distance over which a roof's error goes together, pixels of the fine size.
+    """
+
+    name: str = "contour_alignment"
+    coarse_size: tuple[int, int] = (301, 224)
+    fine_size: tuple[int, int] = (602, 448)
+    range_x_m: float = 20.0
+    range_y_m: float = 20.0
+    range_z_m: float = 60.0
+    range_yaw_deg: float = 15.0
+    range_tilt_deg: float = 2.0
+    stride_m: float = 10.0
+    stride_yaw_deg: float = 2.15
+    search: str = "auto"
+    basin_stride_m: float = 25.0
+    basin_yaw_deg: float = 5.0
+    basin_share: float = 0.05
+    basin_reach_px: float = 64.0
+    basin_steps: int = 5
+    starts: int = 8
+    steps: int = 10
+    final_steps: int = 10
+    spacing_px: float = 4.0
+    reach_px: float = 24.0
+    near_px: float = 3.0
+    noise_px: float = 2.0
+    correlation_px: float = 16.0
+    outline_px: float = 40.0
+    outlier_sigmas: float = 3.0
+    roof_m: float = 2.0
+    roof_part_m: float = 2.0
+    roof_part_px: float = 60.0
+
+    def __post_init__(self) -> None:
+        # OmegaConf hands over lists where a tuple is declared, and checks neither lengths nor ranges.
+        for name in ("coarse_size", "fine_size"):
+            size = tuple(int(side) for side in getattr(self, name))
+            if len(size) != 2 or min(size) < 8 or max(size) > GUARD_PX:
+                raise ConfigError(f"method.{name} is a width and a height, 8 to 8192 px, not {list(size)}.")
+            object.__setattr__(self, name, size)
+        for name in (*_RANGES, "roof_m", "roof_part_m"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
+        for name in _POSITIVE:
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(f"method.{name} is finite and above 0, not {getattr(self, name)}.")
+        if self.search not in SEARCHES:
+            raise ConfigError(
+                f"method.search={self.search} is not known.", nearest_names(self.search, SEARCHES)
+            )
+        if not 0 < self.basin_share <= 1:
+            raise ConfigError(f"method.basin_share lies in (0, 1], not {self.basin_share}.")
+        if self.starts < 1 or min(self.steps, self.final_steps, self.basin_steps) < 0:
+            raise ConfigError("method.starts is at least 1; the numbers of steps are at least 0.")
+
+    def grid(self) -> PoseGrid:
+        """Returns the grid: samples at most a stride apart, ends included."""
+        return self._grid(self.stride_m, self.stride_yaw_deg)
+
+    def basin_grid(self) -> PoseGrid:
+        """Returns the wider grid of ``basins``."""
+        return self._grid(self.basin_stride_m, self.basin_yaw_deg)
+
+    def searches_basins(self) -> bool:
+        """Returns whether the starts come from basins."""
+        return self.search == "basins" or (self.search == "auto" and len(self.grid()) > _MOST_POSES)
+
+    def _grid(self, stride_m: float, stride_yaw_deg: float) -> PoseGrid:
+        x, y, z = (_axis(width, stride_m) for width in (self.range_x_m, self.range_y_m, self.range_z_m))
+        return PoseGrid(x, y, z, _axis(self.range_yaw_deg, stride_yaw_deg))
+
+    def prior_sigmas(self) -> tuple[float, ...]:
+        """Returns the standard deviations of the prior's x, y, z, pitch, roll and yaw.
+
+        The tilt has that of its uniform range. For what the grid has searched the alignment needs no
+        more than a weak hold: the half width. A range of 0 is held to a millimetre or a ten-thousandth
+        of a degree.
+        """
+        place = [max(0.5 * w, 1e-3) for w in (self.range_x_m, self.range_y_m, self.range_z_m)]
+        tilt = max(0.5 * self.range_tilt_deg / math.sqrt(3.0), 1e-4)
+        return (*place, tilt, tilt, max(0.5 * self.range_yaw_deg, 1e-4))
+
+    def reaches_px(self) -> tuple[float, ...]:
+        """Returns the kernel's scale in each alignment step: falling evenly in proportion."""
+        return _falling(self.reach_px, self.near_px, self.steps)
+
+    def basin_reaches_px(self) -> tuple[float, ...]:
+        """Returns the same for the alignment from afar, which ends where the other begins."""
+        return _falling(self.basin_reach_px, self.reach_px, self.basin_steps)
+
+    def reaching(self, prior: UniformPrior) -> Params:
+        """Returns these parameters for a prior's error of other half widths."""
+        return replace(
+            self,
+            range_x_m=2.0 * prior.x_m,
+            range_y_m=2.0 * prior.y_m,
+            range_z_m=2.0 * prior.z_m,
+            range_yaw_deg=2.0 * prior.yaw_deg,
+            range_tilt_deg=prior.pitch_deg + prior.roll_deg,
+        )
+
+
+def _falling(first: float, last: float, steps: int) -> tuple[float, ...]:
+    if steps < 2:
+        return (first,) * steps
+    return tuple(first * (last / first) ** (k / (steps - 1)) for k in range(steps))
+
+
+def _axis(width: float, stride: float) -> AxisRange:
+    return AxisRange(width, math.ceil(width / stride - 1e-9) + 1)

@@ -1,0 +1,63 @@
+"""Where alignment starts: the best samples of a grid, or the basins of a wider one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.geometry import PoseGrid
+from lodbench.methods.contour_alignment.alignment import Aligner
+from lodbench.methods.contour_alignment.params import Params
+from lodbench.methods.lodlocv2.method import Judge
+from lodbench.rendering import Scorer
+
+Floats = NDArray[np.float64]
+
+
+def find_starts(query: Query, scorer: Scorer, aligner: Aligner, params: Params) -> tuple[Floats, float, int]:
+    """Returns the poses to align, (N, 6) best first, the best IoU, and how many hypotheses were scored.
+
+    What the aligner renders it counts itself.
+
+    Raises:
+        QueryFault: The mask is empty, or no hypothesis overlaps it.
+    """
+    if not params.searches_basins():
+        return _best_samples(query, scorer, params.grid(), params.coarse_size, params.starts)
+    size = max(8, params.fine_size[0] // 4), max(8, params.fine_size[1] // 4)
+    grid = params.basin_grid()
+    kept = max(params.starts, round(params.basin_share * len(grid)))
+    samples, _, scored = _best_samples(query, scorer, grid, size, kept)
+    basins = [aligner.align(sample, params.basin_reaches_px(), size) for sample in samples]
+    here = [aligner.linearize(basin, params.reach_px, size) for basin in basins]
+    ious = np.array([at.iou if at else 0.0 for at in here])
+    chosen = _apart(np.array(basins), ious, params)
+    return np.array(basins)[chosen], float(ious[chosen[0]]), scored
+
+
+def _best_samples(
+    query: Query, scorer: Scorer, grid: PoseGrid, size: tuple[int, int], count: int
+) -> tuple[Floats, float, int]:
+    """Returns the best poses of a grid, (N, 6), the best IoU, and how many were scored."""
+    judge = Judge(query, scorer, size)
+    particles = judge(*grid.around(query.prior))
+    order = np.argsort(-particles.scores, kind="stable")[:count]
+    best = float(particles.scores[order[0]])
+    if best <= 0:
+        raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
+    tilt = np.broadcast_to([judge.pitch_deg, judge.roll_deg], (len(order), 2))
+    return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order]]), best, judge.scored
+
+
+def _apart(vectors: Floats, scores: Floats, params: Params) -> list[int]:
+    """Returns the best few of some poses, best first, none within a few metres of a better one."""
+    chosen: list[int] = []
+    for i in np.argsort(-scores, kind="stable"):
+        gaps = np.linalg.norm(vectors[chosen, :3] - vectors[i, :3], axis=1)
+        if (gaps > 0.2 * params.basin_stride_m).all():
+            chosen.append(int(i))
+        if len(chosen) == params.starts:
+            break
+    return chosen

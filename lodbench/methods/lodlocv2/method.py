@@ -1,0 +1,152 @@
+"""LoD-Loc v2: pose selection on a grid, then refinement by a particle filter (paper section 3)."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.geometry import Camera, Pose, rotations_at_yaws
+from lodbench.methods.fits import make_fit
+from lodbench.methods.lodlocv2.params import Params
+from lodbench.methods.protocol import Estimate, Streams
+from lodbench.rendering import Scorer
+
+Floats = NDArray[np.float64]
+
+
+class Particles(NamedTuple):
+    """Poses of one tilt, and how well each fits.
+
+    Attributes:
+        centers: (N, 3) camera centres, scene metres.
+        yaws_deg: (N,) yaw, degrees.
+        scores: (N,) IoU, or another fit.
+    """
+
+    centers: Floats
+    yaws_deg: Floats
+    scores: Floats
+
+
+class Judge:
+    """Scores poses of the prior's tilt against the query at one working size (paper equation 2: IoU)."""
+
+    def __init__(self, query: Query, scorer: Scorer, size: tuple[int, int], fit: str = "iou") -> None:
+        self.camera: Camera = query.camera.scaled(*size)
+        self.fit = make_fit(fit, query.building_probability, size)
+        self.pitch_deg, self.roll_deg, _ = query.prior.euler
+        self.scored = 0
+        self._scorer = scorer
+
+    def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
+        """Returns the poses with their scores."""
+        rotations = rotations_at_yaws(self.pitch_deg, self.roll_deg, yaws_deg)
+        scores = self._scorer.measure(self.camera, rotations, centers, self.fit)
+        self.scored += len(centers)
+        return Particles(centers, yaws_deg, scores)
+
+
+class LodLocV2:
+    """The paper's method. Pitch and roll stay the prior's throughout."""
+
+    params_type = Params
+    name = "lodlocv2"
+
+    def __init__(self, settings: Params | None = None) -> None:
+        self.params = settings or Params()
+
+    def reaching(self, prior: UniformPrior) -> Params:
+        """Returns the parameters whose grid covers such a prior's error."""
+        return self.params.reaching(prior)
+
+    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+        """Returns the pose whose silhouette fits the query mask best.
+
+        Raises:
+            QueryFault: The mask is empty, or no hypothesis overlaps it.
+        """
+        started = time.perf_counter()
+        best = Particles(query.prior.center[None], np.array([query.prior.euler.yaw_deg]), np.zeros(1))
+        seconds: dict[str, float] = {}
+        trace: dict[str, tuple[float, ...]] = {}
+        hypotheses = 0
+        if self.params.variant != "no_select":
+            judge = Judge(query, scorer, self.params.coarse_size, self.params.fit)
+            best = select(judge, *self.params.grid().around(query.prior))
+            hypotheses += judge.scored
+            trace["coarse"] = (float(best.scores[0]),)
+            seconds["coarse"] = time.perf_counter() - started
+        if self.params.variant != "no_refine":
+            judge = Judge(query, scorer, self.params.fine_size, self.params.fit)
+            best, traces = refine(judge, best, self.params, streams)
+            trace |= traces
+            hypotheses += judge.scored
+            seconds["fine"] = time.perf_counter() - started - seconds.get("coarse", 0.0)
+        if best.scores[0] <= 0:
+            raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
+        rotation = rotations_at_yaws(*query.prior.euler[:2], best.yaws_deg)[0]
+        pose = Pose.from_center(rotation, best.centers[0])
+        return Estimate(pose, float(best.scores[0]), hypotheses, seconds, trace)
+
+
+def select(judge: Judge, centers: Floats, yaws_deg: Floats) -> Particles:
+    """Returns the one best pose of a grid; ties go to the first (paper section 3.2)."""
+    scored = judge(centers, yaws_deg)
+    return _take(scored, np.array([int(np.argmax(scored.scores))]))
+
+
+def refine(
+    judge: Judge, start: Particles, params: Params, streams: Streams
+) -> tuple[Particles, dict[str, tuple[float, ...]]]:
+    """Returns the best pose after the filter's last step, and the best score after each step.
+
+    The scores are those of all beams (``fine``) and of each (``fine beam 1`` and so on).
+
+    Every beam starts from the same pose. In each step it keeps its best poses unchanged, so that
+    its score never falls, and adds moved copies of each; beams never mix (paper section 3.3).
+    """
+    first = judge(start.centers, start.yaws_deg)
+    beams = [_take(first, np.zeros(params.kept, dtype=np.int64)) for _ in range(params.beams)]
+    traces: list[list[float]] = [[] for _ in beams]
+    for step in range(params.steps):
+        children = judge(*_moved(beams, params, params.scale(step), streams("fine", step)))
+        per_beam = len(children.scores) // params.beams
+        for b, kept in enumerate(beams):
+            mine = _take(children, np.arange(b * per_beam, (b + 1) * per_beam))
+            beams[b] = _best(_joined(kept, mine), params.kept)
+            traces[b].append(float(beams[b].scores[0]))
+    winner = int(np.argmax([beam.scores[0] for beam in beams]))
+    named = {f"fine beam {b}": tuple(scores) for b, scores in enumerate(traces, start=1)}
+    best_of_all = tuple(max(scores) for scores in zip(*traces, strict=True))
+    return _take(beams[winner], np.zeros(1, dtype=np.int64)), {"fine": best_of_all, **named}
+
+
+def _moved(
+    beams: list[Particles], params: Params, scale: float, generator: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Returns moved copies of every beam's kept poses: centres (N, 3) and yaws (N,), beam by beam."""
+    copies = params.children_per_parent
+    centers = np.concatenate([np.repeat(beam.centers, copies, axis=0) for beam in beams])
+    yaws = np.concatenate([np.repeat(beam.yaws_deg, copies) for beam in beams])
+    turns = generator.uniform(-1.0, 1.0, len(yaws)) * (params.spread_yaw_deg * scale)
+    moves = generator.standard_normal((len(yaws), 3)) * (params.sigma_m * scale)
+    return centers + moves, yaws + turns
+
+
+def _joined(a: Particles, b: Particles) -> Particles:
+    return Particles(*(np.concatenate(pair) for pair in zip(a, b, strict=True)))
+
+
+def _take(particles: Particles, indices: NDArray[np.int64]) -> Particles:
+    return Particles(*(values[indices] for values in particles))
+
+
+def _best(particles: Particles, count: int) -> Particles:
+    # A stable sort: of equal scores the earlier pose stays ahead, kept ones before their copies.
+    return _take(particles, np.argsort(-particles.scores, kind="stable")[:count])

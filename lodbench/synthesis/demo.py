@@ -1,0 +1,83 @@
+"""``dataset=demo`` and ``dataset=demo_train``: built on first use, then read like any folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.query import Dataset
+from lodbench.storage.paths import cache_root
+
+
+@dataclass(frozen=True, slots=True)
+class DemoParams:
+    """Settings of ``dataset=demo``, the town to test on.
+
+    Attributes:
+        name: Name to report.
+        num_queries: Queries over both splits.
+        town_seed: Seed of the town, its queries, priors and masks.
+        look: What it looks like: ``test`` or ``train``.
+        lod: Level of detail to localise against: "1", "2" or "3".
+    """
+
+    name: str = "demo"
+    num_queries: int = 40
+    town_seed: int = 0
+    look: str = "test"
+    lod: str | None = "1"
+
+
+@dataclass(frozen=True, slots=True)
+class DemoTrainParams(DemoParams):
+    """Settings of ``dataset=demo_train``, another town with other streets, roofs and colours to train on."""
+
+    name: str = "demo_train"
+    town_seed: int = 1
+    look: str = "train"
+
+
+def open_demo(params: DemoParams) -> Dataset:
+    """Returns the demo dataset; builds it first if the cache does not hold it yet.
+
+    Raises:
+        DatasetError: Fewer than two queries are asked for, the look is unknown, or the cache holds
+            something else.
+    """
+    from lodbench.synthesis.town.build import CITY_FILE, FINE_CITY_FILE
+    from lodbench.synthesis.town.town import TOWN_VERSION
+
+    root = demo_folder(params)
+    is_fine = params.lod is not None and params.lod.lower().removeprefix("lod").startswith("3")
+    city = root / (FINE_CITY_FILE if is_fine else CITY_FILE)
+    folder = open_folder(FolderParams(str(root), str(city), lod=params.lod, name=params.name))
+    look = "" if params.look == "test" else f", look {params.look}"
+    # From pixels: its masks are drawn from the truth, as wrong as a network's, to compare with.
+    return replace(folder, version=f"town {TOWN_VERSION}{look}, seed {params.town_seed}", segmenter="compact")
+
+
+def open_demo_train(params: DemoTrainParams) -> Dataset:
+    """Returns the demo's town to train on; see ``open_demo``."""
+    return open_demo(params)
+
+
+def demo_folder(params: DemoParams) -> Path:
+    """Returns the folder of a demo in the cache, built if it is not there yet.
+
+    Its name holds everything it follows from: the version, the parameters, and a digest of the code
+    that makes it, so that a changed generator never meets an old folder.
+    """
+    from lodbench.synthesis.town.build import build_demo, generator_digest
+    from lodbench.synthesis.town.town import TOWN_VERSION
+
+    name = (
+        f"town-{TOWN_VERSION}-{params.look}-seed-{params.town_seed}-queries-{params.num_queries}"
+        f"-{generator_digest()}"
+    )
+    return build_demo(
+        cache_root() / "demo" / name,
+        num_queries=params.num_queries,
+        seed=params.town_seed,
+        look=params.look,
+    )

@@ -1,0 +1,177 @@
+"""From a z-buffer of two by two samples per pixel to light: texture, sun, sky, haze."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lodbench.synthesis.photo.compiled import per_pixel, pixel_loop
+from lodbench.synthesis.photo.noise import mix
+from lodbench.synthesis.photo.sunlight import sun_share
+from lodbench.synthesis.photo.surfaces import surface_colour
+from lodbench.synthesis.photo.textured import TEXTURED, texture_light
+
+_TEXTURED = int(TEXTURED)
+
+
+@per_pixel
+def sky_colour(up, towards_sun, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the linear RGB of the sky in a direction.
+
+    Args:
+        up: Sine of its elevation.
+        towards_sun: Cosine of its angle to the sun.
+        look: Look.
+    """
+    height = min(1.0, max(0.0, up)) ** 0.45
+    colour = mix(look.haze_rgb, look.zenith_rgb, height)
+    glow = max(0.0, towards_sun) ** 24.0
+    return colour[0] * (1.0 + 0.5 * glow), colour[1] * (1.0 + 0.45 * glow), colour[2] * (1.0 + 0.35 * glow)
+
+
+@per_pixel
+def _shading_normal(skin, triangle, x, y, z, back):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns a triangle's unit normal on the camera's side; that of leaves is round a crown.
+
+    Args:
+        skin: Skin.
+        triangle: Number of the triangle.
+        x: Point, east.
+        y: North.
+        z: Up.
+        back: (3,) from the point to the camera.
+    """
+    nx, ny, nz = (
+        np.float64(skin.normal[triangle, 0]),
+        np.float64(skin.normal[triangle, 1]),
+        np.float64(skin.normal[triangle, 2]),
+    )
+    if nx * back[0] + ny * back[1] + nz * back[2] < 0.0:
+        nx, ny, nz = -nx, -ny, -nz
+    if skin.place[triangle, 6] > 0.0:
+        cx, cy, cz = x - skin.place[triangle, 0], y - skin.place[triangle, 1], z - skin.place[triangle, 2]
+        length = np.sqrt(cx * cx + cy * cy + cz * cz) + 1e-6
+        nx, ny, nz = 0.5 * nx + cx / length, 0.5 * ny + cy / length, 0.5 * nz + cz / length
+        length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-6
+        nx, ny, nz = nx / length, ny / length, nz / length
+    return nx, ny, nz
+
+
+@per_pixel
+def _lit(albedo, mirrored, x, y, z, normal, ray, look, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns the light a surface sends to the camera.
+
+    Args:
+        albedo: (3,) linear.
+        mirrored: Share of sky it mirrors, looked at straight; more when grazed.
+        x: Point, east.
+        y: North.
+        z: Up.
+        normal: (3,) unit.
+        ray: (3,) unit, from the camera to the point.
+        look: Look.
+        sun_map: SunMap.
+    """
+    facing = normal[0] * look.sun[0] + normal[1] * look.sun[1] + normal[2] * look.sun[2]
+    sun = 0.0
+    if facing > 0.0:
+        sun = facing * sun_share(x, y, z, normal, facing, sun_map)
+    # A surface sees as much sky as it looks up; the rest is ground, lit and grey-green.
+    open_sky = 0.5 + 0.5 * normal[2]
+    ground = 0.16 * (1.0 - open_sky)
+    red = albedo[0] * (sun * look.sun_rgb[0] + open_sky * look.sky_rgb[0] + ground)
+    green = albedo[1] * (sun * look.sun_rgb[1] + open_sky * look.sky_rgb[1] + ground)
+    blue = albedo[2] * (sun * look.sun_rgb[2] + open_sky * look.sky_rgb[2] + ground)
+    if mirrored <= 0.0:
+        return red, green, blue
+    cosine = -(ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2])
+    bounce = 2.0 * cosine
+    rx, ry, rz = ray[0] + bounce * normal[0], ray[1] + bounce * normal[1], ray[2] + bounce * normal[2]
+    grazing = (1.0 - min(1.0, max(0.0, cosine))) ** 4
+    share = mirrored + (1.0 - mirrored) * grazing * min(1.0, 4.0 * mirrored)
+    towards_sun = rx * look.sun[0] + ry * look.sun[1] + rz * look.sun[2]
+    # What looks down mirrors the ground.
+    sky = sky_colour(rz, towards_sun, look) if rz > 0.0 else (0.09, 0.09, 0.08)
+    return mix((red, green, blue), sky, min(1.0, share))
+
+
+@per_pixel
+def _pixel(triangle, inverse, column, row, f, rotation, center, stage):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns the linear RGB of one triangle, or of the sky, at a place of the picture.
+
+    Args:
+        triangle: Number, or -1 for the sky.
+        inverse: 1 / depth there.
+        column: Place, sample pixels.
+        row: Likewise.
+        f: (4,) intrinsics, sample pixels.
+        rotation: (3, 3) cam_from_world.
+        center: (3,) of the camera.
+        stage: (skin, look, land, sun map, palettes, charts).
+    """
+    skin, look, land, sun_map, tables, charts = stage
+    a, b = (column - f[2]) / f[0], (row - f[3]) / f[1]
+    dx = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0]
+    dy = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1]
+    dz = rotation[0, 2] * a + rotation[1, 2] * b + rotation[2, 2]
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    ray = (dx / length, dy / length, dz / length)
+    towards_sun = ray[0] * look.sun[0] + ray[1] * look.sun[1] + ray[2] * look.sun[2]
+    if triangle < 0:
+        return sky_colour(ray[2], towards_sun, look)
+    depth = 1.0 / inverse
+    x, y, z = center[0] + dx * depth, center[1] + dy * depth, center[2] + dz * depth
+    if skin.surface[triangle] == _TEXTURED:
+        light = texture_light(np.int64(skin.number[triangle]), x, y, z, 2.0 * depth / f[0], charts)
+        return mix(look.haze_rgb, light, np.exp(-depth * length * look.haze_per_m))
+    normal = _shading_normal(skin, triangle, x, y, z, (-ray[0], -ray[1], -ray[2]))
+    # Two samples are one pixel; a grazed surface is seen coarser, at most by 4.
+    cosine = abs(ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2])
+    pixel_m = 2.0 * depth / f[0] / max(0.25, np.sqrt(cosine))
+    albedo, mirrored = surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, land, tables)
+    light = _lit(albedo, mirrored, x, y, z, normal, ray, look, sun_map)
+    clear = np.exp(-depth * length * look.haze_per_m)
+    return mix(look.haze_rgb, light, clear)
+
+
+@pixel_loop
+def resolve_photo(band, buffer, rotation, center, stage, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Writes the linear RGB of a band's pixels, each the mean of two by two samples.
+
+    A triangle is shaded once per pixel, in the middle of its samples.
+
+    Args:
+        band: Band of the view at twice the picture's size; its first column is even.
+        buffer: Its z-buffer.
+        rotation: (3, 3) cam_from_world.
+        center: (3,) of the camera.
+        stage: (skin, look, land, sun map, palettes, charts).
+        out: (H, W, 3) float32.
+    """
+    winner, inverse = buffer.winner, buffer.inverse
+    # Columns lie along memory in the buffer, as for the raster.
+    for column in range(band.first // 2, band.stop // 2):
+        left = 2 * column - band.first
+        for row in range(band.height // 2):
+            top = 2 * row
+            red = green = blue = 0.0
+            left_to_do = 15
+            while left_to_do:
+                # All samples that show the same triangle as the first that is left.
+                first = 0 if left_to_do & 1 else (1 if left_to_do & 2 else (2 if left_to_do & 4 else 3))
+                triangle = winner[left + (first & 1), top + (first >> 1)]
+                count, depth, x, y = 0, 0.0, 0.0, 0.0
+                for k in range(first, 4):
+                    u, v = left + (k & 1), top + (k >> 1)
+                    if winner[u, v] == triangle:
+                        left_to_do &= ~(1 << k)
+                        count += 1
+                        depth += inverse[u, v]
+                        x += u
+                        y += v
+                share = 1.0 / count
+                x, y = x * share + 0.5 + band.first, y * share + 0.5
+                colour = _pixel(triangle, depth * share, x, y, band.intrinsics, rotation, center, stage)
+                red += 0.25 * count * colour[0]
+                green += 0.25 * count * colour[1]
+                blue += 0.25 * count * colour[2]
+            out[row, column, 0], out[row, column, 1], out[row, column, 2] = red, green, blue

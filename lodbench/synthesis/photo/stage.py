@@ -1,0 +1,241 @@
+"""What a picture shows, made ready for the kernel: city and props as one mesh in small spatial groups."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.synthesis.photo.ground import LAND
+from lodbench.synthesis.photo.surfaces import linear
+from lodbench.synthesis.photo.textured import TEXTURED, Charts, TexturedMesh, make_charts
+from lodbench.synthesis.props import SceneProps, SurfaceClass
+
+Floats = NDArray[np.float64]
+
+# Triangles are drawn in groups by squares of the plan: small, so that few are projected in vain.
+_CELL_M = 32.0
+# A surface this steep is a wall; one flatter than the other is a flat roof.
+_WALL_UP, _FLAT_UP = 0.3, 0.985
+# Share of level tops, as level of detail 1 has, that are painted as tiled roofs.
+_TILED_TOPS = 0.5
+_ON_GROUND = [kind for kind in SurfaceClass if not kind.is_building and not kind.is_occluder]
+_ON_WALLS = [SurfaceClass.WINDOW, SurfaceClass.DOOR, SurfaceClass.FRAME]
+_NO_CASTERS = np.array([*_ON_GROUND, *_ON_WALLS, LAND, TEXTURED], dtype=np.uint8)
+
+
+class Skin(NamedTuple):
+    """What the triangles of a stage look like, for the kernel.
+
+    Attributes:
+        normal: (T, 3) float32 unit normals, whichever side.
+        surface: (T,) uint8 ``SurfaceClass``, or ``LAND``.
+        number: (T,) int32 of the object.
+        tint: (T, 3) float32 linear base colour; a negative red one for the palette's.
+        place: (T, 7) float32. Walls: tangent x, y, where the wall begins along it, its width, base and
+            top heights; a width of 0 for no painted windows. Leaves: centre of the crown at 0 to 2, and
+            1 at 6, for light as round a crown.
+    """
+
+    normal: NDArray[np.float32]
+    surface: NDArray[np.uint8]
+    number: NDArray[np.int32]
+    tint: NDArray[np.float32]
+    place: NDArray[np.float32]
+
+
+class Stage(NamedTuple):
+    """A city with its surroundings, ready to be pictured.
+
+    Attributes:
+        mesh: Its triangles as a ``Scene`` whose "buildings" are groups of neighbours.
+        skin: What they look like.
+        is_occluder: (T,) whether a triangle stands before buildings without being one.
+        casters: Those triangles that cast shadows worth drawing, or None if none do.
+        charts: Where on its texture each textured triangle is; its ``Skin.number`` is the row.
+    """
+
+    mesh: Scene
+    skin: Skin
+    is_occluder: NDArray[np.bool_]
+    casters: Scene | None
+    charts: Charts
+
+
+class _Loose(NamedTuple):
+    """Triangles before grouping: corners (T, 3, 3) float64, and per triangle as in ``Skin``."""
+
+    corners: Floats
+    surface: NDArray[np.uint8]
+    number: NDArray[np.int32]
+    tint: NDArray[np.float32]
+    is_plain: NDArray[np.bool_]
+
+
+def make_stage(scene: Scene, props: SceneProps | None, textured: TexturedMesh | None = None) -> Stage:
+    """Returns the stage of a city and what stands around it.
+
+    Where the props hold the buildings themselves, or there is a textured mesh, those of the scene are
+    left out.
+
+    Args:
+        scene: The city, as the picture shows it.
+        props: Its surroundings, in any frame; None for nothing.
+        textured: A mesh of the place, in the scene's frame; or None.
+    """
+    parts = []
+    if textured is None and (props is None or not props.has_buildings):
+        parts.append(_of_scene(scene))
+    if props is not None:
+        parts.append(_of_props(props.in_frame(scene.origin)))
+    if textured is not None:
+        parts.append(_of_textured(textured))
+    order, starts = _groups(np.concatenate([part.corners for part in parts]))
+    loose = _Loose(
+        np.concatenate([part.corners for part in parts])[order],
+        np.concatenate([part.surface for part in parts])[order],
+        np.concatenate([part.number for part in parts])[order],
+        np.concatenate([part.tint for part in parts])[order],
+        np.concatenate([part.is_plain for part in parts])[order],
+    )
+    mesh = _grouped(loose.corners, starts, scene)
+    normal = _normals(loose.corners)
+    place = _wall_places(loose, normal)
+    _add_crowns(place, loose)
+    is_occluder = (loose.surface >= int(SurfaceClass.TRUNK)) & (loose.surface < 100)
+    skin = Skin(normal.astype(np.float32), loose.surface, loose.number, loose.tint, place)
+    casters = _casters(loose, scene)
+    return Stage(mesh, skin, is_occluder, casters, make_charts(textured))
+
+
+def _casters(loose: _Loose, scene: Scene) -> Scene | None:
+    """Returns the triangles that cast shadows: not the ground, nor what lies on a wall or a texture."""
+    corners = loose.corners[~np.isin(loose.surface, _NO_CASTERS)]
+    if not len(corners):
+        return None
+    order, starts = _groups(corners)
+    return _grouped(corners[order], starts, scene)
+
+
+def _of_scene(scene: Scene) -> _Loose:
+    """Returns a city's triangles: walls, pitched and flat roofs told apart by their slope."""
+    corners = scene.vertices[scene.triangles].astype(np.float64)
+    building = np.repeat(np.arange(scene.num_buildings), np.diff(scene.triangle_starts))
+    up = np.abs(_normals(corners)[:, 2])
+    # A hash of the number, not of the order: the same house has the same roof in every tile.
+    tiled = ((building.astype(np.int64) * 2654435761 >> 7) % 1000) < 1000 * _TILED_TOPS
+    flat = np.where(tiled, SurfaceClass.ROOF_TILE, SurfaceClass.ROOF_FLAT)
+    has_slope = np.zeros(scene.num_buildings, dtype=bool)
+    has_slope[building[(up > _WALL_UP) & (up < _FLAT_UP)]] = True
+    flat = np.where(has_slope[building], SurfaceClass.ROOF_FLAT, flat)
+    surface = np.where(
+        up < _WALL_UP, SurfaceClass.WALL, np.where(up < _FLAT_UP, SurfaceClass.ROOF_TILE, flat)
+    )
+    tint = np.full((len(corners), 3), -1.0, dtype=np.float32)
+    plain = np.zeros(len(corners), dtype=bool)
+    return _Loose(corners, surface.astype(np.uint8), building.astype(np.int32), tint, plain)
+
+
+def _of_props(props: SceneProps) -> _Loose:
+    """Returns the triangles of props; black, which nothing out of doors is, stands for no tint."""
+    tint = linear(props.tint).astype(np.float32)
+    tint[~props.tint.any(axis=1)] = -1.0
+    corners = props.vertices[props.triangles].astype(np.float64)
+    plain = np.ones(len(corners), dtype=bool)
+    return _Loose(corners, props.surface, props.objects, tint, plain)
+
+
+def _of_textured(mesh: TexturedMesh) -> _Loose:
+    count = len(mesh.corners)
+    return _Loose(
+        mesh.corners,
+        np.full(count, TEXTURED, dtype=np.uint8),
+        np.arange(count, dtype=np.int32),
+        np.zeros((count, 3), dtype=np.float32),
+        np.ones(count, dtype=bool),
+    )
+
+
+def _groups(corners: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns an order of triangles by squares of the plan, and where each square's begin."""
+    middle = corners[:, :, :2].mean(axis=1)
+    cell = np.floor((middle - middle.min(axis=0)) / _CELL_M).astype(np.int64)
+    key = cell[:, 1] * (int(cell[:, 0].max()) + 1) + cell[:, 0]
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    return order, np.append(starts, len(order))
+
+
+def _grouped(corners: Floats, starts: NDArray[np.int64], scene: Scene) -> Scene:
+    """Returns grouped triangles as a scene; every group has vertices of its own."""
+    count = len(starts) - 1
+    group = np.repeat(np.arange(count), np.diff(starts))
+    points = corners.reshape(-1, 3).astype(np.float32)
+    keys = np.empty(len(points), dtype=[("group", np.int64), ("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+    keys["group"] = np.repeat(group, 3)
+    for axis, name in enumerate("xyz"):
+        keys[name] = points[:, axis]
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    vertices = points[first]
+    return Scene(
+        vertices=vertices,
+        triangles=inverse.reshape(-1, 3).astype(np.int32),
+        vertex_starts=np.searchsorted(keys["group"][first], np.arange(count + 1)).astype(np.int64),
+        triangle_starts=starts.astype(np.int64),
+        building_ids=tuple(str(number) for number in range(count)),
+        lod=scene.lod,
+        crs=scene.crs,
+        origin=scene.origin,
+    )
+
+
+def _normals(corners: Floats) -> Floats:
+    """Returns (T, 3) unit normals; (0, 0, 1) where a triangle has no area."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    normal[length == 0] = 0.0, 0.0, 1.0
+    return np.asarray(normal / np.where(length == 0, 1.0, length)[:, None])
+
+
+def _wall_places(loose: _Loose, normal: Floats) -> NDArray[np.float32]:
+    """Returns ``Skin.place`` of walls: triangles of one building and one plane are one wall."""
+    place = np.zeros((len(normal), 7), dtype=np.float32)
+    walls = np.flatnonzero((loose.surface == SurfaceClass.WALL) & ~loose.is_plain)
+    if not len(walls):
+        return place
+    tangent = np.stack([-normal[walls, 1], normal[walls, 0]], axis=1)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    tangent[(tangent[:, 0] < 0) | ((tangent[:, 0] == 0) & (tangent[:, 1] < 0))] *= -1.0
+    xy = loose.corners[walls, :, :2]
+    along = np.einsum("tcx,tx->tc", xy, tangent)
+    away = xy[:, 0, 1] * tangent[:, 0] - xy[:, 0, 0] * tangent[:, 1]
+    turn = np.round(np.arctan2(tangent[:, 1], tangent[:, 0]) / 0.02).astype(np.int64)
+    keys = np.stack(
+        [loose.number[walls].astype(np.int64), turn, np.round(away / 0.25).astype(np.int64)], axis=1
+    )
+    _, wall = np.unique(keys, axis=0, return_inverse=True)
+    wall, count = wall.reshape(-1), int(wall.max()) + 1
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    base, top = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(low, wall, along.min(axis=1))
+    np.maximum.at(high, wall, along.max(axis=1))
+    np.minimum.at(base, wall, loose.corners[walls, :, 2].min(axis=1))
+    np.maximum.at(top, wall, loose.corners[walls, :, 2].max(axis=1))
+    place[walls, :2] = tangent
+    place[walls, 2:6] = np.stack([low, high - low, base, top], axis=1)[wall]
+    return place
+
+
+def _add_crowns(place: NDArray[np.float32], loose: _Loose) -> None:
+    """Writes ``Skin.place`` of leaves: the middle of all leaves of a tree."""
+    leaves = np.flatnonzero(loose.surface == SurfaceClass.FOLIAGE)
+    if not len(leaves):
+        return
+    _, tree = np.unique(loose.number[leaves], return_inverse=True)
+    size = np.bincount(tree)
+    middle = loose.corners[leaves].mean(axis=1)
+    for axis in range(3):
+        place[leaves, axis] = (np.bincount(tree, middle[:, axis]) / size)[tree]
+    place[leaves, 6] = 1.0

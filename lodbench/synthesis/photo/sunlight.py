@@ -1,0 +1,130 @@
+"""Cast shadows: the scene's depth as the sun sees it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.synthesis.photo.compiled import per_pixel
+
+Floats = NDArray[np.float64]
+
+# The sun as a camera this far away: its rays are parallel to within a hundredth of a degree per metre.
+_DISTANCE_M = 60_000.0
+# Beyond this distance from the middle of what is seen, nothing casts a shadow.
+REACH_M = 450.0
+
+
+class SunMap(NamedTuple):
+    """Depth towards the sun, for the kernel.
+
+    Attributes:
+        depth: (N, N) float32 metres from the map's camera; 0 where there is nothing.
+        rotation: (3, 3) sun_from_world.
+        center: (3,) of the camera, local metres.
+        focal: Focal length, pixels.
+        texel_m: Size of a map pixel on the scene.
+    """
+
+    depth: NDArray[np.float32]
+    rotation: tuple[tuple[float, float, float], ...]
+    center: tuple[float, float, float]
+    focal: float
+    texel_m: float
+
+
+def ground_in_view(camera: Camera, pose: Pose, low_m: float, high_m: float) -> Floats:
+    """Returns places, (N, 3), where a view meets the lowest and the highest level of a scene.
+
+    Nothing further than ``2 * REACH_M`` is among them: its shadows are too small to be seen.
+    """
+    share = np.linspace(0.0, 1.0, 9)
+    u, v = (axis.ravel() for axis in np.meshgrid(share * camera.width, share * camera.height))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
+    rays = rays @ pose.rotation
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    distances = []
+    for level in (low_m, high_m):
+        drop = np.where(np.abs(rays[:, 2]) > 1e-6, rays[:, 2], 1e-6)
+        distance = (level - pose.center[2]) / drop
+        distances.append(np.where(distance > 0, np.minimum(distance, 2.0 * REACH_M), 2.0 * REACH_M))
+    points = np.concatenate([pose.center + rays * distance[:, None] for distance in distances])
+    points[:, 2] = np.clip(points[:, 2], low_m, high_m)
+    return np.asarray(points)
+
+
+def no_sun_map() -> SunMap:
+    """Returns a map in which nothing casts a shadow."""
+    level = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    return SunMap(np.zeros((1, 1), dtype=np.float32), level, (0.0, 0.0, 0.0), 1.0, 0.0)
+
+
+def draw_sun_map(raster: RasterRenderer, sun: Floats, seen: Floats, size: int) -> SunMap:
+    """Returns the depth map of the part of a scene that can be seen.
+
+    Args:
+        raster: Draws what casts shadows.
+        sun: (3,) unit vector towards the sun.
+        seen: (N, 3) points that a picture shows, local metres.
+        size: Side of the map, pixels.
+    """
+    rotation = _looking_along(-sun)
+    middle = np.median(seen, axis=0)
+    near = seen[np.linalg.norm(seen - middle, axis=1) <= REACH_M]
+    plan = (near - middle) @ rotation.T
+    radius = float(np.abs(plan[:, :2]).max()) + 2.0 if len(near) else 10.0
+    center = middle + sun * _DISTANCE_M
+    focal = 0.5 * size * _DISTANCE_M / radius
+    camera = Camera(size, size, focal, focal, 0.5 * size, 0.5 * size)
+    depth = raster.depth(camera, Pose.from_center(rotation, center))
+    # Tuples, not arrays: the kernel would count references to arrays at every pixel.
+    rows = tuple((float(x), float(y), float(z)) for x, y, z in rotation)
+    x, y, z = (float(value) for value in center)
+    return SunMap(depth, rows, (x, y, z), focal, 2.0 * radius / size)
+
+
+def _looking_along(axis: Floats) -> Floats:
+    """Returns the (3, 3) rotation of a camera that looks along a unit vector."""
+    aside = np.array([0.0, 1.0, 0.0]) if abs(axis[2]) > 0.9 else np.array([0.0, 0.0, 1.0])
+    right = np.cross(axis, aside)
+    right /= np.linalg.norm(right)
+    return np.ascontiguousarray(np.stack([right, np.cross(axis, right), axis]))
+
+
+@per_pixel
+def sun_share(x, y, z, normal, facing, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns how much of the sun reaches a point, 0 to 1: four map pixels, weighted.
+
+    Args:
+        x: Point, east, local metres.
+        y: North.
+        z: Up.
+        normal: (3,) unit, on the camera's side.
+        facing: Cosine of the angle between normal and sun, above 0.
+        sun_map: SunMap.
+    """
+    # Off the surface by a map pixel and more where light grazes it: it must not shade itself.
+    push = sun_map.texel_m * (0.6 + 0.8 * (1.0 - facing))
+    c, r = sun_map.center, sun_map.rotation
+    dx, dy, dz = x + push * normal[0] - c[0], y + push * normal[1] - c[1], z + push * normal[2] - c[2]
+    depth = r[2][0] * dx + r[2][1] * dy + r[2][2] * dz
+    size = sun_map.depth.shape[0]
+    scale = sun_map.focal / depth
+    u = (r[0][0] * dx + r[0][1] * dy + r[0][2] * dz) * scale + 0.5 * size - 0.5
+    v = (r[1][0] * dx + r[1][1] * dy + r[1][2] * dz) * scale + 0.5 * size - 0.5
+    i, j = np.int64(np.floor(u)), np.int64(np.floor(v))
+    if i < 0 or j < 0 or i >= size - 1 or j >= size - 1:
+        return 1.0
+    bias = depth - 0.08 - 0.5 * sun_map.texel_m
+    fu, fv = u - i, v - j
+    lit = 0.0
+    for row in range(2):
+        for column in range(2):
+            first = sun_map.depth[j + row, i + column]
+            if first == 0.0 or first >= bias:
+                lit += (fu if column else 1.0 - fu) * (fv if row else 1.0 - fv)
+    return lit

@@ -1,0 +1,160 @@
+"""What stands in a picture besides the plain city model: ground, roads, trees, cars, detailed buildings.
+
+A city file of LoD1 or LoD2 gives masks; a photo of the place shows more. ``SceneProps`` is that more:
+triangles with the class of their surface and a base colour, to be drawn by a colour renderer. It is
+made in two ways, and a renderer takes either:
+
+- ``lodbench.synthesis.town.props`` makes the demo town's, at level of detail 3, in the town's own look;
+- training data of a real city makes its own from footprints and building bases.
+
+What a renderer does with them: it draws the triangles of ``SceneProps`` and, where they hold no
+building surfaces (``has_buildings`` is false), those of the city's ``Scene`` too. Where they do, the
+buildings are complete, windows included: the scene's are not drawn, and no facade is painted on.
+Trees, cars and fences (``is_occluder``) hide what is behind them in the picture; whether they do in a
+mask is up to the caller. Ground surfaces need no depth bias: what lies on the ground is cut out of it or
+stands at least 3 cm above.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import RenderingError
+from lodbench.storage.atomic import write_bytes
+
+
+class SurfaceClass(IntEnum):
+    """What a surface is made of. Numbers are written to files: never change or reuse one."""
+
+    GROUND = 0  # bare earth, gravel
+    GRASS = 1
+    FIELD = 2  # crops, meadows beyond the town
+    ROAD = 3
+    MARKING = 4
+    PAVEMENT = 5  # pavements, squares, yards
+    WATER = 6
+    WALL = 20
+    ROOF_FLAT = 21
+    ROOF_TILE = 22
+    WINDOW = 23
+    DOOR = 24
+    FRAME = 25  # window reveals and sills, eaves, railings
+    CHIMNEY = 26
+    FLOOR = 27  # undersides
+    TRUNK = 40
+    FOLIAGE = 41
+    CAR_BODY = 42
+    CAR_GLASS = 43
+    FENCE = 44  # hedges, walls of gardens
+
+    @property
+    def is_building(self) -> bool:
+        """Whether it belongs to a building, hence to a building mask."""
+        return 20 <= self < 40
+
+    @property
+    def is_occluder(self) -> bool:
+        """Whether it stands before buildings without being one."""
+        return self >= 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneProps:
+    """Triangles to be seen, in the local metric frame of a city's scenes (x east, y north, z up).
+
+    Attributes:
+        vertices: (V, 3) float32, metres; ``vertices + origin`` are coordinates in the city's CRS.
+        triangles: (T, 3) int32 indices into ``vertices``, counter-clockwise seen from outside.
+        surface: (T,) uint8 ``SurfaceClass``.
+        objects: (T,) int32 number of the object a triangle is part of: below ``num_buildings`` the
+            index of the building in the city file's order (``Scene.building_ids``), above one number for
+            each tree, car or street. For instance labels, and for one random tint per object.
+        tint: (T, 3) uint8 RGB, the base colour in white light, before texture, noise and shading.
+        num_buildings: Buildings of the city file.
+        origin: (3,) float64.
+    """
+
+    vertices: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    surface: NDArray[np.uint8]
+    objects: NDArray[np.int32]
+    tint: NDArray[np.uint8]
+    num_buildings: int
+    origin: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.triangles)
+
+    @property
+    def has_buildings(self) -> bool:
+        """Whether the buildings themselves are among the triangles."""
+        return bool(self._of(SurfaceClass.WALL).any())
+
+    @property
+    def is_building(self) -> NDArray[np.bool_]:
+        """Returns (T,) whether a triangle belongs to a building."""
+        return self._of(*[kind for kind in SurfaceClass if kind.is_building])
+
+    @property
+    def is_occluder(self) -> NDArray[np.bool_]:
+        """Returns (T,) whether a triangle stands before buildings without being one."""
+        return self._of(*[kind for kind in SurfaceClass if kind.is_occluder])
+
+    def _of(self, *kinds: SurfaceClass) -> NDArray[np.bool_]:
+        return np.isin(self.surface, np.array(kinds, dtype=np.uint8))
+
+    def part(self, chosen: NDArray[np.bool_]) -> SceneProps:
+        """Returns some of the triangles, chosen by a (T,) mask, and the vertices they use."""
+        used, inverse = np.unique(self.triangles[chosen], return_inverse=True)
+        return replace(
+            self,
+            vertices=self.vertices[used],
+            triangles=inverse.reshape(-1, 3).astype(np.int32),
+            surface=self.surface[chosen],
+            objects=self.objects[chosen],
+            tint=self.tint[chosen],
+        )
+
+    def in_frame(self, origin: NDArray[np.float64]) -> SceneProps:
+        """Returns the same in the local frame of another origin, for example that of a ``Scene``."""
+        shift = (self.origin - origin).astype(np.float32)
+        return replace(self, vertices=self.vertices + shift, origin=np.asarray(origin, dtype=np.float64))
+
+
+_FIELDS = tuple(field.name for field in fields(SceneProps))
+
+
+def write_props(props: SceneProps, path: Path) -> None:
+    """Writes props as a compressed ``.npz``, which appears whole or not at all.
+
+    Raises:
+        OSError: The folder is missing or not writable.
+    """
+    content = io.BytesIO()
+    arrays: dict[str, Any] = {name: np.asarray(getattr(props, name)) for name in _FIELDS}
+    np.savez_compressed(content, **arrays)
+    write_bytes(path, content.getvalue())
+
+
+def read_props(path: Path) -> SceneProps:
+    """Returns props that ``write_props`` wrote.
+
+    Raises:
+        RenderingError: The file is missing, damaged, or no such file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            values = {name: arrays[name] for name in _FIELDS}
+        return SceneProps(**{**values, "num_buildings": int(values["num_buildings"])})
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
+        raise RenderingError(
+            f"{path} holds no scene props ({error}).", "Delete it and make it anew."
+        ) from None

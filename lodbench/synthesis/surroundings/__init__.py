@@ -1,0 +1,1 @@
+"""What stands around a city model's buildings: land cover, relief, trees and cars."""

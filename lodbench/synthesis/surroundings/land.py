@@ -1,0 +1,173 @@
+"""What lies between the buildings of a city that says nothing about it: ground, roads, yards, fields."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.synthesis.photo import Land
+from lodbench.synthesis.props import SurfaceClass
+
+Floats = NDArray[np.float64]
+Grid = NDArray[np.float32]
+
+MARGIN_M = 220.0  # land beyond the outermost buildings
+_LEAST_CELL_M, _MAX_SIDE = 0.5, 3000
+_ABOVE_M = 20_000.0  # the camera that looks down on the city, so far that its rays are parallel
+
+_JOINED_M = 11.0  # buildings nearer than this share a block
+_LEAST_BLOCK_M2 = 500.0  # a smaller group of buildings has no streets of its own
+_STREET_M = (4.0, 75.0)  # a street keeps at least so far from buildings, and is at most so far from them
+_FIELD_M = 55.0  # further from buildings than this are fields
+_DENSE = 0.55  # share of a block that is built on, above which its yards are paved
+_SMOOTH_M = 2.0  # roads are smoothed by this much
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A city seen from above, on a grid from the south-west; its margin included.
+
+    Attributes:
+        west: Left edge, local metres.
+        south: Lower edge.
+        cell_m: Size of a cell.
+        tops_m: (rows, columns) height of the highest surface, NaN where there is no building.
+        bases: (B, 3) middle of each building's lowest points, local metres; empty ones are left out.
+    """
+
+    west: float
+    south: float
+    cell_m: float
+    tops_m: Grid
+    bases: Floats
+
+    @property
+    def is_built(self) -> NDArray[np.bool_]:
+        """Returns (rows, columns) whether a building covers a cell."""
+        return np.asarray(np.isfinite(self.tops_m))
+
+    def cells_of(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+        """Returns rows and columns, clipped, of points (N, 2), and whether they are on the grid."""
+        rows, columns = self.tops_m.shape
+        column = np.floor((points[:, 0] - self.west) / self.cell_m).astype(np.int64)
+        row = np.floor((points[:, 1] - self.south) / self.cell_m).astype(np.int64)
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1), inside
+
+
+def look_down(scene: Scene, threads: int | None = None) -> Plan:
+    """Returns the plan of a city: its highest surfaces, drawn from straight above."""
+    low, high = scene.extent_m
+    span = high[:2] - low[:2] + 2 * MARGIN_M
+    cell = max(_LEAST_CELL_M, float(span.max()) / _MAX_SIDE)
+    columns, rows = (int(length / cell) + 1 for length in span)
+    west, south = (float(value) for value in low[:2] - MARGIN_M)
+    middle = np.array([west + 0.5 * columns * cell, south + 0.5 * rows * cell, _ABOVE_M])
+    focal = (_ABOVE_M - float(low[2])) / cell
+    camera = Camera(columns, rows, focal, focal, 0.5 * columns, 0.5 * rows)
+    depth = RasterRenderer(scene, threads).depth(camera, Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), middle))
+    tops = np.where(depth > 0, _ABOVE_M - depth, np.nan)[::-1]
+    return Plan(west, south, cell, np.ascontiguousarray(tops, dtype=np.float32), _bases(scene))
+
+
+def _bases(scene: Scene) -> Floats:
+    filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
+    starts = scene.vertex_starts[filled]
+    points = scene.vertices.astype(np.float64)
+    low, high = np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)
+    middle = 0.5 * (low + high)
+    middle[:, 2] = low[:, 2]
+    return np.asarray(middle)
+
+
+def cover_land(plan: Plan, generator: np.random.Generator) -> Land:
+    """Returns a made-up land cover that fits the buildings of a plan.
+
+    Streets run midway between blocks, as Voronoi edges of what stands close together; yards are paved
+    where blocks are dense and green where they are not; beyond are fields, and water in places.
+    """
+    cell, built = plan.cell_m, plan.is_built
+    block, away_m, built_share = _blocks(plan)
+    half = float(generator.uniform(2.6, 4.2))
+    road_m2, road_rad = _streets(block, away_m, cell)
+    ground = np.full(built.shape, SurfaceClass.GRASS, dtype=np.uint8)
+    lots = generator.random(int(block.max()) + 1)
+    paved = (built_share > _DENSE) | (lots < 0.12)
+    bare = (lots > 0.93) & ~paved
+    relief = _waves(built.shape, cell, generator)
+    distance = _distance(~built, cell)
+    ground[paved[block] & (distance < 9.0 + 7.0 * relief)] = SurfaceClass.PAVEMENT
+    ground[bare[block] & (distance < 25.0)] = SurfaceClass.GROUND
+    near = distance < 2.5 + 2.0 * relief
+    ground[near & (lots[block] < 0.6)] = SurfaceClass.PAVEMENT
+    ground[distance > _FIELD_M + 25.0 * relief] = SurfaceClass.FIELD
+    ground[_water(relief, distance, road_m2, generator)] = SurfaceClass.WATER
+    return Land(
+        ground, road_m2, road_rad, plan.west, plan.south, cell, half, float(generator.uniform(0.8, 2.2))
+    )
+
+
+def _distance(mask: NDArray[np.bool_], cell_m: float) -> Grid:
+    """Returns the distance of each cell of a mask from the nearest cell outside it, metres."""
+    return cast(Grid, cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) * np.float32(cell_m))
+
+
+def _blocks(plan: Plan) -> tuple[NDArray[np.int32], Grid, Floats]:
+    """Returns the block each cell is nearest to, how far that is, and the built share of every block."""
+    cell, built = plan.cell_m, plan.is_built
+    joined = _distance(~built, cell) < 0.5 * _JOINED_M
+    joined = _distance(joined, cell) > 0.5 * _JOINED_M - cell
+    joined |= built
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(joined.astype(np.uint8), connectivity=8)
+    large = stats[:, cv2.CC_STAT_AREA] * cell * cell >= _LEAST_BLOCK_M2
+    large[0] = False
+    if not large.any():
+        large[1:] = True
+    core = large[labels]
+    away, nearest = cv2.distanceTransformWithLabels(
+        (~core).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_CCOMP
+    )
+    number = int(nearest.max()) + 1
+    area = np.bincount(nearest[core], minlength=number)
+    share = np.bincount(nearest[core & built], minlength=number) / np.maximum(area, 1)
+    return nearest, cast(Grid, away * np.float32(cell)), share
+
+
+def _streets(block: NDArray[np.int32], away_m: Grid, cell_m: float) -> tuple[Grid, Grid]:
+    """Returns the squared distance from the middle of the nearest street, and its direction, radians."""
+    edge = np.zeros(block.shape, dtype=bool)
+    edge[:, 1:] |= block[:, 1:] != block[:, :-1]
+    edge[1:] |= block[1:] != block[:-1]
+    edge &= (away_m > _STREET_M[0]) & (away_m < _STREET_M[1])
+    if not edge.any():
+        return np.full(block.shape, 1e6, dtype=np.float32), np.zeros(block.shape, dtype=np.float32)
+    sigma = _SMOOTH_M / cell_m
+    away = cv2.GaussianBlur(_distance(~edge, cell_m), (0, 0), sigma)
+    # Near a line the blurred distance is that of a hyperbola; squared, what it is off by is a constant.
+    square = np.maximum(0.0, away**2 - 2.0 / np.pi * _SMOOTH_M**2)
+    gx, gy = cv2.Sobel(away, cv2.CV_32F, 1, 0), cv2.Sobel(away, cv2.CV_32F, 0, 1)
+    double = cv2.GaussianBlur(np.dstack([gx * gx - gy * gy, 2.0 * gx * gy]), (0, 0), 2.0 * sigma)
+    across = 0.5 * np.arctan2(double[:, :, 1], double[:, :, 0])
+    return np.minimum(square, 1e6).astype(np.float32), (across + np.pi / 2).astype(np.float32)
+
+
+def _waves(shape: tuple[int, ...], cell_m: float, generator: np.random.Generator) -> Grid:
+    """Returns smooth noise in about -1 to 1, some 100 m across."""
+    coarse = [max(2, int(side * cell_m / 70.0) + 2) for side in shape]
+    noise = generator.uniform(-1.0, 1.0, size=coarse).astype(np.float32)
+    return cast(Grid, cv2.resize(noise, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC))
+
+
+def _water(
+    relief: Grid, distance_m: Grid, road_m2: Grid, generator: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Returns where water is: low places away from buildings and streets; in every second city."""
+    depth = float(generator.uniform(-1.4, -0.35))
+    return np.asarray((relief < depth) & (distance_m > 22.0) & (road_m2 > 100.0))

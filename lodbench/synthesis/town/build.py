@@ -1,0 +1,208 @@
+"""Writes the demo as a folder in LoD-Loc's text layout, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel import open_scene
+from lodbench.errors import DatasetError
+from lodbench.geometry import Pose
+from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.storage import digest_of, file_digest
+from lodbench.synthesis.props import write_props
+from lodbench.synthesis.town.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text, fine_citygml_text
+from lodbench.synthesis.town.looks import look_named
+from lodbench.synthesis.town.pictures import Photographer
+from lodbench.synthesis.town.props import demo_props
+from lodbench.synthesis.town.queries import QUERY_CAMERA, TARGET_IOU, DemoQuery, DemoSplit, make_splits
+from lodbench.synthesis.town.relief import ascii_grid_text, relief_text
+from lodbench.synthesis.town.town import TOWN_VERSION, Town, grow_town
+
+CITY_FILE = "town.gml"
+FINE_CITY_FILE = "town_lod3.gml"
+RELIEF_FILE = "relief.gml"
+TERRAIN_FILE = "terrain.asc"
+PROPS_FILE = "props.npz"
+MANIFEST_FILE = "demo.json"
+
+
+def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0, look: str = "test") -> Path:
+    """Builds the demo dataset in a folder, unless the same one is there already.
+
+    The folder holds ``town.gml`` (LoD1 and LoD2), ``town_lod3.gml``, the ground as ``relief.gml``
+    (CityGML) and ``terrain.asc`` (raster), ``props.npz`` (what a photo shows), ``demo.json``, and per
+    split ``in_place`` and ``out_of_place`` the files ``GT_pose.txt``, ``GPS_pose.txt``,
+    ``intrinsic.txt``, ``Query_image/`` and ``masks/``. Poses are world to camera in the absolute
+    coordinates of the city file. All bytes follow from the seed and the look.
+
+    Args:
+        root: The folder to create; its parents are made where missing.
+        num_queries: Queries over both splits.
+        seed: Seed of the town and everything in it.
+        look: ``test`` or ``train``.
+
+    Returns:
+        ``root``.
+
+    Raises:
+        DatasetError: Fewer than two queries, an unknown look, or something else stands at ``root``.
+    """
+    if num_queries < 2:
+        raise DatasetError(f"The demo has two splits, so it needs at least 2 queries, not {num_queries}.")
+    asked = {
+        "town_version": TOWN_VERSION,
+        "look": look_named(look).name,
+        "seed": seed,
+        "num_queries": num_queries,
+    }
+    if root.exists() and _is_same_demo(root, asked):
+        return root
+    root.parent.mkdir(parents=True, exist_ok=True)
+    building = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".part", dir=root.parent))
+    try:
+        _write_demo(building, asked)
+        # mkdtemp makes folders private; a dataset is as readable as any other folder of the user.
+        building.chmod(0o755)
+        _move_into_place(building, root, asked)
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+    return root
+
+
+@cache
+def generator_digest() -> str:
+    """Returns a digest of the code that makes the demo: another generator, another town."""
+    room = Path(__file__).parents[1]
+    files = [*sorted((room / "town").glob("*.py")), *sorted((room / "photo").glob("*.py"))]
+    files += [room / f"{name}.py" for name in ("view_sampling", "mask_degradation", "mask_errors")]
+    return digest_of(
+        [file_digest(file) for file in [*files, room.parent / "datasets" / "priors.py"]], length=8
+    )
+
+
+def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
+    """Returns whether a finished demo with these parameters stands at a path.
+
+    Raises:
+        DatasetError: Something else does.
+    """
+    try:
+        manifest = json.loads((root / MANIFEST_FILE).read_text(encoding="utf-8"))
+        found = {key: manifest[key] for key in asked}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise DatasetError(
+            f"{root} exists and is no demo dataset.", "Name another folder, or remove it."
+        ) from None
+    if found != asked:
+        raise DatasetError(
+            f"{root} holds another demo: {found} instead of {asked}.", "Name another folder, or remove it."
+        )
+    return True
+
+
+def _move_into_place(building: Path, root: Path, asked: dict[str, Any]) -> None:
+    try:
+        building.rename(root)
+    except OSError:
+        # Another process was quicker; its demo has the same bytes.
+        if not (root.exists() and _is_same_demo(root, asked)):
+            raise
+
+
+def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
+    town = grow_town(asked["seed"], look_named(asked["look"]))
+    props = demo_props(town)
+    _write_town(folder, town)
+    write_props(props, folder / PROPS_FILE)
+    # The queries see the town as a reader does: through the file, in the frame it gives the scene.
+    scene = open_scene(folder / FINE_CITY_FILE, lod="3")
+    renderer = SilhouetteRenderer(scene, threads=1)
+    photographer = Photographer(town, scene, props)
+    offset_m = ORIGIN_M - scene.origin
+    splits = make_splits(town, scene, renderer, photographer, offset_m, asked["num_queries"])
+    for split in splits:
+        _write_split(folder / split.name, split, scene.origin)
+    manifest = asked | _manifest(town, splits)
+    text = json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False)
+    _write_text(folder / MANIFEST_FILE, text + "\n")
+
+
+def _write_town(folder: Path, town: Town) -> None:
+    """Writes the city files and the ground."""
+    name = f"lodbench demo town, version {TOWN_VERSION}, look {town.look.name}, seed {town.seed}"
+    _write_text(folder / CITY_FILE, citygml_text(town))
+    _write_text(folder / FINE_CITY_FILE, fine_citygml_text(town))
+    _write_text(folder / RELIEF_FILE, relief_text(town.terrain, f"{name}: relief"))
+    _write_text(folder / TERRAIN_FILE, ascii_grid_text(town.terrain))
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _write_split(folder: Path, split: DemoSplit, origin: NDArray[np.float64]) -> None:
+    """Writes the poses, intrinsics, photos and masks of one split."""
+    masks, photos = folder / "masks", folder / "Query_image"
+    masks.mkdir(parents=True)
+    photos.mkdir()
+    c = QUERY_CAMERA
+    camera = f"PINHOLE {c.width} {c.height} {c.fx!r} {c.fy!r} {c.cx!r} {c.cy!r}"
+    files = {
+        "GT_pose.txt": [_pose_line(q.name, q.truth, origin) for q in split.queries],
+        "GPS_pose.txt": [_pose_line(q.name, q.prior, origin) for q in split.queries],
+        "intrinsic.txt": [f"{q.name} {camera}" for q in split.queries],
+    }
+    for name, lines in files.items():
+        _write_text(folder / name, "\n".join(lines) + "\n")
+    for query in split.queries:
+        (photos / query.name).write_bytes(query.photo)
+        (masks / query.name).with_suffix(".png").write_bytes(_png(query))
+
+
+def _pose_line(name: str, pose: Pose, origin: NDArray[np.float64]) -> str:
+    """Returns one line of a pose file, the pose moved from the local frame to the CRS."""
+    absolute = pose.shifted(origin)
+    numbers = [f"{v:.12f}" for v in absolute.quat_wxyz] + [f"{v:.6f}" for v in absolute.translation]
+    return " ".join([name, *numbers])
+
+
+def _png(query: DemoQuery) -> bytes:
+    encoded, content = cv2.imencode(".png", query.mask.astype(np.uint8) * 255)
+    if not encoded:
+        raise DatasetError(f"The mask of {query.name} cannot be written as PNG.")
+    return content.tobytes()
+
+
+def _manifest(town: Town, splits: list[DemoSplit]) -> dict[str, Any]:
+    """Returns what there is to know about the demo besides its files."""
+    return {
+        "city": {
+            "files": {"1": CITY_FILE, "2": CITY_FILE, "3": FINE_CITY_FILE},
+            "crs": CRS_NAME,
+            "buildings": len(town.mapped),
+            "buildings_lod3": len(town.standing),
+            "changed_since": dict(sorted(Counter(building.age.value for building in town.buildings).items())),
+            "ground": {"relief": RELIEF_FILE, "raster": TERRAIN_FILE},
+        },
+        "props": PROPS_FILE,
+        "frame": "world to camera, absolute coordinates of the CRS, metres",
+        "splits": {
+            split.name: {
+                "queries": len(split.queries),
+                "rejected_views": split.rejections,
+                "target_iou": list(TARGET_IOU[split.name]),
+                "mask_iou": {query.name: round(query.mask_iou, 6) for query in split.queries},
+            }
+            for split in splits
+        },
+    }

@@ -1,0 +1,136 @@
+"""Trees and hedges of the town: where they grow."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.storage import random_stream
+from lodbench.synthesis.props import SurfaceClass
+from lodbench.synthesis.town.ground import on_ground
+from lodbench.synthesis.town.pile import PropPile, along_line, length_of, offset_line
+from lodbench.synthesis.town.shapes import area, contains, edge_directions, inset, left_of
+from lodbench.synthesis.town.town import Town
+from lodbench.synthesis.town.trees import add_trees
+
+Points = NDArray[np.float64]
+
+# One tree for so many square metres of open land, by district; parks have more.
+_LAND_PER_TREE_M2 = {
+    "old town": 420.0,
+    "inner town": 190.0,
+    "garden suburb": 170.0,
+    "estate": 210.0,
+    "works": 520.0,
+}
+_PARK_M2 = 75.0
+_HEDGE = np.array((66.0, 88.0, 46.0))
+_NUM_WOODS = 14
+
+
+def add_greenery(pile: PropPile, town: Town) -> None:
+    """Adds trees in streets, yards and parks, along the river and in woods around, and hedges."""
+    chances = random_stream(town.seed, "demo", "trees")
+    places = np.concatenate(
+        [_along_streets(town, chances), _in_yards(town, chances), _along_river(town, chances)]
+    )
+    places = places[town.occupancy.is_free_around(places, 2.4)]
+    add_trees(pile, town, places, chances, is_far=False)
+    add_trees(pile, town, _in_woods(town, chances), chances, is_far=True)
+    _add_hedges(pile, town, chances)
+
+
+def _along_streets(town: Town, chances: np.random.Generator) -> Points:
+    """Returns places of trees on the pavements of wider streets."""
+    places = []
+    for street in town.streets.streets:
+        likely = 0.75 if street.width_m > 15 else 0.35
+        for side in (-1.0, 1.0):
+            if street.width_m < 10.5 or chances.random() > likely * town.look.trees:
+                continue
+            line = offset_line(street.line, side * (0.5 * street.width_m + 1.1))
+            spacing = float(chances.uniform(8.0, 14.0))
+            at = np.arange(9.0, length_of(line) - 9.0, spacing)
+            at = at[chances.random(len(at)) < 0.85]
+            places.append(along_line(line, at + chances.normal(0.0, 0.6, len(at)))[0])
+    return np.concatenate(places)
+
+
+def _in_yards(town: Town, chances: np.random.Generator) -> Points:
+    """Returns places of trees in gardens, courtyards and parks."""
+    places = []
+    for number, (block, district) in enumerate(zip(town.streets.blocks, town.districts, strict=True)):
+        yard = inset(block.ring, 3.5)
+        if number == 0 or yard is None:
+            continue
+        low, high = yard.min(axis=0), yard.max(axis=0)
+        taken = town.occupancy.at(_grid(low, high))
+        is_park = len(np.unique(taken)) <= 2 and district == "inner town"
+        per_tree = _PARK_M2 if is_park else _LAND_PER_TREE_M2[district]
+        count = round(float(np.prod(high - low)) / per_tree * town.look.trees)
+        drawn = chances.uniform(low, high, (count, 2))
+        places.append(drawn[contains(yard, drawn)])
+    return np.concatenate(places)
+
+
+def _grid(low: Points, high: Points) -> Points:
+    x, y = np.meshgrid(np.arange(low[0], high[0], 4.0), np.arange(low[1], high[1], 4.0))
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def _along_river(town: Town, chances: np.random.Generator) -> Points:
+    """Returns places of trees on both banks, in loose rows."""
+    line = town.streets.river
+    half = 0.5 * length_of(line)
+    places = []
+    for side in (-1.0, 1.0):
+        at = np.cumsum(chances.uniform(5.0, 26.0, 160)) + half - 1200.0
+        bank, _ = along_line(offset_line(line, side * 21.0), at)
+        places.append(bank + chances.normal(0.0, 1.0, bank.shape))
+    return np.concatenate(places)
+
+
+def _in_woods(town: Town, chances: np.random.Generator) -> Points:
+    """Returns places of trees in woods around the town."""
+    places = []
+    for _ in range(_NUM_WOODS):
+        turn, away = chances.uniform(0.0, 2 * np.pi), chances.uniform(680.0, 1500.0)
+        middle = away * np.array([np.cos(turn), np.sin(turn)])
+        radius = chances.uniform(50.0, 130.0) * np.array([1.0, chances.uniform(0.5, 1.0)])
+        count = round(float(np.pi * radius[0] * radius[1]) / 55.0)
+        ray, spin = np.sqrt(chances.random(count)), chances.uniform(0.0, 2 * np.pi, count)
+        places.append(middle + np.stack([np.cos(spin), np.sin(spin)], axis=1) * ray[:, None] * radius)
+    drawn = np.concatenate(places)
+    return drawn[town.terrain.river_distance(drawn) > 30.0]
+
+
+def _add_hedges(pile: PropPile, town: Town, chances: np.random.Generator) -> None:
+    """Adds hedges along the front gardens of the suburbs, with gaps for gates."""
+    for block, district in zip(town.streets.blocks, town.districts, strict=True):
+        ring = inset(block.ring, 2.9)
+        if district not in ("garden suburb", "inner town") or ring is None or area(ring) < 900.0:
+            continue
+        for start, along, ahead in zip(ring, edge_directions(ring), np.roll(ring, -1, axis=0), strict=True):
+            length, at = float(np.linalg.norm(ahead - start)), 1.0
+            while at < length - 4.0:
+                run = min(float(chances.uniform(4.0, 15.0)), length - at - 1.0)
+                if chances.random() < 0.6:
+                    _add_hedge(pile, town, start + along * at, along * run, chances)
+                at += run + float(chances.uniform(2.0, 4.5))
+
+
+def _add_hedge(pile: PropPile, town: Town, start: Points, way: Points, chances: np.random.Generator) -> None:
+    side = left_of(way / np.linalg.norm(way)) * 0.3
+    ring = np.stack([start - side, start + way - side, start + way + side, start + side])
+    if (town.occupancy.at(ring) > 0).any():
+        return
+    low = on_ground(town, ring, 0.0)
+    high = low + np.array([0.0, 0.0, chances.uniform(0.9, 1.7)])
+    k = np.arange(4)
+    ahead = (k + 1) % 4
+    faces = np.concatenate(
+        [np.stack([k, ahead, ahead + 4], 1), np.stack([k, ahead + 4, k + 4], 1), [[4, 5, 6], [4, 6, 7]]]
+    )
+    pile.add(
+        SurfaceClass.FENCE, np.concatenate([low, high]), faces, _HEDGE * float(chances.uniform(0.8, 1.2))
+    )

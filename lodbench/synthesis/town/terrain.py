@@ -1,0 +1,84 @@
+"""The ground of the town: smooth hills on both sides of a river valley."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.synthesis.town.shapes import left_of
+
+Points = NDArray[np.float64]
+
+# Hills: wavelength and amplitude in metres of waves much longer than a block.
+_WAVES_M = ((900.0, 6.0), (620.0, 4.2), (380.0, 1.8), (240.0, 0.6))
+# Across the valley: the bed of the river, its banks, and where the hills have their full height again.
+_BED_M, _BANK_M, _VALLEY_M = 13.0, 19.0, 190.0
+_BANK_HEIGHT_M = 2.6
+_WATER_DEPTH_M = 1.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terrain:
+    """Ground heights: a slope up from the river and a few long waves, sunk into a valley along it.
+
+    Attributes:
+        base_m: Height at the river before the waves, metres above sea level.
+        rise: Metres of rise per metre away from the river.
+        waves: (N, 4) rows of wave vector x, y (radians per metre), phase (radians), amplitude (m).
+        river: (K, 2) its middle line, local metres.
+        water_m: Height of the water.
+    """
+
+    base_m: float
+    rise: float
+    waves: Points
+    river: Points
+    water_m: float
+
+    @classmethod
+    def draw(cls, generator: np.random.Generator, river: Points, relief: float = 1.0) -> Terrain:
+        """Returns hills that rise by some 30 m from a river to the edge of town."""
+        waves = []
+        for wavelength, amplitude in _WAVES_M:
+            turn, phase = generator.uniform(0, 2 * np.pi, 2)
+            number = 2 * np.pi / wavelength
+            waves.append([number * np.cos(turn), number * np.sin(turn), phase, relief * amplitude])
+        rise = relief * generator.uniform(0.02, 0.03)
+        base = float(generator.uniform(180.0, 260.0))
+        dry = cls(base, float(rise), np.array(waves), river, -np.inf)
+        lowest = float(dry._hills(river, np.zeros(len(river))).min())
+        return cls(base, float(rise), dry.waves, river, round(lowest - _BANK_HEIGHT_M - 1.0, 2))
+
+    def height(self, points: Points) -> Points:
+        """Returns the ground height, (N,) metres, at local positions, (N, 2); the river's is its bed's."""
+        distance = self.river_distance(points)
+        bank = self.water_m + _BANK_HEIGHT_M
+        share = np.clip((distance - _BANK_M) / (_VALLEY_M - _BANK_M), 0.0, 1.0)
+        share = share * share * (3.0 - 2.0 * share)
+        hills = bank + share * np.maximum(self._hills(points, distance) - bank, 0.5)
+        depth = np.clip((_BANK_M - distance) / (_BANK_M - _BED_M), 0.0, 1.0)
+        return np.asarray(hills - depth * (_BANK_HEIGHT_M + _WATER_DEPTH_M))
+
+    def river_distance(self, points: Points) -> Points:
+        """Returns the distance, (N,) metres, of positions, (N, 2), from the middle of the river.
+
+        Measured across the river where they lie, which is exact beside it and near enough elsewhere: the
+        river bends gently and never turns back.
+        """
+        along = self.river[-1] - self.river[0]
+        along = along / np.linalg.norm(along)
+        axes = np.stack([along, left_of(along)], axis=1)
+        s, off = (self.river @ axes).T
+        bend = np.gradient(off, s)
+        at, side = (points @ axes).T
+        lateral = np.abs(side - np.interp(at, s, off))
+        return np.asarray(lateral / np.hypot(1.0, np.interp(at, s, bend)))
+
+    def _hills(self, points: Points, distance: Points) -> Points:
+        """Returns the heights as if there were no valley."""
+        phase = points @ self.waves[:, :2].T + self.waves[:, 2]
+        # The slope ends beyond the town: nobody lives on a mountain.
+        far = 600.0 * np.tanh(distance / 600.0)
+        return np.asarray(self.base_m + self.rise * far + np.sin(phase) @ self.waves[:, 3])

@@ -1,0 +1,99 @@
+"""The demo town: a made-up European town of some 900 buildings, the same for a seed everywhere.
+
+Order of work: streets cut the land into blocks, each block gets a district and plans, each plan is
+erected on the terrain beside its neighbours at three levels of detail.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lodbench.storage import random_stream
+from lodbench.synthesis.town.building import Age, Building, Plan, pieces_of
+from lodbench.synthesis.town.districts import build_up, building_line, district_of
+from lodbench.synthesis.town.erection import erect_all
+from lodbench.synthesis.town.landmarks import church, town_hall
+from lodbench.synthesis.town.looks import TEST, Look
+from lodbench.synthesis.town.occupancy import Occupancy, occupancy_of
+from lodbench.synthesis.town.streets import StreetPlan, draw_streets
+from lodbench.synthesis.town.terrain import Terrain
+
+# Raise it whenever a seed gives another town, queries included: results of two versions do not compare.
+TOWN_VERSION = "2"
+
+# The church stands on the first of the middle blocks that has room for it; block 0 is the market.
+_CHURCH_BLOCKS = range(1, 12)
+# No building stands farther out than this.
+_REACH_M = 640.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Town:
+    """A town in local metres, x east, y north, its middle at the origin; heights above sea level.
+
+    Attributes:
+        seed: What it grew from.
+        look: What it looks like.
+        buildings: Its buildings, those pulled down before the photos included, block by block from the
+            middle outward.
+        streets: Its street plan.
+        districts: District of each block of ``streets``.
+        terrain: Its ground.
+        occupancy: Which building stands where.
+    """
+
+    seed: int
+    look: Look
+    buildings: tuple[Building, ...]
+    streets: StreetPlan
+    districts: tuple[str, ...]
+    terrain: Terrain
+    occupancy: Occupancy
+
+    @property
+    def standing(self) -> tuple[Building, ...]:
+        """Returns the buildings that photos show and LoD3 holds."""
+        return tuple(building for building in self.buildings if building.age is not Age.GONE)
+
+    @property
+    def mapped(self) -> tuple[Building, ...]:
+        """Returns the buildings that LoD1 and LoD2 hold."""
+        return tuple(building for building in self.buildings if building.age is not Age.NEW)
+
+
+def grow_town(seed: int, look: Look = TEST) -> Town:
+    """Returns the town of a seed and a look."""
+    streets = draw_streets(random_stream(seed, "demo", "streets"), look.rings)
+    ground = random_stream(seed, "demo", "ground")
+    terrain = Terrain.draw(ground, streets.river, look.relief)
+    blocks = _landmarks(seed, streets)
+    estate_turn = float(ground.uniform(-1.2, 1.2))
+    districts = tuple(district_of(block, streets.to_river, estate_turn) for block in streets.blocks)
+    for number, (block, district) in enumerate(zip(streets.blocks, districts, strict=True)):
+        ring = building_line(block, district)
+        if number not in blocks and ring is not None:
+            chances = random_stream(seed, "demo", "block", number)
+            blocks[number] = build_up(number, ring, district, chances)
+    named = [
+        (f"DEMO_{number:03d}_{k:02d}", plan)
+        for number in sorted(blocks)
+        for k, plan in enumerate(blocks[number])
+    ]
+    occupancy = occupancy_of([pieces_of(plan) for _, plan in named], _REACH_M)
+    buildings = tuple(erect_all(named, seed, look, terrain, occupancy))
+    return Town(seed, look, buildings, streets, districts, terrain, occupancy)
+
+
+def _landmarks(seed: int, streets: StreetPlan) -> dict[int, list[Plan]]:
+    """Returns the plans of the market square and of the church's block, by block number."""
+    market = building_line(streets.blocks[0], "old town")
+    if market is None:
+        return {}
+    blocks = {0: town_hall(market, random_stream(seed, "demo", "town hall"))}
+    for number in _CHURCH_BLOCKS:
+        ring = building_line(streets.blocks[number], "old town")
+        plans = church(ring, random_stream(seed, "demo", "church")) if ring is not None else []
+        if plans:
+            blocks[number] = plans
+            break
+    return blocks

@@ -1,0 +1,1 @@
+"""Pictures, masks and poses to train on, of any city."""

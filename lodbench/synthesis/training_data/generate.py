@@ -1,0 +1,184 @@
+"""Generating a training set: plan, fan out, resume, account for everything."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lodbench.citymodel.cache import open_cached_city
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.folder import CAMERA_FILE, PRIOR_FILE, RENDERED_TRUTH_FILE
+from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
+from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.execution import Progress
+from lodbench.execution.fan_out import fan_out
+from lodbench.storage import random_stream, write_text
+from lodbench.synthesis.props import read_props
+from lodbench.synthesis.surroundings.surroundings import Surroundings, make_surroundings
+from lodbench.synthesis.training_data.cameras import picture_camera
+from lodbench.synthesis.training_data.contact_sheet import SHEET_FILE, write_sheet
+from lodbench.synthesis.training_data.manifest import begin_manifest, finish_manifest
+from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
+from lodbench.synthesis.training_data.texture_files import offset_to_city, read_textured
+from lodbench.synthesis.training_data.world import World, WorldParts, files_of, is_written
+
+
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """What was generated.
+
+    Attributes:
+        out: The folder.
+        views: Number of views by split.
+        resumed: How many of them were there already.
+        skipped: Candidates not taken, by reason.
+        notes: What was met in the city.
+    """
+
+    out: Path
+    views: dict[str, int]
+    resumed: int
+    skipped: dict[str, int]
+    notes: tuple[str, ...]
+
+
+def generate_training_data(params: TrainingParams, options: ReadOptions | None = None) -> Generated:
+    """Writes a training set, or what is still missing of it.
+
+    Every file of a view depends on the settings, the inputs and its name only, not on the workers or on
+    where an earlier run was stopped.
+
+    Args:
+        params: What to generate.
+        options: How to read the city; ``params.crs`` goes before its ``crs``.
+
+    Raises:
+        LodbenchError: An input is at fault, no view can be taken, the folder holds another set, or the
+            disk is full; finished files stay, and the same command goes on from there.
+    """
+    out = Path(params.out).expanduser()
+    parts, plan, notes = _prepare(params, options or ReadOptions())
+    manifest = begin_manifest(params, parts.scene, plan, out)
+    _write_layout(params, parts.scene, plan, out)
+    for leftover in out.glob("*/*/.*.part"):
+        leftover.unlink()  # what a killed run was writing
+    missing = [view for view in plan.views if not _is_written(params, view, out)]
+    resumed = len(plan.views) - len(missing)
+    _write_views(params, parts, missing, out, resumed)
+    write_sheet(params, plan.views, out / SHEET_FILE)
+    finish_manifest(manifest, out)
+    counts = Counter(view.split for view in plan.views)
+    return Generated(out, {split: counts[split] for split in SPLITS}, resumed, plan.skipped, notes)
+
+
+def _prepare(params: TrainingParams, options: ReadOptions) -> tuple[WorldParts, ViewPlan, tuple[str, ...]]:
+    """Returns the city with its surroundings, the views to take of it, and what was met."""
+    city, picture = open_cities(params, options)
+    parts, made, notes = world_parts(params, city, picture)
+    with Progress("views judged", None) as progress:
+        plan = plan_views(params, city, made.plan, made.ground, progress.advance)
+    return parts, plan, notes
+
+
+def world_parts(
+    params: TrainingParams, city: Scene, picture: Scene
+) -> tuple[WorldParts, Surroundings, tuple[str, ...]]:
+    """Returns what workers draw from, the surroundings made up for it, and notes for the reader.
+
+    Args:
+        params: What to generate.
+        city: The city of the masks.
+        picture: The city as pictures show it.
+
+    Raises:
+        LodbenchError: The terrain, the props or the textured mesh cannot be read or lies elsewhere.
+    """
+    made = make_surroundings(picture, params.seed, params.terrain)
+    parts = WorldParts(city, picture, made.props, made.land)
+    notes: tuple[str, ...] = ()
+    if params.texture_model is not None:
+        model = Path(params.texture_model).expanduser()
+        mesh = read_textured(model, params.texture_up)
+        offset, note = offset_to_city(mesh, city, model.name)
+        parts, notes = WorldParts(city, picture, None, None, offset), (note,)
+    elif params.props is not None:
+        parts = WorldParts(city, picture, read_props(Path(params.props).expanduser()), None)
+    return parts, made, notes
+
+
+def open_cities(params: TrainingParams, options: ReadOptions) -> tuple[Scene, Scene]:
+    """Returns the city of the masks and that of the pictures, in one frame."""
+    path = Path(params.city).expanduser()
+    opened = partial(open_cached_city, path, options=options, roof_height=params.roof_height)
+    city = opened(lod=params.lod).scene
+    picture = opened(lod=params.picture_lod).scene if params.picture_lod is not None else city
+    if not np.array_equal(city.origin, picture.origin):
+        raise ConfigError("The two levels of detail have different origins.", "Leave picture_lod out.")
+    return city, picture
+
+
+def _is_written(params: TrainingParams, view: PlannedView, out: Path) -> bool:
+    return all(is_written(path) for path in files_of(params, view, out))
+
+
+def _write_layout(params: TrainingParams, scene: Scene, plan: ViewPlan, out: Path) -> None:
+    """Makes the folders, and writes poses, priors and cameras of all views, finished or not."""
+    camera = picture_camera(params)
+    for split in SPLITS:
+        views = [view for view in plan.views if view.split == split]
+        if not views:
+            continue
+        for view in views[:1]:
+            for path in files_of(params, view, out):
+                path.parent.mkdir(parents=True, exist_ok=True)
+        lines: dict[str, list[str]] = {RENDERED_TRUTH_FILE: [], PRIOR_FILE: [], CAMERA_FILE: []}
+        for view in views:
+            name = f"{view.name}.{params.format}"
+            prior = UniformPrior().draw(view.pose, random_stream(params.seed, "training", "gps", view.key))
+            lines[RENDERED_TRUTH_FILE].append(format_pose(name, view.pose.shifted(scene.origin)))
+            lines[PRIOR_FILE].append(format_pose(name, prior.shifted(scene.origin)))
+            lines[CAMERA_FILE].append(format_camera(name, camera))
+        for name, content in lines.items():
+            write_text(out / split / name, lines_to_text(content))
+
+
+def _write_views(
+    params: TrainingParams, parts: WorldParts, missing: list[PlannedView], out: Path, resumed: int
+) -> None:
+    workers = min(params.workers or os.cpu_count() or 1, max(1, len(missing)))
+    done = 0
+    try:
+        with Progress("views", len(missing)) as progress:
+            for _ in fan_out(_write_view, missing, workers, _open_world, (params, parts, out)):
+                done += 1
+                progress.advance()
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise DatasetError(
+            f"The disk of {out} is full after {resumed + done} of {resumed + len(missing)} views.",
+            "They are whole and usable. Free some space and give the same command again: it goes on.",
+        ) from error
+
+
+# The world of this process and the folder it writes to; set once, before the first view.
+_world: list[tuple[World, Path]] = []
+
+
+def _open_world(params: TrainingParams, parts: WorldParts, out: Path) -> None:
+    _world[:] = [(World(params, parts), out)]
+
+
+def _write_view(view: PlannedView) -> str:
+    world, out = _world[0]
+    world.write(view, out)
+    return view.key

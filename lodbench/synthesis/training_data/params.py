@@ -1,0 +1,166 @@
+"""Settings of ``lodbench generate-training-data``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from lodbench.errors import ConfigError, nearest_names
+from lodbench.synthesis.photo import LookRanges
+
+SAMPLINGS = ("grid", "random", "trajectory", "priors")
+RENDERERS = ("raster", "pyrender")
+_CHOICES = {
+    "sampling": SAMPLINGS,
+    "renderer": RENDERERS,
+    "pitch_from": ("nadir", "horizon"),
+    "naming": ("index", "pose"),
+    "format": ("jpg", "png"),
+    "texture_up": ("auto", "y", "z"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingParams:
+    """What to generate.
+
+    Attributes:
+        city: City model; its silhouettes are the masks.
+        out: Folder of the data set.
+        lod: Level of detail of the masks, or None for the lowest with walls.
+        picture_lod: Level of detail of the pictures, or None for that of the masks.
+        crs: CRS override, or None.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+        texture_model: Textured mesh to picture instead of the city: OBJ, glTF or PLY; or None.
+        texture_up: Axis that points up in it; ``auto`` is y for glTF and z for the others.
+        props: Scene props to picture around the city (and, if they hold them, instead of its
+            buildings), or None to make up ground, roads, trees and cars.
+        terrain: Raster of ground heights, or None to take them from the bases of the buildings.
+        renderer: ``raster``, or ``pyrender`` for textured meshes.
+        sampling: ``grid`` over the city; ``random`` around its buildings; along a ``trajectory``;
+            around ``priors``.
+        pitch: Pitches, degrees: 0 looks straight down, 90 at the horizon.
+        pitch_from: ``nadir``, or ``horizon`` for pitches counted down from the horizon.
+        height: Heights above the ground, metres.
+        yaw: Yaws, degrees counter-clockwise from grid north (for a trajectory: from ahead), or None
+            for eight (ahead only).
+        spacing_m: Distance of cameras on the grid or the trajectory; None for half the height.
+        count: Draws for ``random``; draws around each pose for ``priors``.
+        poses: Pose file for ``trajectory`` and ``priors``, world to camera, in the city's coordinates.
+        prior_m: Half width of the draws around priors, east, north and up, metres.
+        prior_deg: Half width of yaw, pitch and roll.
+        limit: At most so many views, chosen at random; None for all.
+        size: Width and height of the pictures, pixels.
+        fov_deg: Horizontal field of view.
+        min_buildings: Least share of the picture that buildings take.
+        val_share: Share of the buildings in the validation region.
+        test_share: Share of the buildings in the test region.
+        overlap: Share of a picture that buildings of another region may take.
+        images: Whether pictures are written.
+        labels: Whether building ids are written, 16 bits.
+        depth: Whether depth is written, 16 bits, centimetres.
+        occluders_in_mask: Whether trees and cars are cut out of the masks.
+        naming: ``index``, or ``pose`` for X@Y@Z@PITCH@YAW@ROLL.
+        format: Of the pictures, ``jpg`` or ``png``.
+        sheet: Width of a picture on the contact sheet, pixels.
+        workers: Processes; None for one per core.
+        seed: Seed of everything drawn.
+        look: From what the look of each picture is drawn.
+
+    Raises:
+        ConfigError: A value is out of range; the message names it.
+    """
+
+    city: str
+    out: str
+    lod: str | None = None
+    picture_lod: str | None = None
+    crs: str | None = None
+    roof_height: str | None = None
+    texture_model: str | None = None
+    texture_up: str = "auto"
+    props: str | None = None
+    terrain: str | None = None
+    renderer: str = "raster"
+    sampling: str = "grid"
+    pitch: list[float] = field(default_factory=lambda: [30.0, 60.0])
+    pitch_from: str = "nadir"
+    height: list[float] = field(default_factory=lambda: [100.0, 150.0])
+    yaw: list[float] | None = None
+    spacing_m: float | None = None
+    count: int = 1000
+    poses: str | None = None
+    prior_m: tuple[float, float, float] = (10.0, 10.0, 30.0)
+    prior_deg: tuple[float, float, float] = (7.5, 1.0, 1.0)
+    limit: int | None = None
+    size: tuple[int, int] = (1024, 1024)
+    fov_deg: float = 65.0
+    min_buildings: float = 0.05
+    val_share: float = 0.1
+    test_share: float = 0.1
+    overlap: float = 0.002
+    images: bool = True
+    labels: bool = False
+    depth: bool = False
+    occluders_in_mask: bool = False
+    naming: str = "index"
+    format: str = "jpg"
+    sheet: int = 256
+    workers: int | None = None
+    seed: int = 0
+    look: LookRanges = field(default_factory=LookRanges)
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise ConfigError(
+                    f"{name}={getattr(self, name)} is not known.", nearest_names(getattr(self, name), choices)
+                )
+        self._check_lists()
+        self._check_numbers()
+        if self.sampling in ("trajectory", "priors") and self.poses is None:
+            raise ConfigError(f"sampling={self.sampling} needs poses.", "Add poses=FILE.")
+        if self.renderer == "pyrender" and self.texture_model is None:
+            raise ConfigError(
+                "renderer=pyrender pictures textured meshes only.",
+                "Add texture_model=FILE, or leave renderer out.",
+            )
+        if self.val_share + self.test_share > 0.9:
+            raise ConfigError(
+                f"val_share={self.val_share:g} and test_share={self.test_share:g} leave little to train on."
+            )
+
+    def _check_lists(self) -> None:
+        for name, values, low, high in (
+            ("pitch", self.pitch, 0.0, 90.0),
+            ("height", self.height, 1.0, 5000.0),
+            ("yaw", self.yaw if self.yaw is not None else [0.0], -360.0, 360.0),
+            ("size", list(self.size), 16, 4096),
+        ):
+            if not values:
+                raise ConfigError(f"{name} is empty.", f"Give it as a list: {name}='[{low:g}]'.")
+            for value in values:
+                if not low <= value <= high:
+                    raise ConfigError(f"{name}={value:g} is not within {low:g} to {high:g}.")
+
+    def _check_numbers(self) -> None:
+        for name, value, low, high in (
+            ("spacing_m", self.spacing_m if self.spacing_m is not None else 1.0, 0.1, 1e5),
+            ("count", self.count, 1, 10_000_000),
+            ("limit", self.limit if self.limit is not None else 1, 1, 10_000_000),
+            ("sheet", self.sheet, 16, 2048),
+            ("workers", self.workers if self.workers is not None else 1, 1, 1024),
+            ("fov_deg", self.fov_deg, 1.0, 150.0),
+            ("min_buildings", self.min_buildings, 0.0, 1.0),
+            ("val_share", self.val_share, 0.0, 0.9),
+            ("test_share", self.test_share, 0.0, 0.9),
+            ("overlap", self.overlap, 0.0, 1.0),
+            *(("prior_m", value, 0.0, 1e4) for value in self.prior_m),
+            *(("prior_deg", value, 0.0, 180.0) for value in self.prior_deg),
+        ):
+            if not (math.isfinite(value) and low <= value <= high):
+                raise ConfigError(f"{name}={value:g} is not within {low:g} to {high:g}.")
+
+    def pitches_from_nadir(self) -> list[float]:
+        """Returns the pitches as the poses have them: 0 straight down, 90 at the horizon."""
+        return [90.0 - pitch if self.pitch_from == "horizon" else pitch for pitch in self.pitch]

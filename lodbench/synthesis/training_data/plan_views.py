@@ -1,0 +1,176 @@
+"""Which views are taken: those that show buildings, from free air, of one region only."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import DatasetError
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.storage import random_stream
+from lodbench.synthesis.surroundings.land import Plan
+from lodbench.synthesis.surroundings.terrain_mesh import Ground
+from lodbench.synthesis.training_data.cameras import candidates, picture_camera
+from lodbench.synthesis.training_data.params import TrainingParams
+
+SPLITS = ("train", "val", "test")
+# Views are judged on pictures this wide: a building of three pixels there has some 40 in full size.
+_PREVIEW_WIDTH = 256
+_CLEARANCE_M = 2.0
+
+NO_BUILDINGS, IN_BUILDING = "too few buildings in view", "inside a building"
+BELOW_GROUND, TWO_REGIONS = "below the ground", "two regions in view"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedView:
+    """One view to write.
+
+    Attributes:
+        split: ``train``, ``val`` or ``test``.
+        name: Of its files, without ending.
+        pose: In the scene's frame.
+    """
+
+    split: str
+    name: str
+    pose: Pose
+
+    @property
+    def key(self) -> str:
+        """Returns ``split/name``, unique within a set."""
+        return f"{self.split}/{self.name}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewPlan:
+    """What will be written.
+
+    Attributes:
+        views: In the order of the candidates.
+        skipped: How many candidates were not taken, by reason.
+        candidates: How many there were.
+    """
+
+    views: tuple[PlannedView, ...]
+    skipped: dict[str, int]
+    candidates: int
+
+
+def regions_of(bases: NDArray[np.float64], val_share: float, test_share: float) -> NDArray[np.int64]:
+    """Returns the region of each building, 0 train, 1 validation, 2 test.
+
+    The city is cut across its longer side into three strips that hold these shares of its buildings.
+    """
+    span = np.ptp(bases[:, :2], axis=0)
+    along = bases[:, int(span[1] > span[0])]
+    cuts = np.quantile(along, [1.0 - val_share - test_share, 1.0 - test_share])
+    region = (along > cuts[0]).astype(np.int64) + (along > cuts[1])
+    # A quantile of all buildings is the last one: a share of 0 leaves nobody beyond it.
+    return region if val_share > 0 else np.where(region == 1, 0, region)
+
+
+def plan_views(
+    params: TrainingParams,
+    scene: Scene,
+    plan: Plan,
+    ground: Ground,
+    progress: Callable[[], None] = lambda: None,
+) -> ViewPlan:
+    """Returns the views to write; with a limit, a random choice of them.
+
+    Args:
+        params: What to generate.
+        scene: The city of the masks.
+        plan: It from above.
+        ground: Its ground.
+        progress: Called for every candidate judged.
+
+    Raises:
+        DatasetError: No view is left.
+    """
+    poses = candidates(params, scene, plan, ground)
+    order = np.arange(len(poses))
+    if params.limit is not None:
+        order = random_stream(params.seed, "training", "choice").permutation(len(poses))
+    judge = _Judge(params, scene, plan, ground)
+    taken: dict[int, str] = {}
+    skipped: Counter[str] = Counter()
+    for index in order:
+        if params.limit is not None and len(taken) == params.limit:
+            break
+        split, reason = judge.verdict(poses[index])
+        if split is None:
+            skipped[reason] += 1
+        else:
+            taken[int(index)] = split
+        progress()
+    if not taken:
+        counts = ", ".join(f"{count} {reason}" for reason, count in sorted(skipped.items()))
+        raise DatasetError(
+            f"None of {len(poses)} views can be taken: {counts or 'there is none'}.",
+            "Other heights and pitches, a smaller min_buildings, or val_share=0 test_share=0 may help.",
+        )
+    names = _names(params, scene, {index: poses[index] for index in sorted(taken)})
+    views = [PlannedView(taken[index], names[index], poses[index]) for index in sorted(taken)]
+    return ViewPlan(tuple(views), dict(sorted(skipped.items())), len(poses))
+
+
+class _Judge:
+    """Decides on views; its pictures are small."""
+
+    def __init__(self, params: TrainingParams, scene: Scene, plan: Plan, ground: Ground) -> None:
+        self._params, self._plan, self._ground = params, plan, ground
+        camera = picture_camera(params)
+        width = min(_PREVIEW_WIDTH, camera.width)
+        self._camera: Camera = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
+        self._raster = RasterRenderer(scene, threads=1)
+        filled = np.diff(scene.vertex_starts) > 0
+        self._region = np.zeros(scene.num_buildings, dtype=np.int64)
+        self._region[filled] = regions_of(plan.bases, params.val_share, params.test_share)
+
+    def verdict(self, pose: Pose) -> tuple[str | None, str]:
+        """Returns the split of a view and "", or None and why it is not taken."""
+        center = pose.center[None]
+        if center[0, 2] < self._ground.at(center)[0] + _CLEARANCE_M:
+            return None, BELOW_GROUND
+        if self._is_inside(center):
+            return None, IN_BUILDING
+        building = self._raster.draw(self._camera, pose).building
+        seen = np.bincount(self._region[building[building >= 0]], minlength=len(SPLITS)) / building.size
+        if seen.sum() < max(self._params.min_buildings, 1.0 / building.size):
+            return None, NO_BUILDINGS
+        most = int(seen.argmax())
+        if seen.sum() - seen[most] > self._params.overlap:
+            return None, TWO_REGIONS
+        return SPLITS[most], ""
+
+    def _is_inside(self, center: NDArray[np.float64]) -> bool:
+        row, column, inside = self._plan.cells_of(center)
+        reach = int(_CLEARANCE_M / self._plan.cell_m) + 1
+        rows = slice(max(0, row[0] - reach), row[0] + reach + 1)
+        columns = slice(max(0, column[0] - reach), column[0] + reach + 1)
+        tops = self._plan.tops_m[rows, columns]
+        return bool(inside[0] and (tops > center[0, 2] - _CLEARANCE_M).any())
+
+
+def _names(params: TrainingParams, scene: Scene, poses: dict[int, Pose]) -> dict[int, str]:
+    """Returns a name for each pose: its number, or X@Y@Z@PITCH@YAW@ROLL in whole metres and degrees."""
+    if params.naming == "index":
+        return {index: f"{index:06d}" for index in poses}
+    used: Counter[str] = Counter()
+    names = {}
+    for index, pose in poses.items():
+        pitch, roll, yaw = pose.euler
+        # Cut, not rounded, as UAVD4L's are; a tiny negative zero is no angle.
+        numbers = [*(pose.center + scene.origin), pitch, yaw, roll]
+        name = "@".join(str(int(value + 1e-6 * np.sign(value))) for value in numbers)
+        used[name] += 1
+        names[index] = name if used[name] == 1 else f"{name}-{used[name]}"
+    return names

@@ -1,0 +1,155 @@
+"""The city and its surroundings as one worker holds them: draws what belongs to a view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import RenderingError
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.storage import random_stream, write_bytes
+from lodbench.synthesis.photo import Development, Land, Look, PhotoRenderer, draw_look
+from lodbench.synthesis.photo.pyrender_photo import PyrenderPhotos
+from lodbench.synthesis.photo.textured import TexturedMesh
+from lodbench.synthesis.props import SceneProps
+from lodbench.synthesis.training_data.cameras import picture_camera
+from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.plan_views import PlannedView
+from lodbench.synthesis.training_data.texture_files import read_textured
+
+_MOST = 65535
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorldParts:
+    """What a worker is sent.
+
+    Attributes:
+        scene: The city of the masks.
+        picture_scene: The city as pictures show it, in the same frame.
+        props: Its surroundings.
+        land: Its land cover, or None where props say all.
+        texture_offset: (3,) what brings the textured mesh into the scene's frame, or None without one.
+    """
+
+    scene: Scene
+    picture_scene: Scene
+    props: SceneProps | None
+    land: Land | None
+    texture_offset: NDArray[np.float64] | None = None
+
+
+class World:
+    """Draws and writes the files of views.
+
+    Args:
+        params: What to generate.
+        parts: The city and its surroundings.
+    """
+
+    def __init__(self, params: TrainingParams, parts: WorldParts) -> None:
+        self._params, self._camera = params, picture_camera(params)
+        self._silhouette = SilhouetteRenderer(parts.scene, threads=1)
+        self._raster = RasterRenderer(parts.scene, threads=1) if params.labels else None
+        self._photos: PhotoRenderer | None = None
+        self._painter: PhotoRenderer | PyrenderPhotos | None = None
+        if params.images or params.depth or params.occluders_in_mask:
+            mesh = textured_mesh(params, parts)
+            self._photos = PhotoRenderer(parts.picture_scene, parts.props, parts.land, 1, mesh)
+            self._painter = self._photos
+            if params.renderer == "pyrender" and mesh is not None:
+                self._painter = PyrenderPhotos(mesh)
+
+    def write(self, view: PlannedView, folder: Path) -> None:
+        """Writes the files of a view that are not there yet, each whole or not at all.
+
+        Raises:
+            OSError: The disk is full, or the folder cannot be written.
+        """
+        for path in files_of(self._params, view, folder):
+            if not is_written(path):
+                # Thousands of small files: an empty one, which a power cut may leave, is made again.
+                content = getattr(self, f"_{path.parent.name}")(view)
+                write_bytes(path, content, survives_power_cut=False)
+
+    def _images(self, view: PlannedView) -> bytes:
+        look, development = look_of(self._params, view)
+        assert self._painter is not None  # noqa: S101
+        picture = self._painter.photo(self._camera, view.pose, look, development)
+        options = [cv2.IMWRITE_JPEG_QUALITY, development.jpeg_quality] if self._params.format == "jpg" else []
+        return _encoded(f".{self._params.format}", np.ascontiguousarray(picture[:, :, ::-1]), options)
+
+    def _masks(self, view: PlannedView) -> bytes:
+        mask = self._silhouette.render(self._camera, view.pose)
+        if self._params.occluders_in_mask:
+            mask &= ~self._photo_renderer.occluders(self._camera, view.pose)
+        return encode_mask(mask)
+
+    def _labels(self, view: PlannedView) -> bytes:
+        assert self._raster is not None  # noqa: S101
+        building = self._raster.draw(self._camera, view.pose).building
+        return _encoded(".png", (building + 1).astype(np.uint16), [])
+
+    def _depth(self, view: PlannedView) -> bytes:
+        depth = self._photo_renderer.depth(self._camera, view.pose).astype(np.float64)
+        return _encoded(".png", np.rint(np.minimum(depth * 100.0, _MOST)).astype(np.uint16), [])
+
+    @property
+    def _photo_renderer(self) -> PhotoRenderer:
+        assert self._photos is not None  # noqa: S101
+        return self._photos
+
+
+def textured_mesh(params: TrainingParams, parts: WorldParts) -> TexturedMesh | None:
+    """Returns the textured mesh in the scene's frame, or None where the city itself is pictured.
+
+    Raises:
+        DatasetError: As for ``read_textured``.
+    """
+    if params.texture_model is None or parts.texture_offset is None:
+        return None
+    mesh = read_textured(Path(params.texture_model).expanduser(), params.texture_up)
+    return mesh.shifted(parts.texture_offset)
+
+
+def look_of(params: TrainingParams, view: PlannedView) -> tuple[Look, Development]:
+    """Returns the look of a view: the seed and its name decide it, nothing else."""
+    return draw_look(params.look, random_stream(params.seed, "training", "look", view.key))
+
+
+def is_written(path: Path) -> bool:
+    """Tells whether a file is there and not empty."""
+    try:
+        return path.stat().st_size > 0
+    except FileNotFoundError:
+        return False
+
+
+def files_of(params: TrainingParams, view: PlannedView, folder: Path) -> list[Path]:
+    """Returns the files of a view."""
+    kinds = {
+        "images": (params.images, params.format),
+        "masks": (True, "png"),
+        "labels": (params.labels, "png"),
+        "depth": (params.depth, "png"),
+    }
+    root = folder / view.split
+    return [root / kind / f"{view.name}.{ending}" for kind, (wanted, ending) in kinds.items() if wanted]
+
+
+def encode_mask(mask: NDArray[np.bool_]) -> bytes:
+    """Returns a mask as a PNG of one bit per pixel; readers see 0 and 255."""
+    return _encoded(".png", mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
+
+
+def _encoded(ending: str, picture: NDArray[np.uint8] | NDArray[np.uint16], options: list[int]) -> bytes:
+    is_encoded, content = cv2.imencode(ending, picture, options)
+    if not is_encoded:
+        raise RenderingError(f"A picture cannot be written as {ending[1:]}.")
+    return content.tobytes()

@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lodbench
+from lodbench.errors import QueryFault
+from lodbench.evaluation import pose_error
+from lodbench.methods.lodlocv2 import LodLocV2, Params
+from tests.town import CAMERA, prior_of
+
+QUICK = LodLocV2(Params(steps=12, coarse_size=(160, 120), fine_size=(320, 240)))
+
+
+class TestLocalize:
+    @pytest.mark.parametrize("kind", [bool, np.uint8, np.float64])
+    def test_any_kind_of_mask_in_0_to_1(self, scene, queries, truths, kind):
+        mask = queries[0].building_probability.astype(kind)
+        prior = prior_of(truths[0]).shifted(scene.origin)
+        found = lodbench.localize(scene, CAMERA, prior, mask, method=QUICK, threads=1)
+        assert pose_error(found.pose, truths[0].shifted(scene.origin)).translation_m < 1
+
+    @pytest.mark.parametrize(
+        ("change", "reason"),
+        [
+            (lambda mask: mask[:, : len(mask)], "another aspect"),
+            (lambda mask: (mask * 255).astype(np.uint8), "from 0 to 255 instead of probabilities"),
+            (lambda mask: np.dstack([mask] * 3), "instead of \\(height, width\\)"),
+            (lambda mask: mask[:0], "empty"),
+            (lambda mask: mask * np.nan, "not finite"),
+        ],
+        ids=["square", "bytes", "channels", "empty", "nan"],
+    )
+    def test_other_masks_are_refused(self, scene, queries, truths, change, reason):
+        with pytest.raises(QueryFault, match=reason):
+            lodbench.localize(
+                scene, CAMERA, prior_of(truths[0]), change(queries[0].building_probability), method=QUICK
+            )

@@ -1,0 +1,148 @@
+"""A textured box drawn by the raster, against an independent projection of its picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.citymodel import open_scene
+from lodbench.errors import DatasetError, RenderingError
+from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.storage import random_stream
+from lodbench.synthesis.photo import PLAIN_LOOK, PhotoRenderer, draw_look
+from lodbench.synthesis.training_data.generate import generate_training_data
+from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.texture_files import offset_to_city, read_textured
+from tests.training.conftest import SMALL, WHOLE
+
+CAMERA = Camera(200, 160, 190.0, 190.0, 100.0, 80.0)
+POSE = Pose.from_euler(EulerAngles(35.0, 2.0, 20.0), [12.0, -45.0, 95.0])
+# A square of ground, 120 m wide, with a picture on it.
+SIZE_M, PIXELS = 120.0, 256
+
+
+def ground_picture():
+    """A smooth RGB picture in which every place has a colour of its own."""
+    y, x = np.mgrid[0:PIXELS, 0:PIXELS] / (PIXELS - 1.0)
+    waves = 0.5 + 0.3 * np.sin(9 * x + 4 * y)
+    return (255 * np.stack([0.15 + 0.7 * x, 0.15 + 0.7 * y, waves], axis=2)).astype(np.uint8)
+
+
+def write_obj(folder, shift=(0.0, 0.0, 0.0)):
+    half = SIZE_M / 2
+    cv2.imwrite(str(folder / "ground.png"), ground_picture()[:, :, ::-1])
+    (folder / "m.mtl").write_text("newmtl ground\nmap_Kd ground.png\n")
+    corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
+    lines = ["mtllib m.mtl", "usemtl ground"]
+    lines += [f"v {x + shift[0]} {y + shift[1]} {shift[2]}" for x, y in corners]
+    lines += [f"vt {u} {v}" for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    lines += ["f 1/1 2/2 3/3", "f 1/1 3/3 4/4"]
+    path = folder / "mesh.obj"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def expected_picture():
+    """The ground picture seen from POSE, by the homography of the plane z = 0."""
+    to_ground = np.array([[SIZE_M / PIXELS, 0, -SIZE_M / 2], [0, -SIZE_M / PIXELS, SIZE_M / 2], [0, 0, 1.0]])
+    plane = np.column_stack([POSE.rotation[:, 0], POSE.rotation[:, 1], POSE.translation])
+    homography = CAMERA.matrix @ plane @ to_ground
+    shift = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    view = np.linalg.inv(shift) @ homography @ shift
+    size = (CAMERA.width, CAMERA.height)
+    picture = cv2.warpPerspective(ground_picture(), view, size, flags=cv2.INTER_AREA)
+    covered = cv2.warpPerspective(np.ones((PIXELS, PIXELS), np.uint8), view, size, flags=cv2.INTER_NEAREST)
+    return picture, cv2.erode(covered, np.ones((7, 7), np.uint8)) > 0
+
+
+@pytest.fixture(scope="module")
+def scene(box_file):
+    return open_scene(box_file)
+
+
+def test_texture_has_the_right_perspective(scene, tmp_path):
+    mesh = read_textured(write_obj(tmp_path), "auto")
+    renderer = PhotoRenderer(scene, threads=1, textured=mesh)
+    look, _ = draw_look(replace(PLAIN_LOOK, haze_range_m=(1e6, 1e6)), random_stream(0))
+    seen = 255 * np.sqrt(renderer.light(CAMERA, POSE, look))
+    expected, covered = expected_picture()
+    assert covered.mean() > 0.4
+    off = np.abs(seen - expected)[covered]
+    assert off.mean() < 1.0
+    assert np.percentile(off, 99) < 5.0
+
+
+def test_colours_of_corners_are_kept(scene, tmp_path):
+    lines = ["ply", "format ascii 1.0", "element vertex 3"]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    lines += ["-500 -500 0 200 100 50", "500 -500 0 200 100 50", "0 800 0 200 100 50", "3 0 1 2"]
+    path = tmp_path / "mesh.ply"
+    path.write_text("\n".join(lines) + "\n")
+    renderer = PhotoRenderer(scene, threads=1, textured=read_textured(path, "auto"))
+    look, _ = draw_look(replace(PLAIN_LOOK, haze_range_m=(1e6, 1e6)), random_stream(0))
+    middle = 255 * np.sqrt(renderer.light(CAMERA, POSE, look)[80, 100])
+    np.testing.assert_allclose(middle, [200, 100, 50], atol=1.0)
+
+
+def test_missing_textures_are_listed(tmp_path):
+    path = write_obj(tmp_path)
+    (tmp_path / "ground.png").unlink()
+    with pytest.raises(DatasetError, match=r"not there: ground\.png"):
+        read_textured(path, "auto")
+    (tmp_path / "m.mtl").unlink()
+    with pytest.raises(DatasetError, match=r"not there: m\.mtl"):
+        read_textured(path, "auto")
+
+
+@pytest.mark.parametrize("content", ["", "v 1 2 3\n", "f 1 2 3\n"])
+def test_a_broken_mesh_is_one_line(tmp_path, content):
+    path = tmp_path / "mesh.obj"
+    path.write_text(content)
+    with pytest.raises(DatasetError):
+        read_textured(path, "auto")
+
+
+def test_the_frame_of_a_mesh_is_found_and_said(scene, tmp_path):
+    far = replace(scene, origin=np.array([500000.0, 5000000.0, 0.0]))
+    mesh = read_textured(write_obj(tmp_path, (500000.0, 5000000.0, 0.0)), "auto")
+    offset, note = offset_to_city(mesh, far, "mesh.obj")
+    np.testing.assert_array_equal(offset, -far.origin)
+    assert "the city's coordinates" in note
+    local = read_textured(write_obj(tmp_path), "auto")
+    offset, note = offset_to_city(local, far, "mesh.obj")
+    np.testing.assert_array_equal(offset, 0.0)
+    assert "local coordinates" in note
+    with pytest.raises(DatasetError, match="not where the city is"):
+        offset_to_city(read_textured(write_obj(tmp_path, (3000.0, 0.0, 0.0)), "auto"), far, "mesh.obj")
+
+
+def test_pyrender_and_the_raster_agree(box_file, tmp_path):
+    pytest.importorskip("pyrender")
+    looks = replace(PLAIN_LOOK, haze_range_m=(1e6, 1e6), noise=(0.0, 0.0), blur_px=(0.0, 0.0))
+    pictures = []
+    for renderer in ("raster", "pyrender"):
+        params = TrainingParams(
+            str(box_file),
+            str(tmp_path / renderer),
+            texture_model=str(write_obj(tmp_path)),
+            renderer=renderer,
+            format="png",
+            limit=1,
+            look=looks,
+            **SMALL,
+            **WHOLE,
+        )
+        try:
+            made = generate_training_data(params)
+        except RenderingError as error:
+            pytest.skip(str(error))
+        pictures.append(cv2.imread(str(next((made.out / "train" / "images").iterdir()))).astype(float))
+        assert "local" in made.notes[0] or "city" in made.notes[0]
+    off = np.abs(pictures[0] - pictures[1]).max(axis=2)
+    assert np.median(off) <= 2.0
+    assert (off > 12).mean() < 0.05

@@ -1,0 +1,50 @@
+"""``city=demo:...``: which built-in town is pictured, and at which level."""
+
+from __future__ import annotations
+
+import pytest
+
+from lodbench.cli import main
+from lodbench.cli.generate_training_data import with_demo
+from lodbench.synthesis import demo
+
+
+@pytest.fixture
+def asked(monkeypatch, tmp_path):
+    """Collects which towns are wanted instead of building them."""
+    towns = []
+
+    def folder(params):
+        towns.append((params.look, params.town_seed))
+        return tmp_path
+
+    monkeypatch.setattr(demo, "demo_folder", folder)
+    return towns
+
+
+@pytest.mark.parametrize(
+    ("city", "lod", "town", "file", "level"),
+    [
+        ("demo", None, ("train", 1), "town.gml", "2"),
+        ("demo:7", None, ("train", 7), "town.gml", "2"),
+        ("demo:7", 3, ("train", 7), "town_lod3.gml", "3"),
+        ("demo:test", "3", ("test", 0), "town_lod3.gml", "3"),
+    ],
+)
+def test_towns_are_named_by_seed(asked, tmp_path, city, lod, town, file, level):
+    values = with_demo({"city": city, "props": None, "lod": lod})
+    assert asked == [town]
+    assert values == {"city": str(tmp_path / file), "props": str(tmp_path / "props.npz"), "lod": level}
+
+
+def test_another_city_stays_as_it_is(asked):
+    values = {"city": "demolition.gml", "props": None, "lod": None}
+    assert with_demo(values) == values
+    assert not asked
+
+
+def test_an_unknown_town_is_named(tmp_path, capsys):
+    assert main(["generate-training-data", "city=demo:old", f"out={tmp_path / 'o'}"]) == 2
+    message = capsys.readouterr().err
+    assert "demo:old" in message
+    assert "demo:SEED" in message

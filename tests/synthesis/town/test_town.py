@@ -1,0 +1,210 @@
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from solid_checks import assert_sound
+
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.synthesis.town.building import LOD1_GRID_M, LOD1_HEIGHT_SIGMA_M, Age, pieces_of
+from lodbench.synthesis.town.looks import TRAIN
+from lodbench.synthesis.town.shapes import area
+from lodbench.synthesis.town.town import grow_town
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_every_solid_is_sound(town_of, seed):
+    for building in town_of(seed).buildings:
+        assert_sound(building.lod1)
+        assert_sound(building.lod2)
+
+
+def test_every_fine_solid_is_closed_with_its_openings(town):
+    for building in town.buildings[::3]:
+        assert_sound(building.lod3)
+        for installation in building.installations:
+            assert_sound(installation)
+
+
+def test_openings_lie_in_walls_above_the_ground_and_dormers_in_fine_roofs_only(town):
+    windows = doors = 0
+    for building in town.buildings:
+        solid = building.lod3
+        for face in solid.faces:
+            if face.host is None:
+                assert face.kind != SurfaceKind.OPENING
+                continue
+            host = solid.faces[face.host]
+            assert host.kind == SurfaceKind.WALL
+            # The opening fills a hole of its wall, corner for corner.
+            assert set(face.rings[0]) in [set(ring) for ring in host.rings[1:]]
+            corners = solid.points[list(face.rings[0])]
+            ground = town.terrain.height(corners[:, :2])
+            # Doors have a step; no opening is buried by more than what the ground varies along it.
+            assert (corners[:, 2] > ground - 0.6).all()
+            doors += face.is_door
+            windows += not face.is_door
+        coarse = {face.kind for face in building.lod2.faces}
+        assert coarse <= {SurfaceKind.GROUND, SurfaceKind.WALL, SurfaceKind.ROOF}
+    assert windows > 8 * len(town.buildings)
+    assert 0.8 * len(town.buildings) < doors <= len(town.buildings)
+
+
+def test_no_window_looks_into_a_neighbour(town):
+    for number, building in enumerate(town.buildings[::7]):
+        for face in building.lod3.faces:
+            if face.host is None or face.is_door:
+                continue
+            corners = building.lod3.points[list(face.rings[0])]
+            if corners[2, 2] > building.lod3.points[:, 2].min() + building.plan.roof.eave_m:
+                continue  # a dormer's
+            along = (corners[1] - corners[0])[:2] / np.linalg.norm((corners[1] - corners[0])[:2])
+            out = np.array([along[1], -along[0]])
+            before = town.occupancy.at(corners.mean(axis=0)[None, :2] + 0.9 * out)
+            assert before[0] in (0, 7 * number + 1)
+
+
+def test_eaves_stand_out_over_walls(town):
+    for building in town.buildings:
+        if building.plan.roof.name == "gabled" and building.plan.strip.num_segments == 1:
+            grown = np.ptp(building.lod3.points[:, :2], axis=0) - np.ptp(building.lod2.points[:, :2], axis=0)
+            assert grown.max() > 0.15
+            assert grown.max() < 1.3
+
+
+def test_the_coarse_map_is_older_than_the_fine_one(town):
+    ages = Counter(building.age for building in town.buildings)
+    assert set(ages) == set(Age)
+    assert 0.75 * len(town.buildings) < ages[Age.KNOWN] < 0.95 * len(town.buildings)
+    assert len(town.standing) == len(town.buildings) - ages[Age.GONE]
+    assert len(town.mapped) == len(town.buildings) - ages[Age.NEW]
+    raised = [b for b in town.buildings if b.age is Age.RAISED]
+    assert all(np.ptp(b.lod3.points[:, 2]) > np.ptp(b.lod2.points[:, 2]) + 2.5 for b in raised)
+
+
+def samples_in(piece: np.ndarray) -> np.ndarray:
+    """Returns 81 points spread over a convex quadrilateral, 1 % away from its edges."""
+    u, v = (axis.ravel()[:, None] for axis in np.meshgrid(*[np.linspace(0.01, 0.99, 9)] * 2))
+    a, b, c, d = piece
+    return (1 - u) * (1 - v) * a + u * (1 - v) * b + u * v * c + (1 - u) * v * d
+
+
+def inside(piece: np.ndarray, points: np.ndarray) -> np.ndarray:
+    edge = np.roll(piece, -1, axis=0) - piece
+    off = points[:, None, :] - piece
+    return (edge[:, 0] * off[..., 1] - edge[:, 1] * off[..., 0] > 1e-6).all(axis=1)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_footprints_do_not_overlap(town_of, seed):
+    buildings = town_of(seed).buildings
+    owned = [(number, p) for number, b in enumerate(buildings) for p in pieces_of(b.plan)]
+    owners, pieces = [number for number, _ in owned], [piece for _, piece in owned]
+    middles = np.stack([piece.mean(axis=0) for piece in pieces])
+    reach = np.array([np.linalg.norm(p - m, axis=1).max() for p, m in zip(pieces, middles, strict=True)])
+    for k, piece in enumerate(pieces):
+        near = np.linalg.norm(middles - middles[k], axis=1) < reach + reach[k]
+        for other in np.flatnonzero(near):
+            if owners[other] != owners[k]:
+                names = buildings[owners[k]].identifier, buildings[owners[other]].identifier
+                assert not inside(piece, samples_in(pieces[other])).any(), names
+
+
+def test_it_is_a_town_of_many_kinds(town):
+    assert 500 <= len(town.buildings) <= 1100
+    roofs = Counter(building.plan.roof.name for building in town.buildings)
+    assert {"flat", "gabled", "hipped", "half-hipped", "mansard", "pavilion", "shed"} <= set(roofs)
+    assert roofs["gabled"] > 0.4 * len(town.buildings)
+    wings = Counter(b.plan.strip.num_segments for b in town.buildings)
+    assert wings[1] > wings[2] > 20
+    districts = {building.plan.district for building in town.buildings}
+    assert districts == {"old town", "inner town", "garden suburb", "estate", "works"}
+    assert max(b.plan.roof.eave_m for b in town.buildings) > 30.0
+
+
+def test_courtyards_and_u_shapes_exist_somewhere(town_of):
+    strips = [b.plan.strip for seed in (0, 1, 3) for b in town_of(seed).buildings]
+    assert any(strip.closed for strip in strips)
+    assert any(strip.num_segments == 3 and not strip.closed for strip in strips)
+
+
+def test_the_ground_has_relief(town):
+    bases = np.array([building.lod2.points[:, 2].min() for building in town.buildings])
+    assert 20.0 < np.ptp(bases) < 50.0
+    assert bases.min() > town.terrain.water_m + 1.0
+
+
+def test_buildings_stand_on_their_ground(town):
+    for building in town.buildings:
+        outline = np.concatenate(building.plan.strip.rings)
+        for solid in (building.lod1, building.lod2, building.lod3):
+            base = solid.points[:, 2].min()
+            assert base == pytest.approx(town.terrain.height(outline).min(), abs=0.006)
+
+
+def test_the_river_lies_in_a_valley(town):
+    river = town.streets.river
+    middle = river[np.linalg.norm(river, axis=1) < 600]
+    assert (town.terrain.height(middle) < town.terrain.water_m - 1.0).all()
+    for block in town.streets.blocks:
+        assert town.terrain.river_distance(block.ring).min() > 14.0
+        assert (town.terrain.height(block.ring) > town.terrain.water_m + 0.4).all()
+
+
+def test_identifiers_are_unique(town):
+    names = [building.identifier for building in town.buildings]
+    assert len(set(names)) == len(names)
+
+
+def test_lod1_stands_on_the_same_ground_and_differs_as_in_life(town):
+    ratio, wrong_m = [], []
+    for building in town.buildings:
+        if building.age is Age.RAISED:
+            continue
+        low, fine = building.lod1.points, building.lod2.points
+        assert low[:, 2].min() == pytest.approx(fine[:, 2].min(), abs=0.002)
+        roof = building.plan.roof
+        expected = 0.5 * (roof.eave_m + roof.ridge_m)
+        wrong_m.append(np.ptp(low[:, 2]) - expected)
+        np.testing.assert_allclose(np.round(low[:, :2] / LOD1_GRID_M) * LOD1_GRID_M, low[:, :2])
+        ratio.append(building.lod1.volume_m3() / building.lod2.volume_m3())
+    assert 0.97 < np.median(ratio) < 1.03
+    assert np.std(ratio) > 0.02
+    assert abs(np.mean(wrong_m)) < 0.06
+    assert np.std(wrong_m) == pytest.approx(LOD1_HEIGHT_SIGMA_M, rel=0.15)
+
+
+def test_no_block_is_a_rectangle_on_a_grid(town):
+    angles = []
+    for block in town.streets.blocks:
+        edge = np.roll(block.ring, -1, axis=0) - block.ring
+        assert area(block.ring) > 0
+        angles += list(np.degrees(np.arctan2(edge[:, 1], edge[:, 0])) % 90.0)
+    counts, _ = np.histogram(angles, bins=18, range=(0.0, 90.0))
+    assert counts.max() < 0.25 * counts.sum()
+
+
+def test_same_seed_same_town_and_other_seeds_differ(town, town_of):
+    again, other = grow_town(0), town_of(1)
+    assert len(again.buildings) == len(town.buildings)
+    for first, second in zip(town.buildings, again.buildings, strict=True):
+        np.testing.assert_array_equal(first.lod2.points, second.lod2.points)
+        assert first.lod2.faces == second.lod2.faces
+        np.testing.assert_array_equal(first.lod3.points, second.lod3.points)
+    assert len(other.buildings) != len(town.buildings)
+
+
+def test_the_two_looks_differ_in_more_than_chance(town):
+    other = grow_town(0, TRAIN)
+    roofs = [Counter(b.plan.roof.name for b in some.buildings) for some in (town, other)]
+    assert roofs[1]["shed"] > 2 * roofs[0]["shed"]
+    assert not set(town.look.walls) & set(other.look.walls)
+    assert not set(town.look.tiles) & set(other.look.tiles)
+    assert len(other.buildings) > 500
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_every_town_has_its_church(town_of, seed):
+    churches = [b.plan for b in town_of(seed).buildings if b.plan.function == "church"]
+    assert [plan.roof.name for plan in churches] == ["hipped", "pavilion"]
