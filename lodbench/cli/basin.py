@@ -10,7 +10,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
+from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.run import run_config
 from lodbench.errors import ConfigError
 from lodbench.evaluation.basin import BasinStep, basin_steps, protocol_lines
@@ -18,6 +18,8 @@ from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness.runs.basin import Basin, write_basin
 from lodbench.harness.runs.cost_maps import CostGrid
 from lodbench.methods.protocol import Reaching
+from lodbench.params import to_params
+from lodbench.plugins import load_plugin
 from lodbench.reporting.table_formats import format_text
 
 

@@ -37,10 +37,10 @@ from lodbench.bench import (
 )
 from lodbench.bench.silhouette_pictures import write_pictures
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
-from lodbench.cli.hydra_app import load_plugin
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods import Method
+from lodbench.plugins import load_plugin
 from lodbench.storage.atomic import write_bytes
 
 

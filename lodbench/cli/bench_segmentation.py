@@ -14,11 +14,11 @@ from lodbench.bench import (
     measure_iou_recall,
     measure_masks,
 )
-from lodbench.cli.hydra_app import load_plugin
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods import Method
+from lodbench.plugins import load_plugin
 
 _VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
 _MORE = """\

@@ -12,10 +12,12 @@ from importlib.metadata import EntryPoint
 from typing import Any
 
 from lodbench.cli.console import check_lines
-from lodbench.cli.hydra_app import find_plugin, register_config_sources, section, to_params
+from lodbench.cli.hydra_app import register_config_sources, section
 from lodbench.errors import ConfigError
 from lodbench.harness.doctor.doctor import FAULT, OK, Check
 from lodbench.harness.method_check import check_answers, check_class
+from lodbench.params import to_params
+from lodbench.plugins import find_plugin
 from lodbench.reporting.safe_text import plain_text
 
 _EPILOG = """\

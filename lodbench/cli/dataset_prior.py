@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from lodbench.cli.hydra_app import to_params
 from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.datasets.prior_sources import PRIORS, PriorSource, prior_digest, prior_text
 from lodbench.errors import ConfigError
 from lodbench.harness.dataset_check import prior_errors_in_words
+from lodbench.params import to_params
 from lodbench.storage import write_text
 
 _EPILOG = """\

@@ -9,12 +9,14 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
+from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.run_dataset import data_identity, dataset_opener, with_source
 from lodbench.errors import LodbenchError
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.evaluate import EvaluateSettings, draw_scored, evaluate_poses
 from lodbench.harness.runs.result import Result
+from lodbench.params import to_params
+from lodbench.plugins import load_plugin
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import tables_of

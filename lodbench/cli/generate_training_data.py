@@ -10,9 +10,10 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from lodbench.cli.hydra_app import plain, run_hydra, section, to_params
+from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.sources import profile_of
 from lodbench.errors import ConfigError
+from lodbench.params import to_params
 from lodbench.synthesis.photo import LookRanges
 from lodbench.synthesis.training_data.generate import Generated, generate_training_data
 from lodbench.synthesis.training_data.params import TrainingParams

@@ -6,17 +6,14 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, TypeVar, cast
+from importlib.metadata import entry_points
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from lodbench.cli.console import report_fault
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
-
-T = TypeVar("T")
 
 # Keys whose value is a path: quoted for Hydra, whose grammar gives commas, brackets and = a meaning.
 PATH_KEYS = frozenset(
@@ -131,44 +128,6 @@ def plain(config: DictConfig) -> dict[str, Any]:
     return {str(key): value for key, value in dict(values).items()}  # type: ignore[arg-type]
 
 
-def to_params(values: dict[str, Any], params_type: type[T], prefix: str) -> T:
-    """Returns a frozen Params made from a section of the configuration, checked for names and types.
-
-    One name stands for a list of one: ``split=in_place``.
-
-    Raises:
-        ConfigError: A name is unknown or a value has the wrong type.
-    """
-    types = {f.name: f.type for f in fields(params_type)}  # type: ignore[arg-type]
-    known = list(types)
-    for name in values:
-        if name not in known:
-            raise ConfigError(f"{_dotted(prefix, name)} is not a setting.", nearest_names(name, known))
-    values = {
-        name: [value] if isinstance(value, str) and str(types[name]) == "list[str]" else value
-        for name, value in values.items()
-    }
-    try:
-        merged = OmegaConf.merge(OmegaConf.structured(params_type), _literal(values))
-        return cast(T, OmegaConf.to_object(merged))
-    except OmegaConfBaseException as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(f"{_dotted(prefix, str(error.full_key))}: {reason}") from error
-
-
-def _dotted(prefix: str, name: str) -> str:
-    return f"{prefix}.{name}" if prefix else name
-
-
-def _literal(value: Any) -> Any:
-    """Returns values whose strings are taken as they stand: they are resolved already."""
-    if isinstance(value, str):
-        return value.replace("${", "\\${")
-    if isinstance(value, dict):
-        return {key: _literal(item) for key, item in value.items()}
-    return [_literal(item) for item in value] if isinstance(value, list) else value
-
-
 def section(values: dict[str, Any], name: str) -> dict[str, Any]:
     """Returns a section of the configuration.
 
@@ -179,27 +138,6 @@ def section(values: dict[str, Any], name: str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ConfigError(f"{name} is a group of settings, not {found}.", f"Leave {name} out, or name one.")
     return found
-
-
-def load_plugin(group: str, name: str) -> Any:
-    """Returns what a plug-in's entry point names.
-
-    Raises:
-        ConfigError: No installed package offers it.
-    """
-    return find_plugin(group, name).load()
-
-
-def find_plugin(group: str, name: str) -> EntryPoint:
-    """Returns a plug-in's entry point, not loaded.
-
-    Raises:
-        ConfigError: No installed package offers it.
-    """
-    points = {point.name: point for point in entry_points(group=f"lodbench.{group}")}
-    if name not in points:
-        raise ConfigError(f"There is no {group.rstrip('s')} {name!r}.", nearest_names(name, points))
-    return points[name]
 
 
 def register_config_sources() -> None:

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lodbench.cli.hydra_app import load_plugin
 from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.sources import load_profile
+from lodbench.plugins import load_plugin
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.localize import LocalizedPhoto

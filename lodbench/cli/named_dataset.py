@@ -9,10 +9,10 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from lodbench.cli.hydra_app import load_plugin
 from lodbench.cli.run_dataset import open_dataset
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
+from lodbench.plugins import load_plugin
 
 
 def add_dataset_options(parser: argparse.ArgumentParser) -> None:

@@ -8,9 +8,10 @@ from dataclasses import replace
 
 from omegaconf import DictConfig
 
-from lodbench.cli.hydra_app import plain, run_hydra, to_params
+from lodbench.cli.hydra_app import plain, run_hydra
 from lodbench.cli.sources import profile_of
 from lodbench.harness.render.render import RenderParams, render_poses
+from lodbench.params import to_params
 
 
 def main(argv: Sequence[str]) -> int:

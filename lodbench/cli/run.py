@@ -10,7 +10,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
+from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.run_dataset import data_identity, dataset_opener, with_prior, with_source
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.errors import ConfigError
@@ -18,6 +18,8 @@ from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import write_overlays
+from lodbench.params import to_params
+from lodbench.plugins import load_plugin
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import calibration_columns
 from lodbench.reporting.table_formats import format_text

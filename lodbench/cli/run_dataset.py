@@ -7,11 +7,12 @@ from dataclasses import asdict, replace
 from inspect import signature
 from typing import Any
 
-from lodbench.cli.hydra_app import load_plugin, to_params
 from lodbench.cli.sources import profile_of
 from lodbench.datasets.prior_sources import PRIORS, FilePrior, PriorSource, prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
+from lodbench.params import to_params
+from lodbench.plugins import load_plugin
 
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
 # The origin of a published dataset is withheld for privacy, so it is not written down either.

@@ -6,9 +6,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lodbench.cli.hydra_app import load_plugin, to_params
 from lodbench.cli.sources import option_pairs
 from lodbench.datasets.query import Dataset
+from lodbench.params import to_params
+from lodbench.plugins import load_plugin
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.choice import AUTO, chosen_segmenter
 

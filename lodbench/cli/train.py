@@ -7,8 +7,10 @@ from collections.abc import Sequence
 
 from omegaconf import DictConfig
 
-from lodbench.cli.hydra_app import load_plugin, plain, run_hydra, section, to_params
+from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.errors import ConfigError
+from lodbench.params import to_params
+from lodbench.plugins import load_plugin
 from lodbench.training.train import Trained, train_network
 from lodbench.training.train_params import TrainParams
 

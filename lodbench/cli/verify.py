@@ -12,12 +12,13 @@ from typing import Any, cast
 
 from omegaconf import OmegaConf
 
-from lodbench.cli.hydra_app import load_plugin, to_params
 from lodbench.cli.run_dataset import open_dataset, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
+from lodbench.params import to_params
+from lodbench.plugins import load_plugin
 
 _EPILOG = """\
 Exit code: 0 all numbers follow, 1 they do not (one line per difference), 2 the run cannot be read.

@@ -1,0 +1,56 @@
+"""From settings as plain values to a frozen parameter dataclass, names and types checked: the one place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, TypeVar, cast
+
+from lodbench.errors import ConfigError, nearest_names
+
+T = TypeVar("T")
+
+
+def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T:
+    """Returns a frozen Params made from plain values; what they leave out keeps its default.
+
+    One name stands for a list of one: ``split=in_place``.
+
+    Args:
+        values: Settings by name.
+        params_type: A dataclass of types that OmegaConf knows.
+        prefix: What settings are called with on a command line, as ``method`` in ``method.steps``.
+
+    Raises:
+        ConfigError: A name is unknown or a value has the wrong type.
+    """
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    types = {f.name: f.type for f in fields(params_type)}  # type: ignore[arg-type]
+    for name in values:
+        if name not in types:
+            raise ConfigError(f"{_dotted(prefix, name)} is not a setting.", nearest_names(name, types))
+    given = {
+        name: [value] if isinstance(value, str) and str(types[name]) == "list[str]" else value
+        for name, value in values.items()
+    }
+    try:
+        merged = OmegaConf.merge(OmegaConf.structured(params_type), _literal(given))
+        return cast(T, OmegaConf.to_object(merged))
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"{_dotted(prefix, str(error.full_key))}: {reason}") from error
+
+
+def _dotted(prefix: str, name: str) -> str:
+    return f"{prefix}.{name}" if prefix else name
+
+
+def _literal(value: Any) -> Any:
+    """Returns values whose strings are taken as they stand: they are resolved already."""
+    if isinstance(value, str):
+        return value.replace("${", "\\${")
+    if isinstance(value, dict):
+        return {key: _literal(item) for key, item in value.items()}
+    return [_literal(item) for item in value] if isinstance(value, list | tuple) else value
