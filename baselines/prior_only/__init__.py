@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lodbench.datasets.query import Query
-from lodbench.methods import Estimate, Streams
+from lodbench.methods import Estimate, Input, Streams
 from lodbench.rendering import Scorer
 
 
@@ -21,6 +21,7 @@ class PriorOnly:
 
     params_type = PriorOnlyParams
     name = "prior_only"
+    requires: frozenset[Input] = frozenset()
 
     def __init__(self, params: PriorOnlyParams) -> None:
         self.params = params

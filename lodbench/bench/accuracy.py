@@ -31,7 +31,7 @@ from lodbench.evaluation.errors import FAILED
 from lodbench.geometry import Pose
 from lodbench.methods import Method
 from lodbench.methods.lodlocv2 import LodLocV2
-from lodbench.methods.protocol import Reaching
+from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.storage import random_stream
 from lodbench.synthesis.view_sampling import RGB_CAMERA
@@ -117,9 +117,9 @@ def open_scenes(city: Path, options: AccuracyOptions) -> tuple[Scorer, Scorer]:
 
 def reaching(method: Method, prior: UniformPrior) -> Method:
     """Returns a method told how far off priors may be, if it is one that can be."""
-    if not isinstance(method, Reaching):
+    if not isinstance(method, SupportsPriorWidth):
         return method
-    made: Method = type(method)(method.reaching(prior))  # type: ignore[call-arg]
+    made: Method = type(method)(method.params_for_prior(prior))  # type: ignore[call-arg]
     return made
 
 

@@ -17,9 +17,8 @@ from lodbench.evaluation.basin import BasinStep, basin_steps, protocol_lines
 from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness.runs.basin import Basin, write_basin
 from lodbench.harness.runs.cost_maps import CostGrid
-from lodbench.methods.protocol import Reaching
+from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
-from lodbench.plugins import load_plugin
 from lodbench.reporting.table_formats import format_text
 
 
@@ -83,18 +82,14 @@ def _cost(basin: Basin, step: BasinStep) -> str:
 
 def _configuration(values: dict[str, Any], step: BasinStep) -> dict[str, Any]:
     """Returns the configuration of a step's run: that of `lodbench run` with prior=uniform."""
-    settings = section(values, "method")
-    kind = load_plugin("methods", settings.get("name", ""))
-    params = to_params(settings, kind.params_type, "method")
-    method, prior = kind(params), step.prior()
-    if isinstance(method, Reaching):
-        params = method.reaching(prior)
+    prior = step.prior()
+    method = configure_method(section(values, "method")).for_prior(prior)
     limit = step.limit if step.limit is not None else values["limit"]
     if limit is not None and limit < 1:
         raise ConfigError(f"limit={limit} is not a number of queries.")
     return {
         **values,
-        "method": asdict(params),
+        "method": asdict(method.params),
         "prior": {"name": "uniform", **asdict(prior)},
         "limit": limit,
     }

@@ -39,8 +39,7 @@ from lodbench.bench.silhouette_pictures import write_pictures
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
-from lodbench.methods import Method
-from lodbench.plugins import load_plugin
+from lodbench.methods.registry import make_method
 from lodbench.storage.atomic import write_bytes
 
 
@@ -95,7 +94,7 @@ def _views(options: argparse.Namespace) -> AccuracyOptions:
 
 
 def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> AccuracyReport:
-    methods = [_method(name) for name in options.method.split(",")]
+    methods = [make_method(name) for name in options.method.split(",")]
     report = measure_accuracy(_city_file(options), _views(options), steps, methods)
     if options.pictures and report.calibrations():
         from lodbench.reporting.calibration_figures import draw_calibration
@@ -115,12 +114,6 @@ def _budget(options: argparse.Namespace, steps: ProgressCallback) -> BudgetRepor
 
 def _wide_priors(options: argparse.Namespace, steps: ProgressCallback) -> WidePriorReport:
     return measure_wide_priors(_city_file(options), _views(options), steps)
-
-
-def _method(name: str) -> Method:
-    plugin = load_plugin("methods", name)
-    method: Method = plugin(plugin.params_type())
-    return method
 
 
 def _whole(text: str) -> int:

@@ -17,8 +17,7 @@ from lodbench.bench import (
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
-from lodbench.methods import Method
-from lodbench.plugins import load_plugin
+from lodbench.methods.registry import make_method
 
 _VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
 _MORE = """\
@@ -75,7 +74,7 @@ def _curve(options: argparse.Namespace, steps: ProgressCallback) -> IouRecallRep
         options.city,
         IouRecallOptions(views, seed=options.seed),
         steps,
-        [_method(name) for name in options.method.split(",")],
+        [make_method(name) for name in options.method.split(",")],
     )
     if options.pictures is not None:
         report.write_picture(options.pictures)
@@ -99,9 +98,3 @@ def _masks(options: argparse.Namespace, steps: ProgressCallback) -> MaskQualityR
     if options.pictures is not None:
         write_sheet(report, options.pictures)
     return report
-
-
-def _method(name: str) -> Method:
-    plugin = load_plugin("methods", name)
-    method: Method = plugin(plugin.params_type())
-    return method

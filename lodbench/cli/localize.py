@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.sources import load_profile
-from lodbench.plugins import load_plugin
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.localize import LocalizedPhoto
@@ -35,9 +34,9 @@ def main(argv: Sequence[str]) -> int:
 
     from lodbench.datasets.photo_pose import RoughPlace
     from lodbench.harness.photo.localize import PhotoRequest, localize_photo
+    from lodbench.methods.registry import make_method
 
     profile = load_profile(asked.source, asked.option, asked.crs)
-    method = load_plugin("methods", asked.method)
     found = localize_photo(
         PhotoRequest(
             photo=asked.photo,
@@ -52,7 +51,7 @@ def main(argv: Sequence[str]) -> int:
             lod=asked.lod or profile.lod,
             options=profile.options,
             roof_height=asked.roof_height,
-            method=method(method.params_type()),
+            method=make_method(asked.method),
             seed=asked.seed,
         )
     )

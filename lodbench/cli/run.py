@@ -18,8 +18,9 @@ from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import write_overlays
+from lodbench.harness.runs.requirements import needs_segmenter
+from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
-from lodbench.plugins import load_plugin
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import calibration_columns
 from lodbench.reporting.table_formats import format_text
@@ -103,16 +104,16 @@ def run_config(values: dict[str, Any]) -> Run:
     options = _options_of(values)
     executor = to_params(section(values, "executor"), ExecutorParams, "executor")
     paths = to_params(section(values, "paths"), PathParams, "paths")
-    method, method_params = _method(section(values, "method"))
+    configured = configure_method(section(values, "method"))
     named = named_segmenter(section(values, "segmenter"))
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     dataset = with_source(opener(dataset_params), section(values, "source"))
-    segmenter, segmenter_params = named or default_segmenter(dataset)
+    segmenter, segmenter_params = named or default_segmenter(dataset, needs_segmenter(configured.kind))
     dataset, prior = with_prior(dataset, section(values, "prior"), options.seed)
     config = {
         **asdict(options),
         "prior": prior,
-        "method": asdict(method_params),
+        "method": asdict(configured.params),
         "segmenter": asdict(segmenter_params),
         **data_identity(dataset_params, section(values, "source")),
     }
@@ -126,7 +127,7 @@ def run_config(values: dict[str, Any]) -> Run:
         splits=tuple(options.split),
         limit=options.limit,
     )
-    run = run_method(method, dataset, segmenter, settings)
+    run = run_method(configured.make(), dataset, segmenter, settings)
     write_artefacts(run, OmegaConf.to_yaml(OmegaConf.create(config), sort_keys=True))
     write_overlays(run, run.preparation, run.scorer)
     return run
@@ -137,13 +138,6 @@ def _options_of(values: dict[str, Any]) -> RunOptions:
     plain_keys = {key: value for key, value in values.items() if key not in _SECTIONS}
     options = to_params(plain_keys, RunOptions, "")
     return replace(options, split=sorted(set(options.split)))
-
-
-def _method(settings: dict[str, Any]) -> tuple[Any, Any]:
-    """Returns the method that a configuration's section asks for, and its parameters."""
-    part = load_plugin("methods", settings.get("name", ""))
-    params = to_params(settings, part.params_type, "method")
-    return part(params), params
 
 
 def report(runs: Sequence[Run]) -> str:

@@ -35,13 +35,13 @@ def named_segmenter(values: Mapping[str, Any]) -> Made | None:
     return None if values.get("name") == AUTO else _made(values, values)
 
 
-def default_segmenter(dataset: Dataset) -> Made:
+def default_segmenter(dataset: Dataset, is_needed: bool = True) -> Made:
     """Returns the segmenter of a dataset where none is named; prints which, and why.
 
     Raises:
-        DatasetError: The dataset has neither masks nor photos.
+        DatasetError: Masks are needed, and the dataset has neither masks nor photos.
     """
-    name, reason = chosen_segmenter(dataset)
+    name, reason = chosen_segmenter(dataset, is_needed)
     sys.stdout.write(f"segmenter={name}: {reason}; segmenter=NAME takes another\n")
     return _made({"name": name}, {})
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
+from lodbench.errors import QueryFault
 from lodbench.findings import Finding, Findings
 from lodbench.geometry import Camera, Pose
 
@@ -22,7 +23,8 @@ class Query:
         split: Name of the split it belongs to.
         camera: Pinhole of the full-size image.
         prior: The rough pose to start from.
-        building_probability: (H, W) float32 in [0, 1], what the segmenter said.
+        building_probability: (H, W) float32 in [0, 1], what the segmenter found; None for a method that
+            requires no mask.
         image: The photo, or None where the dataset has none.
         hypotheses: All rough poses the dataset states, the prior first; may be empty.
     """
@@ -31,9 +33,20 @@ class Query:
     split: str
     camera: Camera
     prior: Pose
-    building_probability: NDArray[np.float32]
+    building_probability: NDArray[np.float32] | None = None
     image: Path | None = None
     hypotheses: tuple[Pose, ...] = ()
+
+    @property
+    def mask(self) -> NDArray[np.float32]:
+        """Returns ``building_probability``, for a method that cannot do without.
+
+        Raises:
+            QueryFault: There is none.
+        """
+        if self.building_probability is None:
+            raise QueryFault("there is no mask")
+        return self.building_probability
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +99,7 @@ class Dataset:
         photo_crs: CRS of which the frame is a shift, where that is known apart from the city model.
         photo_origin: East, north and height of the frame's zero in ``photo_crs``, or None.
         segmenter: Segmenter to run where none is named; None for masks, or photos, as there are.
+        assumed: Of ``tilt`` and ``height``, what the priors only assume: methods that require it do not run.
     """
 
     name: str
@@ -105,6 +119,7 @@ class Dataset:
     photo_crs: str | None = None
     photo_origin: tuple[float, ...] | None = None
     segmenter: str | None = None
+    assumed: frozenset[str] = frozenset()
 
 
 def notes_of(findings: Findings) -> tuple[str, ...]:

@@ -65,7 +65,7 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
     """
     with tempfile.TemporaryDirectory() as folder:
         trial = make_trial(Path(folder))
-        masks = [query.building_probability.copy() for query in trial.queries]
+        masks = [query.mask.copy() for query in trial.queries]
         try:
             heard = _hear(make, trial)
         except Exception as error:  # a method may raise anything: that is what is told
@@ -131,7 +131,7 @@ def _hear(make: Callable[[], Method], trial: Trial) -> Heard:
 def _untouched(trial: Trial, masks: Sequence[Any]) -> str:
     """A query is read, never written to: the evaluator uses its mask afterwards."""
     for query, mask in zip(trial.queries, masks, strict=True):
-        if not np.array_equal(query.building_probability, mask):
+        if not np.array_equal(query.mask, mask):
             raise Breach(f"{query.name}: the mask was written to", "Work on a copy of building_probability.")
     return "masks are as they were"
 
@@ -165,7 +165,7 @@ def _another_seed(method: Method, heard: Heard) -> str:
 def _empty_mask(method: Method, heard: Heard) -> str:
     """A mask without a building is a fault of the query, unless the method looks at no mask."""
     query = heard.trial.queries[0]
-    empty = replace(query, building_probability=np.zeros_like(query.building_probability))
+    empty = replace(query, building_probability=np.zeros_like(query.mask))
     found = ask(method, heard.trial.scorer, empty)
     if isinstance(found, QueryFault):
         return f"QueryFault: {found.message}"

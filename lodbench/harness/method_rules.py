@@ -15,7 +15,7 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.method_trial import Trial
 from lodbench.methods import Estimate, Method
-from lodbench.methods.protocol import Reaching
+from lodbench.methods.protocol import SupportsPriorWidth
 
 # The priors are 9 m and 3 degrees off; answers beyond these are in another frame or turned round.
 _FURTHEST_M, _FURTHEST_DEG = 300.0, 60.0
@@ -210,11 +210,11 @@ def sound_uncertainty(heard: Heard) -> str:
 
 
 def right_reach(method: Method) -> str:
-    """A method that offers ``reaching`` answers parameters of its own type."""
-    if not isinstance(method, Reaching):
+    """A method that offers ``params_for_prior`` answers parameters of its own type."""
+    if not isinstance(method, SupportsPriorWidth):
         return "not offered: `lodbench basin` runs the method as it is"
     kind = type(method).params_type  # type: ignore[attr-defined]
-    found = method.reaching(UniformPrior(50.0, 50.0, 50.0))
+    found = method.params_for_prior(UniformPrior(50.0, 50.0, 50.0))
     if not isinstance(found, kind):
-        raise Breach(f"reaching returned {type(found).__name__}", f"Return {kind.__name__}.")
+        raise Breach(f"params_for_prior returned {type(found).__name__}", f"Return {kind.__name__}.")
     return f"returns {kind.__name__}"

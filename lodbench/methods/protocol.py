@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -47,9 +47,19 @@ class Method(Protocol):
 
     A method is made from its ``Params`` and holds no state between queries. It is never shown the
     truth, and draws random numbers only from the streams it is given.
+
+    Attributes:
+        name: As its entry point's.
+        requires: What it needs besides the camera, the prior and the city, of
+            ``lodbench.datasets.inputs.Input``: a run without it ends before any work.
     """
 
     name: str
+
+    @property
+    def requires(self) -> Collection[str]:
+        """Returns the names of what it needs; a class attribute will do."""
+        ...
 
     def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
         """Returns the estimated pose.
@@ -66,10 +76,10 @@ class Method(Protocol):
 
 
 @runtime_checkable
-class Reaching(Protocol):
+class SupportsPriorWidth(Protocol):
     """A method whose search can be fitted to how far off a prior may be."""
 
-    def reaching(self, prior: UniformPrior) -> Any:
+    def params_for_prior(self, prior: UniformPrior) -> Any:
         """Returns the method's parameters, set to search all that such a prior leaves open.
 
         Args:

@@ -18,6 +18,7 @@ from lodbench.rendering.registry import (
     RENDERERS,
     make_renderer,
     open_renderer,
+    require_renderer,
 )
 
 __all__ = [
@@ -39,4 +40,5 @@ __all__ = [
     "SoftIouFit",
     "make_renderer",
     "open_renderer",
+    "require_renderer",
 ]

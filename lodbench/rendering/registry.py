@@ -61,6 +61,16 @@ LAYER_RENDERERS = ("raster",)
 INSTANCE_RENDERERS = ("silhouette",)
 
 
+def require_renderer(name: str) -> None:
+    """Makes sure that a renderer is known.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    if name not in RENDERERS:
+        raise ConfigError(f"Renderer {name!r} is not known.", nearest_names(name, RENDERERS))
+
+
 def open_renderer(name: str, scene: Scene, threads: int | None = None) -> Renderer:
     """Returns the renderer of a name, with all it can do.
 
@@ -73,8 +83,7 @@ def open_renderer(name: str, scene: Scene, threads: int | None = None) -> Render
         ConfigError: The name is unknown.
         RenderingError: A library the renderer needs is absent.
     """
-    if name not in RENDERERS:
-        raise ConfigError(f"Renderer {name!r} is not known.", nearest_names(name, RENDERERS))
+    require_renderer(name)
     return RENDERERS[name](scene, threads)
 
 

@@ -2,7 +2,6 @@
 
 from lodbench.segmentation.protocol import (
     BUILDING_THRESHOLD,
-    Demanding,
     Segmenter,
     binary_mask,
     check_mask,
@@ -10,4 +9,4 @@ from lodbench.segmentation.protocol import (
     resized,
 )
 
-__all__ = ["BUILDING_THRESHOLD", "Demanding", "Segmenter", "binary_mask", "check_mask", "notes_of", "resized"]
+__all__ = ["BUILDING_THRESHOLD", "Segmenter", "binary_mask", "check_mask", "notes_of", "resized"]

@@ -8,14 +8,18 @@ from lodbench.errors import DatasetError
 AUTO = "auto"
 
 
-def chosen_segmenter(dataset: Dataset) -> tuple[str, str]:
+def chosen_segmenter(dataset: Dataset, is_needed: bool = True) -> tuple[str, str]:
     """Returns the name of the segmenter for a dataset, and the reason in words.
 
     Masks lie in a dataset because somebody made them for these photos, so they go before a network that has
     seen rendered views only; unless the dataset says otherwise, as the demo does, whose masks are drawn.
 
+    Args:
+        dataset: What is to be segmented.
+        is_needed: Whether anybody looks at the masks.
+
     Raises:
-        DatasetError: The dataset has neither masks nor photos.
+        DatasetError: Masks are needed, and the dataset has neither masks nor photos.
     """
     if dataset.segmenter is not None:
         return dataset.segmenter, f"as {dataset.name} says"
@@ -25,6 +29,8 @@ def chosen_segmenter(dataset: Dataset) -> tuple[str, str]:
         return "masks", f"{masks} of {total} queries have masks made beforehand"
     if any(entry.image is not None for entry in dataset.entries):
         return "compact", "the dataset has photos and no masks"
+    if not is_needed:
+        return "none", "the dataset has neither photos nor masks, and the method needs no mask"
     raise DatasetError(
         f"None of the {total} queries of {dataset.name} has a mask or a photo.",
         "Put building masks (255 = building) in masks, or photos in Query_image, named as in the poses.",

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.pictures import decoded, has_too_many_pixels
 from lodbench.datasets.query import Entry
-from lodbench.errors import DatasetError, QueryFault
+from lodbench.errors import QueryFault
 from lodbench.storage import digest_of, file_digest
 
 
@@ -70,6 +71,8 @@ class MaskFiles:
 
     params_type = MasksParams
     name = "masks"
+    requires = frozenset({Input.MASK})
+    provides = frozenset({Input.MASK})
 
     def __init__(self, params: MasksParams) -> None:
         self.params = params
@@ -83,18 +86,6 @@ class MaskFiles:
         if entry.mask is None:
             raise QueryFault("no mask in the masks folder")
         return read_mask(entry.mask)
-
-    def require(self, entries: tuple[Entry, ...]) -> None:
-        """Makes sure that there is at least one mask.
-
-        Raises:
-            DatasetError: There is none.
-        """
-        if entries and all(entry.mask is None for entry in entries):
-            raise DatasetError(
-                f"segmenter=masks: none of the {len(entries)} queries has a mask in the masks folder.",
-                "Put building masks (255 = building), named as the photos, in each split's folder masks.",
-            )
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of the mask files' names and contents."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.storage import random_stream
@@ -63,6 +64,8 @@ class Oracle:
     """The silhouette at the true pose. Whoever holds the truth draws it: a segmenter never sees a pose."""
 
     params_type: type[OracleParams] = OracleParams
+    requires: frozenset[Input] = frozenset()
+    provides = frozenset({Input.MASK})
 
     def __init__(self, params: OracleParams) -> None:
         self.params = params

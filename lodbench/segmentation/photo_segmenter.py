@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Entry
-from lodbench.errors import DatasetError, QueryFault
+from lodbench.errors import QueryFault
 from lodbench.segmentation.mask_cache import cached_probability
 from lodbench.segmentation.masks import content_digest
 from lodbench.segmentation.photos import read_photo
@@ -27,6 +28,9 @@ class PhotoSegmenter(ABC):
     Args:
         params: Settings of the segmenter, a frozen dataclass with ``name`` and ``normalise``.
     """
+
+    requires = frozenset({Input.IMAGE})
+    provides = frozenset({Input.MASK})
 
     def __init__(self, params: Any) -> None:
         self.params = params
@@ -52,18 +56,6 @@ class PhotoSegmenter(ABC):
     def invalid_reason(self) -> str:
         """Returns why results with it belong in no table; empty where they do."""
         return ""
-
-    def require(self, entries: tuple[Entry, ...]) -> None:
-        """Makes sure, before any work, that there is at least one photo.
-
-        Raises:
-            DatasetError: There is none.
-        """
-        if entries and all(entry.image is None for entry in entries):
-            raise DatasetError(
-                f"segmenter={self.name} looks at photos, and the dataset has none.",
-                "segmenter=masks reads masks made beforehand; segmenter=oracle draws them from the truth.",
-            )
 
     def segment(self, entry: Entry) -> NDArray[np.float32]:
         """Returns the (h, w) float32 probability of building, in [0, 1], at the working size.

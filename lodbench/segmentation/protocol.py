@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Collection
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,9 +21,26 @@ _RANGE_TOLERANCE = 1e-6
 
 
 class Segmenter(Protocol):
-    """Says where the buildings are in a query."""
+    """Says where the buildings are in a query.
+
+    Attributes:
+        name: As its entry point's.
+        requires: What it needs of the dataset, of ``lodbench.datasets.inputs.Input``; nothing if it says
+            nothing.
+        provides: ``mask``, ``instances`` or both; a mask if it says nothing.
+    """
 
     name: str
+
+    @property
+    def requires(self) -> Collection[str]:
+        """Returns the names of what it needs; a class attribute will do."""
+        ...
+
+    @property
+    def provides(self) -> Collection[str]:
+        """Returns the names of what it makes; a class attribute will do."""
+        ...
 
     def segment(self, entry: Entry) -> NDArray[np.float32]:
         """Returns the (H, W) float32 probability of building, in [0, 1].
@@ -34,19 +52,6 @@ class Segmenter(Protocol):
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of all that the answers to these queries depend on."""
-        ...
-
-
-@runtime_checkable
-class Demanding(Protocol):
-    """A segmenter that cannot work on some datasets at all."""
-
-    def require(self, entries: tuple[Entry, ...]) -> None:
-        """Makes sure, before any work, that at least one query can be segmented.
-
-        Raises:
-            DatasetError: None can.
-        """
         ...
 
 

@@ -122,7 +122,7 @@ Small = variant("small", localize=changed(covariance=lambda q, e: np.eye(3)))
 Misnamed = variant("misnamed", name="somebody_else")
 Thawed = variant("thawed", params_type=params("thawed", frozen=False))
 Unconfigured, Poor, Rich, Other, Torn = map(variant, ["unconfigured", "poor", "rich", "other", "torn"])
-Reach = variant("reach", reaching=lambda self, prior: 7)
+Reach = variant("reach", params_for_prior=lambda self, prior: 7)
 '''
 CONFIGS = {
     "unconfigured": None,

@@ -241,7 +241,7 @@ class TestMethod:
         assert pose_error(estimate.pose, truths[0]).translation_m < 1.0
 
     def test_basins_find_what_the_grid_finds_with_a_tenth_of_the_hypotheses(self, scorer, truths):
-        wide = SMALL.reaching(UniformPrior(x_m=50.0, y_m=50.0, z_m=40.0, pitch_deg=0.5, roll_deg=0.5))
+        wide = SMALL.for_prior(UniformPrior(x_m=50.0, y_m=50.0, z_m=40.0, pitch_deg=0.5, roll_deg=0.5))
         mask = scorer.render(CAMERA, truths[0]).astype(np.float32)
         query = Query("q", "all", CAMERA, tilted(truths[0], (31, -38, 26, 0.3, -0.4, 5)), mask)
         grid, basins = (
@@ -300,7 +300,7 @@ class TestCertainty:
 
 class TestParams:
     def test_reaches_what_a_prior_leaves_open(self):
-        params = Params().reaching(
+        params = Params().for_prior(
             UniformPrior(x_m=50, y_m=60, z_m=70, yaw_deg=9, pitch_deg=0.3, roll_deg=0.3)
         )
         assert (params.range_x_m, params.range_y_m, params.range_z_m) == (100, 120, 140)

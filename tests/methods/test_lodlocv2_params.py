@@ -68,12 +68,12 @@ def test_values_are_frozen():
 
 @pytest.mark.parametrize(("delta", "count"), [(30, 7), (50, 11), (100, 21), (200, 41), (27, 7)])
 def test_a_wider_prior_widens_the_grid_at_the_same_stride(delta, count):
-    params = Params().reaching(UniformPrior(delta, delta, delta))
+    params = Params().for_prior(UniformPrior(delta, delta, delta))
     assert (params.range_x_m, params.count_x, params.count_z) == (2 * delta, count, count)
     assert (params.range_yaw_deg, params.count_yaw) == (15.0, 8)
     assert params.range_x_m / (params.count_x - 1) <= 10.0
 
 
 def test_an_axis_of_one_sample_has_no_stride_and_stays():
-    params = Params(range_z_m=0.0, count_z=1).reaching(UniformPrior(30, 30, 30))
+    params = Params(range_z_m=0.0, count_z=1).for_prior(UniformPrior(30, 30, 30))
     assert (params.range_z_m, params.count_z) == (0.0, 1)

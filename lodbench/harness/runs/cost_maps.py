@@ -127,10 +127,10 @@ def _around_truth(
     """Returns the IoU at every offset: x-y by rows of y, then z, then yaw; None without a query."""
     try:
         query = preparation.query(entry)
+        mask = binary_mask(query.mask, *_SIZE)
     except QueryFault:
         return None
     truth = preparation.local(preparation.dataset.truth[entry.key])
-    mask = binary_mask(query.building_probability, *_SIZE)
     y, x = np.meshgrid(grid.xy(), grid.xy(), indexing="ij")
     flat = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
     up = np.stack([np.zeros(len(grid.z()))] * 2 + [grid.z()], axis=1)

@@ -28,18 +28,17 @@ class Preparation:
         scene: The city; queries are moved into its local frame.
         segmenter: Makes the masks.
         tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
+        needs_mask: Whether queries need what the segmenter makes; it is not asked otherwise.
     """
 
     dataset: Dataset
     scene: Scene
     segmenter: Segmenter
     tilt: str
+    needs_mask: bool = True
 
     def __post_init__(self) -> None:
-        if self.tilt not in TILTS:
-            raise ConfigError(f"tilt={self.tilt} is not known.", nearest_names(self.tilt, TILTS))
-        if self.tilt == "truth" and not self.dataset.truth:
-            raise ConfigError("tilt=truth needs a truth, and the dataset has none.", "Leave it out.")
+        require_tilt(self.tilt, self.dataset)
 
     def local(self, pose: Pose) -> Pose:
         """Returns a pose of the dataset's frame in the scene's local frame."""
@@ -73,7 +72,9 @@ class Preparation:
         prior = self.prior(entry)
         if prior is None:
             raise QueryFault("no prior pose")
-        probability = check_mask(self._probability(entry, entry.camera), entry.camera)
+        probability = None
+        if self.needs_mask:
+            probability = check_mask(self._probability(entry, entry.camera), entry.camera)
         return Query(
             name=entry.name,
             split=entry.split,
@@ -98,6 +99,18 @@ class Preparation:
         small = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
         silhouette = SilhouetteRenderer(self.scene, threads=1).render(small, truth)
         return self.segmenter.from_silhouette(silhouette, entry.key)
+
+
+def require_tilt(tilt: str, dataset: Dataset) -> None:
+    """Makes sure that a tilt is one of ``TILTS``, and that a dataset has it.
+
+    Raises:
+        ConfigError: It is not, or the true one is asked for and there is no truth.
+    """
+    if tilt not in TILTS:
+        raise ConfigError(f"tilt={tilt} is not known.", nearest_names(tilt, TILTS))
+    if tilt == "truth" and not dataset.truth:
+        raise ConfigError("tilt=truth needs a truth, and the dataset has none.", "Leave it out.")
 
 
 def prior_of(entry: Entry, dataset: Dataset, tilt: str) -> Pose | None:

@@ -26,7 +26,8 @@ from lodbench.execution import Ledger, Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.code_digest import code_digest
-from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.prepare import Preparation, require_tilt
+from lodbench.harness.runs.requirements import can_segment, needs_segmenter, require_run_inputs
 from lodbench.harness.runs.result import (
     Result,
     chosen_entries,
@@ -38,8 +39,8 @@ from lodbench.harness.runs.result import (
 )
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
-from lodbench.rendering import Scorer, make_renderer
-from lodbench.segmentation import Demanding, Segmenter, binary_mask
+from lodbench.rendering import Scorer, make_renderer, require_renderer
+from lodbench.segmentation import Segmenter, binary_mask
 from lodbench.storage import digest_of, random_stream, write_text
 
 # Masks are compared with the truth at most at this width, pixels: the paper's fine size.
@@ -98,17 +99,18 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     require_writable(settings.runs_root)
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
-    if isinstance(segmenter, Demanding):
-        segmenter.require(entries)
+    require_tilt(settings.tilt, dataset)
+    require_renderer(settings.renderer)
+    require_run_inputs(method, segmenter, dataset, entries)
     scene, dataset = _open_city(dataset)
     require_direction(dataset, entries, scene)
-    preparation = Preparation(dataset, scene, segmenter, settings.tilt)
+    preparation = Preparation(dataset, scene, segmenter, settings.tilt, needs_segmenter(method))
     scorer = make_renderer(settings.renderer, scene, settings.threads)
     inputs = {
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),
         "priors": prior_digest(entries),
-        "masks": segmenter.fingerprint(entries),
+        "masks": segmenter.fingerprint(entries) if can_segment(segmenter, dataset, entries) else "",
         "code": code_digest(method, segmenter),
     }
     digest = digest_of({"config": settings.config, "inputs": inputs})
@@ -207,10 +209,11 @@ def upper_triangle(covariance: NDArray[np.float64] | None) -> list[float]:
 def mask_iou_at_truth(query: Query, preparation: Preparation, scorer: Scorer) -> float | None:
     """Returns the IoU of a query's mask with the model's silhouette at the truth (paper, Table 4).
 
-    At the mask's own size, or at 602 pixels' width if it is larger; None where there is no truth.
+    At the mask's own size, or at 602 pixels' width if it is larger; None where there is no truth or
+    no mask.
     """
     known = preparation.dataset.truth.get(f"{query.split}/{query.name}")
-    if known is None:
+    if known is None or query.building_probability is None:
         return None
     truth = preparation.local(known)
     height, width = query.building_probability.shape

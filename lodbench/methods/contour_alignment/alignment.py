@@ -176,7 +176,7 @@ class Aligner:
 
     def _level(self, size: tuple[int, int]) -> Level:
         if size not in self._levels:
-            mask = binary_mask(self._query.building_probability, *size)
+            mask = binary_mask(self._query.mask, *size)
             scale = size[0] / self._params.fine_size[0]
             self._levels[size] = Level(self._query.camera.scaled(*size), mask, signed_distance(mask), scale)
         return self._levels[size]

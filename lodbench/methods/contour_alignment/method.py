@@ -7,6 +7,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
@@ -27,13 +28,14 @@ class ContourAlignment:
 
     params_type = Params
     name = "contour_alignment"
+    requires = frozenset({Input.MASK})
 
     def __init__(self, settings: Params | None = None) -> None:
         self.params = settings or Params()
 
-    def reaching(self, prior: UniformPrior) -> Params:
+    def params_for_prior(self, prior: UniformPrior) -> Params:
         """Returns the parameters that search all that such a prior leaves open, tilt included."""
-        return self.params.reaching(prior)
+        return self.params.for_prior(prior)
 
     def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
         """Returns the pose whose outline fits the mask's best under the prior.

@@ -157,7 +157,7 @@ class Params:
         """Returns the same for the alignment from afar, which ends where the other begins."""
         return _falling(self.basin_reach_px, self.reach_px, self.basin_steps)
 
-    def reaching(self, prior: UniformPrior) -> Params:
+    def for_prior(self, prior: UniformPrior) -> Params:
         """Returns these parameters for a prior's error of other half widths."""
         return replace(
             self,

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
@@ -39,7 +40,7 @@ class Judge:
 
     def __init__(self, query: Query, scorer: Scorer, size: tuple[int, int], fit: str = "iou") -> None:
         self.camera: Camera = query.camera.scaled(*size)
-        self.fit = make_fit(fit, query.building_probability, size)
+        self.fit = make_fit(fit, query.mask, size)
         self.pitch_deg, self.roll_deg, _ = query.prior.euler
         self.scored = 0
         self._scorer = scorer
@@ -57,13 +58,14 @@ class LodLocV2:
 
     params_type = Params
     name = "lodlocv2"
+    requires = frozenset({Input.MASK})
 
     def __init__(self, settings: Params | None = None) -> None:
         self.params = settings or Params()
 
-    def reaching(self, prior: UniformPrior) -> Params:
+    def params_for_prior(self, prior: UniformPrior) -> Params:
         """Returns the parameters whose grid covers such a prior's error."""
-        return self.params.reaching(prior)
+        return self.params.for_prior(prior)
 
     def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
         """Returns the pose whose silhouette fits the query mask best.

@@ -105,7 +105,7 @@ class Params:
             AxisRange(self.range_yaw_deg, self.count_yaw),
         )
 
-    def reaching(self, prior: UniformPrior) -> Params:
+    def for_prior(self, prior: UniformPrior) -> Params:
         """Returns these parameters with a grid that covers a prior's error at the same stride.
 
         An axis of one sample has no stride and stays as it is.

@@ -1,0 +1,98 @@
+"""What a method or a segmenter may need of a dataset, and the one line that says what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from enum import StrEnum
+
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import ConfigError, DatasetError, nearest_names
+
+
+class Input(StrEnum):
+    """What may be needed besides the camera, the prior and the city.
+
+    Attributes:
+        MASK: Probability of building at each pixel. Of a dataset: masks made beforehand.
+        INSTANCES: A mask of each building in the photo.
+        IMAGE: The photo.
+        REFERENCES: Posed pictures of the place.
+        TEXTURED_MAP: A city model with photographed surfaces.
+        TILT: Pitch and roll of the prior, measured and not just assumed.
+        HEIGHT: The prior's height, likewise.
+        MAP: Of a segmenter: the city and the query's prior, beside the photo.
+    """
+
+    MASK = "mask"
+    INSTANCES = "instances"
+    IMAGE = "image"
+    REFERENCES = "references"
+    TEXTURED_MAP = "textured_map"
+    TILT = "tilt"
+    HEIGHT = "height"
+    MAP = "map"
+
+
+# What each is called, and how to give it.
+_WORDS = {
+    Input.MASK: ("masks", "Put them in each split's folder masks (255 = building), named as the photos."),
+    Input.INSTANCES: ("a mask of each building", "Name a segmenter that makes them: segmenter=NAME."),
+    Input.IMAGE: ("photos", "Put them in Query_image; segmenter=masks and segmenter=oracle need none."),
+    Input.REFERENCES: ("posed pictures of the place", "Set dataset.references=FOLDER."),
+    Input.TEXTURED_MAP: ("a textured map", "Set dataset.textured_map=FILE."),
+    Input.TILT: ("a measured pitch and roll of the priors", "Take a method that finds them."),
+    Input.HEIGHT: ("a measured height of the priors", "Take a method that finds it."),
+    Input.MAP: ("a city model", "Set dataset.city_model=FILE."),
+}
+
+
+def declared_inputs(part: object, attribute: str, default: Collection[str] = ()) -> frozenset[Input]:
+    """Returns the inputs that a plug-in's class declares in ``requires`` or ``provides``.
+
+    Args:
+        part: A method or a segmenter, or its class.
+        attribute: ``requires`` or ``provides``.
+        default: What one that declares nothing is taken to declare.
+
+    Raises:
+        ConfigError: It declares something that is no input.
+    """
+    found = getattr(part, attribute, default)
+    known = [item.value for item in Input]
+    for word in found:
+        if word not in known:
+            name = getattr(part, "name", part)
+            raise ConfigError(
+                f"{name} says {attribute} {word!r}, which is no input.", nearest_names(str(word), known)
+            )
+    return frozenset(Input(word) for word in found)
+
+
+def inputs_of(dataset: Dataset, entries: Sequence[Entry]) -> frozenset[Input]:
+    """Returns what a dataset has for at least one of some of its queries."""
+    has = {
+        Input.MASK: any(entry.mask is not None for entry in entries),
+        Input.IMAGE: any(entry.image is not None for entry in entries),
+        Input.TILT: Input.TILT not in dataset.assumed,
+        Input.HEIGHT: Input.HEIGHT not in dataset.assumed,
+        Input.MAP: dataset.city_model is not None,
+    }
+    return frozenset(kind for kind, is_there in has.items() if is_there)
+
+
+def require_inputs(who: str, requires: Collection[Input], has: Collection[Input], lacking: str) -> None:
+    """Makes sure that all that is needed is there.
+
+    Args:
+        who: What needs it, as typed: ``method=lodlocv2``.
+        requires: What it needs.
+        has: What there is.
+        lacking: What is told of the rest: ``the dataset has none``.
+
+    Raises:
+        DatasetError: Something is missing; the hint says how to give it.
+    """
+    missing = [kind for kind in Input if kind in requires and kind not in has]
+    if missing:
+        words = " and ".join(_WORDS[kind][0] for kind in missing)
+        raise DatasetError(f"{who} needs {words}, and {lacking}.", _WORDS[missing[0]][1])

@@ -1,0 +1,46 @@
+"""Before any work: whether a run has what its method and its segmenter need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lodbench.datasets.inputs import Input, declared_inputs, inputs_of, require_inputs
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.methods import Method
+from lodbench.segmentation import Segmenter
+
+# What segmenters make, from whatever they themselves need.
+_SEGMENTED = frozenset({Input.MASK, Input.INSTANCES})
+_LACKING = "the dataset has none"
+
+
+def needs_segmenter(method: object) -> bool:
+    """Tells whether a method looks at what a segmenter makes; one that declares nothing looks at masks."""
+    return not _SEGMENTED.isdisjoint(declared_inputs(method, "requires", {Input.MASK}))
+
+
+def require_run_inputs(
+    method: Method, segmenter: Segmenter, dataset: Dataset, entries: Sequence[Entry]
+) -> None:
+    """Makes sure that a method and, if it is needed, the segmenter have what they need.
+
+    What single queries lack is no matter of this: it is theirs, and counted.
+
+    Raises:
+        ConfigError: The method or the segmenter declares something that is no input.
+        DatasetError: Something is missing; the hint says how to give it.
+    """
+    requires = declared_inputs(method, "requires", {Input.MASK})
+    has = inputs_of(dataset, entries)
+    made = frozenset[Input]()
+    if needs_segmenter(method):
+        made = declared_inputs(segmenter, "provides", {Input.MASK})
+        name = f"segmenter={segmenter.name}"
+        require_inputs(f"method={method.name}", requires & _SEGMENTED, made, f"{name} makes none")
+        require_inputs(name, declared_inputs(segmenter, "requires"), has, _LACKING)
+    require_inputs(f"method={method.name}", requires - _SEGMENTED, has, _LACKING)
+
+
+def can_segment(segmenter: Segmenter, dataset: Dataset, entries: Sequence[Entry]) -> bool:
+    """Tells whether a segmenter has what it needs."""
+    return declared_inputs(segmenter, "requires") <= inputs_of(dataset, entries)

@@ -1,0 +1,62 @@
+"""Methods by name: from an entry point and settings to a method, checked before any work."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import ConfigError
+from lodbench.methods.protocol import Method, SupportsPriorWidth
+from lodbench.params import to_params
+from lodbench.plugins import load_plugin
+
+
+@dataclass(frozen=True, slots=True)
+class ConfiguredMethod:
+    """A method's class and the parameters to make it from.
+
+    Attributes:
+        kind: The class.
+        params: Of its ``params_type``.
+    """
+
+    kind: Any
+    params: Any
+
+    def make(self) -> Method:
+        """Returns the method, made anew."""
+        method: Method = self.kind(self.params)
+        return method
+
+    def for_prior(self, prior: UniformPrior) -> ConfiguredMethod:
+        """Returns the same, told how far off priors may be, if it is a method that can be."""
+        method = self.make()
+        if not isinstance(method, SupportsPriorWidth):
+            return self
+        return ConfiguredMethod(self.kind, method.params_for_prior(prior))
+
+
+def configure_method(settings: Mapping[str, Any]) -> ConfiguredMethod:
+    """Returns the method that settings ask for: ``name``, and parameters that differ from its defaults.
+
+    Raises:
+        ConfigError: There is no such method, or a parameter is unknown or out of range.
+    """
+    name = str(settings.get("name", ""))
+    kind = load_plugin("methods", name)
+    if not hasattr(kind, "params_type"):
+        raise ConfigError(
+            f"method {name!r} has no params_type.", f"lodbench check-method {name} says what is wrong."
+        )
+    return ConfiguredMethod(kind, to_params(settings, kind.params_type, "method"))
+
+
+def make_method(name: str, **params: Any) -> Method:
+    """Returns a method by its name, with some parameters set.
+
+    Raises:
+        ConfigError: As for ``configure_method``.
+    """
+    return configure_method({"name": name, **params}).make()
