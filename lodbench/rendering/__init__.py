@@ -1,5 +1,6 @@
 """Renderers: the silhouette engine, its numpy reference, and back ends behind one protocol."""
 
+from lodbench.rendering.appearance_bins import AppearanceBins, appearance_bins
 from lodbench.rendering.fit import BoundaryFit, Fit, IouFit, SoftIouFit
 from lodbench.rendering.instances import Instances
 from lodbench.rendering.layers import Layers
@@ -11,6 +12,7 @@ from lodbench.rendering.protocol import (
     Renderer,
     Scorer,
 )
+from lodbench.rendering.region_fit import RegionFit
 from lodbench.rendering.registry import (
     DEPTH_RENDERERS,
     INSTANCE_RENDERERS,
@@ -26,6 +28,7 @@ __all__ = [
     "INSTANCE_RENDERERS",
     "LAYER_RENDERERS",
     "RENDERERS",
+    "AppearanceBins",
     "BoundaryFit",
     "DepthRenderer",
     "Fit",
@@ -35,9 +38,11 @@ __all__ = [
     "IouFit",
     "LayerRenderer",
     "Layers",
+    "RegionFit",
     "Renderer",
     "Scorer",
     "SoftIouFit",
+    "appearance_bins",
     "make_renderer",
     "open_renderer",
     "require_renderer",

@@ -1,0 +1,80 @@
+"""A photo as one small number per pixel, so that what a region looks like is a histogram."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import RenderingError
+
+Picture = NDArray[np.float32]
+
+# Levels of brightness and of texture of a grey or thermal photo; of L, a, b and texture of a colour photo.
+_GREY_LEVELS = (16, 8)
+_COLOUR_LEVELS = (6, 6, 8, 3)
+# Channels of a grey photo stored in colour differ by no more than this on average, of 255.
+_GREY_SPREAD = 2.0
+# Over how many pixels the texture is smoothed, standard deviation.
+_TEXTURE_PX = 2.0
+
+
+class AppearanceBins(NamedTuple):
+    """A quantised photo.
+
+    Attributes:
+        bins: (H, W) uint16 bin of each pixel.
+        num_bins: How many there are.
+    """
+
+    bins: NDArray[np.uint16]
+    num_bins: int
+
+
+def appearance_bins(photo: NDArray[Any], size: tuple[int, int]) -> AppearanceBins:
+    """Returns a photo's pixels as bins of brightness, colour and texture, at a working size.
+
+    A grey photo, thermal ones among them, gives 16 levels of brightness by 8 of texture; a colour photo 6 of
+    L by 6 of a by 8 of b (CIE Lab) by 3 of texture. Texture is the absolute Laplacian of the brightness,
+    smoothed over 2 pixels. Levels are quantiles of the photo itself, so that exposure, palette and haze
+    change little.
+
+    Args:
+        photo: (H, W) or (H, W, 3) BGR, 8 bits.
+        size: Width and height to work at, pixels.
+
+    Raises:
+        RenderingError: The photo has another shape.
+    """
+    if photo.ndim not in (2, 3) or photo.size == 0 or (photo.ndim == 3 and photo.shape[2] != 3):
+        raise RenderingError(f"A photo has shape {photo.shape}, not (height, width) or (height, width, 3).")
+    small: Picture = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    levels: tuple[int, ...]
+    if small.ndim == 2 or _is_grey(small):
+        grey = small if small.ndim == 2 else small[..., 1]
+        channels, levels = [grey, _texture(grey)], _GREY_LEVELS
+    else:
+        lab: Picture = np.asarray(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), dtype=np.float32)
+        channels, levels = [lab[..., 0], lab[..., 1], lab[..., 2], _texture(lab[..., 0])], _COLOUR_LEVELS
+    bins = np.zeros(small.shape[:2], dtype=np.int64)
+    for channel, count in zip(channels, levels, strict=True):
+        bins = bins * count + _levels(channel, count)
+    return AppearanceBins(bins.astype(np.uint16), int(np.prod(levels)))
+
+
+def _is_grey(photo: Picture) -> bool:
+    spread = photo.max(axis=2) - photo.min(axis=2)
+    return float(spread.mean()) <= _GREY_SPREAD
+
+
+def _texture(grey: Picture) -> Picture:
+    edges = np.abs(cv2.Laplacian(grey, cv2.CV_32F))
+    return np.asarray(cv2.GaussianBlur(edges, (0, 0), _TEXTURE_PX), dtype=np.float32)
+
+
+def _levels(values: Picture, count: int) -> NDArray[np.int64]:
+    """Returns which of some equally full parts each value lies in; equal values share one."""
+    edges = np.quantile(values, np.arange(1, count) / count)
+    return np.searchsorted(edges, values, side="right").astype(np.int64)
