@@ -33,6 +33,13 @@ def pose_error(estimate: Pose, truth: Pose) -> PoseError:
 
     The angle comes from atan2 of the turn's sine and cosine: unlike arccos of the trace it keeps
     its digits near 0.
+
+    Example:
+        >>> from lodbench.geometry import EulerAngles
+        >>> truth = Pose.from_euler(EulerAngles(30, 0, 45), center=(0, 0, 100))
+        >>> error = pose_error(Pose.from_euler(EulerAngles(30, 0, 47), center=(3, 4, 100)), truth)
+        >>> round(error.translation_m, 6), round(error.rotation_deg, 6)
+        (5.0, 2.0)
     """
     # Nine numbers are quicker as floats than as arrays, and evaluating means millions of poses.
     turn = (truth.rotation.T @ estimate.rotation).tolist()

@@ -110,7 +110,13 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def scaled(self, width: int, height: int) -> Camera:
-        """Returns the camera of the image resized to ``width`` x ``height``, each axis by its own factor."""
+        """Returns the camera of the image resized to ``width`` x ``height``, each axis by its own factor.
+
+        Example:
+            >>> half = Camera(1200, 900, fx=900, fy=900, cx=600, cy=450).scaled(600, 300)
+            >>> half.fx, half.fy, half.cx, half.cy
+            (450.0, 300.0, 300.0, 150.0)
+        """
         sx, sy = width / self.width, height / self.height
         return replace(
             self,

@@ -25,6 +25,13 @@ class Pose:
     Attributes:
         rotation: (3, 3) float64 cam_from_world rotation, determinant +1.
         translation: (3,) float64, metres.
+
+    Example:
+        >>> down = Pose.from_euler(EulerAngles(pitch_deg=0, roll_deg=0, yaw_deg=0), center=(10, 20, 100))
+        >>> down.center.tolist()
+        [10.0, 20.0, 100.0]
+        >>> (down.cam_from_world @ [10, 20, 0, 1]).tolist()  # the ground below lies 100 m ahead
+        [0.0, 0.0, 100.0, 1.0]
     """
 
     rotation: Matrix

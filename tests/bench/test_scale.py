@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,7 +78,9 @@ class TestViews:
         engine, camera = SilhouetteRenderer(core, 1), RGB_CAMERA.scaled(*FINE_SIZE)
         swarms, rejections = swarms_inside(engine, camera, QUICK)
         assert len(swarms) == 2
-        assert rejections >= 0
+        fewer, before = swarms_inside(engine, camera, replace(QUICK, num_views=1))
+        np.testing.assert_array_equal(fewer[0].centers, swarms[0].centers)
+        assert 0 <= before <= rejections
         low, high = core.extent_m
         for swarm in swarms:
             # A border pixel's ray, cast from each hypothesis on its own.

@@ -117,12 +117,19 @@ def test_changed_input_under_the_same_path_is_another_run(lodbench, tmp_path):
     dataset = write_dataset(tmp_path / "town", count=2)
     lodbench(*words(dataset))
     poses = dataset[0] / "GPS_pose.txt"
-    poses.write_text(poses.read_text().replace("view_00.png 0.", "view_00.png 0.0", 0) + "# a remark\n")
+    original = poses.read_text()
+    poses.write_text(original + "# a remark\n")
     lodbench(*words(dataset))
     assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 1
-    (dataset[0] / "masks" / "view_00.png").unlink()
+    first, *others = original.splitlines(keepends=True)
+    *numbers, tz = first.split()
+    poses.write_text(" ".join([*numbers, str(float(tz) + 1)]) + "\n" + "".join(others))
     lodbench(*words(dataset))
     assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 2
+    poses.write_text(original)
+    (dataset[0] / "masks" / "view_00.png").unlink()
+    lodbench(*words(dataset))
+    assert len(list((tmp_path / "runs" / "folder" / "lodlocv2").iterdir())) == 3
 
 
 def test_faults_of_single_queries_are_rows_with_reasons(lodbench, tmp_path):
