@@ -17,7 +17,7 @@ from lodbench.bench.figures import Progress, no_progress
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.citymodel.scene_file import read_scene, write_scene
 from lodbench.errors import CityModelError
-from lodbench.storage import digest_of, file_digest, random_stream
+from lodbench.storage import digest_of, file_digest, make_folder, random_stream
 from lodbench.storage.paths import cache_root
 
 Floats = NDArray[np.float64]
@@ -65,8 +65,8 @@ def open_grown_city(buildings: int, seed: int = 0, progress: Progress = no_progr
     try:
         read_scene(folder)
     except CityModelError:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        write_scene(grown_city(buildings, seed, progress), folder)
+        make_folder(folder.parent)
+        write_scene(grown_city(buildings, seed, progress), folder, survives_power_cut=False)
     return folder
 
 

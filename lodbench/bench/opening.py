@@ -51,7 +51,7 @@ def measure_opening(folder: Path) -> Opening:
     before = resident_mb()
     started = time.perf_counter()
     # Held until the memory is read.
-    engine = SilhouetteRenderer(read_scene(folder), 1)
+    engine = SilhouetteRenderer(read_scene(folder)[0], 1)
     seconds = time.perf_counter() - started
     after = resident_mb()
     del engine

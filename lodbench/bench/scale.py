@@ -80,7 +80,7 @@ def measure_scale(options: ScaleOptions | None = None, progress: Progress = no_p
     started = time.perf_counter()
     folder = open_grown_city(options.buildings, options.seed, progress)
     # Lays the scene out for the engine and stores that too, unless it is there.
-    whole = SilhouetteRenderer(read_scene(folder), 1)
+    whole = SilhouetteRenderer(read_scene(folder)[0], 1)
     making = time.perf_counter() - started
     opening = open_apart(folder)
     core = SilhouetteRenderer(grown_city(TILE_BUILDINGS, options.seed), 1)

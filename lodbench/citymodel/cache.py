@@ -15,10 +15,10 @@ from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import read_city_model
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_extra, read_scene, write_scene
+from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_scene, write_scene
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import CityModelError
-from lodbench.storage import digest_of, file_digest
+from lodbench.storage import digest_of, file_digest, make_folder
 from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
@@ -63,8 +63,9 @@ def open_cached_city(
     """Returns one level of detail of a city, from the cache where it is there.
 
     The key is made of the content of every file, the options and the code that reads, so a file that
-    changes is read again and a copy under another name is not. A cache that cannot be written costs
-    nothing but the time. Beyond ``LODBENCH_CACHE_GB`` the scenes used longest ago are removed.
+    changes is read again and a copy under another name is not. A scene that is damaged is made anew, and
+    a warning says so. A cache that cannot be written costs nothing but the time. Beyond
+    ``LODBENCH_CACHE_GB`` the scenes used longest ago are removed.
 
     Args:
         path: As for ``read_city_model``; or a scene that ``lodbench city convert`` wrote.
@@ -82,18 +83,18 @@ def open_cached_city(
         return _open_scene_folder(path, lod)
     limit_bytes = cache_limit_bytes()
     folder = cache_root() / "scenes" / scene_key(path, lod, options, roof_height)
-    try:
-        known = _load(folder)
-    except CityModelError:
-        pass  # not there, damaged, or of another version: made anew
-    else:
-        mark_used(folder)
-        return known
+    if is_scene(folder):
+        try:
+            known = _load(folder)
+            mark_used(folder)
+            return known
+        except CityModelError as fault:
+            _LOGGER.warning("%s It is made anew.", fault)
     model = read_city_model(path, options=options, progress=progress)
     city = open_city(model, mesh_model(model, lod, roof_height=roof_height))
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        store_city(city, folder)
+        make_folder(folder.parent)
+        store_city(city, folder, survives_power_cut=False)
         prune_cache(folder.parent, limit_bytes, keep=folder)
     except OSError as error:
         _LOGGER.info("The scene cache %s cannot be written: %s", folder.parent, error)
@@ -123,14 +124,14 @@ def open_city(model: CityModel, mesh: CityMesh) -> OpenCity:
     return OpenCity(mesh.scene, dict(sorted(counts.items())), mesh.area_m2, mesh.lost_m2)
 
 
-def store_city(city: OpenCity, folder: Path) -> None:
-    """Writes a city as a scene folder that remembers its findings.
+def store_city(city: OpenCity, folder: Path, survives_power_cut: bool = True) -> None:
+    """Writes a city as a scene folder that remembers its findings; see ``write_scene``.
 
     Raises:
         OSError: As for ``write_scene``.
     """
     extra = {"findings": city.findings, "area_m2": city.area_m2, "lost_m2": city.lost_m2}
-    write_scene(city.scene, folder, extra)
+    write_scene(city.scene, folder, extra, survives_power_cut)
 
 
 def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: str | None) -> str:
@@ -163,11 +164,11 @@ def _open_scene_folder(folder: Path, lod: str | None) -> OpenCity:
 
 
 def _load(folder: Path) -> OpenCity:
-    scene, extra = read_scene(folder), read_extra(folder)
+    scene, extra = read_scene(folder)
     try:
         findings = {str(name): int(count) for name, count in extra["findings"].items()}
         return OpenCity(scene, findings, float(extra["area_m2"]), float(extra["lost_m2"]))
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise CityModelError(f"The scene in {folder} is damaged ({error}).", "Delete the folder.") from None
 
 

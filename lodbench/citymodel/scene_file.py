@@ -1,4 +1,8 @@
-"""Scenes on disk: a folder of plain arrays that are mapped into memory, never copied or unpickled."""
+"""Scenes on disk: a folder of plain arrays that are mapped into memory, never copied or unpickled.
+
+Every array is compared with its digest when the folder is opened, and its numbers with each other: a folder
+may be damaged, or come from a stranger, and compiled code trusts what it indexes with.
+"""
 
 from __future__ import annotations
 
@@ -11,42 +15,49 @@ import numpy as np
 
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import CityModelError
-from lodbench.storage import new_folder
+from lodbench.storage import digest_of, new_folder, write_text
+from lodbench.storage.arrays import map_array, text_check, write_arrays
 
 # Raise it whenever the arrays or their meaning change: older folders are then read no more.
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 _ARRAYS = ("vertices", "triangles", "vertex_starts", "triangle_starts")
 # Version 2 kept these too; its folders may still be replaced.
 _FORMER_ARRAYS = ("boxes", "grid", "cell_starts", "cell_buildings")
 _META = "scene.json"
+# What stands before the part of it that its check is of.
+_BODY = ', "about": '
+_AGAIN = "Delete the folder, and convert the city file again."
 
 
-def write_scene(scene: Scene, folder: Path, extra: dict[str, Any] | None = None) -> None:
+def write_scene(
+    scene: Scene, folder: Path, extra: dict[str, Any] | None = None, survives_power_cut: bool = True
+) -> None:
     """Writes a scene as a folder, which appears whole or not at all.
 
     Args:
         scene: What to write.
         folder: Where; a scene already there is replaced, anything else is left alone.
         extra: Plain values to keep with it.
+        survives_power_cut: As for ``write_bytes``; a cache can do without.
 
     Raises:
         OSError: The parent folder is missing or not writable, or something else is there already.
     """
     if folder.exists() and not _is_ours(folder):
         raise FileExistsError(errno.EEXIST, "something else is there already")
-    with new_folder(folder) as partial:
-        for name in _ARRAYS:
-            np.save(partial / f"{name}.npy", getattr(scene, name), allow_pickle=False)
-        meta = {
-            "version": FORMAT_VERSION,
+    with new_folder(folder, survives_power_cut) as partial:
+        arrays = {name: getattr(scene, name) for name in _ARRAYS}
+        about = {
             "building_ids": scene.building_ids,
             "lod": scene.lod,
             "crs": scene.crs,
             "origin": scene.origin.tolist(),
-            "digest": scene.digest(),
+            "arrays": write_arrays(partial, arrays),
             "extra": extra or {},
         }
-        (partial / _META).write_text(json.dumps(meta), encoding="utf-8")
+        body = json.dumps(about)
+        head = f'{{"version": {FORMAT_VERSION}, "check": "{text_check(body)}"'
+        write_text(partial / _META, f"{head}{_BODY}{body}}}", survives_power_cut=False)
 
 
 def is_scene(path: Path) -> bool:
@@ -60,45 +71,79 @@ def _is_ours(folder: Path) -> bool:
     return folder.is_dir() and {path.name for path in folder.iterdir()} <= known
 
 
-def read_scene(folder: Path) -> Scene:
-    """Returns a scene whose arrays are mapped from disk, read only.
+def read_scene(folder: Path) -> tuple[Scene, dict[str, Any]]:
+    """Returns a scene whose arrays are mapped from disk, read only, and the plain values kept with it.
 
     Raises:
-        CityModelError: The folder holds no scene, one of another version, or a damaged one.
+        CityModelError: The folder holds no scene, one of another version, or one that is damaged: a file is
+            not the one that was written, or an index points out of its array.
     """
-    meta = _read_meta(folder)
-    arrays = {name: _load(folder, name) for name in _ARRAYS}
+    about = _read_meta(folder)
     try:
-        return Scene(
-            **arrays,
-            building_ids=tuple(str(name) for name in meta["building_ids"]),
-            lod=str(meta["lod"]),
-            crs=meta["crs"],
-            origin=np.asarray(meta["origin"], np.float64).reshape(3),
-            stored_digest=str(meta["digest"]),
+        digests = about["arrays"]
+        scene = Scene(
+            **{name: map_array(folder / f"{name}.npy", digests[name]) for name in _ARRAYS},
+            building_ids=tuple(map(str, about["building_ids"])),
+            lod=str(about["lod"]),
+            crs=None if about["crs"] is None else str(about["crs"]),
+            origin=np.asarray(about["origin"], np.float64).reshape(3),
+            # With its place: a stranger's folder cannot pass for a city of one's own.
+            stored_digest=digest_of([str(folder.resolve()), digests]),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise CityModelError(f"The scene in {folder} is damaged ({error}).", "Delete the folder.") from None
-
-
-def read_extra(folder: Path) -> dict[str, Any]:
-    """Returns the plain values kept with a scene."""
-    extra: dict[str, Any] = _read_meta(folder).get("extra", {})
-    return extra
+        _check(scene)
+        extra = about["extra"]
+        if not isinstance(extra, dict):
+            raise TypeError("its values are no table")
+    except (OSError, KeyError, TypeError, ValueError, OverflowError) as error:
+        reason = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise CityModelError(f"The scene in {folder} is damaged: {reason}.", _AGAIN) from None
+    return scene, extra
 
 
 def _read_meta(folder: Path) -> dict[str, Any]:
     try:
-        meta = json.loads((folder / _META).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise CityModelError(f"There is no scene in {folder} ({error}).") from None
+        text = (folder / _META).read_text(encoding="utf-8")
+        meta = json.loads(text)
+    except (OSError, ValueError, RecursionError) as error:
+        raise CityModelError(f"There is no scene in {folder}: {error}.") from None
     if not isinstance(meta, dict) or meta.get("version") != FORMAT_VERSION:
-        raise CityModelError(f"The scene in {folder} was written by another version.", "Delete the folder.")
-    return meta
+        raise CityModelError(f"The scene in {folder} was written by another version.", _AGAIN)
+    about = meta.get("about")
+    body = text.partition(_BODY)[2].removesuffix("}")
+    if not isinstance(about, dict) or meta.get("check") != text_check(body):
+        raise CityModelError(f"The scene in {folder} is damaged: {_META} is not as written.", _AGAIN)
+    return about
 
 
-def _load(folder: Path, name: str) -> Any:
-    try:
-        return np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise CityModelError(f"The scene in {folder} is damaged ({error}).", "Delete the folder.") from None
+def _check(scene: Scene) -> None:
+    """Makes sure that the arrays have their types and that no index points out of its building.
+
+    Raises:
+        ValueError: One does.
+    """
+    count = scene.num_buildings
+    shapes: dict[str, tuple[type[np.generic], tuple[int, ...]]]
+    shapes = {"vertices": (np.float32, (-1, 3)), "triangles": (np.int32, (-1, 3))}
+    shapes |= {name: (np.int64, (count + 1,)) for name in ("vertex_starts", "triangle_starts")}
+    for name, (dtype, shape) in shapes.items():
+        array = getattr(scene, name)
+        is_shaped = array.ndim == len(shape) and all(
+            w in (-1, n) for w, n in zip(shape, array.shape, strict=True)
+        )
+        if array.dtype != dtype or not is_shaped or not array.flags.c_contiguous:
+            raise ValueError(f"{name} is {array.dtype} {array.shape}")
+    for starts, rows in ((scene.vertex_starts, scene.vertices), (scene.triangle_starts, scene.triangles)):
+        if starts[0] != 0 or starts[-1] != len(rows) or (np.diff(starts) < 0).any():
+            raise ValueError("its buildings do not follow each other")
+    if not np.isfinite(scene.origin).all():
+        raise ValueError("its origin is not finite")
+    # Not a number is the smallest and the largest of all.
+    if len(scene.vertices) and not np.isfinite([scene.vertices.min(), scene.vertices.max()]).all():
+        raise ValueError("a coordinate is not finite")
+    filled = np.flatnonzero(np.diff(scene.triangle_starts))
+    if len(filled):
+        corners, first = scene.triangles.reshape(-1), 3 * scene.triangle_starts[filled]
+        is_inside = np.minimum.reduceat(corners, first) >= scene.vertex_starts[filled]
+        is_inside &= np.maximum.reduceat(corners, first) < scene.vertex_starts[filled + 1]
+        if not is_inside.all():
+            raise ValueError("a triangle has a corner that its building has not")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from functools import cache
 from pathlib import Path
@@ -11,7 +12,8 @@ import numpy as np
 from lodbench.citymodel.scene import Scene
 from lodbench.rendering import engine_arrays, engine_layout, selection, topology
 from lodbench.rendering.engine_arrays import SceneArrays
-from lodbench.storage import digest_of, file_digest, new_folder
+from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
+from lodbench.storage.arrays import map_array, write_arrays
 from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
@@ -19,6 +21,7 @@ _LOGGER = logging.getLogger(__name__)
 
 # Fewer triangles are laid out in a second or two: not worth their place on disk.
 _STORED_FROM_TRIANGLES = 500_000
+_DIGESTS = "digests.json"
 
 
 def open_arrays(scene: Scene) -> SceneArrays:
@@ -30,18 +33,19 @@ def open_arrays(scene: Scene) -> SceneArrays:
     if not scene.stored_digest or len(scene.triangles) < _STORED_FROM_TRIANGLES:
         return engine_layout.scene_arrays(scene)
     folder = arrays_folder(scene)
-    try:
-        arrays = _read(folder)
-        mark_used(folder)
-        return arrays
-    except (OSError, ValueError, EOFError):
-        pass  # not there, or damaged: made anew
+    if folder.is_dir():
+        try:
+            arrays = _read(folder)
+            mark_used(folder)
+            return arrays
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            _LOGGER.warning("The engine's arrays in %s are damaged: %s. They are made anew.", folder, error)
     arrays = engine_layout.scene_arrays(scene)
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with new_folder(folder) as partial:
-            for name, array in arrays._asdict().items():
-                np.save(partial / f"{name}.npy", array, allow_pickle=False)
+        make_folder(folder.parent)
+        with new_folder(folder, survives_power_cut=False) as partial:
+            digests = write_arrays(partial, arrays._asdict())
+            write_text(partial / _DIGESTS, json.dumps(digests), survives_power_cut=False)
         prune_cache(folder.parent, cache_limit_bytes(), keep=folder)
         return _read(folder)
     except OSError as error:
@@ -55,9 +59,8 @@ def arrays_folder(scene: Scene) -> Path:
 
 
 def _read(folder: Path) -> SceneArrays:
-    mapped = (
-        np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False) for name in SceneArrays._fields
-    )
+    digests = json.loads((folder / _DIGESTS).read_text(encoding="utf-8"))
+    mapped = (map_array(folder / f"{name}.npy", digests[name]) for name in SceneArrays._fields)
     # As plain arrays: compiled code is chosen by type, and a memmap is another.
     return SceneArrays(*(np.asarray(array) for array in mapped))
 

@@ -1,7 +1,8 @@
 """Files written safely, random streams, digests, and where data and caches live."""
 
-from lodbench.storage.atomic import new_folder, write_bytes, write_text
+from lodbench.storage.atomic import new_folder, remove_leftovers, write_bytes, write_text
 from lodbench.storage.digest import digest_of, file_digest
+from lodbench.storage.disk import make_folder
 from lodbench.storage.formulas import hide_formula, show_formula
 from lodbench.storage.streams import random_stream
 
@@ -9,8 +10,10 @@ __all__ = [
     "digest_of",
     "file_digest",
     "hide_formula",
+    "make_folder",
     "new_folder",
     "random_stream",
+    "remove_leftovers",
     "show_formula",
     "write_bytes",
     "write_text",

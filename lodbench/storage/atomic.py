@@ -1,13 +1,20 @@
-"""Atomic writes: a file is there whole, or not at all."""
+"""Atomic writes: a file or a folder is there whole, or not at all."""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
-import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+from lodbench.storage.disk import disk
+
+# What is being written has a hidden name with this ending.
+_PARTIAL = ".part"
 
 
 def write_bytes(path: Path, content: bytes, survives_power_cut: bool = True) -> None:
@@ -22,42 +29,132 @@ def write_bytes(path: Path, content: bytes, survives_power_cut: bool = True) -> 
     Raises:
         OSError: The folder is missing or the disk is full; nothing is left behind then.
     """
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    temporary, handle = _claimed(path, tempfile.mkstemp)
     try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
+        with os.fdopen(handle, "wb", buffering=0) as stream:
+            disk().write(stream, content, path)
             if survives_power_cut:
-                stream.flush()
-                os.fsync(stream.fileno())
+                disk().sync(stream, path)
         # mkstemp makes files private; a result is as readable as any other file of the user.
-        umask = os.umask(0)
-        os.umask(umask)
-        Path(temporary).chmod(0o666 & ~umask)
-        Path(temporary).replace(path)
+        temporary.chmod(0o666 & ~_umask())
+        disk().rename(temporary, path)
+        if survives_power_cut:
+            disk().sync_folder(path.parent)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise
 
 
-def write_text(path: Path, content: str) -> None:
+def write_text(path: Path, content: str, survives_power_cut: bool = True) -> None:
     """Writes a UTF-8 text file atomically, with line ends as given."""
-    write_bytes(path, content.encode("utf-8"))
+    write_bytes(path, content.encode("utf-8"), survives_power_cut)
 
 
 @contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
+def new_folder(path: Path, survives_power_cut: bool = True) -> Iterator[Path]:
     """Gives an empty folder to fill, which becomes ``path``, in place of what is there, once it is full.
+
+    What is there stays until the new folder takes its name, in one step where the system can; elsewhere a
+    process killed between two renames leaves both under hidden names. What killed processes left of the
+    same folder is removed.
+
+    Args:
+        path: The folder; its parent must be there.
+        survives_power_cut: As for ``write_bytes``.
 
     Raises:
         OSError: The parent folder is missing or not writable; nothing is left behind then.
     """
-    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    remove_leftovers(path.parent, of=path.name)
+    partial, handle = _claimed(path, _make_folder)
     try:
         yield partial
-        partial.chmod(0o755)
-        if path.exists():
-            shutil.rmtree(path)
-        partial.rename(path)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
+        # mkdtemp makes folders private, as mkstemp does files.
+        partial.chmod(0o777 & ~_umask())
+        if survives_power_cut:
+            _sync_tree(partial)
+        _put_in_place(partial, path)
+        if survives_power_cut:
+            disk().sync_folder(path.parent)
+    finally:
+        os.close(handle)
+        # The folder that did not come to be, or the one that was replaced.
+        if partial.exists():
+            disk().remove(partial)
+
+
+def remove_leftovers(folder: Path, of: str = "") -> None:
+    """Removes what killed processes were writing in a folder; what living ones write is left alone.
+
+    Args:
+        folder: Where to look, not below it.
+        of: Only what was to get this name.
+    """
+    if not folder.is_dir():
+        return
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(f".{of}") and path.name.endswith(_PARTIAL):
+            # Claimed by a living process, removed by another, or on a file system without locks.
+            with contextlib.suppress(OSError), _opened(path) as handle:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                disk().remove(path)
+
+
+def _put_in_place(partial: Path, path: Path) -> None:
+    """Gives a full folder its name; what had it is left under a hidden one, or removed."""
+    if not path.exists():
+        disk().rename(partial, path)
+    elif not disk().swap(partial, path):
+        aside = path.with_name(f".{path.name}.replaced{_PARTIAL}")
+        disk().rename(path, aside)
+        try:
+            disk().rename(partial, path)
+        except BaseException:
+            disk().rename(aside, path)
+            raise
+        disk().remove(aside)
+
+
+def _sync_tree(folder: Path) -> None:
+    for parent, _, files in os.walk(folder):
+        for name in files:
+            path = Path(parent) / name
+            with path.open("rb", buffering=0) as stream:
+                disk().sync(stream, path)
+        disk().sync_folder(Path(parent))
+
+
+def _claimed(path: Path, make: Callable[..., tuple[int, str]]) -> tuple[Path, int]:
+    """Makes a hidden file or folder beside a path; returns it opened, and locked while the process lives."""
+    while True:
+        handle, name = make(dir=path.parent, prefix=f".{path.name}.", suffix=_PARTIAL)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.fstat(handle).st_ino == Path(name).stat().st_ino:
+                return Path(name), handle
+        except (BlockingIOError, FileNotFoundError):
+            pass  # another process has just taken it for a leftover
+        except OSError:
+            return Path(name), handle  # no locks here, so nobody sweeps up either
+        os.close(handle)
+
+
+def _make_folder(**place: Any) -> tuple[int, str]:
+    """Does for a folder what ``tempfile.mkstemp`` does for a file."""
+    name = tempfile.mkdtemp(**place)
+    return os.open(name, os.O_RDONLY), name
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[int]:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def _umask() -> int:
+    umask = os.umask(0)
+    os.umask(umask)
+    return umask

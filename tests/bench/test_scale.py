@@ -70,7 +70,7 @@ class TestGrownCity:
         folder = open_grown_city(TILE_BUILDINGS, 0, lambda *step: steps.append(step))
         assert open_grown_city(TILE_BUILDINGS, 0, lambda *step: steps.append(step)) == folder
         assert steps == [(1, 1)]
-        assert read_scene(folder).digest() == core.digest()
+        assert read_scene(folder)[0].digest() == core.digest()
 
 
 class TestViews:

@@ -13,7 +13,6 @@ from lodbench.citymodel.cache import open_cached_scene
 from lodbench.citymodel.check import check_city, format_report
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.scene_file import read_extra, read_scene, write_scene
 from lodbench.errors import CityModelError, ConfigError
 
 from .gml_text import (
@@ -194,33 +193,6 @@ def same(first: Scene, second: Scene) -> bool:
     )
 
 
-class TestSceneFile:
-    def test_comes_back_mapped(self, tmp_path: Path) -> None:
-        scene = open_scene(write(tmp_path / "a.gml", documents()["v2.gml"]))
-        write_scene(scene, tmp_path / "a.scene", {"note": "x"})
-        again = read_scene(tmp_path / "a.scene")
-        assert same(scene, again)
-        assert isinstance(again.vertices, np.memmap)
-        assert read_extra(tmp_path / "a.scene") == {"note": "x"}
-
-    def test_damage_is_told(self, tmp_path: Path) -> None:
-        scene = open_scene(write(tmp_path / "a.gml", box_city()))
-        folder = tmp_path / "a.scene"
-        write_scene(scene, folder)
-        (folder / "triangles.npy").write_bytes(b"\x93NUMPY")
-        with pytest.raises(CityModelError, match="damaged"):
-            read_scene(folder)
-        (folder / "scene.json").write_text('{"version": 2}')
-        (folder / "boxes.npy").write_bytes(b"")
-        with pytest.raises(CityModelError, match="another version"):
-            read_scene(folder)
-        write_scene(scene, folder)
-        assert same(read_scene(folder), scene)
-        assert not (folder / "boxes.npy").exists()
-        with pytest.raises(CityModelError, match="no scene"):
-            read_scene(tmp_path)
-
-
 class TestCache:
     @pytest.fixture(autouse=True)
     def _own_cache(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -249,6 +221,17 @@ class TestCache:
         for file in (tmp_path / "cache").rglob("vertices.npy"):
             file.write_bytes(b"")
         assert open_cached_scene(path).num_buildings == 1
+
+    @pytest.mark.parametrize("name", ["vertices", "triangles", "vertex_starts", "triangle_starts"])
+    def test_one_flipped_bit_is_made_anew_and_said(self, tmp_path: Path, caplog, name: str) -> None:
+        path = write(tmp_path / "a.gml", box_city())
+        digest = open_cached_scene(path).digest()
+        (file,) = (tmp_path / "cache").rglob(f"{name}.npy")
+        whole = file.read_bytes()
+        file.write_bytes(whole[:-2] + bytes([whole[-2] ^ 1]) + whole[-1:])
+        assert open_cached_scene(path).digest() == digest
+        assert file.read_bytes() == whole
+        assert f"damaged: {name}.npy is not the file that was written. It is made anew." in caplog.text
 
     def test_beyond_its_size_the_oldest_goes(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         path = write(tmp_path / "a.gml", gable())

@@ -20,7 +20,7 @@ def stored(tmp_path, monkeypatch):
     monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(engine_store, "_STORED_FROM_TRIANGLES", 20)
     write_scene(scene_of(*(box([30 * i, 0, 0], [20, 14, 9 + i]) for i in range(5))), tmp_path / "scene")
-    return read_scene(tmp_path / "scene")
+    return read_scene(tmp_path / "scene")[0]
 
 
 def forbidden(scene):
@@ -60,7 +60,7 @@ def test_small_scenes_and_those_in_memory_are_not_kept(stored, monkeypatch, tmp_
 
 def test_other_content_has_another_place(stored, tmp_path):
     write_scene(scene_of(*(box([31 * i, 0, 0], [20, 14, 9]) for i in range(5))), tmp_path / "other")
-    assert arrays_folder(read_scene(tmp_path / "other")) != arrays_folder(stored)
+    assert arrays_folder(read_scene(tmp_path / "other")[0]) != arrays_folder(stored)
 
 
 @pytest.mark.parametrize("name", ["tail", "nodes", "starts"])
@@ -68,7 +68,8 @@ def test_a_damaged_file_is_made_anew(stored, name):
     open_arrays(stored)
     file = arrays_folder(stored) / f"{name}.npy"
     whole = file.read_bytes()
-    for content in (whole[:-8], b"", None):
+    flipped = whole[:-1] + bytes([whole[-1] ^ 1])
+    for content in (flipped, whole[:-8], b"", None):
         file.unlink()
         if content is not None:
             file.write_bytes(content)

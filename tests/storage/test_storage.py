@@ -1,11 +1,23 @@
 import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError
-from lodbench.storage import digest_of, file_digest, new_folder, random_stream, write_bytes, write_text
+from lodbench.storage import (
+    digest_of,
+    file_digest,
+    new_folder,
+    random_stream,
+    remove_leftovers,
+    write_bytes,
+    write_text,
+)
+from lodbench.storage.disk import disk
 from lodbench.storage.paths import cache_limit_bytes, cache_root, data_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
@@ -126,3 +138,55 @@ class TestNewFolder:
         with pytest.raises(FileNotFoundError), new_folder(path) as partial:
             (partial / "absent" / "half").write_text("")
         assert [entry.name for entry in tmp_path.rglob("*")] == ["folder"]
+
+
+class TestNewFolderUnderKills:
+    @staticmethod
+    def fill(path, text):
+        with new_folder(path) as partial:
+            (partial / "a").write_text(text)
+
+    @pytest.mark.parametrize("can_swap", [True, False])
+    def test_replaces_a_folder(self, tmp_path, monkeypatch, can_swap):
+        if not can_swap:
+            monkeypatch.setattr("lodbench.storage.disk.Disk.swap", lambda *_: False)
+        for text in ("one", "two"):
+            self.fill(tmp_path / "x", text)
+            assert (tmp_path / "x/a").read_text() == text
+            assert [path.name for path in tmp_path.iterdir()] == ["x"]
+
+    def test_a_kill_at_any_moment_leaves_the_old_one_or_the_new(self, tmp_path):
+        code = (
+            "import os, sys; from pathlib import Path\n"
+            "from lodbench.storage import disk, new_folder\n"
+            "class Dying(disk.Disk):\n"
+            "    def sync_folder(self, folder): os._exit(9)\n"
+            "disk._disk = Dying()\n"
+            "with new_folder(Path(sys.argv[1])) as partial: (partial / 'a').write_text('new' * 1000)\n"
+        )
+        self.fill(tmp_path / "x", "old")
+        for _ in range(2):
+            done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "x")])
+            assert done.returncode == 9
+            # The part that the first left is swept up by the second.
+            assert (tmp_path / "x/a").read_text() == "old"
+            assert len(list(tmp_path.iterdir())) == 2
+        self.fill(tmp_path / "x", "new")
+        assert (tmp_path / "x/a").read_text() == "new"
+        assert [path.name for path in tmp_path.iterdir()] == ["x"]
+
+    def test_what_a_living_process_writes_is_left_alone(self, tmp_path):
+        with new_folder(tmp_path / "x") as partial:
+            remove_leftovers(tmp_path)
+            self.fill(tmp_path / "x", "theirs")
+            assert partial.is_dir()
+            (partial / "a").write_text("ours")
+        assert (tmp_path / "x/a").read_text() == "ours"
+
+
+def test_a_full_disk_is_told_with_the_file(tmp_path):
+    with (
+        pytest.raises(OSError, match="No space left on device: '/dev/full'"),
+        Path("/dev/full").open("wb", buffering=0) as stream,
+    ):
+        disk().write(stream, b"x", Path("/dev/full"))
