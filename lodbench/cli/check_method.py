@@ -11,11 +11,11 @@ from functools import partial
 from importlib.metadata import EntryPoint
 from typing import Any
 
+from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.console import check_lines
 from lodbench.cli.hydra_app import register_config_sources, section
 from lodbench.errors import ConfigError
-from lodbench.harness.doctor.doctor import FAULT, OK, Check
-from lodbench.harness.method_check import check_answers, check_class
+from lodbench.methods.conformance import check_answers, check_class
 from lodbench.params import to_params
 from lodbench.plugins import find_plugin
 from lodbench.reporting.safe_text import plain_text

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from lodbench.errors import LodbenchError
 
 if TYPE_CHECKING:
-    from lodbench.harness.doctor.doctor import Check
+    from lodbench.checks import Check
 
 
 def report_fault(fault: LodbenchError) -> None:

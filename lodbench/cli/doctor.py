@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from lodbench.cli.console import check_lines
 
 if TYPE_CHECKING:
-    from lodbench.harness.doctor.doctor import Check
+    from lodbench.checks import Check
 
 
 def main(argv: Sequence[str]) -> int:

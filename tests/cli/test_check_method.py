@@ -159,7 +159,7 @@ BROKEN = [
     ("rich", "configuration", "no use for stride"),
     ("other", "configuration", "steps is 4"),
     ("torn", "configuration", "cannot be read"),
-    ("reach", "reaching", "int"),
+    ("reach", "prior width", "int"),
     ("absent", "entry point", "absent_module"),
 ]
 

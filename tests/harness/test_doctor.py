@@ -8,8 +8,9 @@ from importlib.metadata import PackageNotFoundError
 
 import pytest
 
+from lodbench.checks import OK, Check
 from lodbench.harness.doctor import doctor
-from lodbench.harness.doctor.doctor import ABSENT, BROKEN, OK, Check, is_base_broken, run_probe
+from lodbench.harness.doctor.doctor import ABSENT, BROKEN, is_base_broken, run_probe
 from lodbench.rendering import RENDERERS
 
 

@@ -1,6 +1,7 @@
 """What works on this machine, and what to install for the rest.
 
-Nothing of lodbench is imported at the top: where numpy itself is broken, this still has to say so.
+Nothing of lodbench that needs a package is imported at the top: where numpy itself is broken, this still
+has to say so.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution, version
 from importlib.util import find_spec
 
 from packaging.requirements import Requirement
 
-OK, ABSENT, BROKEN, FAULT = "ok", "absent", "broken", "fault"
+from lodbench.checks import OK, Check
+
+ABSENT, BROKEN = "absent", "broken"
 
 # A probe that has not answered by then hangs; the slowest compiles for a few seconds, on a loaded
 # machine perhaps for ten times that.
@@ -27,28 +29,6 @@ _PROBE_TIMEOUT_S = 120.0
 
 # Renderers, and whether they come with the base install.
 RENDERER_TRIALS = {"silhouette": True, "reference": True, "raster": True, "pyrender": False, "open3d": False}
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One thing looked at.
-
-    Attributes:
-        section: ``machine``, ``packages``, ``extras``, ``folders``, ``renderers`` or ``traps``; of a
-            method ``plug-in`` or ``answers``.
-        name: What it is.
-        status: ``ok``, ``absent`` (optional, not installed) or ``broken``; of a method ``ok`` or ``fault``.
-        detail: What was found.
-        hint: What to do about it; empty when there is nothing to do.
-        is_base: Whether lodbench is of no use without it.
-    """
-
-    section: str
-    name: str
-    status: str
-    detail: str
-    hint: str = ""
-    is_base: bool = False
 
 
 def examine(timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:

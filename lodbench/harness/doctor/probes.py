@@ -12,9 +12,9 @@ from functools import partial
 
 import numpy as np
 
+from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.errors import LodbenchError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.doctor.blocks import scene_of_blocks
 from lodbench.rendering import RENDERERS, open_renderer
 from lodbench.rendering.gl_guard import trust_driver
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from lodbench.checks import FAULT, OK, Check
 from lodbench.errors import LodbenchError, QueryFault
-from lodbench.harness.doctor.doctor import FAULT, OK, Check
-from lodbench.harness.method_rules import (
-    Answers,
-    Breach,
-    Heard,
+from lodbench.methods.conformance.rules import (
+    AnswersByName,
+    TrialAnswers,
+    Violation,
     answered,
     counted_hypotheses,
     finite_pose,
@@ -24,12 +24,12 @@ from lodbench.harness.method_rules import (
     near_the_prior,
     plain_score,
     right_name,
-    right_reach,
+    right_prior_params,
     sound_uncertainty,
     whole_configuration,
 )
-from lodbench.harness.method_trial import CountingScorer, Trial, ask, make_trial
-from lodbench.methods import Estimate, Method
+from lodbench.methods.conformance.trial import CountingScorer, Trial, ask, make_trial
+from lodbench.methods.protocol import Estimate, Method
 
 _STREAMS_HINT = "Draw random numbers from streams only; keep nothing in the class or module."
 
@@ -50,11 +50,11 @@ def check_class(
         read: Makes parameters from such a section.
         where: The file that should hold it.
     """
-    yield _look("plug-in", "name", lambda: right_name(kind, name))
-    parameters = _look("plug-in", "parameters", lambda: frozen_parameters(kind, name))
+    yield _checked("plug-in", "name", lambda: right_name(kind, name))
+    parameters = _checked("plug-in", "parameters", lambda: frozen_parameters(kind, name))
     yield parameters
     if parameters.status == OK:
-        yield _look("plug-in", "configuration", lambda: whole_configuration(kind, load(), read, where))
+        yield _checked("plug-in", "configuration", lambda: whole_configuration(kind, load(), read, where))
 
 
 def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
@@ -67,43 +67,43 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
         trial = make_trial(Path(folder))
         masks = [query.mask.copy() for query in trial.queries]
         try:
-            heard = _hear(make, trial)
+            answers = _collect(make, trial)
         except Exception as error:  # a method may raise anything: that is what is told
             yield Check(
                 "answers", "answers", FAULT, _words(error), "Raise QueryFault where there is no answer."
             )
             return
-        first = _look("answers", "answers", lambda: answered(heard))
+        first = _checked("answers", "answers", lambda: answered(answers))
         yield first
         if first.status == OK:
-            yield from _look_closer(make, heard, masks)
+            yield from _look_closer(make, answers, masks)
 
 
-def _look_closer(make: Callable[[], Method], heard: Heard, masks: Sequence[Any]) -> Iterator[Check]:
+def _look_closer(make: Callable[[], Method], answers: TrialAnswers, masks: Sequence[Any]) -> Iterator[Check]:
     """Yields the checks that need an estimate to look at."""
-    pose = _look("answers", "pose", lambda: finite_pose(heard))
+    pose = _checked("answers", "pose", lambda: finite_pose(answers))
     yield pose
     if pose.status == OK:
-        yield _look("answers", "frame", lambda: near_the_prior(heard))
-    yield _look("answers", "score", lambda: plain_score(heard))
-    yield _look("answers", "hypotheses", lambda: counted_hypotheses(heard))
-    yield _look("answers", "uncertainty", lambda: sound_uncertainty(heard))
-    yield _look("answers", "query", lambda: _untouched(heard.trial, masks))
-    again = _look("answers", "same again", lambda: _same_again(make(), heard))
+        yield _checked("answers", "frame", lambda: near_the_prior(answers))
+    yield _checked("answers", "score", lambda: plain_score(answers))
+    yield _checked("answers", "hypotheses", lambda: counted_hypotheses(answers))
+    yield _checked("answers", "uncertainty", lambda: sound_uncertainty(answers))
+    yield _checked("answers", "query", lambda: _untouched(answers.trial, masks))
+    again = _checked("answers", "same again", lambda: _same_again(make(), answers))
     yield again
     if again.status == OK:
-        yield _look("answers", "any order", lambda: _any_order(make(), heard))
-    yield _look("answers", "another seed", lambda: _another_seed(make(), heard))
-    yield _look("answers", "empty mask", lambda: _empty_mask(make(), heard))
-    yield _look("answers", "reaching", lambda: right_reach(make()))
+        yield _checked("answers", "any order", lambda: _any_order(make(), answers))
+    yield _checked("answers", "another seed", lambda: _another_seed(make(), answers))
+    yield _checked("answers", "empty mask", lambda: _empty_mask(make(), answers))
+    yield _checked("answers", "prior width", lambda: right_prior_params(make()))
 
 
-def _look(section: str, title: str, rule: Callable[[], str]) -> Check:
+def _checked(section: str, title: str, rule: Callable[[], str]) -> Check:
     """Returns how a rule is kept."""
     try:
         return Check(section, title, OK, rule())
-    except Breach as breach:
-        return Check(section, title, FAULT, str(breach), breach.hint)
+    except Violation as violation:
+        return Check(section, title, FAULT, str(violation), violation.hint)
     except LodbenchError as error:
         return Check(section, title, FAULT, error.message, error.hint)
     except Exception as error:  # of the method, or of values that are not what they should be
@@ -114,67 +114,71 @@ def _words(error: Exception) -> str:
     return error.message if isinstance(error, LodbenchError) else f"{type(error).__name__}: {error}"
 
 
-def _hear(make: Callable[[], Method], trial: Trial) -> Heard:
+def _collect(make: Callable[[], Method], trial: Trial) -> TrialAnswers:
     """Returns what a method says, once another like it was asked, so that all is compiled."""
     ask(make(), trial.scorer, trial.queries[0])
     method = make()
-    answers: Answers = {}
+    answers: AnswersByName = {}
     rendered = {}
     started = time.perf_counter()
     for query in trial.queries:
         counting = CountingScorer(trial.scorer)
         answers[query.name] = ask(method, counting, query)
         rendered[query.name] = counting.count
-    return Heard(trial, answers, rendered, (time.perf_counter() - started) / len(trial.queries))
+    return TrialAnswers(trial, answers, rendered, (time.perf_counter() - started) / len(trial.queries))
 
 
 def _untouched(trial: Trial, masks: Sequence[Any]) -> str:
     """A query is read, never written to: the evaluator uses its mask afterwards."""
     for query, mask in zip(trial.queries, masks, strict=True):
         if not np.array_equal(query.mask, mask):
-            raise Breach(f"{query.name}: the mask was written to", "Work on a copy of building_probability.")
+            raise Violation(
+                f"{query.name}: the mask was written to", "Work on a copy of building_probability."
+            )
     return "masks are as they were"
 
 
-def _same_again(method: Method, heard: Heard) -> str:
+def _same_again(method: Method, answers: TrialAnswers) -> str:
     """The same queries and streams give the same answers to the bit."""
-    for query in heard.trial.queries:
-        if _said(ask(method, heard.trial.scorer, query)) != _said(heard.answers[query.name]):
-            raise Breach(f"{query.name}: another answer from the same streams", _STREAMS_HINT)
+    for query in answers.trial.queries:
+        if _as_values(ask(method, answers.trial.scorer, query)) != _as_values(answers.by_name[query.name]):
+            raise Violation(f"{query.name}: another answer from the same streams", _STREAMS_HINT)
     return "the same streams, the same answers to the bit"
 
 
-def _any_order(method: Method, heard: Heard) -> str:
+def _any_order(method: Method, answers: TrialAnswers) -> str:
     """An answer does not depend on the queries before it: runs resume, and share out their work."""
-    for query in (*reversed(heard.trial.queries), heard.trial.queries[-1]):
-        if _said(ask(method, heard.trial.scorer, query)) != _said(heard.answers[query.name]):
-            raise Breach(
+    for query in (*reversed(answers.trial.queries), answers.trial.queries[-1]):
+        if _as_values(ask(method, answers.trial.scorer, query)) != _as_values(answers.by_name[query.name]):
+            raise Violation(
                 f"{query.name}: another answer where other queries came before",
                 "Keep no state between queries: what localize learns stays in it.",
             )
     return "backwards and twice, the same answers"
 
 
-def _another_seed(method: Method, heard: Heard) -> str:
+def _another_seed(method: Method, answers: TrialAnswers) -> str:
     """Another seed is no fault; its answer may differ."""
-    query = heard.trial.queries[0]
-    is_same = _said(ask(method, heard.trial.scorer, query, seed=1)) == _said(heard.answers[query.name])
+    query = answers.trial.queries[0]
+    is_same = _as_values(ask(method, answers.trial.scorer, query, seed=1)) == _as_values(
+        answers.by_name[query.name]
+    )
     return "the same answer: no random numbers matter" if is_same else "another answer, as it may"
 
 
-def _empty_mask(method: Method, heard: Heard) -> str:
+def _empty_mask(method: Method, answers: TrialAnswers) -> str:
     """A mask without a building is a fault of the query, unless the method looks at no mask."""
-    query = heard.trial.queries[0]
+    query = answers.trial.queries[0]
     empty = replace(query, building_probability=np.zeros_like(query.mask))
-    found = ask(method, heard.trial.scorer, empty)
+    found = ask(method, answers.trial.scorer, empty)
     if isinstance(found, QueryFault):
         return f"QueryFault: {found.message}"
-    if _said(found) == _said(heard.answers[query.name]):
+    if _as_values(found) == _as_values(answers.by_name[query.name]):
         return "the same answer: the mask is not looked at"
-    raise Breach("it is answered", "Raise QueryFault('the mask holds no building').")
+    raise Violation("it is answered", "Raise QueryFault('the mask holds no building').")
 
 
-def _said(found: Estimate | QueryFault) -> tuple[Any, ...]:
+def _as_values(found: Estimate | QueryFault) -> tuple[Any, ...]:
     """Returns an answer as values that are equal if it is the same to the bit; times are left out."""
     if isinstance(found, QueryFault):
         return (found.message,)

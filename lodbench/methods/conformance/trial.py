@@ -7,19 +7,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.doctor.blocks import scene_of_blocks
-from lodbench.methods import Estimate, Method
+from lodbench.methods.protocol import Estimate, Method
 from lodbench.rendering import LayerRenderer, Scorer, make_renderer, open_renderer
 from lodbench.rendering.fit import Fit
 from lodbench.rendering.protocol import Floats, IouCounts
-from lodbench.reporting.overlays import write_picture
 from lodbench.storage import random_stream
 
 # West, south, east, north, base, top, metres: nothing repeats, so that every pose is unique.
@@ -99,7 +99,7 @@ def make_trial(folder: Path) -> Trial:
         angles = EulerAngles(pitch, roll, yaw + _PRIOR_OFF_YAW_DEG)
         prior = Pose.from_euler(angles, truth.center + np.array(_PRIOR_OFF))
         photo = folder / f"view_{k}.png"
-        write_picture(photo, np.ascontiguousarray(painter.draw(_CAMERA, truth).colour[:, :, ::-1]))
+        cv2.imwrite(str(photo), painter.draw(_CAMERA, truth).colour[:, :, ::-1])
         mask = scorer.render(_CAMERA, truth).astype(np.float32)
         queries.append(Query(photo.name, "trial", _CAMERA, prior, mask, photo, (prior,)))
         truths.append(truth)

@@ -11,21 +11,19 @@ import numpy as np
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import QueryFault
-from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
-from lodbench.harness.method_trial import Trial
-from lodbench.methods import Estimate, Method
-from lodbench.methods.protocol import SupportsPriorWidth
+from lodbench.methods.conformance.trial import Trial
+from lodbench.methods.protocol import Estimate, Method, SupportsPriorWidth
 
 # The priors are 9 m and 3 degrees off; answers beyond these are in another frame or turned round.
 _FURTHEST_M, _FURTHEST_DEG = 300.0, 60.0
 # Rounding may make a covariance uneven, or an eigenvalue negative, by this share of the largest.
 _TOLERANCE = 1e-9
 
-Answers = dict[str, Estimate | QueryFault]
+AnswersByName = dict[str, Estimate | QueryFault]
 
 
-class Breach(Exception):
+class Violation(Exception):
     """A rule is not kept.
 
     Args:
@@ -39,32 +37,32 @@ class Breach(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Heard:
-    """What a method said in the trial.
+class TrialAnswers:
+    """What a method answered in the trial.
 
     Attributes:
         trial: The trial.
-        answers: By the queries' names.
+        by_name: By the queries' names.
         rendered: Poses it had the scorer draw, by query.
         seconds: Wall time per query.
     """
 
     trial: Trial
-    answers: Answers
+    by_name: AnswersByName
     rendered: dict[str, int] = field(default_factory=dict)
     seconds: float = 0.0
 
     @property
     def estimates(self) -> dict[str, Estimate]:
         """Returns the answers that are one."""
-        return {name: found for name, found in self.answers.items() if isinstance(found, Estimate)}
+        return {name: found for name, found in self.by_name.items() if isinstance(found, Estimate)}
 
 
 def right_name(kind: Any, name: str) -> str:
     """A class is called what its entry point is: runs are stored under that name."""
     found = getattr(kind, "name", None)
     if found != name:
-        raise Breach(f"the class says {found!r}", f"Set name = {name!r}, as the entry point does.")
+        raise Violation(f"the class says {found!r}", f"Set name = {name!r}, as the entry point does.")
     return name
 
 
@@ -72,11 +70,11 @@ def frozen_parameters(kind: Any, name: str) -> str:
     """Parameters are a frozen dataclass that says the method's name."""
     params = getattr(kind, "params_type", None)
     if not (isinstance(params, type) and is_dataclass(params)):
-        raise Breach(f"params_type is {params!r}", "Set params_type to a frozen dataclass.")
+        raise Violation(f"params_type is {params!r}", "Set params_type to a frozen dataclass.")
     if not params.__dataclass_params__.frozen:  # type: ignore[attr-defined]
-        raise Breach(f"{params.__name__} is not frozen", "Use @dataclass(frozen=True).")
+        raise Violation(f"{params.__name__} is not frozen", "Use @dataclass(frozen=True).")
     if "name" not in {each.name for each in fields(params)}:
-        raise Breach(f"{params.__name__} has no field name", f"Add name: str = {name!r}.")
+        raise Violation(f"{params.__name__} has no field name", f"Add name: str = {name!r}.")
     return f"{params.__name__}, frozen, fields: {len(fields(params))}"
 
 
@@ -85,136 +83,150 @@ def whole_configuration(
 ) -> str:
     """The configuration says every parameter, with the class's default."""
     if config is None:
-        raise Breach(f"there is no {where}", "Write it: name, and every parameter with its default.")
+        raise Violation(f"there is no {where}", "Write it: name, and every parameter with its default.")
     known = {each.name: each for each in fields(kind.params_type)}
     for word, names in (
         ("lacks", known.keys() - config.keys()),
         ("has no use for", config.keys() - known.keys()),
     ):
         if names:
-            raise Breach(f"it {word} {', '.join(sorted(names))}", f"{where} holds what params_type does.")
+            raise Violation(f"it {word} {', '.join(sorted(names))}", f"{where} holds what params_type does.")
     stated = read(config)
     for each in known.values():
         default = each.default if each.default_factory is MISSING else each.default_factory()
         value = getattr(stated, each.name)
         if default is not MISSING and value != default:
-            raise Breach(
+            raise Violation(
                 f"{each.name} is {value!r} in {where}, {default!r} in the class", "Make them the same."
             )
     return f"{where}, every default as in the class"
 
 
-def answered(heard: Heard) -> str:
+def answered(answers: TrialAnswers) -> str:
     """There is an answer, of the right type, to at least one query."""
-    for found in heard.answers.values():
+    for found in answers.by_name.values():
         if not isinstance(found, Estimate | QueryFault):
-            raise Breach(
+            raise Violation(
                 f"localize returned {type(found).__name__}", "Return an Estimate, or raise QueryFault."
             )
     reasons = "; ".join(
-        sorted({str(found) for found in heard.answers.values() if isinstance(found, QueryFault)})
+        sorted({str(found) for found in answers.by_name.values() if isinstance(found, QueryFault)})
     )
-    told = f"{len(heard.estimates)} of {len(heard.answers)} queries" + (f" ({reasons})" if reasons else "")
-    if not heard.estimates:
-        raise Breach(told, "The queries have exact masks and photos: one at least should be answered.")
-    return f"{told}, {heard.seconds:.3f} s each"
+    told = f"{len(answers.estimates)} of {len(answers.by_name)} queries" + (
+        f" ({reasons})" if reasons else ""
+    )
+    if not answers.estimates:
+        raise Violation(told, "The queries have exact masks and photos: one at least should be answered.")
+    return f"{told}, {answers.seconds:.3f} s each"
 
 
-def finite_pose(heard: Heard) -> str:
+def finite_pose(answers: TrialAnswers) -> str:
     """A pose is a Pose, finite, its rotation one."""
-    for name, found in heard.estimates.items():
+    for name, found in answers.estimates.items():
         if not isinstance(found.pose, Pose):
-            raise Breach(f"{name}: pose is a {type(found.pose).__name__}", "Make it with Pose.from_matrix.")
+            raise Violation(
+                f"{name}: pose is a {type(found.pose).__name__}", "Make it with Pose.from_matrix."
+            )
         if not np.isfinite(found.pose.cam_from_world).all():
-            raise Breach(f"{name}: the pose is not finite", "Raise QueryFault where there is no answer.")
+            raise Violation(f"{name}: the pose is not finite", "Raise QueryFault where there is no answer.")
         Pose.from_matrix(found.pose.cam_from_world)
     return "finite, rotations orthonormal"
 
 
-def near_the_prior(heard: Heard) -> str:
+def near_the_prior(answers: TrialAnswers) -> str:
     """A pose is in the query's frame, world to camera."""
     errors, prior_errors = [], []
-    for query, truth in zip(heard.trial.queries, heard.trial.truths, strict=True):
-        if query.name not in heard.estimates:
+    for query, truth in zip(answers.trial.queries, answers.trial.truths, strict=True):
+        if query.name not in answers.estimates:
             continue
-        pose = heard.estimates[query.name].pose
-        away, off = pose_error(pose, query.prior), pose_error(pose, truth)
-        if not away.translation_m < _FURTHEST_M:
-            raise Breach(
-                f"{query.name}: {away.translation_m:.0f} m from the prior",
+        pose = answers.estimates[query.name].pose
+        away_m, turned_deg = _distance_m(pose, query.prior), _turn_deg(pose, query.prior)
+        if not away_m < _FURTHEST_M:
+            raise Violation(
+                f"{query.name}: {away_m:.0f} m from the prior",
                 "Answer in the frame of query.prior and scorer.scene; the city's origin is added later.",
             )
-        if not away.rotation_deg < _FURTHEST_DEG:
-            raise Breach(
-                f"{query.name}: turned by {away.rotation_deg:.0f} deg from the prior",
+        if not turned_deg < _FURTHEST_DEG:
+            raise Violation(
+                f"{query.name}: turned by {turned_deg:.0f} deg from the prior",
                 "A pose is world to camera, x right, y down, z forward.",
             )
-        errors.append(off)
-        prior_errors.append(pose_error(query.prior, truth))
-    worst, prior = max(errors), max(prior_errors)
+        errors.append(_distance_m(pose, truth))
+        prior_errors.append(_distance_m(query.prior, truth))
     return (
-        f"at most {worst.translation_m:.2f} m from the truth, the priors {prior.translation_m:.2f} m "
+        f"at most {max(errors):.2f} m from the truth, the priors {max(prior_errors):.2f} m "
         "(no rule, for your eyes)"
     )
 
 
-def counted_hypotheses(heard: Heard) -> str:
+def _distance_m(a: Pose, b: Pose) -> float:
+    return float(np.linalg.norm(a.center - b.center))
+
+
+def _turn_deg(a: Pose, b: Pose) -> float:
+    cosine = (np.trace(a.rotation.T @ b.rotation) - 1.0) / 2.0
+    return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
+
+
+def counted_hypotheses(answers: TrialAnswers) -> str:
     """Hypotheses are counted: no fewer than the scorer was asked to draw."""
-    for name, found in heard.estimates.items():
+    for name, found in answers.estimates.items():
         count = found.hypotheses
         if not isinstance(count, int | np.integer) or count < 0:
-            raise Breach(
+            raise Violation(
                 f"{name}: hypotheses is {count!r}", "Count the poses that were rendered and compared."
             )
-        if count < heard.rendered[name]:
-            raise Breach(f"{name}: says {count}, had {heard.rendered[name]} drawn", "Count every pose drawn.")
-    return f"{max(int(found.hypotheses) for found in heard.estimates.values())} at most"
+        if count < answers.rendered[name]:
+            raise Violation(
+                f"{name}: says {count}, had {answers.rendered[name]} drawn", "Count every pose drawn."
+            )
+    return f"{max(int(found.hypotheses) for found in answers.estimates.values())} at most"
 
 
-def plain_score(heard: Heard) -> str:
+def plain_score(answers: TrialAnswers) -> str:
     """A score is a finite number, or NaN where a method has none; times and traces are finite."""
-    for name, found in heard.estimates.items():
+    for name, found in answers.estimates.items():
         if not isinstance(found.score, float | np.floating) or math.isinf(found.score):
-            raise Breach(f"{name}: score is {found.score!r}", "A float, higher is better; NaN for none.")
+            raise Violation(f"{name}: score is {found.score!r}", "A float, higher is better; NaN for none.")
         values = [*found.seconds.values(), *(v for steps in found.trace.values() for v in steps)]
         if (
             not np.isfinite(np.array(values, dtype=np.float64)).all()
             or min(found.seconds.values(), default=0) < 0
         ):
-            raise Breach(
+            raise Violation(
                 f"{name}: seconds or trace hold {values}", "Finite numbers; seconds are not negative."
             )
-    scores = [found.score for found in heard.estimates.values() if not math.isnan(found.score)]
+    scores = [found.score for found in answers.estimates.values() if not math.isnan(found.score)]
     return f"{min(scores):.3f} to {max(scores):.3f}" if scores else "none is given"
 
 
-def sound_uncertainty(heard: Heard) -> str:
+def sound_uncertainty(answers: TrialAnswers) -> str:
     """A covariance, if given, is one; a probability lies in [0, 1]."""
     hint = "Leave it None, or see Estimate in lodbench/methods/protocol.py."
-    for name, found in heard.estimates.items():
+    for name, found in answers.estimates.items():
         if found.probability is not None and not 0.0 <= found.probability <= 1.0:
-            raise Breach(f"{name}: probability is {found.probability}", hint)
+            raise Violation(f"{name}: probability is {found.probability}", hint)
         if found.covariance is None:
             continue
         matrix = np.asarray(found.covariance, dtype=np.float64)
         if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
-            raise Breach(f"{name}: the covariance is of shape {matrix.shape}, or not finite", hint)
+            raise Violation(f"{name}: the covariance is of shape {matrix.shape}, or not finite", hint)
         largest = float(np.abs(matrix).max())
         if np.abs(matrix - matrix.T).max() > _TOLERANCE * largest:
-            raise Breach(f"{name}: the covariance is not symmetric", hint)
+            raise Violation(f"{name}: the covariance is not symmetric", hint)
         if np.linalg.eigvalsh(matrix).min() < -_TOLERANCE * largest:
-            raise Breach(f"{name}: the covariance has a negative eigenvalue", hint)
-    given = next(iter(heard.estimates.values()))
+            raise Violation(f"{name}: the covariance has a negative eigenvalue", hint)
+    given = next(iter(answers.estimates.values()))
     parts = {"covariance": given.covariance, "probability": given.probability}
     return ", ".join(name for name, value in parts.items() if value is not None) or "none is given"
 
 
-def right_reach(method: Method) -> str:
+def right_prior_params(method: Method) -> str:
     """A method that offers ``params_for_prior`` answers parameters of its own type."""
     if not isinstance(method, SupportsPriorWidth):
         return "not offered: `lodbench basin` runs the method as it is"
     kind = type(method).params_type  # type: ignore[attr-defined]
     found = method.params_for_prior(UniformPrior(50.0, 50.0, 50.0))
     if not isinstance(found, kind):
-        raise Breach(f"params_for_prior returned {type(found).__name__}", f"Return {kind.__name__}.")
+        raise Violation(f"params_for_prior returned {type(found).__name__}", f"Return {kind.__name__}.")
     return f"returns {kind.__name__}"

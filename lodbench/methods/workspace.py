@@ -1,0 +1,86 @@
+"""Where a method keeps what it prepares once for a dataset: a folder named by content, filled in parts."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path, PurePosixPath
+
+from lodbench.errors import LodbenchError
+from lodbench.storage.paths import cache_limit_bytes, cache_root
+from lodbench.storage.pruning import mark_used, prune_cache
+
+_FOLDER = "prepared"
+
+
+class Workspace:
+    """A folder that a method's ``prepare`` fills, and finds filled the next time.
+
+    Its name stands for all that its content depends on: the method, its parameters, code and weights, the
+    map and the references. So a part that is there is the right one, and is never made again. Every part
+    is there whole or not at all: after a kill the finished ones stay.
+
+    Args:
+        folder: The folder; made if it is not there.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def part(self, name: str, make: Callable[[Path], None]) -> Path:
+        """Returns a part's file, made first if it is not there.
+
+        Args:
+            name: The file's name, without folders.
+            make: Writes the part to the path it is given, which ends as the name does; a file, or a folder.
+
+        Raises:
+            LodbenchError: The name is no plain file name, or ``make`` wrote nothing there.
+            Exception: What ``make`` raised; the part is not there then.
+        """
+        if not name or PurePosixPath(name).name != name or name.startswith("."):
+            raise LodbenchError(f"{name!r} cannot name a part of a workspace.", "Use a plain file name.")
+        path = self.folder / name
+        if not path.exists():
+            self._make(path, make)
+        return path
+
+    def _make(self, path: Path, make: Callable[[Path], None]) -> None:
+        unfinished = path.with_name(f".{os.getpid()}.{path.name}")
+        try:
+            make(unfinished)
+            if not unfinished.exists():
+                raise LodbenchError(
+                    f"Nothing was written for the part {path.name}.", "Write to the path given."
+                )
+            try:
+                unfinished.rename(path)
+            except OSError:
+                # Another process may have made a folder of the same content meanwhile.
+                if not path.exists():
+                    raise
+        finally:
+            _remove(unfinished)
+
+
+def open_workspace(method: str, digest: str) -> Workspace:
+    """Returns the workspace of a method for a content, below the cache; the longest unused make room for it.
+
+    Args:
+        method: The method's name.
+        digest: Of all that its content depends on.
+    """
+    root = cache_root() / _FOLDER
+    workspace = Workspace(root / f"{method}-{digest}")
+    mark_used(workspace.folder)
+    prune_cache(root, cache_limit_bytes(), keep=workspace.folder)
+    return workspace
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
