@@ -51,6 +51,11 @@ class Findings:
         """Returns ``{"LB101 RING_TOO_SHORT": 3, ...}`` in the order of the codes."""
         return dict(sorted(Counter(str(item.code) for item in self.items).items()))
 
+    def objects(self) -> dict[str, int]:
+        """Returns in how many objects each kind was met: ``{"LB101 RING_TOO_SHORT": 2, ...}``, in order."""
+        pairs = {(str(item.code), item.object_id) for item in self.items if item.object_id}
+        return dict(sorted(Counter(code for code, _ in pairs).items()))
+
     def has_errors(self) -> bool:
         """Tells whether any finding lost data."""
         return any(item.code.severity is Severity.ERROR for item in self.items)

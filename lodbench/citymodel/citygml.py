@@ -81,11 +81,12 @@ class _Reader:
 
     def read_links(self, stream: BinaryIO) -> None:
         """Looks in every member for the targets of references that point out of their own."""
+        self.links.begin_second_pass(self._building_ids)
         for member in XmlMembers(stream, self._source, MEMBERS, Findings()):
             self.walk.begin_member()
-            self.links.resolve_elsewhere(member, self._building_ids)
-            if not self.links.unresolved:
+            if not self.links.resolve_elsewhere(member, self._building_ids):
                 break
+        self.links.end_second_pass()
         self._flush()
 
     def _read_root(self, root: Element) -> None:

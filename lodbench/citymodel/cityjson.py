@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.cityjson_geometry import GeometryReader
-from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
+from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.gml_names import INTERIOR_NAMES
 from lodbench.citymodel.raw import NotACity, RawCity
@@ -62,7 +62,6 @@ class _Reader:
         self._transform: Json | None = None
         self._templates: Json = {}
         self._others: Counter[str] = Counter()
-        self._seen: set[str] = set()
 
     def read_header(self, document: Any) -> None:
         kind = document.get("type") if isinstance(document, dict) else None
@@ -119,7 +118,10 @@ class _Reader:
     def _vertices(self, values: Any) -> NDArray[np.float64]:
         """Returns (V, 3) coordinates: the transform is applied where there is one."""
         try:
-            vertices = np.asarray(values, dtype=np.float64).reshape(-1, 3)
+            numbers = np.asarray(values)
+            if numbers.size and numbers.dtype.kind not in "iuf":
+                raise ValueError("one is no number")  # numpy would take "1" for 1
+            vertices = numbers.astype(np.float64).reshape(-1, 3)
         except (TypeError, ValueError, OverflowError) as error:
             raise CityModelError(f"{self._source} has malformed vertices ({error}).", _HINT) from None
         if not np.isfinite(vertices).all():
@@ -164,9 +166,6 @@ class _Reader:
 
     def _add_building(self, building_id: str, has_geometry: bool) -> int:
         findings = self._collector.findings
-        if building_id in self._seen:
-            findings.add(DUPLICATE_ID, building_id)
-        self._seen.add(building_id)
         if not has_geometry:
             findings.add(BUILDING_EMPTY, building_id)
         self._collector.building_ids.append(building_id)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
+from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED, SEMANTICS_MISFIT
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.gml_names import INTERIOR_NAMES, SURFACE_KINDS
 from lodbench.citymodel.model import SurfaceKind
@@ -112,7 +112,9 @@ class GeometryReader:
         collector, indices = self._collector, self._indices
         lod = collector.lod_index(lod_name(geometry.get("lod", "")))
         surfaces = _flatten(geometry["boundaries"], _DEPTHS[geometry["type"]])
-        kinds = surface_kinds(geometry, len(surfaces), is_interior)
+        kinds, oddity = surface_kinds(geometry, len(surfaces), is_interior)
+        if oddity:
+            collector.findings.add(SEMANTICS_MISFIT, object_id, f"LoD{geometry.get('lod')}: {oddity}")
         self._objects.append((len(collector.ring_counts), object_id))
         collector.owners += [(building, lod, kind) for kind in kinds]
         for surface in surfaces:
@@ -166,21 +168,58 @@ def lod_name(value: Any) -> str:
     return text.removesuffix(".0")
 
 
-def surface_kinds(geometry: dict[str, Any], num_surfaces: int, is_interior: bool) -> list[int]:
-    """Returns the ``SurfaceKind`` of each surface, in the order of the boundaries."""
+def surface_kinds(geometry: dict[str, Any], num_surfaces: int, is_interior: bool) -> tuple[list[int], str]:
+    """Returns the ``SurfaceKind`` of each surface, in the order of the boundaries, and what is odd about it.
+
+    Labels nested otherwise than the surfaces are taken in their order where their number fits.
+    """
     if is_interior:
-        return [int(SurfaceKind.INTERIOR)] * num_surfaces
+        return [int(SurfaceKind.INTERIOR)] * num_surfaces, ""
     unknown = [int(SurfaceKind.UNKNOWN)] * num_surfaces
     semantics = geometry.get("semantics")
     if not isinstance(semantics, dict) or not semantics.get("values"):
-        return unknown
+        return unknown, ""
     names = [str(surface.get("type")) for surface in semantics.get("surfaces", ())]
     known = [int(SurfaceKind.INTERIOR if n in INTERIOR_NAMES else SURFACE_KINDS.get(n, 0)) for n in names]
-    values: list[Any] = []
-    _flatten_values(semantics["values"], values, _DEPTHS[geometry["type"]])
+    values, is_aligned = _labels(semantics["values"], geometry["boundaries"], _DEPTHS[geometry["type"]])
     if len(values) != num_surfaces:
-        return unknown  # semantics that do not fit are no reason to lose a surface
-    return [known[v] if type(v) is int and 0 <= v < len(known) else 0 for v in values]
+        return unknown, f"{len(values)} labels of {num_surfaces} surfaces: none is taken"
+    kinds = [known[v] if type(v) is int and 0 <= v < len(known) else 0 for v in values]
+    num_lost = sum(v is not None and not (type(v) is int and 0 <= v < len(known)) for v in values)
+    if num_lost:
+        return kinds, f"{num_lost} of {num_surfaces} labels name no surface type of the geometry"
+    return kinds, "" if is_aligned else f"{num_surfaces} labels nested otherwise, taken in their order"
+
+
+def _labels(values: Any, boundaries: list[Any], depth: int) -> tuple[list[Any], bool]:
+    """Returns the labels in the order of the surfaces, and whether they are nested as the surfaces are."""
+    flat: list[Any] = []
+    if _align(values, boundaries, depth, flat):
+        return flat, True
+    flat.clear()
+    stack = [iter(values)] if isinstance(values, list) else []
+    while stack:
+        value = next(stack[-1], stack)
+        if value is stack:
+            stack.pop()
+        elif isinstance(value, list):
+            stack.append(iter(value))
+        else:
+            flat.append(value)
+    return flat, False
+
+
+def _align(values: Any, boundaries: list[Any], depth: int, flat: list[Any]) -> bool:
+    """Appends one label per surface, None for those below a null; tells whether the nesting agrees."""
+    if values is None:
+        flat += [None] * len(_flatten(boundaries, depth))
+        return True
+    if not isinstance(values, list) or len(values) != len(boundaries):
+        return False
+    if depth:
+        return all(_align(v, b, depth - 1, flat) for v, b in zip(values, boundaries, strict=True))
+    flat += values
+    return not any(isinstance(value, list) for value in values)
 
 
 def _flatten(boundaries: list[Any], depth: int) -> list[Any]:
@@ -188,11 +227,3 @@ def _flatten(boundaries: list[Any], depth: int) -> list[Any]:
     for _ in range(depth):
         boundaries = [inner for outer in boundaries for inner in outer]
     return boundaries
-
-
-def _flatten_values(values: Any, flat: list[Any], depth: int) -> None:
-    for value in values or ():
-        if depth and isinstance(value, list):
-            _flatten_values(value, flat, depth - 1)
-        else:
-            flat.append(value)

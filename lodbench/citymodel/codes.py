@@ -22,7 +22,7 @@ def _code(number: int, name: str, severity: Severity, meaning: str) -> FindingCo
 _E, _W, _I = Severity.ERROR, Severity.WARNING, Severity.INFO
 
 RING_TOO_SHORT = _code(
-    101, "RING_TOO_SHORT", _E, "A ring has fewer than three distinct points; it is dropped."
+    101, "RING_TOO_SHORT", _W, "A ring has fewer than three distinct points, so no area; it is dropped."
 )
 DUPLICATE_POINTS = _code(
     102, "DUPLICATE_POINTS", _W, "A ring repeats a point in a row; the repeats are removed."
@@ -33,9 +33,7 @@ RING_NOT_CLOSED = _code(
 ZERO_AREA = _code(
     104, "ZERO_AREA", _W, "A polygon has no area (its points lie on a line); it gets no triangles."
 )
-NOT_PLANAR = _code(
-    105, "NOT_PLANAR", _W, "A polygon is bent by more than 1 cm, or enough to change its area by 1e-4."
-)
+NOT_PLANAR = _code(105, "NOT_PLANAR", _W, "A corner of a polygon lies 1 cm to 1 m off its mean plane.")
 AREA_MISMATCH = _code(
     106, "AREA_MISMATCH", _E, "The triangles of a polygon do not add up to its area (it crosses itself)."
 )
@@ -49,6 +47,12 @@ DUPLICATE_POLYGON = _code(
     109, "DUPLICATE_POLYGON", _W, "A polygon stands twice in one building at one level; one is kept."
 )
 RING_2D = _code(110, "RING_2D", _I, "A ring has no heights; z is 0.")
+FAR_FROM_PLANAR = _code(
+    111,
+    "FAR_FROM_PLANAR",
+    _E,
+    "A corner of a polygon lies over 1 m off its mean plane: its shape is a guess.",
+)
 
 UNDECLARED_PREFIX = _code(201, "UNDECLARED_PREFIX", _W, "XML uses a namespace prefix it never declares.")
 XLINK_UNRESOLVED = _code(202, "XLINK_UNRESOLVED", _E, "A reference to a geometry has no target in the file.")
@@ -56,13 +60,23 @@ XLINK_REMOTE = _code(
     203, "XLINK_REMOTE", _E, "A reference points to another file or server; it is never fetched."
 )
 XLINK_CYCLE = _code(204, "XLINK_CYCLE", _W, "References go round in a circle; the circle is cut.")
-DUPLICATE_ID = _code(205, "DUPLICATE_ID", _W, "One id names two objects; references go to the first.")
+DUPLICATE_ID = _code(
+    205, "DUPLICATE_ID", _W, "One id names two objects; references go to the first, later ones are renamed."
+)
 GEOMETRY_UNSUPPORTED = _code(206, "GEOMETRY_UNSUPPORTED", _E, "A geometry of a kind that is not read.")
 GEOMETRY_EMPTY = _code(207, "GEOMETRY_EMPTY", _I, "A geometry property holds no geometry.")
 ELEMENT_IGNORED = _code(208, "ELEMENT_IGNORED", _I, "An element that carries no surface is ignored.")
 NOT_A_BUILDING = _code(209, "NOT_A_BUILDING", _I, "A city object that is no building is left out.")
 BAD_INDEX = _code(210, "BAD_INDEX", _E, "A face names a point that does not exist; it is dropped.")
 FILE_SKIPPED = _code(211, "FILE_SKIPPED", _I, "A file among the tiles is no city model, or has no building.")
+FILE_CUT_OFF = _code(212, "FILE_CUT_OFF", _E, "A file is shorter than its header says; what was cut is lost.")
+SEMANTICS_MISFIT = _code(
+    213,
+    "SEMANTICS_MISFIT",
+    _W,
+    "Labels of surfaces are nested otherwise than the surfaces, or their number differs.",
+)
+READER_WARNING = _code(214, "READER_WARNING", _W, "The library that reads the format warns.")
 
 CRS_MISSING = _code(301, "CRS_MISSING", _W, "No coordinate reference system is declared; taken as metres.")
 CRS_UNKNOWN = _code(302, "CRS_UNKNOWN", _W, "The declared reference system is not known; taken as metres.")
@@ -76,6 +90,18 @@ CRS_PROJECTED = _code(305, "CRS_PROJECTED", _I, "Coordinates were projected to a
 CRS_MAPPED = _code(306, "CRS_MAPPED", _I, "The declared name was read as another, by lodbench's own map.")
 CRS_MIXED = _code(307, "CRS_MIXED", _W, "One file declares several reference systems; all go to the first.")
 AXES_AMBIGUOUS = _code(308, "AXES_AMBIGUOUS", _W, "Either axis order is plausible; one was taken.")
+SCALE_OFF = _code(
+    309,
+    "SCALE_OFF",
+    _W,
+    "A metre of the reference system is off by more than 1e-3 here; lengths are wrong by it.",
+)
+HEIGHTS_ELLIPSOIDAL = _code(
+    310,
+    "HEIGHTS_ELLIPSOIDAL",
+    _I,
+    "Heights are above the ellipsoid, not above the sea; they stay as they are.",
+)
 
 LOD_ABSENT = _code(401, "LOD_ABSENT", _W, "A building has nothing at the level of detail asked for.")
 LOD_SUBSTITUTED = _code(

@@ -12,6 +12,7 @@ import numpy as np
 
 from lodbench.citymodel.cache import open_city, store_city
 from lodbench.citymodel.mesh import CityMesh, mesh_model
+from lodbench.citymodel.mesh_frames import MeshFrame
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import CityModelError
@@ -83,7 +84,7 @@ def convert_city(
 
 def obj_text(scene: Scene) -> str:
     """Returns a scene as Wavefront OBJ, one object per building, in the local frame."""
-    lines = [f"# origin {' '.join(map(repr, scene.origin.tolist()))}", f"# crs {scene.crs or 'unknown'}"]
+    lines = [f"# {line}" for line in MeshFrame.of_scene(scene).comments()]
     vertices = scene.vertices.astype(np.float64)
     triangles = scene.triangles + 1
     for b, building_id in enumerate(scene.building_ids):
@@ -102,7 +103,10 @@ def _ply(scene: Scene) -> bytes:
 
     mesh = trimesh.Trimesh(scene.vertices, scene.triangles, process=False)
     content: bytes = mesh.export(file_type="ply")
-    return content
+    magic, newline, rest = content.partition(b"\n")
+    lines = [f"comment {line}\n".encode() for line in MeshFrame.of_scene(scene).comments()]
+    form, _, rest = rest.partition(b"\n")  # comments come after the line that names the form
+    return b"".join([magic, newline, form, newline, *lines, rest])
 
 
 def _glb(scene: Scene) -> bytes:
@@ -111,6 +115,7 @@ def _glb(scene: Scene) -> bytes:
 
     points = np.stack([scene.vertices[:, 0], scene.vertices[:, 2], -scene.vertices[:, 1]], axis=1)
     graph = trimesh.Scene()
+    graph.metadata.update(MeshFrame.of_scene(scene).extras())
     for b, building_id in enumerate(scene.building_ids):
         first, last = scene.vertex_starts[b], scene.vertex_starts[b + 1]
         triangles = scene.triangles[scene.triangle_starts[b] : scene.triangle_starts[b + 1]] - first

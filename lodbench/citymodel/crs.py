@@ -60,6 +60,8 @@ class KnownCrs:
         vertical_code: EPSG code of the vertical part, or None.
         vertical_to_m: Metres per unit of height.
         is_mapped: Whether lodbench's own map was needed to read the name.
+        has_ellipsoidal_heights: Whether it is a system of three dimensions (EPSG:4979), whose heights are
+            above the ellipsoid.
     """
 
     label: str
@@ -67,6 +69,7 @@ class KnownCrs:
     vertical_code: int | None
     vertical_to_m: float
     is_mapped: bool
+    has_ellipsoidal_heights: bool = False
 
 
 def crs_label(name: str) -> tuple[str, bool]:
@@ -116,12 +119,13 @@ def resolve_crs(name: str) -> KnownCrs | None:
             vertical_code, vertical_to_m = part.to_epsg(), part.axis_info[0].unit_conversion_factor
         elif part.is_geographic or part.is_projected:
             horizontal = part
-    if not crs.sub_crs_list and len(crs.axis_info) == 3:
+    is_solid = not crs.sub_crs_list and len(crs.axis_info) == 3
+    if is_solid:
         horizontal = crs.to_2d()
         vertical_to_m = crs.axis_info[2].unit_conversion_factor
     if not (horizontal.is_geographic or horizontal.is_projected):
         return None
-    return KnownCrs(label, horizontal, vertical_code, vertical_to_m, is_mapped)
+    return KnownCrs(label, horizontal, vertical_code, vertical_to_m, is_mapped, is_solid)
 
 
 def require_crs(name: str) -> KnownCrs:

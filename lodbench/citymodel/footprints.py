@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import (
     DUPLICATE_POINTS,
+    FILE_CUT_OFF,
     GEOMETRY_EMPTY,
     GEOMETRY_UNSUPPORTED,
     GROUND_DEFAULTED,
     HEIGHT_DEFAULTED,
     HEIGHT_MISSING,
+    READER_WARNING,
     RING_TOO_SHORT,
 )
 from lodbench.citymodel.columns import Columns
 from lodbench.citymodel.extrude import clean_rings, extrude
+from lodbench.citymodel.gdal import missing_bytes, read_vector
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity, starts_of, take_segments
 from lodbench.citymodel.terrain import ground_under
@@ -47,7 +50,12 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
         CityModelError: pyogrio is not installed, the file cannot be read, has no reference system
             or no heights.
     """
-    crs, geometries, table = _read_table(path, source, options)
+    findings = Findings()
+    for what in missing_bytes(path):
+        if options.is_strict:
+            raise CityModelError(f"{source} is cut off: {what}.", "Download or export the file again.")
+        findings.add(FILE_CUT_OFF, source, what)
+    crs, geometries, table = _read_table(path, source, options, findings)
     if options.crs is None and crs is None:
         raise CityModelError(
             f"{source} names no reference system (a Shapefile needs its .prj).", "Name it: crs=EPSG:4326."
@@ -55,8 +63,11 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     polygons = _parse(geometries, source)
     columns = Columns(table, len(geometries))
     if polygons.has_z and polygons.has_upright_rings():
-        return surfaces_as_read(polygons, columns.ids(), source, crs)
-    return _blocks(polygons, columns, source, crs, options)
+        city = surfaces_as_read(polygons, columns.ids(), source, crs)
+    else:
+        city = _blocks(polygons, columns, source, crs, options)
+    city.findings.items[:0] = findings.items
+    return city
 
 
 def _parse(geometries: list[bytes | None], source: str) -> WkbPolygons:
@@ -185,21 +196,21 @@ def _kept_polygons(
 
 
 def _read_table(
-    path: str, source: str, options: ReadOptions
+    path: str, source: str, options: ReadOptions, findings: Findings
 ) -> tuple[str | None, list[bytes | None], dict[str, NDArray[np.generic]]]:
     if path.lower().endswith((".parquet", ".geoparquet")):
         return _read_parquet(path, source)
     try:
-        import pyogrio
-    except ImportError:
-        raise CityModelError(f"Reading {source} needs pyogrio.", _EXTRA_HINT) from None
-    try:
-        meta, _, geometries, values = pyogrio.raw.read(path, layer=options.layer)
+        (meta, _, geometries, values), told = read_vector(path, source, options.layer)
+    except CityModelError:
+        raise
     except Exception as error:  # pyogrio has a dozen kinds, and GDAL's messages are the useful part
         raise CityModelError(
             f"{source} cannot be read as a vector file: {error}.",
             "Try to open it in a GIS, or export it again as GeoPackage.",
         ) from None
+    for text in told:
+        findings.add(READER_WARNING, source, text)
     table = {str(name): np.asarray(column) for name, column in zip(meta["fields"], values, strict=True)}
     return meta["crs"], list(geometries), table
 

@@ -6,6 +6,7 @@ first whatever their reference system says. What is decided against the declarat
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,8 @@ from lodbench.citymodel.codes import (
     CRS_MISSING,
     CRS_PROJECTED,
     CRS_UNKNOWN,
+    HEIGHTS_ELLIPSOIDAL,
+    SCALE_OFF,
 )
 from lodbench.citymodel.crs import KnownCrs, metric_crs, require_crs, resolve_crs
 from lodbench.citymodel.options import AxisOrder
@@ -33,6 +36,8 @@ _SAMPLE_POINTS = 1 << 15
 _AREA_MARGIN_DEG = 0.5
 # No town lies further south or north; it tells latitudes from longitudes where the area is the world.
 _INHABITED_LATITUDES_DEG = (-56.0, 80.0)
+_MAX_SCALE_ERROR = 1e-3
+_MAX_KEPT_SCALE_ERROR = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +88,46 @@ def to_metres(
     if order.is_north_first:
         for n in range(0, len(points), _CHUNK_POINTS):
             points[n : n + _CHUNK_POINTS, :2] = points[n : n + _CHUNK_POINTS, 1::-1].copy()
-    if known.horizontal.is_projected and known.horizontal.axis_info[0].unit_conversion_factor == 1.0:
+    if known.has_ellipsoidal_heights:
+        findings.add(HEIGHTS_ELLIPSOIDAL, "", known.label)
+    is_metric = known.horizontal.is_projected and known.horizontal.axis_info[0].unit_conversion_factor == 1.0
+    # Where the coordinates lie outside of the system, nobody knows what its metres are.
+    if is_metric and (not order.is_plausible or _is_true_to_scale(known, _middle(points), findings)):
         points[:, 2] *= known.vertical_to_m
         return known.label
     return _project(points, known, order, findings)
+
+
+def _is_true_to_scale(known: KnownCrs, middle: NDArray[np.float64], findings: Findings) -> bool:
+    """Tells whether the metres of a system are metres at a place (east, north), to a hundredth.
+
+    UTM is 4e-4 short in its middle and 1e-3 long at its rim; what is further off is told, and what is off by
+    a hundredth, as Mercator of the whole world is, does for no measuring: it is projected anew.
+    """
+    scales = _scales(known, middle)
+    worst = max(abs(scale - 1.0) for scale in scales)
+    if not worst > _MAX_SCALE_ERROR:
+        return True
+    factors = f"a metre to the east is {scales[0]:.4f} m there, to the north {scales[1]:.4f} m"
+    is_kept = worst <= _MAX_KEPT_SCALE_ERROR
+    findings.add(SCALE_OFF, "", f"{known.label}: {factors}{'' if is_kept else '; projected anew'}")
+    return is_kept
+
+
+def _scales(known: KnownCrs, middle: NDArray[np.float64]) -> tuple[float, float]:
+    """Returns how long a metre on the ground is in a projected system, along x and y; NaN outside of it."""
+    from pyproj import Proj
+
+    geod, step_m = known.horizontal.get_geod(), 50.0
+    if geod is None:
+        return 1.0, 1.0
+    x, y = middle
+    ends = ((x - step_m, y), (x + step_m, y)), ((x, y - step_m), (x, y + step_m))
+    project, lengths = Proj(known.horizontal), []
+    for first, last in ends:
+        degrees = *project(*first, inverse=True), *project(*last, inverse=True)
+        lengths.append(geod.inv(*degrees)[2] if np.isfinite(degrees).all() else np.nan)
+    return 2 * step_m / lengths[0], 2 * step_m / lengths[1]
 
 
 def _settle_crs(
@@ -131,14 +172,26 @@ def _check_without_crs(points: NDArray[np.float64], srs_name: str | None, findin
 
 def _strip_zone_prefix(points: NDArray[np.float64], known: KnownCrs, findings: Findings) -> None:
     """Removes the zone number that some German deliveries write before the easting (32 512 345)."""
-    zone = known.horizontal.utm_zone
+    # pyproj gives "32N", or "32N WITH PREFIX" where the false easting has the zone in it (EPSG:4647).
+    zone = re.match(r"(\d+)[NS](.*)", known.horizontal.utm_zone or "")
     if zone is None:
         return
-    prefix = float(zone[:-1]) * 1e6
+    prefix = float(zone[1]) * 1e6
     middle = _middle(points)
+    if zone[2]:
+        # Northings reach 1e7, so both columns below the prefix means that it was left out.
+        if middle.max() < prefix:
+            axes = [axis.direction.lower() for axis in known.horizontal.axis_info[:2]]
+            # Of an easting and a northing the easting is the smaller one.
+            column = int(np.argmin(middle)) if middle.max() > 1e6 else axes.index("east")
+            findings.add(
+                CRS_MAPPED, "", f"the eastings lack the zone number {zone[1]}; it is put before them"
+            )
+            points[:, column] += prefix
+        return
     column = int(np.argmax(middle))
     if prefix <= middle[column] < prefix + 1e6:
-        findings.add(CRS_MAPPED, "", f"the eastings begin with the zone number {zone[:-1]}; it is removed")
+        findings.add(CRS_MAPPED, "", f"the eastings begin with the zone number {zone[1]}; it is removed")
         points[:, column] -= prefix
 
 
@@ -218,8 +271,9 @@ def _project(points: NDArray[np.float64], known: KnownCrs, order: _Order, findin
         )
     height_to_m = known.vertical_to_m
     detail = f"from {known.label} to {label}"
-    if known.vertical_code is None and known.horizontal.is_projected:
-        height_to_m = known.horizontal.axis_info[0].unit_conversion_factor
+    unit = known.horizontal.axis_info[0].unit_conversion_factor
+    if known.vertical_code is None and known.horizontal.is_projected and unit != 1.0:
+        height_to_m = unit
         detail += ", heights taken in the unit of the plane"
     findings.add(CRS_PROJECTED, "", detail)
     points[:, 2] *= height_to_m

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 from lodbench.citymodel.codes import DUPLICATE_ID, XLINK_CYCLE, XLINK_REMOTE, XLINK_UNRESOLVED
 from lodbench.citymodel.gml_names import (
@@ -16,8 +18,11 @@ from lodbench.citymodel.gml_names import (
 )
 from lodbench.citymodel.gml_polygons import Reference
 from lodbench.citymodel.gml_walk import GeometryWalk
+from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element
 from lodbench.findings import Findings
+
+_INTERIOR = int(SurfaceKind.INTERIOR)
 
 
 @dataclass(slots=True)
@@ -46,6 +51,8 @@ class LinkResolver:
         self._source_name = source_name
         self._findings = findings
         self._copied: set[tuple[int, int, int, int]] = set()
+        self._visited: dict[tuple[int, int, int], set[str]] = {}
+        self._wanted: dict[str, list[int]] = {}
 
     def resolve_member(self, member: Element, building_ids: list[str]) -> None:
         """Turns the current member's references into copies where they add a surface.
@@ -58,15 +65,17 @@ class LinkResolver:
             self._findings.add(DUPLICATE_ID, gml_id)
         walk.duplicate_ids.clear()
         self._copied.clear()
+        self._visited.clear()
         index: _MemberIndex | None = None
         owners, polygon_ids = walk.batch.owners, walk.polygon_ids
         for reference in tuple(walk.references):
-            href, building, lod, _, _, placement = reference
+            href, building, lod, kind, _, placement = reference
             known = polygon_ids.get(href[1:])
             if (
                 known is not None
                 and owners[known][0] == building
                 and owners[known][1] == lod
+                and (owners[known][2] != _INTERIOR or kind == _INTERIOR)
                 and placement is None
             ):
                 continue  # the usual case, before any care for odd spellings
@@ -82,20 +91,31 @@ class LinkResolver:
             if target not in index.elements:
                 self.unresolved.append(reference)
             else:
-                self._copy_all(index, target, reference, building_ids, {target})
+                self._copy_all(index, target, reference, building_ids)
 
-    def resolve_elsewhere(self, member: Element, building_ids: list[str]) -> None:
-        """Second pass: adds what ``member`` holds of the unresolved references, and forgets those."""
-        index = _index_member(member, None)
-        remaining = []
-        for reference in self.unresolved:
+    def begin_second_pass(self, building_ids: list[str]) -> None:
+        """Sorts the unresolved references by the id they name, so that each member is asked once."""
+        self._copied.clear()
+        self._visited.clear()
+        for number, reference in enumerate(self.unresolved):
             target = self._target_id(reference, building_ids)
-            if target is not None and target in index.elements:
-                self._copied.clear()
-                self._copy_all(index, target, reference, building_ids, {target})
-            else:
-                remaining.append(reference)
-        self.unresolved = remaining
+            self._wanted.setdefault(target or "", []).append(number)
+
+    def resolve_elsewhere(self, member: Element, building_ids: list[str]) -> bool:
+        """Second pass: adds what ``member`` holds of the unresolved references; tells if any are left."""
+        index = _index_member(member, None)
+        found = [
+            (number, target)
+            for target in self._wanted.keys() & index.elements.keys()
+            for number in self._wanted.pop(target)
+        ]
+        for number, target in sorted(found):
+            self._copy_all(index, target, self.unresolved[number], building_ids)
+        return bool(self._wanted)
+
+    def end_second_pass(self) -> None:
+        """Forgets the references that were found."""
+        self.unresolved = [self.unresolved[n] for n in sorted(chain.from_iterable(self._wanted.values()))]
 
     def report_unresolved(self, building_ids: list[str]) -> None:
         """Adds a finding for every reference that found no target anywhere."""
@@ -120,44 +140,64 @@ class LinkResolver:
     def _copy(self, polygon: int, reference: Reference) -> None:
         batch = self._walk.batch
         building, lod, own_kind, _ = batch.owners[polygon]
-        if (building, lod) == (reference.building, reference.lod) and reference.placement is None:
+        # A door of a room that an outer wall borrows bounds the outside, too.
+        is_borrowed = own_kind == _INTERIOR != reference.kind
+        is_own = (building, lod) == (reference.building, reference.lod) and reference.placement is None
+        if is_own and not is_borrowed:
             return
         key = (polygon, reference.building, reference.lod, id(reference.placement))
         if key not in self._copied:
             self._copied.add(key)
-            kind = reference.kind or own_kind
+            kind = reference.kind or (int(SurfaceKind.UNKNOWN) if is_borrowed else own_kind)
             batch.copies.append(
                 (polygon, reference.building, reference.lod, kind, reference.is_flipped, reference.placement)
             )
 
     def _copy_all(
-        self,
-        index: _MemberIndex,
-        target: str,
-        reference: Reference,
-        building_ids: list[str],
-        visited: set[str],
+        self, index: _MemberIndex, target: str, reference: Reference, building_ids: list[str]
     ) -> None:
-        """Copies every polygon below a referenced element, following its own references in turn."""
-        element = index.elements[target]
+        """Copies every polygon below a referenced element, and below what that refers to in turn.
+
+        A circle is a reference to an element whose own references are still being followed.
+        """
+        # What one reference of a building and level has copied, the next would copy in vain.
+        key = (reference.building, reference.lod, id(reference.placement))
+        visited = self._visited.setdefault(key, set())
+        if target in visited:
+            return
+        visited.add(target)
+        open_targets = {target}
+        # One entry per element whose references are being followed: its id and those still to follow.
+        stack = [(target, self._copy_below(index.elements[target], index, reference))]
+        while stack:
+            name, links = stack[-1]
+            href = next(links, None)
+            if href is None:
+                open_targets.discard(name)
+                stack.pop()
+                continue
+            inner = href.strip().removeprefix("#").strip()
+            if inner in open_targets:
+                self._findings.add(XLINK_CYCLE, building_ids[reference.building], href)
+            elif inner not in index.elements:
+                self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], href)
+            elif inner not in visited:
+                visited.add(inner)
+                open_targets.add(inner)
+                stack.append((inner, self._copy_below(index.elements[inner], index, reference)))
+
+    def _copy_below(self, element: Element, index: _MemberIndex, reference: Reference) -> Iterator[str]:
+        """Copies the polygons below an element; returns the references that stand there."""
         for polygon_element in element.iter(*POLYGONS):
             if polygon_element not in index.polygons:
                 # A geometry outside every geometry property: nothing has counted it yet.
                 self._walk_once(polygon_element, index, reference)
             else:
                 self._copy(index.polygons[polygon_element], reference)
-        for nested in element.iter("{*}surfaceMember", "{*}baseSurface", "{*}exterior"):
-            href = nested.get(XLINK_HREF)
-            if href is None:
-                continue
-            inner = href.strip().removeprefix("#").strip()
-            if inner in visited:
-                self._findings.add(XLINK_CYCLE, building_ids[reference.building], href)
-            elif inner in index.elements:
-                visited.add(inner)
-                self._copy_all(index, inner, reference, building_ids, visited)
-            else:
-                self._findings.add(XLINK_UNRESOLVED, building_ids[reference.building], href)
+        hrefs = [
+            node.get(XLINK_HREF) for node in element.iter("{*}surfaceMember", "{*}baseSurface", "{*}exterior")
+        ]
+        return iter([str(href) for href in hrefs if href is not None])
 
     def _walk_once(self, element: Element, index: _MemberIndex, reference: Reference) -> None:
         walk = self._walk

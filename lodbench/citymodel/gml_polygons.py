@@ -6,6 +6,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from lodbench.citymodel.gml_implicit import Placement
+from lodbench.errors import CityModelError
+
+# Japan has 19 plane zones, and a name that nobody knows costs PROJ half a second.
+_MAX_NAMES = 32
 
 
 class Reference(NamedTuple):
@@ -51,10 +55,23 @@ class PolygonBatch:
 class NameTable:
     """Names in the order they are first met: levels of detail, reference systems."""
 
-    names: list[str | None] = field(default_factory=list)
+    _numbers: dict[str | None, int] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str | None, ...]:
+        """All names, by number."""
+        return tuple(self._numbers)
 
     def index(self, name: str | None) -> int:
-        """Returns the number of a name, a new one where it is new."""
-        if name not in self.names:
-            self.names.append(name)
-        return self.names.index(name)
+        """Returns the number of a name, a new one where it is new.
+
+        Raises:
+            CityModelError: There are more names than any city has.
+        """
+        number = self._numbers.setdefault(name, len(self._numbers))
+        if number >= _MAX_NAMES:
+            raise CityModelError(
+                f"The file declares more than {_MAX_NAMES} reference systems.",
+                "A city has one: mend the file.",
+            )
+        return number

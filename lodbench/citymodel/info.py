@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from lodbench.citymodel.mesh import mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.errors import CityModelError
+from lodbench.findings import Findings
 
 
 def city_info(model: CityModel) -> dict[str, Any]:
@@ -22,11 +22,12 @@ def city_info(model: CityModel) -> dict[str, Any]:
         ``format, version, crs, center_lat_lon`` (degrees, or None without a reference system),
         ``buildings, parts, extent_m`` (x, y, z lengths), ``lods``: level name to ``polygons`` (as in
         the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2`` and ``lost_m2``; and
-        ``findings``: code and name to count, meshing included.
+        ``findings``: code and name to count, meshing included; ``finding_objects``: to how many
+        buildings they were met in.
     """
     points = model.polygons.points
     extent = np.ptp(points, axis=0) if len(points) else np.zeros(3)
-    counts = Counter(model.findings.counts())
+    findings = Findings(list(model.findings.items))
     lods: dict[str, dict[str, float]] = {}
     for name, num_read in zip(model.lods, model.polygons_read, strict=True):
         row: dict[str, float] = {"polygons": num_read, "triangles": 0, "area_m2": 0.0}
@@ -35,7 +36,7 @@ def city_info(model: CityModel) -> dict[str, Any]:
         except CityModelError:
             pass  # every polygon of the level is degenerate; the findings say so
         else:
-            counts.update(mesh.findings.counts())
+            findings.items += mesh.findings.items
             row["triangles"] = len(mesh.scene.triangles)
             row["area_m2"] = round(mesh.area_m2, 3)
             row["meshed_m2"] = round(mesh.meshed_m2, 3)
@@ -50,7 +51,8 @@ def city_info(model: CityModel) -> dict[str, Any]:
         "parts": model.num_parts,
         "extent_m": [round(float(length), 3) for length in extent],
         "lods": lods,
-        "findings": dict(sorted(counts.items())),
+        "findings": findings.counts(),
+        "finding_objects": findings.objects(),
     }
 
 

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
+from lodbench.citymodel.mesh_frames import frame_of_comments, frame_of_extras
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
+_PLY_HEADER_BYTES = 4096
 MESH_FORMATS = {".ply": "PLY", ".stl": "STL", ".glb": "glTF", ".gltf": "glTF"}
 
 
@@ -30,15 +32,21 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
     Raises:
         CityModelError: The mesh cannot be read, is not finite, or has no triangles.
     """
-    parts = _load_parts(stream, source, suffix)
+    content = stream.read()
+    loaded, parts = _load_parts(content, source, suffix)
     corners = np.concatenate([np.asarray(part.vertices, np.float64)[part.faces] for part in parts])
     points = corners.reshape(-1, 3)
     if not np.isfinite(points).all():
         raise CityModelError(
             f"{source} has coordinates that are not finite numbers.", "Repair or export the file again."
         )
+    frame = frame_of_extras(loaded.metadata)
+    if suffix == ".ply" and frame is None:
+        frame = frame_of_comments(_ply_comments(content))
     if options.up_axis == "y" or (options.up_axis == "auto" and MESH_FORMATS[suffix] == "glTF"):
         points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
+    if frame is not None:
+        points = points + frame.origin
     if len(parts) > 1:
         building = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
         ids = [str(part.metadata.get("name") or f"mesh-{i + 1}") for i, part in enumerate(parts)]
@@ -50,7 +58,7 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
         source=source,
         format=MESH_FORMATS[suffix],
         version=None,
-        srs_names=(),
+        srs_names=(frame.crs,) if frame is not None and frame.crs is not None else (),
         building_ids=tuple(ids),
         num_parts=0,
         lods=("",),
@@ -63,16 +71,24 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
         srs=np.zeros(count, np.int16),
         has_closing_points=False,
         findings=Findings(),
+        axis_orders=("east_first",) if frame is not None and frame.crs is not None else (),
     )
 
 
-def _load_parts(stream: BinaryIO, source: str, suffix: str) -> list[Any]:
-    """Returns the meshes of a file, at least one, or raises as ``read_mesh`` does."""
+def _ply_comments(content: bytes) -> list[str]:
+    header = content[:_PLY_HEADER_BYTES].partition(b"end_header")[0].decode("latin-1")
+    return [
+        line.removeprefix("comment ").strip() for line in header.splitlines() if line.startswith("comment ")
+    ]
+
+
+def _load_parts(content: bytes, source: str, suffix: str) -> tuple[Any, list[Any]]:
+    """Returns the trimesh scene and its meshes, at least one, or raises as ``read_mesh`` does."""
     import trimesh
 
     try:
         # From memory, so that trimesh knows no folder to look for other files in.
-        loaded = trimesh.load_scene(io.BytesIO(stream.read()), file_type=suffix[1:], process=False)
+        loaded = trimesh.load_scene(io.BytesIO(content), file_type=suffix[1:], process=False)
         parts = _parts_in_order(loaded)
     except Exception as error:  # trimesh lets the errors of every parser it uses through
         raise CityModelError(
@@ -81,7 +97,7 @@ def _load_parts(stream: BinaryIO, source: str, suffix: str) -> list[Any]:
         ) from None
     if not parts:
         raise CityModelError(f"{source} has no triangles.", "Point clouds and lines are no city model.")
-    return parts
+    return loaded, parts
 
 
 def _parts_in_order(loaded: Any) -> list[Any]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.codes import ELEMENT_IGNORED
 from lodbench.citymodel.coordinates import RING_SEPARATOR, parse_rings
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
+from lodbench.citymodel.mesh_frames import frame_of_comments
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.errors import CityModelError
@@ -23,6 +24,8 @@ from lodbench.findings import Findings
 
 # Texture and normal indices: `7/3/2` means point 7.
 _TEXTURE_PART = re.compile(r"/[^\s;]*")
+# lodbench writes its comments first.
+_HEAD_LINES = 8
 _SILENT = frozenset({"v", "f", "vt", "vn", "s", "o", "g", "mtllib"})
 
 
@@ -47,12 +50,15 @@ def read_obj(stream: BinaryIO, source: str) -> RawCity:
     points = _read_points(lines, positions, source)
     corners, counts = _read_faces(lines, faces, np.asarray(positions, np.int64), source)
     building, num_buildings = _buildings(points, corners, counts)
+    frame = frame_of_comments([line[1:].strip() for line in lines[:_HEAD_LINES] if line.startswith("#")])
+    if frame is not None:
+        points = points + frame.origin
     width = len(str(num_buildings))
     return RawCity(
         source=source,
         format="OBJ",
         version=None,
-        srs_names=(),
+        srs_names=(frame.crs,) if frame is not None and frame.crs is not None else (),
         building_ids=tuple(f"component-{i + 1:0{width}d}" for i in range(num_buildings)),
         num_parts=0,
         lods=("",),
@@ -65,6 +71,7 @@ def read_obj(stream: BinaryIO, source: str) -> RawCity:
         srs=np.zeros(len(counts), np.int16),
         has_closing_points=False,
         findings=findings,
+        axis_orders=("east_first",) if frame is not None and frame.crs is not None else (),
     )
 
 

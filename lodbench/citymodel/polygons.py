@@ -14,6 +14,7 @@ from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.duplicates import drop_repeated_solids
 from lodbench.citymodel.frame import to_metres
 from lodbench.citymodel.model import CityModel, Polygons
+from lodbench.citymodel.naming import unique_ids
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity
 from lodbench.errors import CityModelError
@@ -43,6 +44,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
             f"{raw.source} has coordinates that are not finite numbers.",
             "See which: lodbench city check FILE.",
         )
+    raw.building_ids = unique_ids(raw.building_ids, raw.findings)
     num_read = np.bincount(raw.lod, minlength=len(raw.lods))
     # A level that only empty elements name is none: by default the lowest there is would be taken.
     order = sorted(np.flatnonzero(num_read).tolist(), key=lambda i: raw.lods[i])
@@ -75,15 +77,28 @@ def _largest(points: NDArray[np.float64]) -> float:
     return float(np.maximum(points.max(), -points.min())) if points.size else 0.0
 
 
+def _check_reach(points: NDArray[np.float64], source: str) -> None:
+    """Raises CityModelError where a coordinate lies nowhere on Earth, and says which."""
+    if _largest(points) <= _MAX_COORDINATE_M:
+        return
+    worst = np.abs(points).max(axis=0)
+    if worst[:2].max() <= _MAX_COORDINATE_M:
+        count = int((np.abs(points[:, 2]) > _MAX_COORDINATE_M).sum())
+        raise CityModelError(
+            f"{source} has {count} of {len(points)} heights nowhere on Earth, up to {worst[2]:.4g} m.",
+            "Mend the file: the reference system of the plane is not at fault.",
+        )
+    raise CityModelError(
+        f"{source} has coordinates that lie nowhere on Earth, in metres (up to {worst.max():.4g}).",
+        "Is the reference system right? crs= names another.",
+    )
+
+
 def _subtract_origin(
     points: NDArray[np.float64], label: str | None, raw: RawCity, options: ReadOptions
 ) -> NDArray[np.float64]:
     """Returns the origin of the local frame, taken off the points in place."""
-    if _largest(points) > _MAX_COORDINATE_M:
-        raise CityModelError(
-            f"{raw.source} has coordinates that lie nowhere on Earth, in metres.",
-            "Is the reference system right? crs= names another.",
-        )
+    _check_reach(points, raw.source)
     if options.origin is not None:
         origin = np.asarray(options.origin, np.float64)
         if raw.srs_names:
@@ -121,7 +136,7 @@ def _bring_to_metres(
         systems = tuple((name, options.axis_order) for name, _ in systems)
     used = np.unique(srs)
     if len({systems[n] if override is None else systems[n][1] for n in used}) <= 1:
-        name, order = systems[used[0]] if len(used) else (None, "auto")
+        name, order = systems[used[0] if len(used) else 0]
         return to_metres(points, name, override, raw.findings, order)
     point_srs = np.repeat(srs, np.diff(polygons.ring_starts[polygons.polygon_starts]))
     first_label: str | None = None

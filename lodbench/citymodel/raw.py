@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import DUPLICATE_ID
 from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.options import AxisOrder
 from lodbench.errors import CityModelError
@@ -76,7 +74,7 @@ class RawCity:
 
 
 def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
-    """Returns several tiles as one city; a building id that two tiles share is a finding.
+    """Returns several tiles as one city; ids that two tiles share stay as they are.
 
     Args:
         source: Name of the folder or archive.
@@ -87,9 +85,6 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
     lods = tuple(dict.fromkeys(name for city in cities for name in city.lods))
     findings = Findings([item for city in cities for item in city.findings.items])
     building_ids = tuple(name for city in cities for name in city.building_ids)
-    for name, count in Counter(building_ids).items():
-        if count > 1:
-            findings.add(DUPLICATE_ID, name, f"in {count} tiles")
     points = GrowingArray(np.float64, (3,))
     for city in cities:
         points.extend(city.points)

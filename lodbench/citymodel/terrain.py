@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.gdal import raster_driver
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
 
@@ -69,8 +70,11 @@ def _raster_heights(path: Path, points: NDArray[np.float64], crs: str) -> NDArra
             f"Reading {path} needs rasterio.",
             "Install it: pip install 'lodbench[vector]'. Or convert the raster to an ASCII grid (.asc).",
         ) from None
+    # Without a look into the folder no file beside it is opened, whose driver nobody chose.
+    shut = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "{none}"}
+    driver, place = raster_driver(path), path.resolve()
     try:
-        with rasterio.open(path) as raster:
+        with rasterio.Env(**shut), rasterio.open(place, driver=driver) as raster:
             step = raster.transform
             if step.b or step.d or step.e >= 0:
                 raise CityModelError(f"The raster {path} is turned.", "Warp it to north up (gdalwarp).")

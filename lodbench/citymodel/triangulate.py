@@ -12,12 +12,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import AREA_MISMATCH, NOT_PLANAR, ZERO_AREA
+from lodbench.citymodel.codes import AREA_MISMATCH, FAR_FROM_PLANAR, NOT_PLANAR, ZERO_AREA
 from lodbench.citymodel.model import Polygons
 from lodbench.citymodel.selection import slice_polygons
 from lodbench.findings import Findings
 
 PLANAR_TOLERANCE_M = 0.01  # what surveys promise for a planar face; 3D city validators use the same
+_MAX_BEND_M = 1.0  # beyond it nobody knows which surface was meant
 AREA_TOLERANCE = 1e-4  # relative
 # Below this a surface is invisible at any distance a drone keeps, and relative areas mean nothing.
 _MIN_AREA_M2 = 1e-6
@@ -231,16 +232,14 @@ def _report(
     is_flat = result.area_m2 < _MIN_AREA_M2
     tolerance = AREA_TOLERANCE * result.area_m2
     is_off = ~is_flat & (np.abs(result.covered_m2 - result.area_m2) > tolerance + _MIN_AREA_M2)
-    # A narrow polygon can be planar to a millimetre and still gain 1e-4 of its area by its bends.
-    is_bent = (
-        ~is_flat
-        & ~is_off
-        & (
-            (result.deviation_m > PLANAR_TOLERANCE_M)
-            | (np.abs(result.meshed_m2 - result.area_m2) > tolerance)
-        )
-    )
-    for code, is_met in ((ZERO_AREA, is_flat), (NOT_PLANAR, is_bent), (AREA_MISMATCH, is_off)):
+    is_bent = ~is_flat & ~is_off & (result.deviation_m > PLANAR_TOLERANCE_M)
+    is_far = is_bent & (result.deviation_m > _MAX_BEND_M)
+    for code, is_met in (
+        (ZERO_AREA, is_flat),
+        (NOT_PLANAR, is_bent & ~is_far),
+        (FAR_FROM_PLANAR, is_far),
+        (AREA_MISMATCH, is_off),
+    ):
         for polygon in np.flatnonzero(is_met):
             detail = (
                 f"polygon {num_before + polygon}: {result.deviation_m[polygon]:.3f} m off its plane, "

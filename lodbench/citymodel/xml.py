@@ -183,7 +183,7 @@ class XmlMembers:
     def _fault(self, line: int, message: str) -> CityModelError:
         where = f"line {line}, before byte {self._offset}"
         hint = "The file is damaged or cut off: download or export it again."
-        if "encoding" in message.lower():
+        if "encoding" in message.lower() or "labelled UTF" in message:
             hint = "The bytes are not in the encoding the first line of the file names."
         elif message.startswith("Entity '"):
             hint = "City models need no entities."

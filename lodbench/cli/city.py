@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.options import ReadOptions
+from lodbench.cli.flags import hints_in_flags
 from lodbench.cli.sources import load_profile
 from lodbench.errors import CityModelError
 from lodbench.execution import ProgressCallback
@@ -41,12 +42,13 @@ options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if `check` finds an error."""
     asked = _parser().parse_args(argv)
-    profile = load_profile(asked.source, asked.option, asked.crs)
-    if asked.action == "info":
-        return _info(asked, profile.options)
-    if asked.action == "check":
-        return _check(asked, profile.options)
-    return _convert(asked, profile.options, asked.lod or profile.lod)
+    with hints_in_flags():
+        profile = load_profile(asked.source, asked.option, asked.crs)
+        if asked.action == "info":
+            return _info(asked, profile.options)
+        if asked.action == "check":
+            return _check(asked, profile.options)
+        return _convert(asked, profile.options, asked.lod or profile.lod)
 
 
 def _parser() -> argparse.ArgumentParser:

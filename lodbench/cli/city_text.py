@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from lodbench.citymodel.cache import open_city
 from lodbench.citymodel.codes import finding_catalogue
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.citymodel.mesh import CityMesh
 from lodbench.citymodel.model import CityModel
+from lodbench.findings import Findings
 from lodbench.reporting.columns import format_columns
 
 _MEANINGS = {str(code): code for code in finding_catalogue()}
@@ -23,7 +23,7 @@ def format_info(name: str, info: dict[str, Any]) -> str:
     """
     x, y, z = info["extent_m"]
     place = info["center_lat_lon"]
-    parts = f", in {info['parts']:,} parts" if info["parts"] > 1 else ""
+    parts = f", and {info['parts']:,} building parts" if info["parts"] else ""
     lines = [
         name,
         f"format     {info['format']} {info['version'] or ''}".rstrip(),
@@ -34,7 +34,7 @@ def format_info(name: str, info: dict[str, Any]) -> str:
         "",
         *_level_lines(info["lods"]),
         "",
-        *_finding_lines(info["findings"]),
+        *_finding_lines(info["findings"], info["finding_objects"]),
     ]
     return "\n".join(lines)
 
@@ -65,8 +65,9 @@ def conversion_summary(target: str, model: CityModel, mesh: CityMesh | None) -> 
         return (
             summary
             | {"lods": list(model.lods), "polygons": len(model.polygons)}
-            | {"findings": model.findings.counts()}
+            | {"findings": model.findings.counts(), "finding_objects": model.findings.objects()}
         )
+    findings = Findings([*model.findings.items, *mesh.findings.items])
     return summary | {
         "lod": mesh.scene.lod,
         "origin": mesh.scene.origin.tolist(),
@@ -74,7 +75,8 @@ def conversion_summary(target: str, model: CityModel, mesh: CityMesh | None) -> 
         "area_m2": round(mesh.area_m2, 3),
         "meshed_m2": round(mesh.meshed_m2, 3),
         "lost_m2": round(mesh.lost_m2, 3),
-        "findings": open_city(model, mesh).findings,
+        "findings": findings.counts(),
+        "finding_objects": findings.objects(),
     }
 
 
@@ -94,7 +96,7 @@ def format_conversion(summary: dict[str, Any]) -> str:
             areas,
             f"origin {origin}, CRS {crs_in_words(summary['crs'])}",
         ]
-    return "\n".join([*lines, *_finding_lines(summary["findings"])])
+    return "\n".join([*lines, *_finding_lines(summary["findings"], summary["finding_objects"])])
 
 
 def _level_lines(lods: dict[str, dict[str, float]]) -> list[str]:
@@ -105,11 +107,14 @@ def _level_lines(lods: dict[str, dict[str, float]]) -> list[str]:
     return format_columns(rows).splitlines()
 
 
-def _finding_lines(findings: dict[str, int]) -> list[str]:
+def _finding_lines(findings: dict[str, int], objects: dict[str, int]) -> list[str]:
+    """Returns a line per kind of finding: how often, in how many buildings, and what it means."""
     if not findings:
         return ["findings   none"]
-    rows = [f"findings   {sum(findings.values()):,} (in which buildings: lodbench city check FILE)"]
     width = max(map(len, findings))
+    rows = [f"findings   {len(findings)} kinds (which and where: lodbench city check FILE)"]
+    rows.append(f"  {'':{width}}  {'count':>8}  {'buildings':>9}")
     for name, count in findings.items():
-        rows.append(f"  {name.ljust(width)}  {count:>6,}  {_MEANINGS[name].meaning}")
+        places = f"{objects[name]:,}" if objects.get(name) else "-"
+        rows.append(f"  {name.ljust(width)}  {count:>8,}  {places:>9}  {_MEANINGS[name].meaning}")
     return rows

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import city_info, mesh_city, mesh_model, open_scene, read_city_model
+from lodbench.citymodel.convert import convert_city
+from lodbench.citymodel.gml_links import LinkResolver
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
@@ -416,3 +418,70 @@ class TestFiles:
     def test_same_bytes_same_scene(self, tmp_path: Path) -> None:
         scenes = [mesh_city(model_of(tmp_path, box_city())) for _ in range(2)]
         assert scenes[0].digest() == scenes[1].digest()
+
+
+class TestIds:
+    def test_two_buildings_of_one_id_stay_two(self, tmp_path: Path) -> None:
+        text = city(
+            member(solid(surface_members(map(polygon, BOX))))
+            + member(solid(surface_members(map(polygon, box_rings(x=500020.0)))))
+        )
+        model = model_of(tmp_path, text)
+        assert model.building_ids == ("b1", "b1~2")
+        assert codes(model) == {"LB205": 1}
+        convert_city(model, tmp_path / "a.json")
+        assert read_city_model(tmp_path / "a.json").building_ids == ("b1", "b1~2")
+
+
+class TestLongLinks:
+    def test_a_chain_of_thousands(self, tmp_path: Path) -> None:
+        count = 5000
+        steps = "".join(
+            f'<gml:surfaceMember><gml:CompositeSurface gml:id="c{i}">{link(f"#c{i + 1}")}'
+            "</gml:CompositeSurface></gml:surfaceMember>"
+            for i in range(count)
+        )
+        end = (
+            f'<gml:surfaceMember><gml:CompositeSurface gml:id="c{count}">{surface_members(map(polygon, BOX))}'
+        )
+        end += "</gml:CompositeSurface></gml:surfaceMember>"
+        text = city(member(multi_surface(steps + end)) + member(multi_surface(link("#c0")), "b2"))
+        model = model_of(tmp_path, text)
+        assert len(model.polygons) == 12
+        assert codes(model) == {}
+
+    def test_dangling_links_are_looked_for_once(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        calls = []
+        plain = LinkResolver._target_id
+        monkeypatch.setattr(LinkResolver, "_target_id", lambda *a: (calls.append(1), plain(*a))[1])
+        own = surface_members(map(polygon, BOX))
+        text = city(
+            "".join(
+                member(multi_surface(own + "".join(link(f"#no{i}-{k}") for k in range(5))), f"b{i}")
+                for i in range(60)
+            )
+        )
+        assert codes(model_of(tmp_path, text))["LB202"] == 300
+        assert len(calls) == 600  # once in its member, once for the second pass
+
+    def test_a_wall_that_borrows_the_door_of_a_room(self, tmp_path: Path) -> None:
+        door = polygon(
+            [
+                (500002.0, 5600000.0, 50.0),
+                (500003.0, 5600000.0, 50.0),
+                (500003.0, 5600000.0, 52.0),
+                (500002.0, 5600000.0, 52.0),
+            ],
+            gml_id="door",
+        )
+        room = (
+            "<bldg:interiorRoom><bldg:Room>"
+            + bounded_by("InteriorWallSurface", multi_surface(surface_members([door]), 4))
+            + "</bldg:Room></bldg:interiorRoom>"
+        )
+        wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[1])]) + link("#door"), 4))
+        for content in (room + wall, wall + room):
+            mesh = mesh_model(model_of(tmp_path, city(member(content))), "4")
+            assert mesh.area_m2 == pytest.approx(102.0)

@@ -205,3 +205,37 @@ class TestFaults:
     def test_real_lone_feature(self, shared_data: Path) -> None:
         with pytest.raises(CityModelError, match="without the CityJSON line"):
             read_city_model(shared_data / "city/3dbag/503100000000296.city.jsonl")
+
+
+class TestLabels:
+    """Semantics that are nested otherwise than their surfaces, which nobody may lose unseen."""
+
+    def solid(self, values: Any) -> dict[str, Any]:
+        semantics = {"surfaces": [{"type": "WallSurface"}, {"type": "RoofSurface"}], "values": values}
+        shell = [[[0, 1, 2, 3]], [[0, 1, 2]]]
+        return {"type": "Solid", "lod": "2", "boundaries": [shell], "semantics": semantics}
+
+    @pytest.mark.parametrize(
+        ("values", "kinds", "told"),
+        [
+            ([[0, 1]], [1, 2], None),
+            ([0, 1], [1, 2], "nested otherwise, taken in their order"),
+            ([[[0], [1]]], [1, 2], "nested otherwise, taken in their order"),
+            ([None], [0, 0], None),
+            ([[0, None]], [1, 0], None),
+            ([[0]], [0, 0], "1 labels of 2 surfaces: none is taken"),
+            ([[0, 7]], [1, 0], "1 of 2 labels name no surface type"),
+        ],
+    )
+    def test_nesting(self, tmp_path: Path, values: Any, kinds: list[int], told: str | None) -> None:
+        model = read(tmp_path, document({"a": building(self.solid(values))}))
+        assert model.polygons.kind.tolist() == kinds
+        details = [item.detail for item in model.findings.items if item.code.code == "LB213"]
+        assert (told is None and not details) or (told is not None and told in details[0])
+
+    def test_text_is_no_vertex(self, tmp_path: Path) -> None:
+        with pytest.raises(CityModelError, match="malformed vertices"):
+            read(
+                tmp_path,
+                document({"a": building(surface([0, 1, 2, 3]))}, vertices=[["0", 0, 0], *SQUARE[1:]]),
+            )

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -134,7 +135,7 @@ class TestDegrees:
     @pytest.mark.parametrize("longitude", [-122.4, -75.2])
     def test_open_city_model_writes_longitude_first(self, longitude: float) -> None:
         metres, label, codes = convert(points((longitude, 39.9, 0)), "EPSG:4979")
-        assert codes == ["LB304", "LB305"]
+        assert codes == ["LB304", "LB310", "LB305"]
         assert label == f"EPSG:{32600 + int((longitude + 180) // 6) + 1}"
         assert 4.3e6 < metres[0, 1] < 4.5e6
 
@@ -194,3 +195,92 @@ class TestOthers:
         with pytest.raises(CityModelError, match="look like degrees") as caught:
             convert(points((35.7, 139.5, 0), (35.71, 139.51, 9)), None)
         assert "crs=" in caught.value.hint
+
+
+class TestZonePrefixes:
+    """EPSG:4647 and its kin put the zone number into the false easting; Germany delivers cities in them."""
+
+    @pytest.mark.parametrize("code", [4647, 5652, 5650, 5653])
+    def test_read_and_placed(self, code: int) -> None:
+        zone = 32 if code in (4647, 5652) else 33
+        plain, longitude = f"EPSG:{25800 + zone}", {32: 9.7, 33: 13.4}[zone]
+        east, north = Transformer.from_crs("EPSG:4326", plain, always_xy=True).transform(longitude, 52.4)
+        prefixed = zone * 1e6 + east
+        metres, label, codes = convert(points((prefixed, north, 1), (prefixed + 9, north, 1)), f"EPSG:{code}")
+        assert metres[:, :2].tolist() == [[prefixed, north], [prefixed + 9, north]]
+        assert label == f"EPSG:{code}"
+        assert codes in ([], ["LB304"])
+
+    def test_coordinates_that_lack_the_prefix(self) -> None:
+        metres, _, codes = convert(points((550000.0, 5800000.0, 1)), "EPSG:4647")
+        assert metres[0, 0] == 32550000.0
+        assert codes == ["LB306"]
+
+
+class TestScale:
+    def place(self, code: int, longitude: float = 9.9, latitude: float = 52.4) -> np.ndarray:
+        x, y = Transformer.from_crs("EPSG:4326", code, always_xy=True).transform(longitude, latitude)
+        return points((x, y, 1), (x + 100, y, 1))
+
+    @pytest.mark.parametrize("code", [3857, 3395, 6933])
+    def test_systems_of_the_whole_world_are_projected_anew(self, code: int) -> None:
+        rows = self.place(code)
+        metres, label, codes = convert(rows, f"EPSG:{code}")
+        assert label == "EPSG:32632"
+        assert {"LB309", "LB305"} <= set(codes)
+        back = Transformer.from_crs(code, 32632, always_xy=True).transform(rows[:, 0], rows[:, 1])
+        assert np.allclose(metres[:, :2], np.stack(back, axis=1), atol=1e-6)
+
+    @pytest.mark.parametrize(("code", "place"), [(3035, (-9.1, 38.7)), (3034, (10.0, 51.0))])
+    def test_continental_systems_are_told(self, code: int, place: tuple[float, float]) -> None:
+        findings = Findings()
+        to_metres(self.place(code, *place), f"EPSG:{code}", None, findings)
+        told = [item.detail for item in findings.items if item.code.code == "LB309"]
+        assert len(told) == 1
+        assert re.search(r"to the east is [01]\.\d{4} m", told[0])
+
+    @pytest.mark.parametrize("code", [25832, 4647])
+    def test_utm_in_its_zone_is_true(self, code: int) -> None:
+        assert convert(self.place(code), f"EPSG:{code}")[2] == []
+
+    def test_areas_of_a_city_in_web_mercator(self, tmp_path: Path) -> None:
+        x, y = self.place(3857)[0, :2].tolist()
+        rings = box_rings(x=x, y=y, size=16.3893)  # 10 m at 52.4 degrees north
+        text = city(member(solid(surface_members(map(polygon, rings)))), srs="EPSG:3857")
+        model = read_city_model(write(tmp_path / "a.gml", text))
+        corners = model.polygons.points[:4, :2]
+        edges = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+        assert edges == pytest.approx(10.0, rel=5e-3)
+
+
+@pytest.mark.parametrize("code", [4979, 4937])
+def test_ellipsoidal_heights_are_told(code: int) -> None:
+    assert "LB310" in convert(points((52.4, 9.9, 90.0)), f"EPSG:{code}")[2]
+
+
+def test_many_unknown_names_end_quickly(tmp_path: Path) -> None:
+    members = "".join(
+        member(solid(surface_members(map(polygon, box_rings()))), f"b{i}").replace(
+            "<gml:Solid>", f'<gml:Solid srsName="urn:nobody:{i}">'
+        )
+        for i in range(2000)
+    )
+    with pytest.raises(CityModelError, match="more than 32 reference systems"):
+        read_city_model(write(tmp_path / "a.gml", city(members)))
+
+
+def test_one_height_out_of_this_world_is_no_fault_of_the_plane(tmp_path: Path) -> None:
+    rings = [list(ring) for ring in box_rings()]
+    rings[0][0] = (*rings[0][0][:2], 4e9)
+    text = city(member(solid(surface_members(map(polygon, rings)))))
+    with pytest.raises(CityModelError, match="has 1 of 24 heights nowhere on Earth") as raised:
+        read_city_model(write(tmp_path / "a.gml", text))
+    assert "not at fault" in raised.value.hint
+
+
+def test_a_file_whose_polygons_all_fall_keeps_its_system(tmp_path: Path) -> None:
+    line = "<gml:posList>500000 5600000 0 500001 5600000 0 500000 5600000 0</gml:posList>"
+    model = read_city_model(write(tmp_path / "a.gml", city(member(solid(surface_members([polygon(line)]))))))
+    assert model.crs == "EPSG:25832"
+    assert model.findings.counts() == {"LB101 RING_TOO_SHORT": 1}
+    assert not model.findings.has_errors()  # it had no area that could be lost

@@ -176,8 +176,10 @@ class TestReading:
         assert "height" in caught.value.hint
         with pytest.raises(CityModelError, match="no footprint with a height"):
             self.read(tmp_path, geojson([([square()], {"height": 0})]))
-        with pytest.raises(CityModelError, match="cannot be read as a vector file"):
+        with pytest.raises(CityModelError, match="is no GeoJSON file"):
             self.read(tmp_path, "not json at all")
+        with pytest.raises(CityModelError, match="cannot be read as a vector file"):
+            self.read(tmp_path, '{"type": "not GeoJSON"}')
         with pytest.raises(CityModelError, match="no terrain model"):
             self.read(tmp_path, geojson([([square()], {"height": 3})]), terrain="nowhere.asc")
 

@@ -127,6 +127,11 @@ class TestFindings:
         assert result.meshed_m2[0] > result.area_m2[0]
         assert result.lost_m2 < 1e-9
 
+    def test_far_from_any_plane(self) -> None:
+        roof = 10 * SQUARE
+        roof[0, 2] = 12.6
+        assert mesh([roof])[1] == {"LB111 FAR_FROM_PLANAR": 1}
+
     def test_a_centimetre_is_planar(self) -> None:
         roof = SQUARE.copy()
         roof[0, 2] = 0.01

@@ -28,7 +28,7 @@ class TestInfo:
         for words in (
             "CityGML 1.0",
             "EPSG:25832+7837 (ETRS89 / UTM zone 32N",
-            "83, in 50 parts",
+            "83, and 50 building parts",
             "157.0 m x 613.0 m",
             "1,144",
         ):

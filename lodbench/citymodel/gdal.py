@@ -1,0 +1,175 @@
+"""GDAL with its doors shut: one driver per ending, chosen by us and never by what a file says of itself.
+
+GDAL asks some sixty drivers whether they know a file's first bytes. A few of them read a description
+of other data, fetch it from the network, or run the SQL it holds, and a file named ``.geojson`` may be one.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import sys
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from types import ModuleType
+from typing import Any
+
+from lodbench.errors import CityModelError
+
+VECTOR_DRIVERS = {
+    ".gpkg": "GPKG",
+    ".shp": "ESRI Shapefile",
+    ".geojson": "GeoJSON",
+    ".fgb": "FlatGeobuf",
+    ".gdb": "OpenFileGDB",
+}
+RASTER_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".img": "HFA", ".hgt": "SRTMHGT", ".dt2": "DTED"}
+# What else pyogrio's GDAL has been built with, up to 3.12.
+_OTHER_DRIVERS = (
+    "MEM", "PCIDSK", "PDS4", "VICAR", "PDF", "MBTiles", "EEDA", "OGCAPI", "GDALG", "MapInfo File",
+    "LVBAG", "S57", "DGN", "OGR_VRT", "VRT", "CSV", "GML", "GPX", "LIBKML", "KML", "GeoJSONSeq",
+    "ESRIJSON", "TopoJSON", "OGR_GMT", "SQLite", "WAsP", "DXF", "GeoRSS", "VFK", "PGDUMP", "OSM",
+    "GPSBabel", "OGR_PDS", "WFS", "OAPIF", "EDIGEO", "Idrisi", "ODS", "XLSX", "XLS",
+    "Elasticsearch", "Carto", "AmigoCloud", "SXF", "Selafin", "JML", "PLSCENES", "CSW", "VDV",
+    "MVT", "NGW", "MapML", "GTFS", "PMTiles", "JSONFG", "MiraMonVector", "ADBC", "AVCBin", "AVCE00",
+    "AIVector", "HTTP", "Memory", "TIGER", "UK .NTF", "Geoconcept", "GMLAS", "NAS", "CAD",
+)  # fmt: skip
+_HEADS: dict[str, Callable[[bytes], bool]] = {
+    ".gpkg": lambda head: head.startswith(b"SQLite format 3\0") and head[68:70] == b"GP",
+    ".shp": lambda head: head.startswith(b"\0\0\x27\x0a"),
+    ".fgb": lambda head: head.startswith(b"fgb"),
+    # No other driver reads a file that begins so, but those whose name the path below leaves out.
+    ".geojson": lambda head: head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{"),
+}
+_HEAD_BYTES = 4096
+_PREFIXED_SINCE = (3, 10)
+
+
+def read_vector(path: str, source: str, layer: str | None) -> tuple[Any, list[str]]:
+    """Returns what ``pyogrio.raw.read`` does, by the driver of the file's ending, and GDAL's warnings.
+
+    Args:
+        path: A file, a FileGDB folder, or ``/vsizip/...``.
+        source: Name for messages.
+        layer: Layer to read, or None for the only one.
+
+    Raises:
+        CityModelError: pyogrio is not installed, or the file is of another kind than its ending says.
+        Exception: Whatever pyogrio raises.
+    """
+    suffix = PurePosixPath(path).suffix.lower()
+    is_known = _HEADS.get(suffix)
+    head, _ = peek(path)
+    if is_known is not None and not is_known(head):
+        raise CityModelError(
+            f"{source} is no {VECTOR_DRIVERS[suffix]} file, although its ending says so.",
+            "Name it by what it is, or export it again as GeoPackage.",
+        )
+    pyogrio = _import_pyogrio(source)
+    # Absolute: a relative name could look like the connection string of a driver.
+    place = path if path.startswith("/vsizip/") else str(Path(path).resolve())
+    if suffix == ".geojson" and tuple(pyogrio.__gdal_version__[:2]) >= _PREFIXED_SINCE:
+        place = f"GeoJSON:{place}"
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        table = pyogrio.raw.read(place, layer=layer)
+    return table, list(dict.fromkeys(str(item.message) for item in caught))
+
+
+def _import_pyogrio(source: str) -> ModuleType:
+    try:
+        with _only_drivers():
+            import pyogrio
+    except ImportError:
+        raise CityModelError(
+            f"Reading {source} needs pyogrio.", "Install it: pip install 'lodbench[vector]'."
+        ) from None
+    pyogrio.set_gdal_config_options({"CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "{none}"})
+    return pyogrio  # type: ignore[no-any-return]
+
+
+@contextmanager
+def _only_drivers() -> Iterator[None]:
+    """Keeps all other drivers from being registered, where pyogrio has not been imported before."""
+    # Unknown names would be complained of on standard error.
+    settings = {"GDAL_SKIP": ",".join(_OTHER_DRIVERS), "GDAL_DRIVER_PATH": "disable", "CPL_LOG": os.devnull}
+    if "pyogrio" in sys.modules:
+        settings = {}
+    before = {name: os.environ.get(name) for name in settings}
+    os.environ.update(settings)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def raster_driver(path: Path) -> str:
+    """Returns the one driver that may read a raster.
+
+    Raises:
+        CityModelError: Its ending names none.
+    """
+    driver = RASTER_DRIVERS.get(path.suffix.lower())
+    if driver is None:
+        raise CityModelError(
+            f"{path} is no terrain model by its ending.", f"Known: .asc, {', '.join(RASTER_DRIVERS)}."
+        )
+    return driver
+
+
+def peek(path: str, suffix: str | None = None) -> tuple[bytes, int]:
+    """Returns the first bytes of a vector file and its size; nothing and 0 where it is absent or a folder.
+
+    Args:
+        path: As for ``read_vector``.
+        suffix: Ending of a sidecar to look at instead (``.dbf``), as long as its own.
+    """
+    if suffix is not None:
+        stem, own = path[: -len(suffix)], path[-len(suffix) :]
+        path = stem + (suffix.upper() if own.isupper() else suffix)
+    if not path.startswith("/vsizip/"):
+        file = Path(path)
+        if not file.is_file():
+            return b"", 0
+        with file.open("rb") as stream:
+            return stream.read(_HEAD_BYTES), file.stat().st_size
+    archive, _, member = path.removeprefix("/vsizip/").partition(".zip/")
+    try:
+        with zipfile.ZipFile(f"{archive}.zip") as opened, opened.open(member) as stream:
+            return stream.read(_HEAD_BYTES), opened.getinfo(member).file_size
+    except (KeyError, OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError):
+        return b"", 0
+
+
+def missing_bytes(path: str) -> list[str]:
+    """Returns what of a Shapefile is cut off: one line for each of its files that is too short.
+
+    GDAL reads what is left without a word. The header of ``.shp`` and ``.shx`` says how long each is, that of
+    ``.dbf`` how many rows it has.
+
+    Args:
+        path: As for ``read_vector``.
+    """
+    if not path.lower().endswith(".shp") or not _HEADS[".shp"](peek(path)[0]):
+        return []
+    lines = []
+    for suffix in (".shp", ".shx", ".dbf"):
+        head, size = peek(path, suffix)
+        if len(head) < 32:
+            lines += [f"its {suffix} has {size} bytes, no header"] if size else []
+            continue
+        if suffix == ".dbf":
+            rows, start, width = struct.unpack_from("<IHH", head, 4)
+            wanted = start + rows * width
+        else:
+            wanted = 2 * struct.unpack_from(">I", head, 24)[0]
+        if size < wanted:
+            lines.append(f"its {suffix} has {size} of {wanted} bytes")
+    return lines

@@ -1,0 +1,131 @@
+"""GDAL reads by the ending, never by what a file says of itself; what is cut off is told."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel import ReadOptions, read_city_model
+from lodbench.citymodel.gdal import missing_bytes
+from lodbench.cli import main
+from lodbench.errors import CityModelError
+
+from .gml_text import write
+
+pytest.importorskip("pyogrio")
+
+# A VRT runs the SQL of its open options and reads any other file.
+_VRT = """<OGRVRTDataSource><OGRVRTLayer name="x">
+<SrcDataSource>{inner}</SrcDataSource>
+<OpenOptions><OOI key="PRELUDE_STATEMENTS">VACUUM INTO '{target}'</OOI></OpenOptions>
+</OGRVRTLayer></OGRVRTDataSource>"""
+
+
+def squares(path: Path, count: int = 40, driver: str = "ESRI Shapefile") -> Path:
+    """Writes footprints of 10 m with heights."""
+    import pyogrio
+    import shapely
+
+    x = 500000.0 + 20.0 * np.arange(count)
+    boxes = shapely.to_wkb(shapely.box(x, 5600000.0, x + 10.0, 5600010.0))
+    pyogrio.raw.write(
+        str(path),
+        boxes,
+        [np.full(count, 6.0), np.array([f"b{i}" for i in range(count)], object)],
+        fields=["height", "ID"],
+        geometry_type="Polygon",
+        crs="EPSG:25832",
+        driver=driver,
+    )
+    return path
+
+
+class TestDrivers:
+    @pytest.fixture
+    def trap(self, tmp_path: Path) -> tuple[str, Path]:
+        inner = squares(tmp_path / "inner.gpkg", driver="GPKG")
+        target = tmp_path / "written.db"
+        return _VRT.format(inner=inner, target=target), target
+
+    @pytest.mark.parametrize("name", ["b.geojson", "b.gpkg", "b.shp", "b.fgb"])
+    def test_a_vrt_under_another_name_is_refused(
+        self, tmp_path: Path, trap: tuple[str, Path], name: str
+    ) -> None:
+        text, target = trap
+        (tmp_path / "tiles").mkdir()
+        path = write(tmp_path / "tiles" / name, text)
+        with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+            archive.writestr(name, text)
+        for city in (path, path.parent, tmp_path / "a.zip"):
+            with pytest.raises(CityModelError, match="although its ending says so"):
+                read_city_model(city)
+        assert not target.exists()
+
+    def test_a_geojson_of_another_kind_of_json(self, tmp_path: Path) -> None:
+        command = '{"type": "gdal_streamed_alg", "command_line": "gdal vector pipeline ! read x.gpkg"}'
+        with pytest.raises(CityModelError, match="cannot be read"):
+            read_city_model(write(tmp_path / "b.geojson", command))
+
+    def test_only_known_drivers_are_registered(self, tmp_path: Path) -> None:
+        path = squares(tmp_path / "a.gpkg", driver="GPKG")
+        script = (
+            "import sys; from lodbench.citymodel import read_city_model; read_city_model(sys.argv[1]);"
+            "import pyogrio; print(*pyogrio.list_drivers(), sep=',')"
+        )
+        words = [sys.executable, "-c", script, str(path)]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+        drivers = {"ESRI Shapefile", "FlatGeobuf", "GPKG", "GeoJSON", "OpenFileGDB"}
+        assert set(done.stdout.strip().split(",")) == drivers
+        assert done.stderr == ""
+
+    def test_a_vrt_as_terrain(self, tmp_path: Path) -> None:
+        pytest.importorskip("rasterio")
+        squares(tmp_path / "b.gpkg", driver="GPKG")
+        for name, told in (
+            ("t.tif", "cannot be read as a raster"),
+            ("t.vrt", "no terrain model by its ending"),
+        ):
+            raster = write(tmp_path / name, '<VRTDataset rasterXSize="1" rasterYSize="1"/>')
+            with pytest.raises(CityModelError, match=told):
+                read_city_model(tmp_path / "b.gpkg", options=ReadOptions(terrain=str(raster)))
+
+
+class TestCutOff:
+    @pytest.mark.parametrize(("suffix", "keep"), [(".shp", 0.4), (".dbf", 0.5), (".shx", 0.6)])
+    def test_a_shapefile_cut_short(self, tmp_path: Path, suffix: str, keep: float, capsys: Any) -> None:
+        path = squares(tmp_path / "a.shp")
+        assert missing_bytes(str(path)) == []
+        cut = path.with_suffix(suffix)
+        size = cut.stat().st_size
+        with cut.open("r+b") as stream:
+            stream.truncate(int(size * keep))
+        with pytest.raises(CityModelError, match=rf"cut off: its {suffix} has \d+ of [0-9]+ bytes"):
+            read_city_model(path)
+        code = main(["city", "check", str(path)])
+        out = capsys.readouterr()
+        assert (code, "LB212" in out.out) == ((1, True) if suffix == ".shp" else (2, False)), out
+
+    def test_in_a_zip(self, tmp_path: Path) -> None:
+        path = squares(tmp_path / "a.shp")
+        with path.open("r+b") as stream:
+            stream.truncate(1000)
+        shutil.make_archive(str(tmp_path / "z"), "zip", tmp_path, None)
+        with pytest.raises(CityModelError, match=r"z\.zip!a\.shp is cut off"):
+            read_city_model(tmp_path / "z.zip")
+
+    def test_warnings_of_gdal_are_findings(self, tmp_path: Path, recwarn: Any) -> None:
+        path = squares(tmp_path / "a.gpkg", driver="GPKG")
+        import sqlite3
+
+        with sqlite3.connect(path) as database:
+            database.execute("PRAGMA user_version = 99000")
+        model = read_city_model(path)
+        assert model.findings.counts().get("LB214 READER_WARNING") == 1
+        assert not recwarn.list
