@@ -165,7 +165,7 @@ def _time_views(
             counts = []
             for k, engine in enumerate((core, whole)):
                 started = time.perf_counter()
-                counts.append(engine.score(camera, swarm.rotations, swarm.centers, mask))
+                counts.append(engine.counts(camera, swarm.rotations, swarm.centers, mask))
                 taken = (time.perf_counter() - started) / len(swarm.centers) * 1e6
                 microseconds[k, i] = min(microseconds[k, i], taken)
         different += int(

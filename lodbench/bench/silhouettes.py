@@ -242,7 +242,7 @@ def _best_pass(
     for _ in range(repeats):
         # The whole process: a library's own threads count too.
         started, worked = time.perf_counter(), time.process_time()
-        contender.scorer.score(camera, rotations, centers, mask)
+        contender.scorer.counts(camera, rotations, centers, mask)
         seconds = time.perf_counter() - started
         passes.append((seconds / len(centers) * 1e6, (time.process_time() - worked) / seconds))
     return min(passes)

@@ -22,8 +22,8 @@ from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
 
 from lodbench.rendering.bits import words_per_row
-from lodbench.rendering.lane_marks import mark_lines, set_up_lines
-from lodbench.rendering.lanes import LANES
+from lodbench.rendering.simd import LANES
+from lodbench.rendering.simd_marks import mark_lines, set_up_lines
 
 # A sum is read as 16 bits: it is looked at before more triangles than this could pile up.
 MAX_LAYERS = 30_000

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.rendering.coverage import Coverage, EdgeLists, blank_coverage, edge_lists
-from lodbench.rendering.lanes import LANES
+from lodbench.rendering.simd import LANES
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.uint32]

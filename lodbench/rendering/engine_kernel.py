@@ -1,7 +1,7 @@
 """The silhouette engine's hot loop: views of a scene into bit-packed rows, on one core.
 
 Eight hypotheses are drawn together: a building is projected, its triangles faced and its outline found
-for all eight (``lane_outline``), each hypothesis gathering the edges of its outlines in a list. Then each
+for all eight (``simd_outline``), each hypothesis gathering the edges of its outlines in a list. Then each
 in turn has its edges marked and swept into words (``coverage``), while its marks fit the cache.
 """
 
@@ -19,11 +19,11 @@ from lodbench.rendering.coverage import (
     mark_edges,
     sweep,
 )
-from lodbench.rendering.lane_outline import collect_outline, face_triangles, project_vertices
-from lodbench.rendering.lanes import LANES
 from lodbench.rendering.projection import camera_axes, snap
 from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
 from lodbench.rendering.selection import select_buildings
+from lodbench.rendering.simd import LANES
+from lodbench.rendering.simd_outline import collect_outline, face_triangles, project_vertices
 
 # A building whose snapped corners all stay this far inside the guard band needs no clipping.
 _SAFE_SUBPIXELS = int((GUARD_PX - 2.0) * 256.0)

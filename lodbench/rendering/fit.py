@@ -1,9 +1,9 @@
-"""Fits: how well silhouettes match a query, as the number that hypotheses are ranked by.
+"""Fits: similarities of silhouettes to a query, the numbers that hypotheses are ranked by.
 
 To add one, write a class with a ``size`` and a ``__call__`` as in ``Fit``: made once from what the query
 shows, called with many silhouettes as bit-packed words. Count in integers, so that ties are ties and no
 result depends on the order of a sum; keep the work in numba, ``nogil``, because renderers call it from
-several threads. Any ``Scorer.measure`` then takes it. For ``method.fit=NAME`` give it a line in
+several threads. Any ``Scorer.fit`` then takes it. For ``method.fit=NAME`` give it a line in
 ``lodbench/methods/fits.py``, and test it against plain numpy as in ``tests/rendering/test_fit.py``.
 """
 
@@ -34,7 +34,7 @@ _ONE = 1 << 16
 
 
 class Fit(Protocol):
-    """How well silhouettes match one query: in [0, 1], higher is better, 0 for nothing in common.
+    """The similarity of silhouettes to one query: in [0, 1], higher is better, 0 for nothing in common.
 
     Attributes:
         size: Width and height of the silhouettes it compares, pixels.
@@ -43,7 +43,7 @@ class Fit(Protocol):
     size: tuple[int, int]
 
     def __call__(self, words: Words) -> Floats:
-        """Returns the (N,) float64 fit of N silhouettes, (N, H, ceil(W / 64)) words as of ``pack_mask``.
+        """Returns the (N,) float64 similarity of N silhouettes, (N, H, ceil(W / 64)) words of ``pack_mask``.
 
         The words are only read, and only during the call.
         """

@@ -76,13 +76,15 @@ class InstanceRenderer(Renderer, Protocol):
 class Scorer(Renderer, Protocol):
     """A renderer that also compares many hypotheses with a query mask."""
 
-    def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
+    def counts(
+        self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]
+    ) -> IouCounts:
         """Counts how N hypotheses, (N, 3, 3) rotations and (N, 3) centres, overlap an (H, W) mask."""
         ...
 
-    def measure(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
-        """Returns how well N hypotheses fit a query, (N,), by any cost; see ``lodbench/rendering/fit.py``.
+    def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
+        """Returns the similarity of N hypotheses to a query, (N,), in [0, 1]: see ``Fit``.
 
-        With ``IouFit`` the numbers are those of ``score``.
+        With ``IouFit`` the numbers are those of ``counts``.
         """
         ...

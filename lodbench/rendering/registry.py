@@ -95,11 +95,11 @@ def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer
         RenderingError: A library the renderer needs is absent.
     """
     renderer = open_renderer(name, scene, threads)
-    return cast(Scorer, renderer) if hasattr(renderer, "score") else RenderAndCompare(renderer)
+    return cast(Scorer, renderer) if hasattr(renderer, "counts") else RenderAndCompare(renderer)
 
 
 class RenderAndCompare:
-    """Gives any renderer the engine's ``score``, by drawing each hypothesis and counting pixels."""
+    """Gives any renderer the engine's ``counts`` and ``fit``, by drawing each hypothesis."""
 
     def __init__(self, renderer: Renderer) -> None:
         self.name = renderer.name
@@ -110,7 +110,9 @@ class RenderAndCompare:
         """Returns the (H, W) silhouette seen from a pose."""
         return self._renderer.render(camera, pose)
 
-    def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
+    def counts(
+        self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]
+    ) -> IouCounts:
         """Counts how N hypotheses overlap an (H, W) mask."""
         require_size(camera, (mask.shape[1], mask.shape[0]))
         rotations, centers = require_poses(rotations, centers)
@@ -120,7 +122,7 @@ class RenderAndCompare:
             counts[:, i] = np.count_nonzero(drawn & mask), np.count_nonzero(drawn | mask)
         return IouCounts(counts[0], counts[1])
 
-    def measure(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
+    def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
         """Returns how well N hypotheses fit a query, (N,) float64."""
         require_size(camera, fit.size)
         rotations, centers = require_poses(rotations, centers)

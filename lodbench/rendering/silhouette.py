@@ -18,7 +18,6 @@ from lodbench.rendering.engine_kernel import draw_view, draw_views, score_views
 from lodbench.rendering.engine_store import open_arrays
 from lodbench.rendering.fit import Fit, IouFit
 from lodbench.rendering.instances import Instances, draw_instances
-from lodbench.rendering.lanes import LANES
 from lodbench.rendering.nearby import nearby_order
 from lodbench.rendering.projection import (
     pose_arrays,
@@ -29,6 +28,7 @@ from lodbench.rendering.projection import (
 )
 from lodbench.rendering.protocol import IouCounts
 from lodbench.rendering.selection import select_buildings
+from lodbench.rendering.simd import LANES
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -92,7 +92,9 @@ class SilhouetteRenderer:
             *draw_instances(self._arrays, seen, *poses, view, scratch, words[:1]),
         )
 
-    def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
+    def counts(
+        self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]
+    ) -> IouCounts:
         """Counts how N hypotheses' silhouettes overlap a query mask.
 
         Args:
@@ -118,7 +120,7 @@ class SilhouetteRenderer:
         self._share_out(work, nearby_order(rotations, centers))
         return IouCounts(shared, area + count_bits(query) - shared)
 
-    def measure(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
+    def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
         """Returns how well N hypotheses' silhouettes fit a query, (N,) float64, higher is better.
 
         Args:
@@ -128,10 +130,10 @@ class SilhouetteRenderer:
             fit: Made from the query; see ``lodbench/rendering/fit.py``.
 
         Raises:
-            RenderingError: As for ``score``.
+            RenderingError: As for ``counts``.
         """
         if isinstance(fit, IouFit):
-            return self.score(camera, rotations, centers, fit.mask).iou()
+            return self.counts(camera, rotations, centers, fit.mask).iou()
         require_size(camera, fit.size)
         view = _view(camera)
         rotations, centers = require_poses(rotations, centers)

@@ -272,9 +272,9 @@ class Counting:
         self.count += 1
         return self._scorer.render(camera, pose)
 
-    def measure(self, camera, rotations, centers, fit):
+    def fit(self, camera, rotations, centers, fit):
         self.count += len(centers)
-        return self._scorer.measure(camera, rotations, centers, fit)
+        return self._scorer.fit(camera, rotations, centers, fit)
 
 
 class TestCertainty:

@@ -101,9 +101,9 @@ class TestDeterminism:
         class OneByOne:
             name, scene = scorer.name, scorer.scene
 
-            def measure(self, camera, rotations, centers, fit):
+            def fit(self, camera, rotations, centers, fit):
                 parts = [
-                    scorer.measure(camera, rotations[i : i + 1], centers[i : i + 1], fit)
+                    scorer.fit(camera, rotations[i : i + 1], centers[i : i + 1], fit)
                     for i in range(len(centers))
                 ]
                 return np.concatenate(parts)
@@ -194,7 +194,7 @@ class TestTies:
             def __init__(self):
                 self.scene = scene
 
-            def measure(self, camera, rotations, centers, fit):
+            def fit(self, camera, rotations, centers, fit):
                 return np.full(len(centers), 0.5)
 
         params = Params(variant="no_select", steps=3, **SMALL)

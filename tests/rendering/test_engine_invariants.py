@@ -45,7 +45,7 @@ def query():
 def test_score_counts_the_pixels_of_render(query):
     engine = SilhouetteRenderer(town(), 1)
     rotations, centers = swarm(40)
-    counts = engine.score(CAMERA, rotations, centers, query)
+    counts = engine.counts(CAMERA, rotations, centers, query)
     for i, (rotation, center) in enumerate(zip(rotations, centers, strict=True)):
         drawn = engine.render(CAMERA, Pose.from_center(rotation, center))
         # from_center and back may move the centre's last bit; here it moves no pixel.
@@ -59,8 +59,8 @@ def test_score_counts_the_pixels_of_render(query):
 @pytest.mark.parametrize("count", [1, 2, 13, 14, 52, 101])
 def test_threads_change_nothing(query, threads, count):
     rotations, centers = swarm(count)
-    one = SilhouetteRenderer(town(), 1).score(CAMERA, rotations, centers, query)
-    many = SilhouetteRenderer(town(), threads).score(CAMERA, rotations, centers, query)
+    one = SilhouetteRenderer(town(), 1).counts(CAMERA, rotations, centers, query)
+    many = SilhouetteRenderer(town(), threads).counts(CAMERA, rotations, centers, query)
     np.testing.assert_array_equal(one.intersection, many.intersection)
     np.testing.assert_array_equal(one.union, many.union)
 
@@ -70,10 +70,10 @@ def test_batches_change_nothing(sizes):
     engine = SilhouetteRenderer(town(3), 1)
     rotations, centers = swarm(sum(sizes))
     mask = engine.render(CAMERA, Pose.from_euler(EulerAngles(35, 1, 20), (40, 10, 110)))
-    whole = engine.score(CAMERA, rotations, centers, mask)
+    whole = engine.counts(CAMERA, rotations, centers, mask)
     cuts = np.cumsum(sizes)[:-1]
     parts = [
-        engine.score(CAMERA, r, c, mask)
+        engine.counts(CAMERA, r, c, mask)
         for r, c in zip(np.split(rotations, cuts), np.split(centers, cuts), strict=True)
     ]
     np.testing.assert_array_equal(whole.intersection, np.concatenate([p.intersection for p in parts]))
@@ -87,14 +87,14 @@ def test_a_batch_in_which_some_must_clip_is_each_view_by_itself(scene, views, se
     engine = SilhouetteRenderer(scene, 1)
     mask = np.random.default_rng(seed).random((camera.height, camera.width)) < 0.5
     centers = np.array([pose.center for pose in poses])
-    counts = engine.score(camera, np.array([pose.rotation for pose in poses]), centers, mask)
+    counts = engine.counts(camera, np.array([pose.rotation for pose in poses]), centers, mask)
     drawn = [engine.render(camera, pose) for pose in poses]
     np.testing.assert_array_equal(counts.intersection, [np.count_nonzero(d & mask) for d in drawn])
     np.testing.assert_array_equal(counts.union, [np.count_nonzero(d | mask) for d in drawn])
 
 
 def test_no_hypotheses_give_no_counts(query):
-    counts = SilhouetteRenderer(town(), 2).score(CAMERA, np.zeros((0, 3, 3)), np.zeros((0, 3)), query)
+    counts = SilhouetteRenderer(town(), 2).counts(CAMERA, np.zeros((0, 3, 3)), np.zeros((0, 3)), query)
     assert counts.iou().shape == (0,)
 
 
@@ -128,7 +128,7 @@ def reaches_behind(triangles, pose) -> bool:
 
 def test_a_mask_of_another_size_is_refused(query):
     with pytest.raises(RenderingError, match="129 x 96"):
-        SilhouetteRenderer(town(2), 1).score(CAMERA.scaled(64, 48), *swarm(1), query)
+        SilhouetteRenderer(town(2), 1).counts(CAMERA.scaled(64, 48), *swarm(1), query)
 
 
 def test_a_distorted_camera_is_refused():
@@ -151,9 +151,9 @@ def test_nearby_poses_are_drawn_each_for_itself(query, apart_m):
     base = Pose.from_euler(EulerAngles(35, 1, 20), (80, 40, 110))
     centers = base.center + apart_m * rng.uniform(-1, 1, (19, 3))
     rotations = rotations_at_yaws(35.0, 1.0, 20.0 + apart_m * rng.uniform(-1, 1, 19))
-    counts = SilhouetteRenderer(town(), 1).score(CAMERA, rotations, centers, query)
+    counts = SilhouetteRenderer(town(), 1).counts(CAMERA, rotations, centers, query)
     reference = RenderAndCompare(ReferenceRenderer(town()))
-    expected = reference.score(CAMERA, rotations[::6], centers[::6], query)
+    expected = reference.counts(CAMERA, rotations[::6], centers[::6], query)
     np.testing.assert_array_equal(counts.intersection[::6], expected.intersection)
     np.testing.assert_array_equal(counts.union[::6], expected.union)
     assert (len(set(counts.iou())) > 10) == (apart_m == 1.0)
@@ -175,8 +175,8 @@ def test_swarms_far_from_the_origin(scale):
     # from_center and back cost a centre of 1e7 m its last bits: the engine is asked for the same.
     poses = [Pose.from_center(r, c) for r, c in zip(rotations[::5], centers[::5], strict=True)]
     same = np.array([pose.center for pose in poses])
-    ours = SilhouetteRenderer(scene, 1).score(CAMERA, rotations[::5], same, mask)
-    expected = reference.score(CAMERA, rotations[::5], centers[::5], mask)
+    ours = SilhouetteRenderer(scene, 1).counts(CAMERA, rotations[::5], same, mask)
+    expected = reference.counts(CAMERA, rotations[::5], centers[::5], mask)
     np.testing.assert_array_equal(ours.intersection, expected.intersection)
     np.testing.assert_array_equal(ours.union, expected.union)
     assert (ours.iou() > 0).all()
@@ -187,7 +187,7 @@ def test_masks_whose_rows_end_within_a_word(width, height):
     camera = Camera(width, height, 90.0, 89.0, width / 2, height / 2)
     rotations, centers = swarm(9)
     mask = np.random.default_rng(10).random((height, width)) < 0.5
-    ours = SilhouetteRenderer(town(), 2).score(camera, rotations, centers, mask)
-    expected = RenderAndCompare(SilhouetteRenderer(town(), 1)).score(camera, rotations, centers, mask)
+    ours = SilhouetteRenderer(town(), 2).counts(camera, rotations, centers, mask)
+    expected = RenderAndCompare(SilhouetteRenderer(town(), 1)).counts(camera, rotations, centers, mask)
     np.testing.assert_array_equal(ours.intersection, expected.intersection)
     np.testing.assert_array_equal(ours.union, expected.union)

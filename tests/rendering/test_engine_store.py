@@ -47,7 +47,7 @@ def test_the_same_pictures(stored):
     for _ in range(2):
         engine = SilhouetteRenderer(stored, 1)
         np.testing.assert_array_equal(engine.render(CAMERA, POSE), drawn)
-        counts = engine.score(CAMERA, POSE.rotation[None], POSE.center[None], drawn)
+        counts = engine.counts(CAMERA, POSE.rotation[None], POSE.center[None], drawn)
         assert counts.intersection[0] == counts.union[0] == drawn.sum()
 
 

@@ -135,22 +135,22 @@ class TestThroughTheEngine:
         mask = engine.render(self.CAMERA, Pose.from_euler(EulerAngles(35, 1, 20), (80, 20, 110)))
         rotations, centers = self.hypotheses(30)
         for fit in self.fits(mask):
-            whole = engine.measure(self.CAMERA, rotations, centers, fit)
+            whole = engine.fit(self.CAMERA, rotations, centers, fit)
             assert len(set(whole)) > 10
             parts = [
-                engine.measure(self.CAMERA, rotations[i : i + 4], centers[i : i + 4], fit)
+                engine.fit(self.CAMERA, rotations[i : i + 4], centers[i : i + 4], fit)
                 for i in range(0, 30, 4)
             ]
             np.testing.assert_array_equal(np.concatenate(parts), whole)
             for other in (make_renderer("silhouette", self.SCENE, 3), make_renderer("raster", self.SCENE, 1)):
-                np.testing.assert_array_equal(other.measure(self.CAMERA, rotations, centers, fit), whole)
+                np.testing.assert_array_equal(other.fit(self.CAMERA, rotations, centers, fit), whole)
 
     def test_iou_is_that_of_score(self):
         engine = make_renderer("silhouette", self.SCENE, 2)
         mask = engine.render(self.CAMERA, Pose.from_euler(EulerAngles(35, 1, 20), (80, 20, 110)))
         poses = self.hypotheses(20)
-        counts = engine.score(self.CAMERA, *poses, mask)
-        np.testing.assert_array_equal(engine.measure(self.CAMERA, *poses, IouFit(mask)), counts.iou())
+        counts = engine.counts(self.CAMERA, *poses, mask)
+        np.testing.assert_array_equal(engine.fit(self.CAMERA, *poses, IouFit(mask)), counts.iou())
 
     def test_one_s_own_fit(self):
         class Area:
@@ -163,7 +163,7 @@ class TestThroughTheEngine:
 
         engine = make_renderer("silhouette", self.SCENE, 1)
         rotations, centers = self.hypotheses(5)
-        areas = engine.measure(self.CAMERA, rotations, centers, Area())
+        areas = engine.fit(self.CAMERA, rotations, centers, Area())
         drawn = [
             engine.render(self.CAMERA, Pose.from_center(r, c)).sum() / (192 * 96)
             for r, c in zip(rotations, centers, strict=True)
@@ -174,7 +174,7 @@ class TestThroughTheEngine:
     def test_a_fit_of_another_size_is_refused(self, name):
         fit = IouFit(np.ones((48, 64), dtype=bool))
         with pytest.raises(RenderingError, match="64 x 48"):
-            make_renderer(name, self.SCENE, 1).measure(self.CAMERA, *self.hypotheses(1), fit)
+            make_renderer(name, self.SCENE, 1).fit(self.CAMERA, *self.hypotheses(1), fit)
 
 
 class TestWhatIsRefused:

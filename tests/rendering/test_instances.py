@@ -55,7 +55,7 @@ def test_their_union_is_the_silhouette_and_nothing_is_left_behind():
     pose = Pose.from_euler(EulerAngles(55, 1, 20), (80, -40, 70))
     drawn = engine.render(CAMERA, pose)
     rotations, centers = pose.rotation[None], pose.center[None]
-    before = engine.score(CAMERA, rotations, centers, drawn)
+    before = engine.counts(CAMERA, rotations, centers, drawn)
     instances = engine.instances(CAMERA, pose)
     union = np.zeros_like(drawn)
     for _, mask in instances.masks():
@@ -63,7 +63,7 @@ def test_their_union_is_the_silhouette_and_nothing_is_left_behind():
     np.testing.assert_array_equal(union, drawn)
     assert instances.areas().sum() > drawn.sum()  # they overlap
     # Scoring uses the same working memory.
-    after = engine.score(CAMERA, rotations, centers, drawn)
+    after = engine.counts(CAMERA, rotations, centers, drawn)
     assert (after.intersection[0], after.union[0]) == (before.intersection[0], before.union[0])
 
 

@@ -51,7 +51,7 @@ def test_scores_like_any_renderer():
     open_or_skip(TOWN)
     scorer = make_renderer("open3d", TOWN, 1)
     pose = straight_down(60.0)
-    counts = scorer.score(CAMERA, pose.rotation[None], pose.center[None], scorer.render(CAMERA, pose))
+    counts = scorer.counts(CAMERA, pose.rotation[None], pose.center[None], scorer.render(CAMERA, pose))
     assert counts.iou().tolist() == [1.0]
 
 

@@ -36,9 +36,9 @@ def test_every_renderer_without_extras_scores_alike():
         make_renderer(name, SCENE, 1) for name in ("silhouette", "reference", "raster")
     )
     mask = reference.render(CAMERA, Pose.from_euler(EulerAngles(30, 1, 5), (0, -20, 50)))
-    expected = reference.score(CAMERA, rotations, centers, mask)
+    expected = reference.counts(CAMERA, rotations, centers, mask)
     for renderer in (engine, raster):
-        ours = renderer.score(CAMERA, rotations, centers, mask)
+        ours = renderer.counts(CAMERA, rotations, centers, mask)
         np.testing.assert_array_equal(ours.intersection, expected.intersection)
         np.testing.assert_array_equal(ours.union, expected.union)
     assert engine.name == "silhouette"
@@ -87,8 +87,8 @@ def test_poses_that_are_not_finite_are_refused(name, value):
     rotations, centers = np.repeat(good.rotation[None], 3, axis=0), np.repeat(good.center[None], 3, axis=0)
     rotations[1, 2, 0] = value
     for score in (
-        lambda *poses: renderer.score(CAMERA, *poses, mask),
-        lambda *poses: renderer.measure(CAMERA, *poses, IouFit(mask)),
+        lambda *poses: renderer.counts(CAMERA, *poses, mask),
+        lambda *poses: renderer.fit(CAMERA, *poses, IouFit(mask)),
     ):
         with pytest.raises(RenderingError, match="Pose 1 of 3"):
             score(rotations, centers)

@@ -100,6 +100,6 @@ def test_zero_visible_buildings():
     away = Pose.from_euler(EulerAngles(80, 0, 0), (0, 500, 40))
     assert not engine.render(CAMERA, away).any()
     mask = engine.render(CAMERA, Pose.from_euler(EulerAngles(10, 0, 0), (0, 0, 60)))
-    counts = engine.score(CAMERA, away.rotation[None], away.center[None], mask)
+    counts = engine.counts(CAMERA, away.rotation[None], away.center[None], mask)
     assert (counts.intersection[0], counts.union[0]) == (0, mask.sum())
     assert mask.sum() > 0

@@ -139,7 +139,7 @@ def _around_truth(
     yaws = np.concatenate([np.zeros(len(flat) + len(up)), grid.yaw()])
     pitch, roll, yaw = truth.euler
     rotations = rotations_at_yaws(pitch, roll, yaw + yaws)
-    counts = scorer.score(query.camera.scaled(*_SIZE), rotations, truth.center + offsets, mask)
+    counts = scorer.counts(query.camera.scaled(*_SIZE), rotations, truth.center + offsets, mask)
     return [float(v) for v in counts.iou()]
 
 

@@ -155,7 +155,7 @@ def require_writable(folder: Path) -> None:
 def _warm_up(scorer: Scorer) -> None:
     """Lets the renderer compile, or load what it compiled, before the first query's clock runs."""
     camera = Camera(8, 8, 8.0, 8.0, 4.0, 4.0)
-    scorer.score(camera, np.eye(3)[None], np.zeros((1, 3)), np.zeros((8, 8), dtype=np.bool_))
+    scorer.counts(camera, np.eye(3)[None], np.zeros((1, 3)), np.zeros((8, 8), dtype=np.bool_))
 
 
 def scene_digest(scene: Scene) -> str:
@@ -221,7 +221,7 @@ def mask_iou_at_truth(query: Query, preparation: Preparation, scorer: Scorer) ->
         height, width = max(1, round(_IOU_WIDTH * height / width)), _IOU_WIDTH
     mask = binary_mask(query.building_probability, width, height)
     camera = query.camera.scaled(width, height)
-    return float(scorer.score(camera, truth.rotation[None], truth.center[None], mask).iou()[0])
+    return float(scorer.counts(camera, truth.rotation[None], truth.center[None], mask).iou()[0])
 
 
 def _row(entry: Entry, answer: dict[str, Any], preparation: Preparation) -> QueryRow:

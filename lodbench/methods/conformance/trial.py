@@ -77,15 +77,17 @@ class CountingScorer:
         self.count += 1
         return self._scorer.render(camera, pose)
 
-    def score(self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]) -> IouCounts:
+    def counts(
+        self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]
+    ) -> IouCounts:
         """Returns the scorer's counts."""
         self.count += len(centers)
-        return self._scorer.score(camera, rotations, centers, mask)
+        return self._scorer.counts(camera, rotations, centers, mask)
 
-    def measure(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
-        """Returns the scorer's measures."""
+    def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
+        """Returns the scorer's similarities."""
         self.count += len(centers)
-        return self._scorer.measure(camera, rotations, centers, fit)
+        return self._scorer.fit(camera, rotations, centers, fit)
 
 
 def make_trial(folder: Path) -> Trial:

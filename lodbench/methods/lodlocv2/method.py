@@ -48,7 +48,7 @@ class Judge:
     def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
         """Returns the poses with their scores."""
         rotations = rotations_at_yaws(self.pitch_deg, self.roll_deg, yaws_deg)
-        scores = self._scorer.measure(self.camera, rotations, centers, self.fit)
+        scores = self._scorer.fit(self.camera, rotations, centers, self.fit)
         self.scored += len(centers)
         return Particles(centers, yaws_deg, scores)
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numba import njit
 
 from lodbench.rendering.coverage import append_edge, blank_coverage, edge_lists, mark_edges, pack_corner
-from lodbench.rendering.lane_outline import face_triangles, project_vertices
-from lodbench.rendering.lanes import LANES
+from lodbench.rendering.simd import LANES
+from lodbench.rendering.simd_outline import face_triangles, project_vertices
 
 # The guard band, in sub-pixels.
 _REACH = 8192 * 256
@@ -109,6 +109,9 @@ def test_faces_turn_as_their_exact_area_says(numbers):
     v = np.array(numbers[3 * LANES :], dtype=np.int32)
     facing = np.full(LANES, 7, dtype=np.int32)
     _face(*(np.array([i], dtype=np.uint32) for i in range(3)), u, v, facing)
-    (ua, ub, uc), (va, vb, vc) = u.astype(object).reshape(3, LANES), v.astype(object).reshape(3, LANES)
+    (ua, ub, uc), (va, vb, vc) = (
+        u.astype(object).reshape(3, LANES),
+        v.astype(object).reshape(3, LANES),
+    )
     area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
     np.testing.assert_array_equal(facing, np.sign(area.astype(np.float64)))

@@ -14,19 +14,19 @@ from numba.core import cgutils
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
-from lodbench.rendering.lanes import (
+from lodbench.rendering.simd import (
     BIT,
     F64,
     I32,
     I64,
     LANES,
-    Lanes,
     Memory,
     Running,
+    Vector,
     arrays,
+    broadcast,
     constant_index,
-    spread,
-    times_lanes,
+    vector_offset,
 )
 
 
@@ -56,31 +56,31 @@ def project_vertices(
         xs, ys, zs, pose, focal, us, vs, extents, depths = arrays(
             context, builder, signature, args, (0, 1, 2, 5, 6, 7, 8, 9, 10)
         )
-        r = [pose.lanes(constant_index(LANES * i)) for i in range(9)]
-        c = [pose.lanes(constant_index(LANES * i)) for i in range(9, 12)]
+        r = [pose.load(constant_index(LANES * i)) for i in range(9)]
+        c = [pose.load(constant_index(LANES * i)) for i in range(9, 12)]
         # Times a power of two: exact, and the same at every step as multiplying at the end.
-        f = [focal.same(constant_index(i)) * 256.0 for i in range(4)]
+        f = [focal.broadcast(constant_index(i)) * 256.0 for i in range(4)]
         highest = ir.Constant(ir.VectorType(F64, LANES), [float("inf")] * LANES)
         lowest = ir.Constant(highest.type, [-float("inf")] * LANES)
         bounds = [Running(builder, start) for start in (highest, lowest, highest, lowest)]
         near = Running(builder, highest)
         with cgutils.for_range(builder, builder.sub(args[4], args[3])) as loop:
             k = builder.add(args[3], loop.index)
-            dx, dy, dz = xs.same(k) - c[0], ys.same(k) - c[1], zs.same(k) - c[2]
+            dx, dy, dz = xs.broadcast(k) - c[0], ys.broadcast(k) - c[1], zs.broadcast(k) - c[2]
             px, py, pz = ((r[3 * i] * dx + r[3 * i + 1] * dy) + r[3 * i + 2] * dz for i in range(3))
             inverse = pz.reciprocal()
-            at = times_lanes(builder, loop.index)
+            at = vector_offset(builder, loop.index)
             screen = ((f[0] * px) * inverse + f[2], us), ((f[1] * py) * inverse + f[3], vs)
             for i, (position, memory) in enumerate(screen):
                 snapped = (position + 0.5).floor()
-                memory.put(at, snapped.low_bits())
+                memory.store(at, snapped.low_bits())
                 low, high = bounds[2 * i], bounds[2 * i + 1]
-                low.set(snapped.at_most(Lanes(builder, low.get())).value)
-                high.set(snapped.at_least(Lanes(builder, high.get())).value)
-            near.set(pz.at_most(Lanes(builder, near.get())).value)
+                low.set(snapped.at_most(Vector(builder, low.get())).value)
+                high.set(snapped.at_least(Vector(builder, high.get())).value)
+            near.set(pz.at_most(Vector(builder, near.get())).value)
         for i, bound in enumerate(bounds):
-            extents.put(constant_index(LANES * i), Lanes(builder, bound.get()))
-        depths.put(constant_index(0), Lanes(builder, near.get()))
+            extents.store(constant_index(LANES * i), Vector(builder, bound.get()))
+        depths.store(constant_index(0), Vector(builder, near.get()))
         return context.get_dummy_value()
 
     index = types.int64
@@ -116,12 +116,14 @@ def face_triangles(
         a, b, c, us, vs, signs = arrays(context, builder, signature, args, (0, 1, 2, 5, 6, 7))
         with cgutils.for_range(builder, builder.sub(args[4], args[3])) as loop:
             k = builder.add(args[3], loop.index)
-            places = [times_lanes(builder, builder.zext(corner.scalar(k), I64)) for corner in (a, b, c)]
-            (ua, va), (ub, vb), (uc, vc) = ((us.lanes(at), vs.lanes(at)) for at in places)
+            places = [
+                vector_offset(builder, builder.zext(corner.load_scalar(k), I64)) for corner in (a, b, c)
+            ]
+            (ua, va), (ub, vb), (uc, vc) = ((us.load(at), vs.load(at)) for at in places)
             sides = [side.to(I64) for side in (ub - ua, vc - va, uc - ua, vb - va)]
             area = sides[0] * sides[1] - sides[2] * sides[3]
             sign = area.compare(">", 0).to(I32) - area.compare("<", 0).to(I32)
-            signs.put(times_lanes(builder, loop.index), sign)
+            signs.store(vector_offset(builder, loop.index), sign)
         return context.get_dummy_value()
 
     index = types.int64
@@ -163,19 +165,22 @@ def collect_outline(
         signs, us, vs = arrays(context, builder, signature, args, (7, 8, 9))
         lists = arrays(context, builder, signature, args, (13, 14))
         lengths = Memory(context, builder, signature.args[15], args[15])
-        takes_part = Lanes(
-            builder, builder.bitcast(builder.trunc(args[10], ir.IntType(LANES)), ir.VectorType(BIT, LANES))
+        takes_part = Vector(
+            builder,
+            builder.bitcast(builder.trunc(args[10], ir.IntType(LANES)), ir.VectorType(BIT, LANES)),
         )
-        stop_column = spread(builder, builder.trunc(args[11], I32))
-        below = spread(builder, builder.shl(builder.trunc(args[12], I32), ir.Constant(I32, 8)))
+        stop_column = broadcast(builder, builder.trunc(args[11], I32))
+        below = broadcast(builder, builder.shl(builder.trunc(args[12], I32), ir.Constant(I32, 8)))
         ends = []
         for lane in range(LANES):
             begin = builder.mul(args[16], constant_index(lane))
-            ends.append(Running(builder, builder.add(begin, lengths.scalar(constant_index(lane)))))
+            ends.append(Running(builder, builder.add(begin, lengths.load_scalar(constant_index(lane)))))
         with cgutils.for_range(builder, builder.sub(args[6], args[5])) as loop:
             k = builder.add(args[5], loop.index)
-            i, j, one, other = (times_lanes(builder, builder.zext(edges[n].scalar(k), I64)) for n in range(4))
-            sum_here = signs.lanes(one) + edges[4].same(k) * signs.lanes(other)
+            i, j, one, other = (
+                vector_offset(builder, builder.zext(edges[n].load_scalar(k), I64)) for n in range(4)
+            )
+            sum_here = signs.load(one) + edges[4].broadcast(k) * signs.load(other)
             is_outline = sum_here.compare("!=", 0) & takes_part
             with builder.if_then(
                 builder.icmp_unsigned("!=", is_outline.bits(), ir.Constant(ir.IntType(8), 0))
@@ -184,7 +189,7 @@ def collect_outline(
                 _append(builder, lists, ends, fields, is_outline & is_met)
         for lane in range(LANES):
             begin = builder.mul(args[16], constant_index(lane))
-            lengths.put_scalar(constant_index(lane), builder.sub(ends[lane].get(), begin))
+            lengths.store_scalar(constant_index(lane), builder.sub(ends[lane].get(), begin))
         return context.get_dummy_value()
 
     index = types.int64
@@ -195,8 +200,8 @@ def collect_outline(
 
 
 def _in_view(
-    us: Memory, vs: Memory, ends: tuple[Any, Any], weight: Lanes, stop_column: Lanes, below: Lanes
-) -> tuple[tuple[Lanes, Lanes], Lanes]:
+    us: Memory, vs: Memory, ends: tuple[Any, Any], weight: Vector, stop_column: Vector, below: Vector
+) -> tuple[tuple[Vector, Vector], Vector]:
     """Returns an edge's left and right corner, packed, and whether it meets a column's centre in the view.
 
     Args:
@@ -208,7 +213,7 @@ def _in_view(
         below: The first row below it, in the units of ``vs``.
     """
     i, j = ends
-    ui, vi, uj, vj = us.lanes(i), vs.lanes(i), us.lanes(j), vs.lanes(j)
+    ui, vi, uj, vj = us.load(i), vs.load(i), us.load(j), vs.load(j)
     leftward = ui.compare(">", uj)
     ul, ur = uj.where(leftward, ui), ui.where(leftward, uj)
     vl, vr = vj.where(leftward, vi), vi.where(leftward, vj)
@@ -219,19 +224,19 @@ def _in_view(
     return (_packed(ul, vl, turned), _packed(ur, vr, turned)), is_met
 
 
-def _packed(u: Lanes, v: Lanes, weight: Lanes) -> Lanes:
+def _packed(u: Vector, v: Vector, weight: Vector) -> Vector:
     """Returns corners as ``pack_corner`` does."""
     low = (u & 0xFFFFFF) | (weight << 24)
     return (v.to(I64) << 32) | (low.to(I64) & 0xFFFFFFFF)
 
 
 def _append(
-    builder: Any, lists: list[Memory], ends: list[Running], fields: tuple[Lanes, ...], kept: Lanes
+    builder: Any, lists: list[Memory], ends: list[Running], fields: tuple[Vector, ...], kept: Vector
 ) -> None:
     """Writes each lane's fields at its list's end; the end moves on where the lane is kept."""
     more = kept.to(I64)
     for lane, end in enumerate(ends):
         at = end.get()
         for memory, field in zip(lists, fields, strict=True):
-            memory.put_scalar(at, field.lane(lane))
-        end.set(builder.add(at, more.lane(lane)))
+            memory.store_scalar(at, field.extract(lane))
+        end.set(builder.add(at, more.extract(lane)))

@@ -10,18 +10,18 @@ from numba.core import cgutils
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
-from lodbench.rendering.lanes import (
+from lodbench.rendering.simd import (
     F64,
     I16,
     I32,
     I64,
     LANES,
-    Lanes,
     Running,
+    Vector,
     arrays,
+    broadcast,
     constant_index,
-    spread,
-    times_lanes,
+    vector_offset,
 )
 
 
@@ -54,12 +54,12 @@ def set_up_lines(
         lefts, rights, weights, columns, meet, rows, steps = arrays(
             context, builder, signature, args, (0, 1, 5, 6, 7, 8, 9)
         )
-        stop_column = spread(builder, builder.trunc(args[4], I32))
+        stop_column = broadcast(builder, builder.trunc(args[4], I32))
         eights = builder.lshr(builder.add(args[3], constant_index(LANES - 1)), constant_index(3))
         with cgutils.for_range(builder, eights) as loop:
-            at = times_lanes(builder, loop.index)
+            at = vector_offset(builder, loop.index)
             here = builder.add(args[2], at)
-            a, b = lefts.lanes(here), rights.lanes(here)
+            a, b = lefts.load(here), rights.load(here)
             low, vl, vr = a.to(I32), (a >> 32).to(I32), (b >> 32).to(I32)
             ul, ur = (low << 8) >> 8, (b.to(I32) << 8) >> 8
             first = ((ul + 127) >> 8).at_least(0)
@@ -68,11 +68,11 @@ def set_up_lines(
             d = du * 256.0
             inverse = d.reciprocal()
             n = (vl - 128).to(F64) * du + past * dv + d - 0.5
-            rows.put(at, n * inverse)
-            steps.put(at, (dv * 256.0) * inverse)
-            weights.put(at, low >> 24)
-            columns.put(at, first)
-            meet.put(at, ((ur + 127) >> 8).at_most(stop_column) - first)
+            rows.store(at, n * inverse)
+            steps.store(at, (dv * 256.0) * inverse)
+            weights.store(at, low >> 24)
+            columns.store(at, first)
+            meet.store(at, ((ur + 127) >> 8).at_most(stop_column) - first)
         return context.get_dummy_value()
 
     index = types.int64
@@ -105,28 +105,33 @@ def mark_lines(
         weights, columns, meet, rows, steps, places = arrays(
             context, builder, signature, args, (0, 1, 2, 3, 4, 7)
         )
-        numbers = Lanes(builder, ir.Constant(ir.VectorType(I32, LANES), list(range(LANES))))
-        lowest = spread(builder, builder.sitofp(args[6], F64))
+        numbers = Vector(builder, ir.Constant(ir.VectorType(I32, LANES), list(range(LANES))))
+        lowest = broadcast(builder, builder.sitofp(args[6], F64))
         rows_of_strip = builder.trunc(builder.add(args[6], constant_index(1)), I32)
-        strip_size = spread(builder, rows_of_strip) << 6
-        spares = spread(builder, builder.trunc(args[8], I32)) + numbers
+        strip_size = broadcast(builder, rows_of_strip) << 6
+        spares = broadcast(builder, builder.trunc(args[8], I32)) + numbers
         with cgutils.for_range(builder, args[5]) as loop:
             k = loop.index
-            first, number, row, step = columns.same(k), meet.same(k), rows.same(k), steps.same(k)
-            weight = builder.trunc(weights.scalar(k), I16)
+            first, number, row, step = (
+                columns.broadcast(k),
+                meet.broadcast(k),
+                rows.broadcast(k),
+                steps.broadcast(k),
+            )
+            weight = builder.trunc(weights.load_scalar(k), I16)
             turns = builder.lshr(
-                builder.add(meet.scalar(k), ir.Constant(I32, LANES - 1)), ir.Constant(I32, 3)
+                builder.add(meet.load_scalar(k), ir.Constant(I32, LANES - 1)), ir.Constant(I32, 3)
             )
             place_in_edge = Running(builder, numbers.value)
             with cgutils.for_range(builder, turns):
-                i = Lanes(builder, place_in_edge.get())
+                i = Vector(builder, place_in_edge.get())
                 c = first + i
                 y = (row + step * i.to(F64)).at_least(0.0).at_most(lowest).to(I32)
                 place = (c >> 6) * strip_size + (y << 6) + (c & 63)
                 place = place.where(i.compare("<", number), spares)
                 for lane in range(LANES):
-                    index = builder.zext(place.lane(lane), I64)
-                    places.put_scalar(index, builder.add(places.scalar(index), weight))
+                    index = builder.zext(place.extract(lane), I64)
+                    places.store_scalar(index, builder.add(places.load_scalar(index), weight))
                 place_in_edge.set((i + LANES).value)
         return context.get_dummy_value()
 
