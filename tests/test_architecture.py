@@ -23,6 +23,7 @@ LAYERS = [
     "datasets",
     "execution",
     "synthesis",
+    "citymap",
     "segmentation",
     "training",
     "methods",

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
+from lodbench.rendering.bits import Words
 from lodbench.rendering.fit import Fit
 from lodbench.rendering.instances import Instances
 from lodbench.rendering.layers import Layers
@@ -74,7 +75,11 @@ class InstanceRenderer(Renderer, Protocol):
 
 
 class Scorer(Renderer, Protocol):
-    """A renderer that also compares many hypotheses with a query mask."""
+    """A renderer that also draws many hypotheses, and compares them with a query mask."""
+
+    def silhouettes(self, camera: Camera, rotations: Floats, centers: Floats) -> Words:
+        """Returns N silhouettes, bit-packed: (N, H, ceil(W / 64)) uint64 as of ``pack_mask``."""
+        ...
 
     def counts(
         self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -13,10 +14,18 @@ from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.appearance import Appearance, plain_appearance
 from lodbench.rendering.layers import Layers
-from lodbench.rendering.projection import pose_arrays, require_pinhole, view_planes, visible_buildings
+from lodbench.rendering.projection import (
+    pose_arrays,
+    require_pinhole,
+    require_poses,
+    view_planes,
+    visible_buildings,
+)
 from lodbench.rendering.raster_kernel import Band, Buffer, Mesh, blank_buffer, draw_band
-from lodbench.rendering.raster_layers import blank_planes, resolve_depth, resolve_layers
+from lodbench.rendering.raster_layers import blank_planes, resolve_depth, resolve_layers, resolve_normals
 from lodbench.rendering.selection import bounding_spheres
+
+Floats = NDArray[np.float64]
 
 # Columns of a band: narrow enough for its buffer to stay in a core's cache (1024 rows: 0.8 MB), wide
 # enough that few buildings are projected for two bands.
@@ -29,7 +38,7 @@ class RasterRenderer:
     Coverage obeys the raster rule to the bit, so ``render`` equals the engine. Depth is where the ray
     through a pixel's centre meets the plane of the triangle, in float64; the nearest triangle wins,
     the first of equals. Each pixel belongs to one band of columns and each band to one thread, so
-    the result does not depend on their number.
+    the result does not depend on their number. Each thread keeps one band's buffer.
 
     Args:
         scene: The city, local metric frame.
@@ -60,6 +69,7 @@ class RasterRenderer:
             bounding_spheres(scene),
         )
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._of_thread = threading.local()
 
     def draw(self, camera: Camera, pose: Pose) -> Layers:
         """Returns every layer of the view from a pose.
@@ -78,9 +88,37 @@ class RasterRenderer:
 
     def depth(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing."""
-        depth = np.empty((camera.height, camera.width), dtype=np.float32)
-        self.draw_bands(camera, pose, lambda band, buffer: resolve_depth(band, buffer, depth))
-        return depth
+        rotation, center = pose_arrays(pose)
+        return self.depths(camera, rotation[None], center[None])[0]
+
+    def depths(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
+        """Returns (N, H, W) depths of N views, as ``depth`` gives each.
+
+        Args:
+            camera: Pinhole of all views.
+            rotations: (N, 3, 3) cam_from_world.
+            centers: (N, 3) camera centres, local metres.
+
+        Raises:
+            RenderingError: As for ``draw``, or a pose is not finite.
+        """
+        depths = np.empty((len(centers), camera.height, camera.width), dtype=np.float32)
+
+        def resolve(view: int, band: Band, buffer: Buffer) -> None:
+            resolve_depth(band, buffer, depths[view])
+
+        self._draw_views(camera, rotations, centers, resolve)
+        return depths
+
+    def normals(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
+        """Returns (N, H, W, 3) normals of N views as in ``Layers``; arguments as for ``depths``."""
+        normals = np.empty((len(centers), camera.height, camera.width, 3), dtype=np.float32)
+
+        def resolve(view: int, band: Band, buffer: Buffer) -> None:
+            resolve_normals(self._mesh, centers[view], band, buffer, normals[view])
+
+        self._draw_views(camera, rotations, centers, resolve)
+        return normals
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose."""
@@ -94,21 +132,52 @@ class RasterRenderer:
 
     def draw_bands(self, camera: Camera, pose: Pose, resolve: Callable[[Band, Buffer], None]) -> None:
         """Draws a view band by band and hands each to ``resolve``; see ``Band``."""
-        require_pinhole(camera)
         rotation, center = pose_arrays(pose)
-        planes = view_planes(camera, 0, camera.width)
-        buildings = visible_buildings(self._mesh.spheres, rotation, center, planes)
+        self._draw_views(
+            camera, rotation[None], center[None], lambda _view, band, buffer: resolve(band, buffer)
+        )
 
-        def work(band: Band) -> None:
-            buffer = blank_buffer(band.stop - band.first, band.height)
-            draw_band(self._mesh, buildings, rotation, center, band, buffer)
-            resolve(band, buffer)
+    def _draw_views(
+        self,
+        camera: Camera,
+        rotations: Floats,
+        centers: Floats,
+        resolve: Callable[[int, Band, Buffer], None],
+    ) -> None:
+        """Draws N views, band by band, and hands each band with its view's number to ``resolve``."""
+        require_pinhole(camera)
+        rotations, centers = require_poses(rotations, centers)
+        planes, bands = view_planes(camera, 0, camera.width), tuple(_bands(camera, self._band))
+
+        def work(task: tuple[int, Band, NDArray[np.int64]]) -> None:
+            view, band, buildings = task
+            buffer = self._blank_buffer(band)
+            draw_band(self._mesh, buildings, rotations[view], centers[view], band, buffer)
+            resolve(view, band, buffer)
+
+        def tasks() -> Iterator[tuple[int, Band, NDArray[np.int64]]]:
+            for view in range(len(centers)):
+                seen = visible_buildings(self._mesh.spheres, rotations[view], centers[view], planes)
+                yield from ((view, band, seen) for band in bands)
 
         if self._pool is None:
-            for band in _bands(camera, self._band):
-                work(band)
+            for task in tasks():
+                work(task)
         else:
-            list(self._pool.map(work, _bands(camera, self._band)))
+            list(self._pool.map(work, tasks()))
+
+    def _blank_buffer(self, band: Band) -> Buffer:
+        """Returns this thread's buffer for a band, cleared; it is made when the size of image changes."""
+        shape = band.stop - band.first, band.height
+        known = getattr(self._of_thread, "buffer", None)
+        if known is None or known[0] != shape:
+            known = shape, blank_buffer(*shape)
+            self._of_thread.buffer = known
+            return known[1]
+        buffer: Buffer = known[1]
+        buffer.inverse.fill(0.0)
+        buffer.winner.fill(-1)
+        return buffer
 
 
 def _bands(camera: Camera, width: int) -> Iterator[Band]:

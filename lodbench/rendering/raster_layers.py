@@ -68,6 +68,22 @@ def resolve_depth(band, buffer, depth):  # type: ignore[no-untyped-def]  # noqa:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def resolve_normals(mesh, center, band, buffer, normal):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Writes a band's columns of (H, W, 3) float32 normals."""
+    known = np.int32(-1)
+    nx = ny = nz = 0.0
+    for row in range(band.height):
+        for column in range(band.first, band.stop):
+            triangle = buffer.winner[column - band.first, row]
+            if triangle != known:
+                known = triangle
+                nx = ny = nz = 0.0
+                if triangle >= 0:
+                    nx, ny, nz = _facing_normal(mesh, triangle, center)
+            normal[row, column, 0], normal[row, column, 1], normal[row, column, 2] = nx, ny, nz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def resolve_layers(mesh, appearance, center, band, buffer, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Writes a band's columns of every layer.
 

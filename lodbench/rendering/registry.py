@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering.bits import pack_mask
+from lodbench.rendering.bits import Words, pack_mask, words_per_row
 from lodbench.rendering.fit import Fit
 from lodbench.rendering.projection import require_poses, require_size
 from lodbench.rendering.protocol import Floats, IouCounts, Renderer, Scorer
@@ -99,16 +99,33 @@ def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer
 
 
 class RenderAndCompare:
-    """Gives any renderer the engine's ``counts`` and ``fit``, by drawing each hypothesis."""
+    """Gives any renderer the engine's ``silhouettes``, ``counts`` and ``fit``, drawing pose after pose.
+
+    What else the renderer can do, ``depth`` or ``draw``, is there too.
+    """
 
     def __init__(self, renderer: Renderer) -> None:
         self.name = renderer.name
         self.scene = renderer.scene
         self._renderer = renderer
 
+    def __getattr__(self, name: str) -> Any:
+        # Private names are asked for before __init__ has run, by copying for one.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._renderer, name)
+
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose."""
         return self._renderer.render(camera, pose)
+
+    def silhouettes(self, camera: Camera, rotations: Floats, centers: Floats) -> Words:
+        """Returns N silhouettes as (N, H, ceil(W / 64)) bit-packed words."""
+        rotations, centers = require_poses(rotations, centers)
+        words = np.zeros((len(centers), camera.height, words_per_row(camera.width)), dtype=np.uint64)
+        for i, (rotation, center) in enumerate(zip(rotations, centers, strict=True)):
+            words[i] = pack_mask(self.render(camera, Pose.from_center(rotation, center)))
+        return words
 
     def counts(
         self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]

@@ -92,6 +92,18 @@ class SilhouetteRenderer:
             *draw_instances(self._arrays, seen, *poses, view, scratch, words[:1]),
         )
 
+    def silhouettes(self, camera: Camera, rotations: Floats, centers: Floats) -> Words:
+        """Returns N silhouettes as (N, H, ceil(W / 64)) bit-packed words; arguments as for ``counts``."""
+        view = _view(camera)
+        rotations, centers = require_poses(rotations, centers)
+        silhouettes = np.zeros((len(centers), *_blank(camera).shape), dtype=np.uint64)
+
+        def work(part: Indices) -> None:
+            silhouettes[part] = self._draw(camera, view, rotations[part], centers[part])
+
+        self._share_out(work, nearby_order(rotations, centers))
+        return silhouettes
+
     def counts(
         self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]
     ) -> IouCounts:
@@ -140,13 +152,17 @@ class SilhouetteRenderer:
         values = np.zeros(len(centers))
 
         def work(part: Indices) -> None:
-            memory, words = self._working_memory(camera)
-            views = np.zeros((len(part), *words.shape[1:]), dtype=np.uint64)
-            draw_views(self._arrays, rotations[part], centers[part], view, memory, views)
-            values[part] = fit(views)
+            values[part] = fit(self._draw(camera, view, rotations[part], centers[part]))
 
         self._share_out(work, nearby_order(rotations, centers))
         return values
+
+    def _draw(self, camera: Camera, view: View, rotations: Floats, centers: Floats) -> Words:
+        """Returns the silhouettes of some poses, drawn on this thread."""
+        memory, words = self._working_memory(camera)
+        views = np.zeros((len(centers), *words.shape[1:]), dtype=np.uint64)
+        draw_views(self._arrays, rotations, centers, view, memory, views)
+        return views
 
     def _share_out(self, work: Callable[[Indices], None], order: Indices) -> None:
         """Does the work on hypotheses, given by index, in parts on this renderer's threads."""

@@ -1,0 +1,127 @@
+"""The map of one city as methods see it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap.usage import MapUsage
+from lodbench.citymodel.scene import Scene
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, make_renderer
+from lodbench.rendering.bits import Words
+from lodbench.rendering.projection import require_poses
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.storage import random_stream
+from lodbench.synthesis.photo import PLAIN_LOOK, PhotoRenderer, draw_look
+
+Floats = NDArray[np.float64]
+
+
+class CityMap:
+    """Draws a city from many poses at a time: silhouettes, depth, normals, colour.
+
+    Poses are (N, 3, 3) rotations cam_from_world and (N, 3) camera centres in the scene's local metric
+    frame; all views of a call share one pinhole camera, of any size. What comes out does not depend on
+    threads or on how poses are batched. Every pose drawn is counted in ``usage``. Any number of threads
+    may ask at once.
+
+    Args:
+        scene: The city.
+        renderer: Who draws silhouettes, one of ``lodbench.rendering.RENDERERS``, and depth if it can;
+            all else is drawn by the engine that does so fastest.
+        threads: Worker threads; None for one per core.
+
+    Attributes:
+        scene: The city.
+        name: The renderer's.
+        usage: Poses drawn.
+
+    Raises:
+        ConfigError: The renderer is unknown.
+        RenderingError: A library the renderer needs is absent. Every method raises it too, where the
+            camera has lens distortion or is wider than 8192 pixels, or a pose is not finite.
+    """
+
+    def __init__(self, scene: Scene, renderer: str = "silhouette", threads: int | None = None) -> None:
+        self.scene = scene
+        self.usage = MapUsage()
+        self._threads = threads
+        self._scorer = make_renderer(renderer, scene, threads)
+        self.name = self._scorer.name
+        self.threads = int(getattr(self._scorer, "threads", 1))
+
+    def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
+        """Returns the (H, W) silhouette seen from one pose."""
+        self.usage.add("silhouettes", 1)
+        return self._scorer.render(camera, pose)
+
+    def silhouettes(self, camera: Camera, rotations: Floats, centers: Floats) -> Words:
+        """Returns N silhouettes, bit-packed: (N, H, ceil(W / 64)) uint64.
+
+        ``lodbench.rendering.bits.unpack_mask`` turns one into an (H, W) mask.
+        """
+        self.usage.add("silhouettes", len(centers))
+        return self._scorer.silhouettes(camera, rotations, centers)
+
+    def counts(
+        self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]
+    ) -> IouCounts:
+        """Returns how many pixels N silhouettes share with an (H, W) mask, and those of either."""
+        self.usage.add("counts", len(centers))
+        return self._scorer.counts(camera, rotations, centers, mask)
+
+    def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
+        """Returns the similarity of N silhouettes to a query, (N,) in [0, 1]; see ``Fit``."""
+        self.usage.add("fit", len(centers))
+        return self._scorer.fit(camera, rotations, centers, fit)
+
+    def instances(self, camera: Camera, rotations: Floats, centers: Floats) -> tuple[Instances, ...]:
+        """Returns the silhouettes of single buildings, none hidden by another, view by view."""
+        self.usage.add("instances", len(centers))
+        return tuple(self._engine.instances(camera, pose) for pose in _poses(rotations, centers))
+
+    def depth(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
+        """Returns (N, H, W) depths along the optical axis, metres; 0 where there is no building."""
+        self.usage.add("depth", len(centers))
+        if not hasattr(self._scorer, "depth") or hasattr(self._scorer, "depths"):
+            return self._raster.depths(camera, rotations, centers)
+        renderer = cast(DepthRenderer, self._scorer)
+        depths = [renderer.depth(camera, pose) for pose in _poses(rotations, centers)]
+        return np.array(depths, dtype=np.float32).reshape(-1, camera.height, camera.width)
+
+    def normals(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
+        """Returns (N, H, W, 3) unit normals, world axes, on the camera's side; 0 where there is nothing."""
+        self.usage.add("normals", len(centers))
+        return self._raster.normals(camera, rotations, centers)
+
+    def colour(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
+        """Returns (N, H, W, 3) RGB pictures: walls, windows and roofs as made up, in a clear noon's sun."""
+        self.usage.add("colour", len(centers))
+        look, development = draw_look(PLAIN_LOOK, random_stream(0, "city map", "colour"))
+        photos = [self._photos.photo(camera, pose, look, development) for pose in _poses(rotations, centers)]
+        return np.array(photos, dtype=np.uint8).reshape(-1, camera.height, camera.width, 3)
+
+    @cached_property
+    def _engine(self) -> SilhouetteRenderer:
+        if isinstance(self._scorer, SilhouetteRenderer):
+            return self._scorer
+        return SilhouetteRenderer(self.scene, self._threads)
+
+    @cached_property
+    def _raster(self) -> RasterRenderer:
+        return RasterRenderer(self.scene, self._threads)
+
+    @cached_property
+    def _photos(self) -> PhotoRenderer:
+        return PhotoRenderer(self.scene, threads=self._threads)
+
+
+def _poses(rotations: Floats, centers: Floats) -> list[Pose]:
+    """Returns N poses one by one."""
+    rotations, centers = require_poses(rotations, centers)
+    return [Pose.from_center(r, c) for r, c in zip(rotations, centers, strict=True)]

@@ -1,0 +1,172 @@
+"""The map draws what the renderers draw, however many poses are asked for at a time, and counts them."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from few_blocks import CAMERA, blocks_scene, poses_around
+
+from lodbench.citymap import CityMap
+from lodbench.errors import ConfigError, RenderingError
+from lodbench.geometry import EulerAngles, Pose, rotation_from_euler
+from lodbench.rendering import BoundaryFit, IouFit
+from lodbench.rendering.bits import unpack_mask
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.rendering.reference import ReferenceRenderer
+
+COUNT = 11
+ROTATIONS, CENTERS = poses_around(COUNT)
+POSES = [Pose.from_center(r, c) for r, c in zip(ROTATIONS, CENTERS, strict=True)]
+KINDS = ("silhouettes", "depth", "normals", "colour")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return blocks_scene()
+
+
+@pytest.fixture(scope="module")
+def city_map(scene):
+    return CityMap(scene, threads=2)
+
+
+def test_silhouettes_are_the_references(city_map, scene):
+    words = city_map.silhouettes(CAMERA, ROTATIONS, CENTERS)
+    reference = ReferenceRenderer(scene)
+    drawn = [unpack_mask(view, CAMERA.width) for view in words]
+    expected = [reference.render(CAMERA, pose) for pose in POSES]
+    np.testing.assert_array_equal(drawn, expected)
+    assert all(mask.any() for mask in expected)
+
+
+@pytest.mark.parametrize("name", ["silhouette", "reference", "raster"])
+def test_counts_and_fits_are_those_of_the_silhouettes(scene, name):
+    city_map = CityMap(scene, name, threads=1)
+    words = CityMap(scene).silhouettes(CAMERA, ROTATIONS, CENTERS)
+    masks = np.array([unpack_mask(view, CAMERA.width) for view in words])
+    query = masks[3]
+    counts = city_map.counts(CAMERA, ROTATIONS, CENTERS, query)
+    assert counts.intersection.tolist() == (masks & query).sum(axis=(1, 2)).tolist()
+    assert counts.union.tolist() == (masks | query).sum(axis=(1, 2)).tolist()
+    np.testing.assert_array_equal(city_map.fit(CAMERA, ROTATIONS, CENTERS, IouFit(query)), counts.iou())
+    fit = BoundaryFit(query)
+    np.testing.assert_array_equal(city_map.fit(CAMERA, ROTATIONS, CENTERS, fit), fit(words))
+    np.testing.assert_array_equal(city_map.silhouettes(CAMERA, ROTATIONS, CENTERS), words)
+
+
+def test_depth_and_normals_are_the_rasters(city_map, scene):
+    raster = RasterRenderer(scene, 1)
+    depths = city_map.depth(CAMERA, ROTATIONS, CENTERS)
+    normals = city_map.normals(CAMERA, ROTATIONS, CENTERS)
+    for pose, depth, normal in zip(POSES, depths, normals, strict=True):
+        layers = raster.draw(CAMERA, pose)
+        np.testing.assert_array_equal(depth, layers.depth)
+        np.testing.assert_array_equal(normal, layers.normal)
+
+
+def test_depth_straight_down_is_the_height_above_each_roof(city_map):
+    rotation = rotation_from_euler(EulerAngles(0.0, 0.0, 0.0))
+    depth = city_map.depth(CAMERA, rotation[None], np.array([[0.0, 0.0, 100.0]]))[0]
+    # Nothing but the flat roofs of the four blocks, and no wall seen edge-on from above its foot.
+    for top in (14.0, 31.0, 9.0, 20.0):
+        assert (np.abs(depth - (100.0 - top)) < 1e-4).any()
+    assert depth[depth > 0].min() > 68.9
+    assert depth.max() <= 100.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_batches_and_threads_change_nothing(city_map, scene, kind):
+    whole = getattr(city_map, kind)(CAMERA, ROTATIONS, CENTERS)
+    alone = CityMap(scene, threads=1)
+    single = [getattr(alone, kind)(CAMERA, ROTATIONS[[i]], CENTERS[[i]])[0] for i in range(COUNT)]
+    np.testing.assert_array_equal(whole, single)
+
+
+def test_a_smaller_camera_after_a_larger_leaves_nothing_behind(scene):
+    # Each thread keeps its buffer.
+    city_map = CityMap(scene, threads=1)
+    small = CAMERA.scaled(64, 48)
+    city_map.depth(CAMERA, ROTATIONS, CENTERS)
+    again = city_map.depth(small, ROTATIONS, CENTERS)
+    np.testing.assert_array_equal(again, CityMap(scene, threads=1).depth(small, ROTATIONS, CENTERS))
+
+
+def test_instances_unite_to_the_silhouette(city_map):
+    words = city_map.silhouettes(CAMERA, ROTATIONS, CENTERS)
+    views = city_map.instances(CAMERA, ROTATIONS, CENTERS)
+    for view, instances in zip(words, views, strict=True):
+        union = np.zeros((CAMERA.height, CAMERA.width), dtype=bool)
+        for _, mask in instances.masks():
+            union |= mask
+        np.testing.assert_array_equal(union, unpack_mask(view, CAMERA.width))
+
+
+def test_colour_differs_between_buildings_and_sky(city_map):
+    colours = city_map.colour(CAMERA, ROTATIONS, CENTERS)
+    depths = city_map.depth(CAMERA, ROTATIONS, CENTERS)
+    assert colours.shape == (COUNT, CAMERA.height, CAMERA.width, 3)
+    seen = depths > 0
+    assert colours[seen].std() > 10
+    assert np.abs(colours[seen].mean(axis=0) - colours[~seen].mean(axis=0)).max() > 20
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_pose_gives_nothing(city_map, kind):
+    found = getattr(city_map, kind)(CAMERA, np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    assert len(found) == 0
+    assert found.shape[1] == CAMERA.height
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "instances"])
+def test_a_pose_that_is_not_finite_is_told(city_map, kind):
+    centers = CENTERS.copy()
+    centers[2, 1] = np.nan
+    with pytest.raises(RenderingError, match="Pose 2 of 11"):
+        getattr(city_map, kind)(CAMERA, ROTATIONS, centers)
+
+
+def test_an_unknown_renderer_is_told(scene):
+    with pytest.raises(ConfigError, match="silhouete"):
+        CityMap(scene, "silhouete")
+
+
+def test_usage_counts_poses_by_kind(scene):
+    city_map = CityMap(scene, threads=2)
+    mask = city_map.render(CAMERA, POSES[0])
+    city_map.counts(CAMERA, ROTATIONS, CENTERS, mask)
+    city_map.fit(CAMERA, ROTATIONS[:4], CENTERS[:4], IouFit(mask))
+    city_map.depth(CAMERA, ROTATIONS[:2], CENTERS[:2])
+    expected = {"counts": COUNT, "depth": 2, "fit": 4, "silhouettes": 1}
+    assert city_map.usage.counts() == expected
+    assert city_map.usage.total == COUNT + 7
+    assert city_map.usage.take() == expected
+    assert city_map.usage.take() == {}
+
+
+def test_usage_loses_nothing_between_threads(scene):
+    city_map = CityMap(scene, threads=1)
+
+    def ask():
+        for _ in range(50):
+            city_map.silhouettes(CAMERA.scaled(16, 12), ROTATIONS, CENTERS)
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert city_map.usage.total == 4 * 50 * COUNT
+
+
+def test_depth_agrees_with_open3d(city_map, scene):
+    pytest.importorskip("open3d")
+    rays = CityMap(scene, "open3d", threads=1)
+    ours = city_map.depth(CAMERA, ROTATIONS, CENTERS)
+    theirs = rays.depth(CAMERA, ROTATIONS, CENTERS)
+    assert theirs.shape == ours.shape
+    differs = np.abs(ours - theirs) > 1e-3 * np.maximum(ours, 1)
+    # Float32 rays miss or hit at edges only.
+    assert differs.mean() < 2e-3
+    assert (ours > 0).mean() > 0.2
