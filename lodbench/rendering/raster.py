@@ -89,7 +89,7 @@ class RasterRenderer:
     def depth(self, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns (H, W) float32 depth along the optical axis, metres; 0 where there is nothing."""
         rotation, center = pose_arrays(pose)
-        return self.depths(camera, rotation[None], center[None])[0]
+        return np.asarray(self.depths(camera, rotation[None], center[None])[0])
 
     def depths(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
         """Returns (N, H, W) depths of N views, as ``depth`` gives each.

@@ -109,10 +109,10 @@ def test_threads_and_renderers_change_nothing_and_the_truth_fits_best():
     rng = np.random.default_rng(5)
     centers = truth.center + np.concatenate([np.zeros((1, 3)), rng.uniform(-9, 9, (39, 3))])
     rotations = rotations_at_yaws(35.0, 1.0, 20.0 + np.concatenate([[0.0], rng.uniform(-5, 5, 39)]))
-    values = engine.measure(camera, rotations, centers, fit)
+    values = engine.fit(camera, rotations, centers, fit)
     assert values.argmax() == 0
     for other in (make_renderer("silhouette", scene, 3), make_renderer("reference", scene, 1)):
-        np.testing.assert_array_equal(other.measure(camera, rotations, centers, fit), values)
+        np.testing.assert_array_equal(other.fit(camera, rotations, centers, fit), values)
 
 
 class TestBins:
