@@ -24,10 +24,10 @@ def test_report_for_machines_and_a_broken_base(lodbench, tmp_path):
     assert set(checks["raster"]) == {"section", "name", "status", "detail", "hint", "is_base"}
 
 
-def test_it_starts_where_numpy_does_not(lodbench, tmp_path):
+def test_it_starts_where_numpy_does_not(lodbench_process, tmp_path):
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "numpy.py").write_text("raise ImportError('numpy is broken here')")
-    done = lodbench("doctor", PYTHONPATH=str(tmp_path / "broken"))
+    done = lodbench_process("doctor", PYTHONPATH=str(tmp_path / "broken"))
     assert done.returncode == 1, done.stderr
     assert "The base install is broken" in done.stdout
     assert "numpy is broken here" in done.stdout

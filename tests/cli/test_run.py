@@ -66,10 +66,10 @@ def test_the_rows_follow_from_the_stored_poses(lodbench, tmp_path, dataset):
     assert math.isclose(median, np.median([float(row["translation_error_m"]) for row in rows]))
 
 
-def test_same_bytes_whatever_the_threads_and_the_hash_seed(lodbench, tmp_path, dataset):
+def test_same_bytes_whatever_the_threads_and_the_hash_seed(lodbench_process, tmp_path, dataset):
     for threads in ("1", "2"):
         more = [f"executor.threads={threads}", f"paths.runs=runs{threads}"]
-        assert lodbench(*words(dataset, *more), PYTHONHASHSEED=threads).returncode == 0
+        assert lodbench_process(*words(dataset, *more), PYTHONHASHSEED=threads).returncode == 0
     a, b = run_folder(tmp_path, "runs1"), run_folder(tmp_path, "runs2")
     assert a.name == b.name
     for name in STABLE:
