@@ -1,40 +1,240 @@
-"""Plug-ins of any kind, by their entry points."""
+"""Plug-ins: whatever an outsider may add is an entry point, found by its name and loaded when it is chosen.
+
+Built-in parts are entry points too. A package that is broken harms who chooses it and nobody else: nothing
+is imported before, and a name that lodbench has itself stays lodbench's. ``docs/plugins.md`` has an example
+of every kind.
+"""
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, entry_points
+import sys
+import traceback
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.metadata import Distribution, EntryPoint, distributions
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from lodbench.errors import ConfigError, nearest_names
 
+_OURS = "lodbench"
+_CONFIG_GROUP = "lodbench.config_sources"
 
-def find_plugin(group: str, name: str) -> EntryPoint:
-    """Returns a plug-in's entry point, not loaded.
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of plug-in.
+
+    Attributes:
+        label: What one is called, also by ``lodbench check-plugin``.
+        members: What the class or function that an entry point names must have.
+    """
+
+    label: str
+    members: tuple[str, ...] = ()
+
+
+# By group: methods are entry points of the group ``lodbench.methods``.
+KINDS = {
+    "methods": Kind("method", ("name", "params_type", "localize")),
+    "segmenters": Kind("segmenter", ("params_type", "segment", "fingerprint")),
+    "feature_extractors": Kind("feature-extractor", ("params_type", "extract")),
+    "matchers": Kind("matcher", ("params_type", "match")),
+    "datasets": Kind("dataset"),
+    "priors": Kind("prior", ("name", "apply", "describe")),
+    "pose_formats": Kind("pose-format"),
+    "city_readers": Kind("city-reader"),
+    "renderers": Kind("renderer", ("name", "render")),
+    "fits": Kind("fit"),
+    "metrics": Kind("metric"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PlugIn:
+    """An entry point, not loaded.
+
+    Attributes:
+        group: A key of ``KINDS``.
+        name: Its name, as in ``method=NAME``.
+        package: The package that offers it, with its version.
+        point: The entry point.
+        fault: Why it cannot be used, as far as that shows without loading it; empty where nothing does.
+    """
+
+    group: str
+    name: str
+    package: str
+    point: EntryPoint
+    fault: str = ""
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it comes with lodbench."""
+        return self.package.split(" ")[0] == _OURS
+
+    def load(self) -> Any:
+        """Returns the class or function that the entry point names.
+
+        Raises:
+            ConfigError: It cannot be imported, or is not what plug-ins of its kind are.
+        """
+        if self.fault:
+            raise self._broken(self.fault)
+        try:
+            part = self.point.load()
+        except (Exception, SystemExit) as error:  # a package of others may raise anything
+            raise self._broken(f"{self.point.value} does not load: {_words(error)}") from error
+        if not callable(part):
+            raise self._broken(
+                f"{self.point.value} is no class or function, but of type {type(part).__name__}"
+            )
+        lacking = [member for member in KINDS[self.group].members if not hasattr(part, member)]
+        if lacking:
+            raise self._broken(f"{self.point.value} has no {' and no '.join(lacking)}")
+        return part
+
+    def _broken(self, reason: str) -> ConfigError:
+        label = KINDS[self.group].label
+        return ConfigError(
+            f"The {label} {self.name!r} of the package {self.package} is broken: {reason}.",
+            f"See docs/plugins.md, and lodbench check-plugin {label} {self.name}.",
+        )
+
+
+def find_plugin(group: str, name: str) -> PlugIn:
+    """Returns a plug-in, not loaded.
 
     Args:
-        group: The kind in the plural, as in ``lodbench.methods``.
+        group: A key of ``KINDS``.
         name: The plug-in's.
 
     Raises:
         ConfigError: No installed package offers it.
     """
-    points = {point.name: point for point in entry_points(group=f"lodbench.{group}")}
-    if name not in points:
-        raise ConfigError(f"There is no {group.rstrip('s')} {name!r}.", nearest_names(name, points))
-    return points[name]
+    for plug_in in installed(group):
+        if plug_in.name == name:
+            return plug_in
+    hint = nearest_names(name, plugin_names(group))
+    if not any(plug_in.is_ours for plug_in in installed(group)):
+        hint = f"{hint} Those of lodbench are not installed: pip install -e . in the checkout.".strip()
+    raise ConfigError(f"There is no {KINDS[group].label} {name!r}.", hint)
 
 
 def load_plugin(group: str, name: str) -> Any:
-    """Returns what a plug-in's entry point names.
+    """Returns the class or function that a plug-in is; arguments as for ``find_plugin``.
 
     Raises:
-        ConfigError: No installed package offers it, or importing it fails.
+        ConfigError: No installed package offers it, or it is broken.
     """
-    point = find_plugin(group, name)
+    return find_plugin(group, name).load()
+
+
+def plugin_names(group: str) -> tuple[str, ...]:
+    """Returns the names of all plug-ins of a group: lodbench's own first, each part by the alphabet."""
+    return tuple(dict.fromkeys(plug_in.name for plug_in in installed(group)))
+
+
+def installed(group: str) -> tuple[PlugIn, ...]:
+    """Returns the plug-ins of a group, lodbench's own first."""
+    return tuple(plug_in for plug_in in _scan(_state())[0] if plug_in.group == group)
+
+
+def unreadable() -> tuple[str, ...]:
+    """Returns a line for each package whose entry points cannot be read."""
+    return _scan(_state())[1]
+
+
+def config_folders() -> tuple[tuple[str, str, Path | None], ...]:
+    """Returns package, module name and folder of every ``conf`` there is, lodbench's own first.
+
+    The folder is None where there is none, or where looking for it fails.
+    """
+    return tuple((package, point.value, _folder_of(point)) for package, point in _scan(_state())[2])
+
+
+def _folder_of(point: EntryPoint) -> Path | None:
+    """Returns the folder of a package, found without importing anything where pip has copied it."""
+    if point.dist is not None:
+        folder = Path(str(point.dist.locate_file(point.value.replace(".", "/"))))
+        if folder.is_dir():
+            return folder
     try:
-        return point.load()
-    except Exception as error:  # a plug-in's own modules may raise anything
-        raise ConfigError(
-            f"{group.rstrip('s')} {name!r} does not load: {point.value}: {type(error).__name__}: {error}",
-            "Mend or remove the package that offers it.",
-        ) from error
+        spec = find_spec(point.value)
+    except (Exception, SystemExit):  # it imports the package around, which may raise anything
+        return None
+    places = list(spec.submodule_search_locations or ()) if spec else []
+    return Path(places[0]) if places else None
+
+
+_Scan = tuple[tuple[PlugIn, ...], tuple[str, ...], tuple[tuple[str, EntryPoint], ...]]
+
+
+@lru_cache(maxsize=8)
+def _scan(_: tuple[tuple[str, float], ...]) -> _Scan:
+    """Returns all plug-ins, packages that cannot be read, and folders of configuration."""
+    found: list[PlugIn] = []
+    faults: list[str] = []
+    folders: list[tuple[str, EntryPoint]] = []
+    for package, points in _packages(faults):
+        for point in points:
+            if point.group == _CONFIG_GROUP:
+                folders.append((package, point))
+            elif point.group.removeprefix("lodbench.") in KINDS:
+                found.append(PlugIn(point.group.removeprefix("lodbench."), point.name, package, point))
+    found.sort(key=lambda plug_in: (not plug_in.is_ours, plug_in.name))
+    folders.sort(key=lambda item: (item[0].split(" ")[0] != _OURS, item[0]))
+    return tuple(_with_clashes(found)), tuple(faults), tuple(folders)
+
+
+def _packages(faults: list[str]) -> Iterator[tuple[str, list[EntryPoint]]]:
+    """Yields packages that have entry points of lodbench's, each once, as on the path of imports."""
+    seen = set()
+    for distribution in distributions():
+        try:
+            # Most packages have none: reading the metadata of all would take a tenth of a second.
+            if "lodbench." not in (distribution.read_text("entry_points.txt") or ""):
+                continue
+            name = distribution.metadata["Name"]
+            if name in seen:
+                continue
+            seen.add(name)
+            package = f"{name} {distribution.version}"
+            yield package, [point for point in distribution.entry_points if point.group.startswith(_OURS)]
+        except Exception as error:  # damaged metadata of one package is no fault of the others
+            faults.append(f"{_place(distribution)}: its entry points cannot be read: {_words(error)}")
+
+
+def _place(distribution: Distribution) -> str:
+    return str(distribution.locate_file(""))
+
+
+def _with_clashes(found: list[PlugIn]) -> Iterator[PlugIn]:
+    """Yields plug-ins, the fault of those whose name lodbench or another package has as well with them."""
+    for plug_in in found:
+        others = [p.package for p in found if (p.group, p.name) == (plug_in.group, plug_in.name)]
+        others.remove(plug_in.package)
+        is_fault = others and not plug_in.is_ours
+        yield replace(plug_in, fault=f"{' and '.join(others)} has one of that name") if is_fault else plug_in
+
+
+def _state() -> tuple[tuple[str, float], ...]:
+    """Returns the path of imports, and when its folders were changed last."""
+    return tuple((path, _modified(path or ".")) for path in sys.path)
+
+
+def _modified(path: str) -> float:
+    try:
+        return Path(path).stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _words(error: BaseException) -> str:
+    """Returns an exception in one line, with the place that raised it."""
+    text = str(error).splitlines()
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    where = "" if place.filename.startswith("<") else f" ({place.filename}, line {place.lineno})"
+    return f"{type(error).__name__}: {text[0] if text else 'no message'}{where}"

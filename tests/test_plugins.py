@@ -1,28 +1,105 @@
-"""Entry points by name: unknown ones and ones that do not load are one line each."""
+"""Entry points by name: found once, loaded when chosen, and broken only for those who choose them."""
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
-
 import pytest
 
-from lodbench import plugins
 from lodbench.errors import ConfigError
 from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.plugins import (
+    KINDS,
+    config_folders,
+    find_plugin,
+    installed,
+    load_plugin,
+    plugin_names,
+    unreadable,
+)
+from tests.site_packages import write_package
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    folder = tmp_path / "site"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(folder)
+    return folder
+
+
+def refused(group: str, name: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        load_plugin(group, name)
+    return caught.value.message
 
 
 def test_a_plug_in_is_what_its_entry_point_names():
-    assert plugins.load_plugin("methods", "lodlocv2") is LodLocV2
+    assert load_plugin("methods", "lodlocv2") is LodLocV2
+    assert find_plugin("methods", "lodlocv2").is_ours
 
 
-def test_an_unknown_name_gets_the_nearest():
-    with pytest.raises(ConfigError, match="There is no method 'lodlocv3'") as caught:
-        plugins.find_plugin("methods", "lodlocv3")
-    assert "lodlocv2" in caught.value.hint
+def test_an_unknown_name_gets_the_nearest_those_of_others_too(site):
+    write_package(site, "far-fits", {"fits": {"hausdorff": "far_fits:Hausdorff"}})
+    with pytest.raises(ConfigError, match="There is no fit 'hausdorf'") as caught:
+        find_plugin("fits", "hausdorf")
+    assert caught.value.hint == "Did you mean hausdorff?"
 
 
-def test_one_that_does_not_load_is_told_in_one_line(monkeypatch):
-    point = EntryPoint("torn", "no_such_module:Torn", "lodbench.methods")
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [point])
-    with pytest.raises(ConfigError, match="method 'torn' does not load: no_such_module:Torn: ModuleNotFound"):
-        plugins.load_plugin("methods", "torn")
+def test_all_of_ours_load():
+    for group in KINDS:
+        for plug_in in installed(group):
+            if plug_in.is_ours:
+                assert callable(plug_in.load()), plug_in
+
+
+@pytest.mark.parametrize(
+    ("module", "reason"),
+    [
+        ("import no_such_module", "ModuleNotFoundError: No module named 'no_such_module'"),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("raise SystemExit(3)", "SystemExit: 3"),
+        ("x = (", "SyntaxError"),
+        ("", "AttributeError"),
+        ("Part = 7", "is no class or function, but of type int"),
+        ("class Part:\n    name = 'torn'", "has no params_type and no localize"),
+    ],
+)
+def test_a_broken_one_is_told_with_its_package_to_those_who_choose_it(site, module, reason):
+    write_package(site, "torn-kit", {"methods": {"torn": "torn_kit:Part"}}, {"torn_kit.py": module})
+    told = refused("methods", "torn")
+    assert told.startswith("The method 'torn' of the package torn-kit 1.0 is broken: torn_kit:Part ")
+    assert reason in told
+    assert "\n" not in told
+    assert load_plugin("methods", "lodlocv2") is LodLocV2
+
+
+def test_a_name_of_ours_stays_ours(site):
+    write_package(site, "rival", {"methods": {"lodlocv2": "rival:Rival"}})
+    assert load_plugin("methods", "lodlocv2") is LodLocV2
+    (theirs,) = [plug_in for plug_in in installed("methods") if not plug_in.is_ours]
+    assert theirs.package == "rival 1.0"
+    assert "lodbench" in theirs.fault
+
+
+def test_a_name_that_two_others_have_is_nobodys(site):
+    for name in ("first", "second"):
+        write_package(site, name, {"fits": {"same": f"{name}:Fit", name: "math:sqrt"}})
+    assert "first 1.0 is broken: second 1.0 has one of that name" in refused("fits", "same")
+    assert load_plugin("fits", "second")(4.0) == 2.0
+
+
+def test_damaged_metadata_of_one_package_hides_no_other(site):
+    write_package(site, "whole", {"fits": {"root": "math:sqrt"}})
+    damaged = write_package(site, "damaged", {"fits": {"other": "math:sqrt"}})
+    (damaged / "entry_points.txt").write_text("[lodbench.fits]\nno value here\n")
+    assert plugin_names("fits")[-1] == "root"
+    (line,) = unreadable()
+    assert "entry points cannot be read" in line
+
+
+def test_folders_of_configuration_are_found_without_an_import(site):
+    files = {"kit/__init__.py": "1 / 0", "kit/conf/source/grid.yaml": "name: grid\n"}
+    write_package(site, "kit", {"config_sources": {"kit": "kit.conf", "gone": "kit_gone.conf"}}, files)
+    found = {module: folder for _, module, folder in config_folders()}
+    assert found["kit.conf"] == site / "kit" / "conf"
+    assert found["kit_gone.conf"] is None
+    assert next(iter(found)) == "lodbench.conf"

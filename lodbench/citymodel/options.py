@@ -18,6 +18,7 @@ class ReadOptions:
     """How to read a city; the defaults suit every source that speaks for itself.
 
     Attributes:
+        reader: Entry point under ``lodbench.city_readers`` to read the file with; None tells by its content.
         crs: Reference system of the coordinates, instead of the declared one.
         axis_order: Which of the first two coordinates is the easting or longitude; ``auto`` asks
             the reference system and its area of use.
@@ -40,6 +41,7 @@ class ReadOptions:
             earth-centred minus its own: they are turned to east, north, up there. None for others.
     """
 
+    reader: str | None = None
     crs: str | None = None
     axis_order: AxisOrder = "auto"
     is_strict: bool = True

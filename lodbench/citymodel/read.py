@@ -6,7 +6,8 @@ import io
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path, PurePath
+from pathlib import Path
+from typing import cast
 
 from lodbench.citymodel.codes import FILE_SKIPPED
 from lodbench.citymodel.mesh import mesh_model
@@ -14,15 +15,13 @@ from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import NotACity, RawCity, merge_cities
+from lodbench.citymodel.readers import reader_of
 from lodbench.citymodel.scene import Scene
-from lodbench.citymodel.source import MESH_SUFFIXES, Source, count_bytes, open_sources
+from lodbench.citymodel.source import Source, count_bytes, open_sources
 from lodbench.findings import Findings
+from lodbench.plugins import load_plugin
 
 _LOGGER = logging.getLogger(__name__)
-_SUPPORTED = (
-    "Supported: CityGML (.gml, .xml, .citygml), CityJSON (.json, .jsonl), meshes (.obj, .ply, .stl, .glb), "
-    "footprints (.gpkg, .shp, .geojson, .fgb, .parquet), these as .gz or in a .zip, and folders of them."
-)
 
 
 def read_city_model(
@@ -117,31 +116,6 @@ def _read_tiles(name: str, sources: tuple[Source, ...], options: ReadOptions) ->
 
 
 def _read_raw(source: Source, options: ReadOptions) -> RawCity:
-    """Returns what the reader for a file's content, or failing that its ending, makes of it."""
-    if source.vector_path is not None:
-        from lodbench.citymodel.footprints import read_footprints
-
-        return read_footprints(source.vector_path, source.name, options)
-    head = source.head()
-    text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \r\n\t")
-    suffix = PurePath(source.name.removesuffix(".gz")).suffix.lower()
-    if suffix in MESH_SUFFIXES:
-        from lodbench.citymodel.meshes import read_mesh
-
-        with source.open() as stream:
-            return read_mesh(stream, source.name, suffix, options)
-    if text.startswith(b"<"):
-        from lodbench.citymodel.citygml import read_citygml
-
-        return read_citygml(source.open, source.name, is_strict=options.is_strict)
-    if text.startswith((b"{", b"[")):
-        from lodbench.citymodel.cityjson import read_cityjson
-
-        return read_cityjson(source.open, source.name, is_strict=options.is_strict)
-    first_words = {line.split(None, 1)[0] for line in text.splitlines() if line.strip()}
-    if suffix == ".obj" or first_words & {b"v", b"f", b"o", b"mtllib"}:
-        from lodbench.citymodel.obj import read_obj
-
-        with source.open() as stream:
-            return read_obj(stream, source.name)
-    raise NotACity(f"{source.name} is no city model that lodbench can read.", _SUPPORTED)
+    """Returns what the reader that is asked for, or else the one for a file's content, makes of it."""
+    name = options.reader or reader_of(source)
+    return cast(RawCity, load_plugin("city_readers", name)(source, options))

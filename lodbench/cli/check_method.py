@@ -8,16 +8,15 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from importlib.metadata import EntryPoint
 from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.console import check_lines
 from lodbench.cli.hydra_app import register_config_sources, section
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, LodbenchError
 from lodbench.methods.conformance import check_answers, check_class
 from lodbench.params import to_params
-from lodbench.plugins import find_plugin
+from lodbench.plugins import PlugIn, find_plugin
 from lodbench.reporting.safe_text import plain_text
 
 _EPILOG = """\
@@ -54,21 +53,19 @@ def main(argv: Sequence[str]) -> int:
     return 1 if faults else 0
 
 
-def _checks(point: EntryPoint) -> Iterator[Check]:
+def _checks(plug_in: PlugIn) -> Iterator[Check]:
     try:
-        kind = point.load()
-    except Exception as error:  # a plug-in's own modules may raise anything
-        detail = f"{point.value} does not load: {type(error).__name__}: {error}"
-        yield Check(
-            "plug-in", "entry point", FAULT, detail, "It is module:Class, and importing it must work."
-        )
+        kind = plug_in.load()
+    except LodbenchError as error:
+        hint = "It is module:Class, and importing it must work."
+        yield Check("plug-in", "entry point", FAULT, error.message, hint)
         return
-    yield Check("plug-in", "entry point", OK, point.value)
-    where = f"conf/method/{point.name}.yaml"
-    load = partial(_configuration, point.name, where)
-    plug_in = list(check_class(kind, point.name, load, lambda values: _params(kind, values), where))
-    yield from plug_in
-    broken = {check.name for check in plug_in if check.status != OK}
+    yield Check("plug-in", "entry point", OK, f"{plug_in.point.value} of {plug_in.package}")
+    where = f"conf/method/{plug_in.name}.yaml"
+    load = partial(_configuration, plug_in.name, where)
+    checks = list(check_class(kind, plug_in.name, load, lambda values: _params(kind, values), where))
+    yield from checks
+    broken = {check.name for check in checks if check.status != OK}
     if "parameters" not in broken:
         values = {} if "configuration" in broken else load()
         yield from check_answers(lambda: kind(_params(kind, values or {})))

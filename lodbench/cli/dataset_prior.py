@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.cli.named_dataset import add_dataset_options, open_named
-from lodbench.datasets.prior_sources import PRIORS, PriorSource, prior_digest, prior_text
+from lodbench.datasets.prior_sources import PriorSource, prior_digest, prior_text
 from lodbench.errors import ConfigError
 from lodbench.harness.dataset_check import prior_errors_in_words
 from lodbench.params import to_params
+from lodbench.plugins import load_plugin, plugin_names
 from lodbench.storage import write_text
 
 _EPILOG = """\
@@ -38,12 +39,19 @@ def main(argv: Sequence[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_dataset_options(parser)
-    parser.add_argument("--kind", choices=sorted(PRIORS), default="uniform", help="where they come from")
+    parser.add_argument(
+        "--kind",
+        default="uniform",
+        metavar="KIND",
+        help=f"where they come from: {', '.join(plugin_names('priors'))}",
+    )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, metavar="FILE", required=True)
     options = parser.parse_args(argv[1:])
-    source: PriorSource = to_params(dict(map(_pair, options.set)), PRIORS[options.kind], "--set")
+    source: PriorSource = to_params(
+        dict(map(_pair, options.set)), load_plugin("priors", options.kind), "--set"
+    )
     if options.out.is_dir():
         raise ConfigError(f"{options.out} is a folder.", "Name a file.")
     dataset = source.apply(open_named(options), options.seed)

@@ -6,7 +6,6 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import entry_points
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -14,6 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from lodbench.cli.console import report_fault
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
+from lodbench.plugins import config_folders
 
 # Keys whose value is a path: quoted for Hydra, whose grammar gives commas, brackets and = a meaning.
 PATH_KEYS = frozenset(
@@ -150,10 +150,9 @@ def register_config_sources() -> None:
 
     class LodbenchSources(SearchPathPlugin):
         def manipulate_search_path(self, search_path: Any) -> None:
-            points = sorted(entry_points(group="lodbench.config_sources"), key=lambda point: point.name)
-            for point in points:
-                if point.value != "lodbench.conf":
-                    search_path.append(provider=f"lodbench:{point.name}", path=f"pkg://{point.value}")
+            for package, module, folder in config_folders():
+                if module != "lodbench.conf" and folder is not None:
+                    search_path.append(provider=package, path=f"file://{folder}")
 
     Plugins.instance().register(LodbenchSources)
     _is_registered = True

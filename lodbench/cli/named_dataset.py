@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import fields
-from importlib.metadata import entry_points
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 from lodbench.cli.run_dataset import open_dataset
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
-from lodbench.plugins import load_plugin
+from lodbench.plugins import load_plugin, plugin_names
 
 
 def add_dataset_options(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +29,7 @@ def open_named(options: argparse.Namespace) -> Dataset:
         LodbenchError: It is no name and no folder, or its data is missing or malformed.
     """
     name = options.dataset
-    known = sorted(point.name for point in entry_points(group="lodbench.datasets"))
+    known = plugin_names("datasets")
     if name not in known or name == "folder":
         if not Path(name).expanduser().is_dir():
             raise ConfigError(f"{name} is no dataset and no folder.", nearest_names(name, known))

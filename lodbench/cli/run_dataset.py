@@ -8,9 +8,8 @@ from inspect import signature
 from typing import Any
 
 from lodbench.cli.sources import profile_of
-from lodbench.datasets.prior_sources import PRIORS, FilePrior, PriorSource, prior_digest
+from lodbench.datasets.prior_sources import FilePrior, PriorSource, prior_digest
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, nearest_names
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
 
@@ -38,9 +37,7 @@ def with_prior(dataset: Dataset, values: dict[str, Any], seed: int) -> tuple[Dat
         LodbenchError: The kind of prior is unknown, a setting is wrong, or the priors cannot be had.
     """
     name, settings = str(values.get("name", "")), {key: v for key, v in values.items() if key != "name"}
-    if name not in PRIORS:
-        raise ConfigError(f"There is no prior {name!r}.", nearest_names(name, PRIORS))
-    source: PriorSource = to_params(settings, PRIORS[name], "prior")
+    source: PriorSource = to_params(settings, load_plugin("priors", name), "prior")
     dataset = source.apply(dataset, seed)
     stated = {"name": name, **asdict(source)}  # type: ignore[call-overload]
     if name == FilePrior.name:

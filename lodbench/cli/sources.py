@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import entry_points
-from importlib.resources import files
-from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any, cast
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import ConfigError, nearest_names
+from lodbench.plugins import config_folders
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,14 +91,10 @@ def _pair(word: str) -> tuple[str, Any]:
         return key, text
 
 
-def _profiles() -> dict[str, Traversable]:
+def _profiles() -> dict[str, Path]:
     """Returns the YAML file of every profile by name; lodbench's own go before those of plug-ins."""
-    found: dict[str, Traversable] = {}
-    points = entry_points(group="lodbench.config_sources")
-    for point in sorted(points, key=lambda point: (point.value != "lodbench.conf", point.name)):
-        folder = files(point.value) / "source"
-        if folder.is_dir():
-            for file in folder.iterdir():
-                if file.name.endswith(".yaml"):
-                    found.setdefault(file.name.removesuffix(".yaml"), file)
+    found: dict[str, Path] = {}
+    for _, _, folder in config_folders():
+        for file in sorted((folder / "source").glob("*.yaml")) if folder is not None else ():
+            found.setdefault(file.stem, file)
     return found

@@ -14,25 +14,15 @@ nerfstudio  ``transforms.json``, OpenGL axes                                came
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
 
-from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
-from lodbench.datasets.exchange.kapture import is_kapture, read_kapture
-from lodbench.datasets.exchange.lines import read_lines, read_matrices
-from lodbench.datasets.exchange.nerfstudio import read_nerfstudio
+from lodbench.datasets.exchange.colmap import is_colmap
+from lodbench.datasets.exchange.kapture import is_kapture
 from lodbench.datasets.exchange.posed import FoundPose, content
-from lodbench.datasets.exchange.tum import read_tum
 from lodbench.errors import ConfigError, DatasetError, nearest_names
+from lodbench.plugins import load_plugin, plugin_names
 
-READERS: dict[str, Callable[[Path], Iterator[FoundPose]]] = {
-    "lines": read_lines,
-    "c2w": read_matrices,
-    "colmap": read_colmap,
-    "tum": read_tum,
-    "kapture": read_kapture,
-    "nerfstudio": read_nerfstudio,
-}
 # What a format is stored in, where it is not either.
 _FOLDERS, _FILES = ("c2w", "kapture"), ("lines", "tum")
 
@@ -42,25 +32,25 @@ def read_pose_file(path: Path, format_name: str, known: Collection[str] = ()) ->
 
     Args:
         path: A file or folder.
-        format_name: A name in ``READERS``, or ``auto`` to tell by the content.
+        format_name: An entry point under ``lodbench.pose_formats``, a function from a path to poses; or
+            ``auto`` to tell by the content, among those above.
         known: Names of queries: a line that starts with one is no TUM line, even if it is a number.
 
     Raises:
-        ConfigError: The format has no such name.
+        ConfigError: There is no such format, or it is broken.
         DatasetError: The file is missing, empty or of no known format, or a line holds no pose; the
             message names the line.
     """
-    if format_name not in (*READERS, "auto"):
-        raise ConfigError(
-            f"format={format_name} is not known.", nearest_names(format_name, [*READERS, "auto"])
-        )
+    known_formats = (*plugin_names("pose_formats"), "auto")
+    if format_name not in known_formats:
+        raise ConfigError(f"format={format_name} is not known.", nearest_names(format_name, known_formats))
     if not path.exists():
         raise DatasetError(f"The pose file {path} does not exist.", "Set poses=FILE.")
     kind = _guess(path, known) if format_name == "auto" else format_name
     if kind in (_FILES if path.is_dir() else _FOLDERS):
         found, wanted = ("a folder", "a file") if path.is_dir() else ("a file", "a folder")
         raise DatasetError(f"{path} is {found}.", f"format={kind} reads {wanted}.")
-    poses = list(READERS[kind](path))
+    poses: list[FoundPose] = list(load_plugin("pose_formats", kind)(path))
     if not poses:
         raise DatasetError(f"{path} holds no poses.", f"It was read with format={kind}.")
     return kind, poses
@@ -82,7 +72,10 @@ def _guess(path: Path, known: Collection[str]) -> str:
         return "tum"
     if len(words) >= 8:
         return "lines"
-    raise DatasetError(f"{where} is of no known pose format.", f"Set format to one of {', '.join(READERS)}.")
+    raise DatasetError(
+        f"{where} is of no known pose format.",
+        f"Set format to one of {', '.join(plugin_names('pose_formats'))}.",
+    )
 
 
 def is_number(word: str) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, cast
+from typing import ClassVar, Protocol, cast
 
 from lodbench.citymodel.cache import open_cached_scene
 from lodbench.datasets.codes import NO_PRIOR
@@ -155,11 +155,6 @@ class BasinPrior:
     def describe(self) -> str:
         """Returns the protocol in words."""
         return self.widths.describe()
-
-
-PRIORS: dict[str, type[Any]] = {
-    source.name: source for source in (FilePrior, SensorPrior, UniformPrior, BasinPrior)
-}
 
 
 def prior_text(entries: Sequence[Entry], describe: str, seed: int) -> str:

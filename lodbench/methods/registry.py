@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import ConfigError
 from lodbench.methods.protocol import Method, SupportsPriorWidth
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
@@ -46,10 +45,6 @@ def configure_method(settings: Mapping[str, Any]) -> ConfiguredMethod:
     """
     name = str(settings.get("name", ""))
     kind = load_plugin("methods", name)
-    if not hasattr(kind, "params_type"):
-        raise ConfigError(
-            f"method {name!r} has no params_type.", f"lodbench check-method {name} says what is wrong."
-        )
     return ConfiguredMethod(kind, to_params(settings, kind.params_type, "method"))
 
 

@@ -14,20 +14,18 @@ from lodbench.rendering.protocol import (
 )
 from lodbench.rendering.region_fit import RegionFit
 from lodbench.rendering.registry import (
-    DEPTH_RENDERERS,
-    INSTANCE_RENDERERS,
-    LAYER_RENDERERS,
-    RENDERERS,
+    DEPTH,
+    INSTANCES,
+    LAYERS,
     make_renderer,
     open_renderer,
-    require_renderer,
+    renderers_with,
 )
 
 __all__ = [
-    "DEPTH_RENDERERS",
-    "INSTANCE_RENDERERS",
-    "LAYER_RENDERERS",
-    "RENDERERS",
+    "DEPTH",
+    "INSTANCES",
+    "LAYERS",
     "AppearanceBins",
     "BoundaryFit",
     "DepthRenderer",
@@ -45,5 +43,5 @@ __all__ = [
     "appearance_bins",
     "make_renderer",
     "open_renderer",
-    "require_renderer",
+    "renderers_with",
 ]

@@ -3,8 +3,8 @@
 To add one, write a class with a ``size`` and a ``__call__`` as in ``Fit``: made once from what the query
 shows, called with many silhouettes as bit-packed words. Count in integers, so that ties are ties and no
 result depends on the order of a sum; keep the work in numba, ``nogil``, because renderers call it from
-several threads. Any ``Scorer.fit`` then takes it. For ``method.fit=NAME`` give it a line in
-``lodbench/methods/fits.py``, and test it against plain numpy as in ``tests/rendering/test_fit.py``.
+several threads. Any ``Scorer.fit`` then takes it. For ``method.fit=NAME`` make it an entry point under
+``lodbench.fits`` (docs/plugins.md), and test it against plain numpy as in ``tests/rendering/test_fit.py``.
 """
 
 from __future__ import annotations

@@ -39,6 +39,7 @@ class PyrenderRenderer:
 
     Args:
         scene: The city, local metric frame.
+        threads: Not used: the driver has its own.
         samples: Samples per pixel of a silhouette, 4 as pyrender ships; none of them is the pixel's
             centre. With 1 it is, and edges are the raster rule's but for rounding.
 
@@ -48,7 +49,7 @@ class PyrenderRenderer:
 
     name = "pyrender"
 
-    def __init__(self, scene: Scene, samples: int = _SAMPLES) -> None:
+    def __init__(self, scene: Scene, threads: int | None = None, samples: int = _SAMPLES) -> None:
         self.scene = scene
         self._samples = samples
         self._spheres = bounding_spheres(scene)

@@ -24,7 +24,7 @@ class ReferenceRenderer:
 
     name = "reference"
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, threads: int | None = None) -> None:
         self.scene = scene
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:

@@ -2,96 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, Pose
+from lodbench.plugins import load_plugin, plugin_names
 from lodbench.rendering.bits import Words, pack_mask, words_per_row
 from lodbench.rendering.fit import Fit
 from lodbench.rendering.projection import require_poses, require_size
 from lodbench.rendering.protocol import Floats, IouCounts, Renderer, Scorer
 
-
-def _silhouette(scene: Scene, threads: int | None) -> Renderer:
-    from lodbench.rendering.silhouette import SilhouetteRenderer
-
-    return SilhouetteRenderer(scene, threads)
+# What a renderer can do besides silhouettes, by the function that does it: see the protocols.
+DEPTH, LAYERS, INSTANCES = "depth", "draw", "instances"
 
 
-def _reference(scene: Scene, threads: int | None) -> Renderer:
-    from lodbench.rendering.reference import ReferenceRenderer
-
-    return ReferenceRenderer(scene)
-
-
-def _raster(scene: Scene, threads: int | None) -> Renderer:
-    from lodbench.rendering.raster import RasterRenderer
-
-    return RasterRenderer(scene, threads)
-
-
-def _open3d(scene: Scene, threads: int | None) -> Renderer:
-    from lodbench.rendering.open3d_backend import Open3dRenderer
-
-    return Open3dRenderer(scene, threads)
-
-
-def _pyrender(scene: Scene, threads: int | None) -> Renderer:
-    from lodbench.rendering.pyrender_backend import PyrenderRenderer
-
-    return PyrenderRenderer(scene)
-
-
-RENDERERS: dict[str, Callable[[Scene, int | None], Renderer]] = {
-    "silhouette": _silhouette,
-    "reference": _reference,
-    "raster": _raster,
-    "pyrender": _pyrender,
-    "open3d": _open3d,
-}
-
-# Renderers that also have ``depth``, ``draw`` or ``instances``: see the protocols.
-DEPTH_RENDERERS = ("raster", "open3d", "pyrender")
-LAYER_RENDERERS = ("raster",)
-INSTANCE_RENDERERS = ("silhouette",)
-
-
-def require_renderer(name: str) -> None:
-    """Makes sure that a renderer is known.
-
-    Raises:
-        ConfigError: It is not.
-    """
-    if name not in RENDERERS:
-        raise ConfigError(f"Renderer {name!r} is not known.", nearest_names(name, RENDERERS))
+def renderers_with(ability: str) -> tuple[str, ...]:
+    """Returns the names of the renderers whose class has a function; broken ones are left out."""
+    able = []
+    for name in plugin_names("renderers"):
+        try:
+            kind = load_plugin("renderers", name)
+        except ConfigError:  # told to those who choose it
+            continue
+        if hasattr(kind, ability):
+            able.append(name)
+    return tuple(able)
 
 
 def open_renderer(name: str, scene: Scene, threads: int | None = None) -> Renderer:
     """Returns the renderer of a name, with all it can do.
 
     Args:
-        name: One of ``RENDERERS``.
+        name: An entry point under ``lodbench.renderers``: a class that is made from a scene and threads.
         scene: The city.
         threads: Worker threads, None for one per core; pyrender and the reference use their own.
 
     Raises:
-        ConfigError: The name is unknown.
+        ConfigError: There is no such renderer, or it is broken.
         RenderingError: A library the renderer needs is absent.
     """
-    require_renderer(name)
-    return RENDERERS[name](scene, threads)
+    return cast(Renderer, load_plugin("renderers", name)(scene, threads))
 
 
 def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer:
     """Returns the renderer of a name, ready to score hypotheses; arguments as for ``open_renderer``.
 
     Raises:
-        ConfigError: The name is unknown.
+        ConfigError: There is no such renderer, or it is broken.
         RenderingError: A library the renderer needs is absent.
     """
     renderer = open_renderer(name, scene, threads)

@@ -11,7 +11,7 @@ import pytest
 from lodbench.checks import OK, Check
 from lodbench.harness.doctor import doctor
 from lodbench.harness.doctor.doctor import ABSENT, BROKEN, is_base_broken, run_probe
-from lodbench.rendering import RENDERERS
+from lodbench.plugins import plugin_names
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_a_probe_that_works():
 
 
 def test_every_renderer_is_tried():
-    assert set(doctor.RENDERER_TRIALS) == set(RENDERERS)
+    assert set(doctor.RENDERER_TRIALS) == set(plugin_names("renderers"))
 
 
 def test_a_crash_is_reported(probe):

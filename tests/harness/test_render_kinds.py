@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel.scene import build_scene
-from lodbench.errors import RenderingError
+from lodbench.errors import ConfigError, RenderingError
 from lodbench.harness.render.kinds import KINDS, choose_renderer, column_runs, depth_in_centimetres
-from lodbench.rendering import DEPTH_RENDERERS, LAYER_RENDERERS, RENDERERS
 
 
 def test_depth_is_rounded_and_bounded():
@@ -17,9 +16,10 @@ def test_depth_is_rounded_and_bounded():
 def test_each_kind_has_a_renderer_of_the_base_install():
     for kind in KINDS:
         assert choose_renderer(kind, None) in ("silhouette", "raster")
-    assert KINDS["silhouette"].renderers == tuple(RENDERERS)
-    assert KINDS["depth"].renderers == DEPTH_RENDERERS
-    assert KINDS["label"].renderers == LAYER_RENDERERS
+    for kind, able in (("depth", "open3d, pyrender, raster"), ("label", "raster")):
+        with pytest.raises(ConfigError, match=f"cannot draw kind={kind}") as caught:
+            choose_renderer(kind, "reference")
+        assert caught.value.hint.endswith(f"one of: {able}.")
 
 
 def test_more_buildings_than_a_label_holds_are_refused():

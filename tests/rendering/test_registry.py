@@ -9,13 +9,13 @@ from hostile_scenes import box, scene_of
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
 from lodbench.rendering import (
-    DEPTH_RENDERERS,
-    LAYER_RENDERERS,
-    RENDERERS,
+    DEPTH,
+    LAYERS,
     IouCounts,
     IouFit,
     make_renderer,
     open_renderer,
+    renderers_with,
 )
 
 CAMERA = Camera(65, 40, 50.0, 50.0, 32.0, 20.0)
@@ -64,15 +64,15 @@ def test_without_pyrender_the_error_says_what_to_install(monkeypatch):
     assert "lodbench[render]" in caught.value.hint
 
 
-def test_the_list_of_renderers_is_public():
-    assert {"silhouette", "reference", "raster", "pyrender", "open3d"} <= set(RENDERERS)
+def test_every_renderer_draws_silhouettes():
+    assert {"silhouette", "reference", "raster", "pyrender", "open3d"} <= set(renderers_with("render"))
 
 
 def test_what_a_renderer_is_said_to_have_it_has():
     for name in ("silhouette", "reference", "raster"):
         renderer = open_renderer(name, SCENE, 1)
-        assert hasattr(renderer, "depth") == (name in DEPTH_RENDERERS)
-        assert hasattr(renderer, "draw") == (name in LAYER_RENDERERS)
+        assert hasattr(renderer, "depth") == (name in renderers_with(DEPTH))
+        assert hasattr(renderer, "draw") == (name in renderers_with(LAYERS))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -15,7 +15,8 @@ import numpy as np
 from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.errors import LodbenchError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.rendering import RENDERERS, open_renderer
+from lodbench.harness.doctor.doctor import RENDERER_TRIALS
+from lodbench.rendering import open_renderer
 from lodbench.rendering.gl_guard import trust_driver
 
 
@@ -65,7 +66,7 @@ def try_torchvision() -> str:
 PROBES: dict[str, Callable[[], str]] = {
     "numba": try_numba,
     "torchvision": try_torchvision,
-    **{name: partial(try_renderer, name) for name in RENDERERS},
+    **{name: partial(try_renderer, name) for name in RENDERER_TRIALS},
 }
 
 

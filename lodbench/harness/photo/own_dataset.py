@@ -32,7 +32,7 @@ class OwnRequest:
         folder: New folder.
         photos: Folder of photos, or None for poses alone.
         poses: Another program's poses, taken as the truth; None for photos alone.
-        format: Of ``poses``: a name in ``pose_files.READERS``, or ``auto``.
+        format: Of ``poses``: an entry point under ``lodbench.pose_formats``, or ``auto``.
         masks: Folder of building masks of the photos as they are stored, or None.
         cameras: Camera file by image name, for formats without cameras; or None.
         camera: Intrinsics of all images, or None.

@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, RenderingError, nearest_names
 from lodbench.geometry import Camera, Pose
+from lodbench.plugins import load_plugin
 from lodbench.rendering import (
-    DEPTH_RENDERERS,
-    INSTANCE_RENDERERS,
-    LAYER_RENDERERS,
-    RENDERERS,
+    DEPTH,
+    INSTANCES,
+    LAYERS,
     DepthRenderer,
     InstanceRenderer,
     LayerRenderer,
     Renderer,
+    renderers_with,
 )
 from lodbench.reporting.overlays import ESTIMATE_COLOUR, draw_outline, read_background, write_picture
 from lodbench.storage import write_bytes, write_text
@@ -60,13 +61,15 @@ class Kind:
     """A kind of picture.
 
     Attributes:
-        renderers: Names of those that can draw it; the first is taken unless one is asked for.
+        default: The renderer that is taken unless one is asked for.
+        ability: The function of renderers that can draw it.
         write: Draws and writes a view; returns its files.
         check: Raises a LodbenchError if a scene cannot be drawn so.
         prepare: Writes what all views of a scene share to the folder; returns its files.
     """
 
-    renderers: tuple[str, ...]
+    default: str
+    ability: str
     write: Callable[[View], list[Path]]
     check: Callable[[Scene], None] = lambda _scene: None
     prepare: Callable[[Scene, Path], list[Path]] = lambda _scene, _out: []
@@ -80,15 +83,12 @@ def choose_renderer(kind: str, renderer: str | None) -> str:
     """
     if kind not in KINDS:
         raise ConfigError(f"kind={kind} is not known.", nearest_names(kind, KINDS))
-    able = KINDS[kind].renderers
     if renderer is None:
-        return able[0]
-    if renderer not in RENDERERS:
-        raise ConfigError(f"Renderer {renderer!r} is not known.", nearest_names(renderer, RENDERERS))
-    if renderer not in able:
+        return KINDS[kind].default
+    if not hasattr(load_plugin("renderers", renderer), KINDS[kind].ability):
         raise ConfigError(
             f"renderer={renderer} cannot draw kind={kind}.",
-            f"Leave renderer= out, or take one of: {', '.join(able)}.",
+            f"Leave renderer= out, or take one of: {', '.join(renderers_with(KINDS[kind].ability))}.",
         )
     return renderer
 
@@ -177,13 +177,11 @@ def _write_png(view: View, picture: NDArray[np.uint8] | NDArray[np.uint16]) -> l
     return [path]
 
 
-_ANY = ("silhouette", *(name for name in RENDERERS if name != "silhouette"))
-
 KINDS = {
-    "silhouette": Kind(_ANY, _write_silhouette),
-    "depth": Kind(DEPTH_RENDERERS, _write_depth),
-    "label": Kind(LAYER_RENDERERS, _write_label, _check_labels, _write_label_names),
-    "colour": Kind(LAYER_RENDERERS, _write_colour),
-    "overlay": Kind(_ANY, _write_overlay),
-    "instance": Kind(INSTANCE_RENDERERS, _write_instances),
+    "silhouette": Kind("silhouette", "render", _write_silhouette),
+    "depth": Kind("raster", DEPTH, _write_depth),
+    "label": Kind("raster", LAYERS, _write_label, _check_labels, _write_label_names),
+    "colour": Kind("raster", LAYERS, _write_colour),
+    "overlay": Kind("silhouette", "render", _write_overlay),
+    "instance": Kind("silhouette", INSTANCES, _write_instances),
 }

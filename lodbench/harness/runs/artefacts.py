@@ -14,11 +14,12 @@ from typing import Any
 
 from lodbench import __version__
 from lodbench.datasets.pose_text import format_pose, lines_to_text
-from lodbench.datasets.prior_sources import PRIORS, prior_text
+from lodbench.datasets.prior_sources import prior_text
 from lodbench.evaluation.errors import ErrorParts, PoseError
 from lodbench.evaluation.rows import seconds_per_query, summarize_rows
 from lodbench.harness.runs.result import Result
 from lodbench.harness.runs.run import Run
+from lodbench.plugins import load_plugin
 from lodbench.reporting.leaderboard_entry import has_random_weights
 from lodbench.reporting.summaries import SUMMARY_SCHEMA
 from lodbench.storage import hide_formula, write_text
@@ -87,7 +88,7 @@ def summary_of(run: Result) -> dict[str, Any]:
 def _prior_in_words(prior: dict[str, Any]) -> str:
     """Returns the protocol of a configuration's priors; of a file only its digest is known."""
     settings = {key: value for key, value in prior.items() if key not in ("name", "content")}
-    words: str = PRIORS[prior["name"]](**settings).describe()
+    words: str = load_plugin("priors", prior["name"])(**settings).describe()
     return f"of another file ({prior['content']})" if "content" in prior else words
 
 

@@ -43,7 +43,7 @@ class EvaluateSettings:
         poses: The pose file, or folder.
         runs_root: Folder that run folders are made in.
         config: The resolved configuration that defines the result; this module adds what the file is.
-        format: ``auto``, or a name in ``pose_files.READERS``.
+        format: ``auto``, or an entry point under ``lodbench.pose_formats``.
         method_name: Name to report; the file's own if empty.
         tilt: Which pitch and roll the method had, as its author says: ``prior`` or ``truth``.
         splits: Splits to score; empty for all.

@@ -39,7 +39,8 @@ from lodbench.harness.runs.result import (
 )
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
-from lodbench.rendering import Scorer, make_renderer, require_renderer
+from lodbench.plugins import load_plugin
+from lodbench.rendering import Scorer, make_renderer
 from lodbench.segmentation import Segmenter, binary_mask
 from lodbench.storage import digest_of, random_stream, write_text
 
@@ -100,7 +101,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
     require_tilt(settings.tilt, dataset)
-    require_renderer(settings.renderer)
+    load_plugin("renderers", settings.renderer)
     require_run_inputs(method, segmenter, dataset, entries)
     scene, dataset = _open_city(dataset)
     require_direction(dataset, entries, scene)

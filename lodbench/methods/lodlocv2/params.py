@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.geometry import AxisRange, PoseGrid
-from lodbench.methods.fits import require_fit
+from lodbench.plugins import load_plugin
 from lodbench.rendering.raster_rule import GUARD_PX
 
 VARIANTS = ("full", "no_refine", "no_select")
@@ -21,7 +21,7 @@ class Params:
     Attributes:
         name: Name to report.
         variant: ``full``; ``no_refine`` stops after the grid; ``no_select`` starts the filter at the prior.
-        fit: What poses are ranked by, one of ``lodbench.methods.fits.FITS``; the paper's is ``iou``.
+        fit: What poses are ranked by, an entry point under ``lodbench.fits``; the paper's is ``iou``.
         coarse_size: Width and height of masks in the grid stage, pixels.
         range_x_m: Full width of the grid, metres; likewise y and z.
         range_y_m: See range_x_m.
@@ -73,7 +73,7 @@ class Params:
             raise ConfigError(
                 f"method.variant={self.variant} is not known.", nearest_names(self.variant, VARIANTS)
             )
-        require_fit(self.fit)
+        load_plugin("fits", self.fit)
         if min(self.beams, self.steps, self.kept) < 1:
             raise ConfigError("method.beams, method.steps and method.kept are at least 1.")
         if self.children_per_parent < 1 or self.candidates != self.beams * self.kept * (
