@@ -184,7 +184,7 @@ def _scan(_: tuple[tuple[str, float], ...]) -> _Scan:
                 folders.append((package, point))
             elif point.group.removeprefix("lodbench.") in KINDS:
                 found.append(PlugIn(point.group.removeprefix("lodbench."), point.name, package, point))
-    found.sort(key=lambda plug_in: (not plug_in.is_ours, plug_in.name))
+    found.sort(key=lambda plug_in: (not plug_in.is_ours, plug_in.name, plug_in.package))
     folders.sort(key=lambda item: (item[0].split(" ")[0] != _OURS, item[0]))
     return tuple(_with_clashes(found)), tuple(faults), tuple(folders)
 
@@ -235,6 +235,6 @@ def _modified(path: str) -> float:
 def _words(error: BaseException) -> str:
     """Returns an exception in one line, with the place that raised it."""
     text = str(error).splitlines()
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    where = "" if place.filename.startswith("<") else f" ({place.filename}, line {place.lineno})"
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if "importlib" not in f.filename]
+    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames[1:] else ""
     return f"{type(error).__name__}: {text[0] if text else 'no message'}{where}"

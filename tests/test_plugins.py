@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from lodbench.errors import ConfigError
@@ -63,7 +65,8 @@ def test_all_of_ours_load():
         ("class Part:\n    name = 'torn'", "has no params_type and no localize"),
     ],
 )
-def test_a_broken_one_is_told_with_its_package_to_those_who_choose_it(site, module, reason):
+def test_a_broken_one_is_told_with_its_package_to_those_who_choose_it(site, monkeypatch, module, reason):
+    monkeypatch.delitem(sys.modules, "torn_kit", raising=False)
     write_package(site, "torn-kit", {"methods": {"torn": "torn_kit:Part"}}, {"torn_kit.py": module})
     told = refused("methods", "torn")
     assert told.startswith("The method 'torn' of the package torn-kit 1.0 is broken: torn_kit:Part ")
