@@ -84,7 +84,8 @@ class Compact(PhotoSegmenter):
     @cached_property
     def _net(self) -> Any:
         """Returns OpenCV's network; read on first use."""
-        return read_onnx(self._path, "lodbench train segmenter=compact writes one.")
+        hint = "lodbench train segmenter=compact writes one."
+        return read_onnx(self._path, hint, is_ours=self.params.weights is None)
 
     def notes(self) -> tuple[str, ...]:
         """Returns that the network has seen made-up pictures only."""

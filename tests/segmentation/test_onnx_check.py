@@ -1,0 +1,133 @@
+"""Networks from strangers: refused before OpenCV reads them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from lodbench.errors import ConfigError
+from lodbench.segmentation import onnx_file
+from lodbench.segmentation.compact import packaged_weights
+from lodbench.segmentation.onnx_check import onnx_fault
+from lodbench.segmentation.onnx_file import read_onnx
+
+
+def small_network() -> onnx.ModelProto:
+    """A convolution and a branch in an attribute: graphs may stand in graphs."""
+    weights = numpy_helper.from_array(np.ones((1, 3, 3, 3), np.float32), "w")
+    photo = helper.make_tensor_value_info("photo", TensorProto.FLOAT, [1, 3, "h", "w"])
+    logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, [1, 1, "h", "w"])
+    node = helper.make_node("Conv", ["photo", "w"], ["logits"], kernel_shape=[3, 3], pads=[1, 1, 1, 1])
+    return helper.make_model(helper.make_graph([node], "g", [photo], [logits], [weights]))
+
+
+def fault_of(model: onnx.ModelProto) -> str:
+    return onnx_fault(model.SerializeToString())
+
+
+def test_sound_networks_pass() -> None:
+    assert onnx_fault(packaged_weights().read_bytes()) == ""
+    assert fault_of(small_network()) == ""
+
+
+@pytest.mark.parametrize("location", ["/etc/passwd", "../../secret", "weights.bin"])
+@pytest.mark.parametrize("place", ["initializer", "constant", "nested"])
+def test_no_other_file_is_named(tmp_path: Path, location: str, place: str) -> None:
+    model = small_network()
+    tensor = model.graph.initializer[0]
+    tensor.ClearField("raw_data")
+    tensor.data_location = TensorProto.EXTERNAL
+    tensor.external_data.add(key="location", value=location)
+    if place == "constant":
+        model.graph.node.append(helper.make_node("Constant", [], ["c"], value=tensor))
+        del model.graph.initializer[:]
+    elif place == "nested":
+        branch = helper.make_graph([helper.make_node("Constant", [], ["c"], value=tensor)], "b", [], [])
+        model.graph.node.append(helper.make_node("If", ["x"], ["y"], then_branch=branch, else_branch=branch))
+        del model.graph.initializer[:]
+    assert fault_of(model) == "its weights lie in another file"
+    (tmp_path / "a.onnx").write_bytes(model.SerializeToString())
+    with pytest.raises(ConfigError, match="no ONNX network to be trusted: its weights lie in another file"):
+        read_onnx(tmp_path / "a.onnx", "")
+
+
+def negative_weights(model: onnx.ModelProto) -> None:
+    model.graph.initializer[0].dims[0] = -1
+
+
+def huge_weights(model: onnx.ModelProto) -> None:
+    del model.graph.initializer[0].dims[:]
+    model.graph.initializer[0].dims.extend([1 << 20, 1 << 20])
+
+
+def unknown_operator(model: onnx.ModelProto) -> None:
+    model.graph.node[0].op_type = "Run\x1b"
+
+
+def other_domain(model: onnx.ModelProto) -> None:
+    model.graph.node[0].domain = "com.example"
+
+
+def other_weights(model: onnx.ModelProto) -> None:
+    model.graph.initializer[0].dims[0] = 2
+
+
+def negative_input(model: onnx.ModelProto) -> None:
+    model.graph.input[0].type.tensor_type.shape.dim[1].dim_value = -3
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (negative_weights, "a dimension is -1"),
+        (huge_weights, f"a tensor has {1 << 40} elements"),
+        (other_weights, "a tensor of shape [2, 3, 3, 3] has 108 bytes"),
+        (unknown_operator, r"it asks for 'Run\x1b'"),
+        (other_domain, "it asks for 'com.example Conv'"),
+        (negative_input, "a dimension is -3"),
+    ],
+)
+def test_shapes_that_cannot_be(change, fault: str) -> None:
+    model = small_network()
+    change(model)
+    assert fault_of(model) == fault
+
+
+def test_nesting_is_bounded() -> None:
+    graph = helper.make_graph([], "g", [], [])
+    for _ in range(12):
+        graph = helper.make_graph([helper.make_node("If", ["x"], ["y"], then_branch=graph)], "g", [], [])
+    assert fault_of(helper.make_model(graph)) == "it is nested too deeply"
+
+
+@pytest.mark.parametrize("content", [b"", b"\x0a", b"\xff" * 40, b"\x3a\x80\x80\x80\x80\x10", b"PK\x03\x04"])
+def test_what_is_no_network(content: bytes) -> None:
+    assert onnx_fault(content)
+
+
+def test_a_reader_that_breaks_down_is_told_in_one_line(tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / "a.onnx"
+    path.write_bytes(small_network().SerializeToString().replace(b"Conv", b"Con\xb5"))
+    monkeypatch.setattr(onnx_file, "onnx_fault", lambda content: "")
+    with pytest.raises(ConfigError, match="OpenCV's reader breaks down"):
+        read_onnx(path, "")
+
+
+def test_mutated_networks_are_read_or_refused_in_one_line(tmp_path: Path) -> None:
+    whole, stream = small_network().SerializeToString(), np.random.default_rng(0)
+    seen = {"read": 0, "refused": 0}
+    for _ in range(12):
+        content = bytearray(whole)
+        for place in stream.integers(0, len(whole), stream.integers(1, 4)):
+            content[place] = stream.integers(0, 256)
+        (tmp_path / "a.onnx").write_bytes(content)
+        try:
+            read_onnx(tmp_path / "a.onnx", "")
+            seen["read"] += 1
+        except ConfigError:
+            seen["refused"] += 1
+    assert min(seen.values()) > 0
