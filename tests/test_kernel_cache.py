@@ -70,6 +70,61 @@ def test_what_numba_does_not_compile_does_not_count(package, monkeypatch):
     assert os.environ["NUMBA_CACHE_DIR"] == str(before)
 
 
+def _kept(package):
+    return sorted(package.glob("__pycache__/kernels-*/**/*.nb[ic]"))
+
+
+def test_every_damaged_file_is_compiled_again(package):
+    assert _run(package) == 1
+    assert len(_kept(package)) == 2
+    for file in _kept(package):
+        whole, times = file.read_bytes(), file.stat()
+        for content in (b"", whole[: len(whole) // 2], whole[:40] + b"\xff" * 20 + whole[60:]):
+            file.write_bytes(content)
+            assert _run(package) == 1
+            assert _run(package) == 1
+        # As a disk forgets: nothing tells but the content.
+        whole = file.read_bytes()
+        file.write_bytes(whole[:-9] + bytes([whole[-9] ^ 255]) + whole[-8:])
+        os.utime(file, ns=(times.st_atime_ns, times.st_mtime_ns))
+        assert _run(package) == 1
+
+
+def test_what_a_killed_process_left_is_compiled_again(package):
+    assert _run(package) == 1
+    (folder,) = package.glob("__pycache__/kernels-*")
+    (folder / "digests.json").unlink()
+    for file in _kept(package):
+        file.write_bytes(b"half")
+    assert _run(package) == 1
+
+
+def test_a_sound_file_is_not_compiled_again(package):
+    assert _run(package) == 1
+    before = {file: file.stat().st_mtime_ns for file in _kept(package)}
+    assert _run(package) == 1
+    assert {file: file.stat().st_mtime_ns for file in _kept(package)} == before
+
+
+def test_a_folder_that_others_can_write_to_is_emptied(package):
+    assert _run(package) == 1
+    (folder,) = package.glob("__pycache__/kernels-*")
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o777)
+    (stranger,) = folder.glob("*/*.nbi")
+    stranger.write_bytes(b"cos\nsystem\n(S'touch stranger_was_here'\ntR.")
+    assert _run(package) == 1
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert not list(package.parent.glob("stranger*"))
+
+
+def test_a_folder_of_another_user_is_not_used(package, monkeypatch):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr("os.geteuid", lambda: 12345)
+    assert keep_kernels_apart(package) is None
+    assert "NUMBA_CACHE_DIR" not in os.environ
+
+
 def test_a_folder_the_user_has_set_stays(package, monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert keep_kernels_apart(package) is None
