@@ -11,11 +11,12 @@ from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
-from lodbench.evaluation.rows import QueryRow
+from lodbench.evaluation.evaluate import evaluate
+from lodbench.evaluation.predictions import Prediction
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.report import run_report
-from lodbench.harness.runs.result import Result, errors_of, parts_of, queries_digest
+from lodbench.harness.runs.result import Result, queries_digest
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import verify_run
 from lodbench.reporting.columns import format_columns
@@ -142,12 +143,12 @@ def _scored(
     dataset: Dataset, poses: list[Pose | None], number: int, scratch: Path, inputs: dict[str, str]
 ) -> Result:
     """Returns a method's rows, scored as `lodbench evaluate` scores them."""
-    rows = []
-    for entry, pose in zip(dataset.entries, poses, strict=True):
-        error, prior_error = errors_of(entry, pose, dataset, "prior")
-        failure = "" if pose is not None else "no pose in the pose file"
-        parts = parts_of(entry, pose, dataset)
-        rows.append(QueryRow(entry.name, _SPLIT, pose, None, None, failure, error, prior_error, {}, parts))
+    predictions = {
+        entry.key: Prediction(pose, "" if pose is not None else "no pose in the pose file")
+        for entry, pose in zip(dataset.entries, poses, strict=True)
+    }
+    priors = {entry.key: entry.prior for entry in dataset.entries}
+    rows = evaluate(dataset.entries, predictions, dataset.truth, priors)
     config = {
         "method": {"name": f"method_{number:03d}"},
         "segmenter": {"name": "unstated"},
@@ -155,4 +156,4 @@ def _scored(
         "seed": "unstated",
         "renderer": "unstated",
     }
-    return Result(scratch / f"{number:03d}", config, dataset, (_SPLIT,), tuple(rows), inputs, None)
+    return Result(scratch / f"{number:03d}", config, dataset, (_SPLIT,), predictions, rows, inputs, None)

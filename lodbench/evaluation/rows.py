@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from lodbench.evaluation.errors import FAILED, FAILED_PARTS, ErrorParts, PoseError
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, SplitSummary, Threshold, summarize
@@ -12,6 +12,11 @@ from lodbench.geometry import Pose
 
 # The reason of a row that cannot be scored: it is not part of the truth list.
 NO_TRUTH = "no true pose to compare with"
+
+
+def is_without_truth(failure: str) -> bool:
+    """Tells whether a row's reason is that nothing is known to compare with: it is in no denominator."""
+    return failure.startswith(NO_TRUTH)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +35,6 @@ class QueryRow:
         seconds: Wall time by stage.
         parts: The estimate's error taken apart; ``FAILED_PARTS`` without one, None without a truth.
         mask_iou: IoU of the query mask with the model's silhouette at the truth, or None.
-        trace: Best score after each step, by stage; empty where the method tells none.
         probability: What the method said of its being within 2 m and 2 degrees, or None.
         covariance: Upper triangle, row by row (21 numbers), of its error's covariance in x, y, z (metres),
             pitch, roll and yaw (degrees); empty where the method tells none.
@@ -47,7 +51,6 @@ class QueryRow:
     seconds: dict[str, float]
     parts: ErrorParts | None = None
     mask_iou: float | None = None
-    trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
     probability: float | None = None
     covariance: tuple[float, ...] = ()
 

@@ -80,7 +80,7 @@ def test_a_killed_run_resumes_to_the_same_bytes(lodbench, tmp_path, dataset):
     lodbench(*words(dataset))
     folder = run_folder(tmp_path)
     whole = {name: (folder / name).read_bytes() for name in STABLE}
-    ledger = folder / "ledger.jsonl"
+    ledger = folder / "predictions.jsonl"
     lines = ledger.read_bytes().splitlines(keepends=True)
     # As a kill leaves it: one query done, half a line of the next, none of the results.
     ledger.write_bytes(lines[0] + lines[1][:40])

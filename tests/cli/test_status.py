@@ -23,7 +23,7 @@ def test_a_run_is_finished_then_torn_then_unreadable(lodbench, tmp_path, data):
     said = lodbench("status", str(folder)).stdout
     assert "3 of 3 queries, finished" in said
     assert "1 x no mask in the masks folder" in said
-    ledger = folder / "ledger.jsonl"
+    ledger = folder / "predictions.jsonl"
     torn = ledger.read_bytes().splitlines(keepends=True)[0] + b'{"key": "half'
     ledger.write_bytes(torn)
     said = lodbench("status", str(folder)).stdout

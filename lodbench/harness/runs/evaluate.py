@@ -10,22 +10,16 @@ from typing import Any
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.pose_files import read_pose_file
-from lodbench.datasets.query import Dataset, Entry
+from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
+from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.pose_matching import match_poses, suspect_convention
-from lodbench.evaluation.rows import NO_TRUTH, QueryRow
+from lodbench.evaluation.predictions import Prediction, pose_numbers
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.gallery import write_overlays
-from lodbench.harness.runs.prepare import TILTS, Preparation
-from lodbench.harness.runs.result import (
-    Result,
-    chosen_entries,
-    errors_of,
-    parts_of,
-    pose_numbers,
-    queries_digest,
-)
+from lodbench.harness.runs.prepare import TILTS, Preparation, prior_of
+from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.rendering import make_renderer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import digest_of
@@ -89,9 +83,11 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
     }
     folder = settings.runs_root / dataset.name / name / digest_of({"config": config, "inputs": inputs})
     folder.mkdir(parents=True, exist_ok=True)
-    rows = tuple(_row(entry, matched.poses.get(entry.key), dataset, settings.tilt) for entry in entries)
+    predictions = {entry.key: _prediction(matched.poses.get(entry.key)) for entry in entries}
+    priors = {entry.key: prior_of(entry, dataset, settings.tilt) for entry in entries}
+    rows = evaluate(entries, predictions, dataset.truth, priors)
     told = replace(dataset, notes=dataset.notes + notes)
-    return Result(folder, config, told, splits, rows, inputs, lod=None)
+    return Result(folder, config, told, splits, predictions, rows, inputs, lod=None)
 
 
 def draw_scored(result: Result, segmenter: Segmenter, tilt: str) -> list[Path]:
@@ -127,10 +123,5 @@ def _poses_digest(found: list[FoundPose]) -> str:
     return digest_of([[pose.name, pose_numbers(pose.pose)] for pose in found])
 
 
-def _row(entry: Entry, pose: Pose | None, dataset: Dataset, tilt: str) -> QueryRow:
-    is_known = entry.key in dataset.truth
-    pose = pose if is_known else None
-    failure = NO_TRUTH if not is_known else NO_POSE if pose is None else ""
-    error, prior_error = errors_of(entry, pose, dataset, tilt)
-    parts = parts_of(entry, pose, dataset)
-    return QueryRow(entry.name, entry.split, pose, None, None, failure, error, prior_error, {}, parts)
+def _prediction(pose: Pose | None) -> Prediction:
+    return Prediction(pose, NO_POSE if pose is None else "")

@@ -7,14 +7,18 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
+from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.rows import QueryRow
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.result import Result
 from lodbench.rendering import Renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
-from lodbench.segmentation import binary_mask
+from lodbench.segmentation import Segmenter, binary_mask
 
 # Pictures of each kind and split.
 COUNT = 3
@@ -34,7 +38,8 @@ def write_overlays(result: Result, preparation: Preparation, renderer: Renderer)
                 if entry.camera is None or entry.camera.distortion:
                     continue
                 path = folder / overlay_name(split, kind, rank, row.name)
-                write_picture(path, draw_overlay(_shown(preparation, entry, row), renderer))
+                shown = _shown(preparation, entry, row, result.predictions[row.key])
+                write_picture(path, draw_overlay(shown, renderer))
                 written.append(path)
     return written
 
@@ -60,23 +65,29 @@ def _badness(row: QueryRow) -> float:
     return math.inf if row.score is None else -row.score
 
 
-def _shown(preparation: Preparation, entry: Entry, row: QueryRow) -> OverlayInput:
+def _shown(preparation: Preparation, entry: Entry, row: QueryRow, prediction: Prediction) -> OverlayInput:
     assert entry.camera is not None  # noqa: S101 - the caller has looked
-    try:
-        probability = preparation.segmenter.segment(entry)
-        mask = binary_mask(probability, probability.shape[1], probability.shape[0])
-    except QueryFault:
-        mask = None
     prior, truth = preparation.prior(entry), preparation.dataset.truth.get(entry.key)
     return OverlayInput(
         camera=entry.camera,
-        mask=mask,
+        mask=_mask(preparation.segmenter, entry, prediction),
         image=entry.image,
         prior=None if prior is None else preparation.local(prior),
         estimate=None if row.pose is None else preparation.local(row.pose),
         truth=None if truth is None else preparation.local(truth),
         caption=_caption(row),
     )
+
+
+def _mask(segmenter: Segmenter, entry: Entry, prediction: Prediction) -> NDArray[np.bool_] | None:
+    """Returns the mask that was used; for a pose made elsewhere the dataset's own, where it has one."""
+    if prediction.mask is not None:
+        return prediction.mask
+    try:
+        probability = segmenter.segment(entry)
+    except QueryFault:
+        return None
+    return binary_mask(probability, probability.shape[1], probability.shape[0])
 
 
 def _caption(row: QueryRow) -> str:

@@ -16,9 +16,9 @@ from lodbench.evaluation.calibration import calibrate
 from lodbench.evaluation.errors import FAILED
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.evaluation.rows import QueryRow
-from lodbench.execution import Ledger
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.gallery import chosen_rows, overlay_name
+from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.calibration_figures import draw_calibration
@@ -195,14 +195,14 @@ def _caption(row: QueryRow) -> str:
 
 
 def _traces(folder: Path, rows: Sequence[QueryRow], splits: Sequence[str]) -> str:
-    """Returns the score traces of the gallery's queries, from the run's ledger."""
-    ledger = Ledger(folder / "ledger.jsonl", read_only=True)
+    """Returns the score traces of the gallery's queries, from the run's predictions."""
+    stored = open_predictions(folder, read_only=True)
     traces = []
     for split in splits:
         chosen = chosen_rows(rows, split)
         for kind in ("worst", "best"):
             for row in chosen[kind]:
-                stages = ledger[row.key].get("trace", {}) if row.key in ledger else {}
+                stages = stored[row.key].get("trace", {}) if row.key in stored else {}
                 if any(len(scores) > 1 for scores in stages.values()):
                     traces.append(Trace(f"{kind}: {row.key}", {k: tuple(v) for k, v in stages.items()}))
     if not traces:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.evaluation.errors import FAILED, FAILED_PARTS, ErrorParts, PoseError, error_parts, pose_error
-from lodbench.evaluation.rows import NO_TRUTH, QueryRow
-from lodbench.geometry import Pose
-from lodbench.harness.runs.prepare import prior_of
+from lodbench.evaluation.predictions import Prediction, pose_numbers
+from lodbench.evaluation.rows import QueryRow
 from lodbench.storage import digest_of
 
 
@@ -23,6 +22,7 @@ class Result:
         config: The resolved configuration.
         dataset: The dataset.
         splits: Splits scored, in order.
+        predictions: What was answered, by ``Entry.key``.
         rows: One row per query.
         inputs: Digests of what went in.
         lod: Level of detail localised against; None where no city was opened or it has no name.
@@ -32,6 +32,7 @@ class Result:
     config: dict[str, Any]
     dataset: Dataset
     splits: tuple[str, ...]
+    predictions: Mapping[str, Prediction]
     rows: tuple[QueryRow, ...]
     inputs: dict[str, str]
     lod: str | None
@@ -61,51 +62,3 @@ def queries_digest(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
 def split_digest(entries: tuple[Entry, ...]) -> str:
     """Returns a digest of which queries are scored, in which splits."""
     return digest_of([entry.key for entry in entries])
-
-
-def pose_numbers(pose: Pose | None) -> list[float] | None:
-    """Returns the twelve numbers of a world-to-camera pose by rows: what digests and the ledger keep."""
-    return None if pose is None else [float(v) for v in pose.cam_from_world[:3].ravel()]
-
-
-def errors_of(
-    entry: Entry, pose: Pose | None, dataset: Dataset, tilt: str
-) -> tuple[PoseError | None, PoseError | None]:
-    """Returns the errors of an estimate and of the prior it had.
-
-    Both are None where there is no truth; a missing pose counts as ``FAILED``. All poses are in the
-    dataset's frame.
-    """
-    truth, prior = dataset.truth.get(entry.key), prior_of(entry, dataset, tilt)
-    if truth is None:
-        return None, None
-    return (
-        FAILED if pose is None else pose_error(pose, truth),
-        FAILED if prior is None else pose_error(prior, truth),
-    )
-
-
-def parts_of(entry: Entry, pose: Pose | None, dataset: Dataset) -> ErrorParts | None:
-    """Returns an estimate's error taken apart; None where there is no truth."""
-    truth = dataset.truth.get(entry.key)
-    if truth is None:
-        return None
-    return FAILED_PARTS if pose is None else error_parts(pose, truth)
-
-
-def is_without_truth(failure: str) -> bool:
-    """Tells whether a row's reason is that nothing is known to compare with: it is in no denominator."""
-    return failure.startswith(NO_TRUTH)
-
-
-def failure_of(key: str, failure: str, dataset: Dataset) -> str:
-    """Returns a row's reason: that there is no truth goes before why there is no estimate.
-
-    Args:
-        key: Of the query.
-        failure: Why there is no estimate, or "".
-        dataset: Whose truth counts.
-    """
-    if key in dataset.truth or is_without_truth(failure):
-        return failure
-    return f"{NO_TRUTH}; {failure}" if failure else NO_TRUTH

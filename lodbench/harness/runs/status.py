@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.errors import DatasetError
-from lodbench.execution import Ledger
+from lodbench.harness.runs.predict import open_predictions
 
 PLAN_FILE = "plan.json"
 
@@ -48,8 +48,8 @@ def read_status(folder: Path) -> RunStatus:
         keys = json.loads((folder / PLAN_FILE).read_text(encoding="utf-8"))["queries"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{folder} holds no run.", "Name a folder that `lodbench run` made.") from error
-    ledger = Ledger(folder / "ledger.jsonl", read_only=True)
-    rows = [ledger[key] for key in keys if key in ledger]
+    stored = open_predictions(folder, read_only=True)
+    rows = [stored[key] for key in keys if key in stored]
     failures: dict[str, int] = {}
     for row in rows:
         if row["failure"]:

@@ -13,9 +13,10 @@ from typing import Any
 from lodbench.datasets.pose_text import parse_pose
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.errors import FAILED, FAILED_PARTS, ErrorParts, PoseError
-from lodbench.evaluation.rows import QueryRow
+from lodbench.evaluation.predictions import Prediction
+from lodbench.evaluation.rows import QueryRow, is_without_truth
 from lodbench.geometry import Pose
-from lodbench.harness.runs.result import is_without_truth
+from lodbench.harness.runs.predict import open_predictions
 from lodbench.reporting.summaries import read_summary
 from lodbench.storage import show_formula
 
@@ -33,6 +34,7 @@ class StoredRun:
         folder: The run folder.
         summary: ``summary.json``.
         provenance: ``provenance.json``; empty where there is none.
+        predictions: What was answered, by key: the rows' with the masks of the stored predictions.
         rows: ``queries.csv`` with the poses of ``poses.txt``, in the file's order; no times.
         strays: Names in ``poses.txt`` that are no query of the run.
         tilts: What the rows' ``tilt`` column holds.
@@ -42,6 +44,7 @@ class StoredRun:
     folder: Path
     summary: dict[str, Any]
     provenance: dict[str, Any]
+    predictions: dict[str, Prediction]
     rows: tuple[QueryRow, ...]
     strays: tuple[str, ...]
     tilts: frozenset[str]
@@ -70,11 +73,18 @@ def read_run(folder: Path) -> StoredRun:
         folder=folder,
         summary=summary,
         provenance=_read_json(provenance) if provenance.is_file() else {},
+        predictions=_predictions(folder, rows),
         rows=tuple(rows),
         strays=tuple(name for name in poses if name not in used),
         tilts=frozenset(cells["tilt"] for cells in table),
         digests={name: sha256(_read(folder / name).encode()).hexdigest() for name in files},
     )
+
+
+def _predictions(folder: Path, rows: list[QueryRow]) -> dict[str, Prediction]:
+    stored = open_predictions(folder, read_only=True)
+    masks = {row.key: stored[row.key].get("mask_png", "") for row in rows if row.key in stored}
+    return {row.key: Prediction(row.pose, row.failure, mask_png=masks.get(row.key, "")) for row in rows}
 
 
 def _read(path: Path) -> str:

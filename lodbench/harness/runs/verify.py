@@ -19,20 +19,16 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.errors import ErrorParts, PoseError
-from lodbench.evaluation.rows import NO_TRUTH, QueryRow
+from lodbench.evaluation.evaluate import evaluate
+from lodbench.evaluation.rows import NO_TRUTH, QueryRow, is_without_truth
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.artefacts import summary_of
-from lodbench.harness.runs.result import (
-    Result,
-    chosen_entries,
-    errors_of,
-    is_without_truth,
-    parts_of,
-    queries_digest,
-)
+from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.run import scene_digest
 from lodbench.harness.runs.stored import StoredRun, read_run
+from lodbench.rendering import Scorer, make_renderer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import digest_of
 
@@ -94,7 +90,6 @@ def verify_run(
     if dataset is not None:
         splits = select_splits(dataset, config.get("split") or ())
         entries = chosen_entries(dataset, splits, config.get("limit"))
-        differences += _changed_errors(stored, entries, dataset, str(config["tilt"]))
         if has_own_priors:
             notes.append("the priors are taken from the run's own priors.txt")
         else:
@@ -105,15 +100,18 @@ def verify_run(
         told = replace(dataset, notes=dataset.notes + tuple(config["method"].get("notes", ())))
         if "masks" in inputs and segmenter is not None:
             inputs["masks"] = segmenter.fingerprint(entries)
+        scorer = None
         if "scene" in inputs and dataset.city_model is not None:
             city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
             inputs["scene"], lod = scene_digest(city.scene), city.scene.lod
+            scorer = make_renderer("silhouette", city.scene, None)
             told = replace(dataset, notes=dataset.notes + city.notes())
         elif "scene" in inputs:
             notes.append("the city model is not there: not compared")
             told = replace(dataset, notes=_stand_in(stored).notes)
+        differences += _changed_errors(stored, entries, dataset, str(config["tilt"]), scorer)
     splits = tuple(dict.fromkeys(row.split for row in stored.rows))
-    expected = summary_of(Result(folder, config, told, splits, stored.rows, inputs, lod))
+    expected = summary_of(Result(folder, config, told, splits, stored.predictions, stored.rows, inputs, lod))
     differences += compare_values(stored.summary, expected, "summary.json")
     differences += _wrong_name(folder, config, inputs)
     return Verdict(stored, tuple(differences), tuple(notes), dataset is None, dataset, entries)
@@ -169,21 +167,27 @@ def _changed_rows(stored: StoredRun, config: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _changed_errors(stored: StoredRun, entries: tuple[Entry, ...], dataset: Dataset, tilt: str) -> list[str]:
-    """Returns where the rows' errors do not follow from the poses and the truth."""
+def _changed_errors(
+    stored: StoredRun, entries: tuple[Entry, ...], dataset: Dataset, tilt: str, scorer: Scorer | None
+) -> list[str]:
+    """Returns where the rows' errors do not follow from the poses, the masks and the truth."""
     rows = {row.key: row for row in stored.rows}
     lines = [f"queries.csv: {entry.key} is missing" for entry in entries if entry.key not in rows]
     known = {entry.key for entry in entries}
     lines += [f"queries.csv: {key} is no query of the dataset" for key in rows if key not in known]
-    for entry in entries:
-        if entry.key in rows:
-            row = rows[entry.key]
-            error, prior_error = errors_of(entry, row.pose, dataset, tilt)
-            lines += _error_lines(row, "error", row.error, error)
-            lines += _error_lines(row, "prior error", row.prior_error, prior_error)
-            lines += _part_lines(row, parts_of(entry, row.pose, dataset))
-            if (error is None) != is_without_truth(row.failure):
-                lines.append(f"queries.csv: {row.key} fails with {row.failure!r}, against the truth list")
+    there = [entry for entry in entries if entry.key in rows]
+    priors = {entry.key: prior_of(entry, dataset, tilt) for entry in there}
+    for expected in evaluate(there, stored.predictions, dataset.truth, priors, scorer):
+        row = rows[expected.key]
+        lines += _error_lines(row, "error", row.error, expected.error)
+        lines += _error_lines(row, "prior error", row.prior_error, expected.prior_error)
+        lines += _part_lines(row, expected.parts)
+        if expected.mask_iou is not None and row.mask_iou != expected.mask_iou:
+            lines.append(
+                f"queries.csv: {row.key}: mask IoU {row.mask_iou}, its mask says {expected.mask_iou}"
+            )
+        if (expected.error is None) != is_without_truth(row.failure):
+            lines.append(f"queries.csv: {row.key} fails with {row.failure!r}, against the truth list")
     return lines
 
 

@@ -1,0 +1,96 @@
+"""What a method answered, as it is stored: everything a number is made of, but no truth."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.geometry import Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """A method's answer to one query.
+
+    Attributes:
+        pose: Estimate in the dataset's frame, or None.
+        failure: Why there is no estimate, or "".
+        score: The method's own measure of fit, or None.
+        hypotheses: Poses rendered and compared; None where that is not known.
+        seconds: Wall time by stage.
+        trace: Best score after each step, by stage; empty where the method tells none.
+        probability: What the method said of its being within 2 m and 2 degrees, or None.
+        covariance: Upper triangle, row by row (21 numbers), of its error's covariance in x, y, z (metres),
+            pitch, roll and yaw (degrees); empty where the method tells none.
+        mask_png: The query mask at 602 pixels' width or less, as a PNG of one bit per pixel in base64; ""
+            where there is none.
+    """
+
+    pose: Pose | None
+    failure: str = ""
+    score: float | None = None
+    hypotheses: int | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+    trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    probability: float | None = None
+    covariance: tuple[float, ...] = ()
+    mask_png: str = ""
+
+    @property
+    def mask(self) -> NDArray[np.bool_] | None:
+        """Returns the query mask, (H, W), or None."""
+        return _decoded(self.mask_png) if self.mask_png else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the prediction as JSON values."""
+        return {
+            "pose": pose_numbers(self.pose),
+            "failure": self.failure,
+            "score": self.score,
+            "hypotheses": self.hypotheses,
+            "seconds": self.seconds,
+            "trace": {stage: list(scores) for stage, scores in self.trace.items()},
+            "probability": self.probability,
+            "covariance": list(self.covariance),
+            "mask_png": self.mask_png,
+        }
+
+    @classmethod
+    def from_json(cls, value: dict[str, Any]) -> Prediction:
+        """Returns what ``to_json`` made an object of; what an older one lacks is unknown."""
+        numbers = value["pose"]
+        return cls(
+            pose=None if numbers is None else Pose.from_matrix(np.reshape([*numbers, 0, 0, 0, 1], (4, 4))),
+            failure=value["failure"],
+            score=value["score"],
+            hypotheses=value["hypotheses"],
+            seconds=value["seconds"],
+            trace={stage: tuple(scores) for stage, scores in value.get("trace", {}).items()},
+            probability=value.get("probability"),
+            covariance=tuple(value.get("covariance", ())),
+            mask_png=value.get("mask_png", ""),
+        )
+
+
+def pose_numbers(pose: Pose | None) -> list[float] | None:
+    """Returns the twelve numbers of a world-to-camera pose by rows: what digests and files keep."""
+    return None if pose is None else [float(v) for v in pose.cam_from_world[:3].ravel()]
+
+
+def encoded_mask(mask: NDArray[np.bool_]) -> str:
+    """Returns an (H, W) mask as a PNG of one bit per pixel, in base64."""
+    import cv2
+
+    content = cv2.imencode(".png", mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])[1]
+    return base64.b64encode(content.tobytes()).decode("ascii")
+
+
+def _decoded(text: str) -> NDArray[np.bool_]:
+    import cv2
+
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_GRAYSCALE)
+    return np.asarray(picture) > 0
