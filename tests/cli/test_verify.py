@@ -20,7 +20,9 @@ def made(tmp_path_factory) -> tuple[Path, Path, Path]:
     """A dataset's root, its city, and the folder of a run on it."""
     home = tmp_path_factory.mktemp("made")
     root, city = write_dataset(home, count=3)
-    (root / "masks" / "view_02.png").unlink()
+    cameras = root / "intrinsic.txt"
+    kept = [line for line in cameras.read_text().splitlines() if not line.startswith("view_02.png")]
+    cameras.write_text("\n".join(kept) + "\n")
     words = [
         "run",
         "method=prior_only",
