@@ -26,6 +26,7 @@ LAYERS = [
     "citymap",
     "segmentation",
     "training",
+    "matching",
     "methods",
     "evaluation",
     "reporting",

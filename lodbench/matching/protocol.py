@@ -1,0 +1,155 @@
+"""What a feature extractor and a matcher are. Pixels are COLMAP's: the first one's centre is (0.5, 0.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import ConfigError, RenderingError
+from lodbench.params import to_params
+from lodbench.plugins import load_plugin
+
+Floats = NDArray[np.float32]
+Image = NDArray[np.uint8]
+
+FEATURES, IMAGES = "features", "images"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Points of one picture that may be found again in another.
+
+    Attributes:
+        keypoints: (N, 2) float32, x and y in pixels.
+        descriptors: (N, D) float32; what they are compared by is the matcher's business.
+        scores: (N,) float32, how sure the extractor is of each; higher is better.
+        size: Width and height of the picture.
+
+    Raises:
+        RenderingError: The arrays are not these, or hold what is not finite or not in the picture.
+    """
+
+    keypoints: Floats
+    descriptors: Floats
+    scores: Floats
+    size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        count = len(self.keypoints)
+        _require(self.keypoints, (count, 2), "keypoints")
+        _require(self.descriptors, (count, self.descriptors.shape[-1]), "descriptors")
+        _require(self.scores, (count,), "scores")
+        if ((self.keypoints < 0) | (self.keypoints > np.array(self.size))).any():
+            raise RenderingError(f"keypoints lie outside the picture of {self.size[0]} x {self.size[1]}.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Pairs of points, one in each of two pictures.
+
+    Attributes:
+        first: (M, 2) float32, x and y in the first picture, pixels.
+        second: (M, 2) float32, likewise in the second.
+        scores: (M,) float32, how sure the matcher is of each; higher is better.
+
+    Raises:
+        RenderingError: The arrays are not these, or hold what is not finite.
+    """
+
+    first: Floats
+    second: Floats
+    scores: Floats
+
+    def __post_init__(self) -> None:
+        count = len(self.first)
+        for name, shape in (("first", (count, 2)), ("second", (count, 2)), ("scores", (count,))):
+            _require(getattr(self, name), shape, name)
+
+
+class FeatureExtractor(Protocol):
+    """Finds features in a picture; made from its ``params_type``, a frozen dataclass."""
+
+    def extract(self, image: Image) -> Features:
+        """Returns the features of an (H, W, 3) uint8 picture, red first; maybe none."""
+        ...
+
+
+class Matcher(Protocol):
+    """Finds matches; made from its ``params_type``, a frozen dataclass.
+
+    Attributes:
+        takes: ``features``: ``match`` is given the features of both pictures; ``images``: the pictures.
+    """
+
+    takes: str
+
+    def match(self, first: Any, second: Any) -> Matches:
+        """Returns the matches of two ``Features``, or of two (H, W, 3) uint8 pictures."""
+        ...
+
+
+def open_extractor(name: str, **settings: Any) -> FeatureExtractor:
+    """Returns the feature extractor of a name.
+
+    Raises:
+        ConfigError: There is none, it is broken, or a setting is unknown or out of range.
+    """
+    kind = load_plugin("feature_extractors", name)
+    extractor: FeatureExtractor = kind(to_params(settings, kind.params_type, name))
+    return extractor
+
+
+def open_matcher(name: str, **settings: Any) -> Matcher:
+    """Returns the matcher of a name.
+
+    Raises:
+        ConfigError: There is none, it is broken, or a setting is unknown or out of range.
+    """
+    kind = load_plugin("matchers", name)
+    matcher: Matcher = kind(to_params(settings, kind.params_type, name))
+    if matcher.takes not in (FEATURES, IMAGES):
+        raise ConfigError(f"Matcher {name!r} takes {matcher.takes!r}.", f"Known: {FEATURES}, {IMAGES}.")
+    return matcher
+
+
+def match_images(
+    first: Image, second: Image, matcher: Matcher, extractor: FeatureExtractor | None = None
+) -> Matches:
+    """Returns the matches of two (H, W, 3) uint8 pictures, red first.
+
+    Args:
+        first: A picture.
+        second: Another, of any size.
+        matcher: Finds the matches.
+        extractor: Finds the features, for a matcher that takes features.
+
+    Raises:
+        ConfigError: The matcher takes features and there is no extractor.
+        RenderingError: A picture is no such array.
+    """
+    if matcher.takes == IMAGES:
+        return matcher.match(check_image(first), check_image(second))
+    if extractor is None:
+        raise ConfigError("This matcher takes features.", "Name a feature extractor, for example sift.")
+    return matcher.match(extractor.extract(first), extractor.extract(second))
+
+
+def check_image(image: NDArray[Any]) -> Image:
+    """Returns a picture as it was given.
+
+    Raises:
+        RenderingError: It is not (H, W, 3) uint8, or empty.
+    """
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
+        raise RenderingError(f"A picture is (H, W, 3) uint8, not {image.shape} {image.dtype}.")
+    return image
+
+
+def _require(array: NDArray[Any], shape: tuple[int, ...], name: str) -> None:
+    if array.shape != shape or array.dtype != np.float32:
+        raise RenderingError(f"{name} are {array.shape} {array.dtype} instead of {shape} float32.")
+    if not np.isfinite(array).all():
+        raise RenderingError(f"{name} are not all finite.")
