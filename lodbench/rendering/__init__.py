@@ -1,6 +1,6 @@
 """Renderers: the silhouette engine, its numpy reference, and back ends behind one protocol."""
 
-from lodbench.rendering.appearance_bins import AppearanceBins, appearance_bins
+from lodbench.rendering.appearance_bins import AppearanceBins, EdgeBins, appearance_bins, edge_bins
 from lodbench.rendering.fit import BoundaryFit, Fit, IouFit, SoftIouFit
 from lodbench.rendering.instances import Instances
 from lodbench.rendering.layers import Layers
@@ -12,7 +12,7 @@ from lodbench.rendering.protocol import (
     Renderer,
     Scorer,
 )
-from lodbench.rendering.region_fit import RegionFit
+from lodbench.rendering.region_fit import ContourFit, RegionFit
 from lodbench.rendering.registry import (
     DEPTH,
     INSTANCES,
@@ -28,7 +28,9 @@ __all__ = [
     "LAYERS",
     "AppearanceBins",
     "BoundaryFit",
+    "ContourFit",
     "DepthRenderer",
+    "EdgeBins",
     "Fit",
     "InstanceRenderer",
     "Instances",
@@ -41,6 +43,7 @@ __all__ = [
     "Scorer",
     "SoftIouFit",
     "appearance_bins",
+    "edge_bins",
     "make_renderer",
     "open_renderer",
     "renderers_with",

@@ -17,6 +17,9 @@ _GREY_LEVELS = (16, 8)
 _COLOUR_LEVELS = (6, 6, 8, 3)
 # Channels of a grey photo stored in colour differ by no more than this on average, of 255.
 _GREY_SPREAD = 2.0
+# Levels of the strength of edges, and the part of the width that their mean is taken over.
+_EDGE_LEVELS = 12
+_AROUND_SHARE = 12.0
 # Over how many pixels the texture is smoothed, standard deviation.
 _TEXTURE_PX = 2.0
 
@@ -33,7 +36,7 @@ class AppearanceBins(NamedTuple):
     num_bins: int
 
 
-def appearance_bins(photo: NDArray[Any], size: tuple[int, int]) -> AppearanceBins:
+def appearance_bins(photo: NDArray[Any], size: tuple[int, int], has_texture: bool = True) -> AppearanceBins:
     """Returns a photo's pixels as bins of brightness, colour and texture, at a working size.
 
     A grey photo, thermal ones among them, gives 16 levels of brightness by 8 of texture; a colour photo 6 of
@@ -44,6 +47,7 @@ def appearance_bins(photo: NDArray[Any], size: tuple[int, int]) -> AppearanceBin
     Args:
         photo: (H, W) or (H, W, 3) BGR, 8 bits.
         size: Width and height to work at, pixels.
+        has_texture: Whether texture counts: it tells roofs from grass, and blurs where one ends.
 
     Raises:
         RenderingError: The photo has another shape.
@@ -58,10 +62,47 @@ def appearance_bins(photo: NDArray[Any], size: tuple[int, int]) -> AppearanceBin
     else:
         lab: Picture = np.asarray(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), dtype=np.float32)
         channels, levels = [lab[..., 0], lab[..., 1], lab[..., 2], _texture(lab[..., 0])], _COLOUR_LEVELS
+    if not has_texture:
+        channels, levels = channels[:-1], levels[:-1]
     bins = np.zeros(small.shape[:2], dtype=np.int64)
     for channel, count in zip(channels, levels, strict=True):
         bins = bins * count + _levels(channel, count)
     return AppearanceBins(bins.astype(np.uint16), int(np.prod(levels)))
+
+
+class EdgeBins(NamedTuple):
+    """How strongly a photo changes, in levels.
+
+    Attributes:
+        beside: (H, W) uint16 level of the change from left to right.
+        upright: (H, W) uint16 the same from top to bottom.
+        num_bins: How many levels there are.
+    """
+
+    beside: NDArray[np.uint16]
+    upright: NDArray[np.uint16]
+    num_bins: int
+
+
+def edge_bins(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> EdgeBins:
+    """Returns how strongly brightness and colour change across each pixel, in 12 equally full levels.
+
+    Gradients of L, a and b (Sobel) are taken after a blur and divided by their mean around the pixel, so that
+    a sharp foreground does not outweigh what lies in haze.
+
+    Args:
+        photo: (H, W) or (H, W, 3) BGR, 8 bits.
+        size: Width and height to work at, pixels.
+        blur_px: Standard deviation of the blur, pixels of that size.
+    """
+    small: Picture = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    if small.ndim == 2:
+        small = np.repeat(small[..., None], 3, axis=2)
+    lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
+    beside, upright = (np.abs(cv2.Sobel(lab, cv2.CV_32F, *axis)).sum(axis=2) for axis in ((1, 0), (0, 1)))
+    around = cv2.GaussianBlur(beside + upright, (0, 0), size[0] / _AROUND_SHARE) + np.float32(1e-3)
+    first, second = (_levels(edges / around, _EDGE_LEVELS).astype(np.uint16) for edges in (beside, upright))
+    return EdgeBins(first, second, _EDGE_LEVELS)
 
 
 def _is_grey(photo: Picture) -> bool:

@@ -8,7 +8,7 @@ from scipy.special import gammaln
 
 from lodbench.errors import RenderingError
 from lodbench.rendering.bits import Words, words_per_row
-from lodbench.rendering.region_kernels import code_lengths_saved
+from lodbench.rendering.region_kernels import code_lengths_saved, outline_sides
 
 Floats = NDArray[np.float64]
 
@@ -50,3 +50,28 @@ class RegionFit:
         """Returns the (N,) fit of N silhouettes."""
         saved = code_lengths_saved(words, self._bins, self._totals, self._log_gamma)
         return np.asarray(np.maximum(saved, 0.0) / (self.size[0] * self.size[1]))
+
+
+class ContourFit:
+    """Code length saved by describing the photo's edges along a silhouette's outline apart, nats per pixel.
+
+    Where the outline is upright, changes of the photo from left to right are looked at, else those from top
+    to bottom: two ``RegionFit`` of outlines, added.
+
+    Args:
+        beside: (H, W) how strongly the photo changes from left to right, in ``num_bins`` levels.
+        upright: (H, W) the same from top to bottom.
+        num_bins: How many levels there are.
+
+    Raises:
+        RenderingError: As for ``RegionFit``.
+    """
+
+    def __init__(self, beside: NDArray[np.integer], upright: NDArray[np.integer], num_bins: int) -> None:
+        self._beside, self._upright = RegionFit(beside, num_bins), RegionFit(upright, num_bins)
+        self.size = self._beside.size
+
+    def __call__(self, words: Words) -> Floats:
+        """Returns the (N,) fit of N silhouettes."""
+        beside, upright = outline_sides(words, self.size[0])
+        return np.asarray(self._beside(beside) + self._upright(upright))

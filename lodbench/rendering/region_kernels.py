@@ -8,6 +8,7 @@ from numba import njit
 from lodbench.rendering.bits import popcount, trailing_zeros
 
 _ONE = np.uint64(1)
+_TOP = np.uint64(63)
 
 
 @njit(cache=True, nogil=True)
@@ -61,3 +62,31 @@ def code_lengths_saved(words, bins, totals, log_gamma):  # type: ignore[no-untyp
             length -= log_gamma[0, inside[b]] + log_gamma[0, totals[b] - inside[b]]
         saved[n] = whole - length
     return saved
+
+
+@njit(cache=True, nogil=True)
+def outline_sides(words, width):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the outline of N silhouettes as two of (N, H, S) words.
+
+    The first holds set pixels with an unset one to the left or right, the second with one above or below;
+    the image's border is no outline.
+
+    Args:
+        words: (N, H, S) uint64.
+        width: Pixels of a row.
+    """
+    beside, upright = np.zeros_like(words), np.zeros_like(words)
+    height, last = words.shape[1], words.shape[2] - 1
+    edge = _ONE << np.uint64((width - 1) % 64)
+    for n in range(words.shape[0]):
+        for row in range(height):
+            for k in range(last + 1):
+                here = words[n, row, k]
+                left = (here << _ONE) | (words[n, row, k - 1] >> _TOP if k > 0 else here & _ONE)
+                right = here >> _ONE
+                right |= here & edge if k == last else words[n, row, k + 1] << _TOP
+                above = words[n, row - 1, k] if row > 0 else here
+                below = words[n, row + 1, k] if row < height - 1 else here
+                beside[n, row, k] = here & ~(left & right)
+                upright[n, row, k] = here & ~(above & below)
+    return beside, upright

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
-from lodbench.rendering import RegionFit, appearance_bins, make_renderer
+from lodbench.rendering import ContourFit, RegionFit, appearance_bins, edge_bins, make_renderer
 from lodbench.rendering.bits import pack_mask
 
 SIZES = [(1, 1), (1, 9), (63, 5), (64, 7), (65, 1), (127, 30), (150, 41)]
@@ -154,3 +154,36 @@ class TestBins:
 def test_bins_out_of_range(bins, count):
     with pytest.raises(RenderingError, match="bins"):
         RegionFit(np.array(bins), count)
+
+
+def plain_outline(mask, axis):
+    """Returns set pixels with an unset one before or after them along an axis."""
+    around = np.pad(mask, 1, mode="edge")
+    before, after = (
+        (around[:-2, 1:-1], around[2:, 1:-1]) if axis == 0 else (around[1:-1, :-2], around[1:-1, 2:])
+    )
+    return mask & ~(before & after)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_contours_are_the_regions_of_outlines(width, height):
+    rng = np.random.default_rng(10)
+    masks = blobs(rng, width, height, 9)
+    beside, upright = rng.integers(0, 5, (2, height, width))
+    expected = [
+        RegionFit(beside, 5)(packed([plain_outline(mask, 1)]))
+        + RegionFit(upright, 5)(packed([plain_outline(mask, 0)]))
+        for mask in masks
+    ]
+    np.testing.assert_array_equal(ContourFit(beside, upright, 5)(packed(masks)), np.concatenate(expected))
+
+
+def test_an_outline_on_the_photo_s_edges_fits_best():
+    mask = np.zeros((64, 96), dtype=bool)
+    mask[20:50, 30:70] = True
+    photo = (80 + 60 * mask + np.random.default_rng(11).integers(0, 20, mask.shape)).astype(np.uint8)
+    moved = np.stack([np.roll(mask, shift, axis=axis) for axis in (0, 1) for shift in (0, 3, 6)])
+    values = ContourFit(*edge_bins(photo, (96, 64), 1.0))(packed(moved))
+    assert values[0] == values[3] == values.max() > 0
+    assert values[1] < values[0]
+    assert values[4] < values[0]

@@ -1,0 +1,98 @@
+"""The method: a pose from a photo's pixels, without a mask and without a network."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.inputs import Input
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.geometry import Camera
+from lodbench.methods.contour_alignment.outline import edges_in_reach
+from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.methods.contour_alignment.uncertainty import probability_within
+from lodbench.methods.protocol import Estimate, Streams
+from lodbench.methods.region.evidence import Evidence, PhotoFit
+from lodbench.methods.region.params import Params
+from lodbench.methods.region.search import Surroundings, climbed, grid_starts
+from lodbench.methods.region.uncertainty import covariance_at, share_of_best
+from lodbench.rendering import Scorer
+
+Floats = NDArray[np.float64]
+
+
+class Region:
+    """Finds the pose whose silhouette splits the photo into two regions that look most unlike each other."""
+
+    params_type = Params
+    name = "region"
+    requires = frozenset({Input.IMAGE})
+
+    def __init__(self, settings: Params | None = None) -> None:
+        self.params = settings or Params()
+
+    def params_for_prior(self, prior: UniformPrior) -> Params:
+        """Returns the parameters that search all that such a prior leaves open, tilt included."""
+        return self.params.for_prior(prior)
+
+    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+        """Returns the most probable pose.
+
+        Raises:
+            QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
+        """
+        started = time.perf_counter()
+        photo = _photo(query)
+        params = self.params
+        reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
+        turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
+        edges = edges_in_reach(scorer.scene, query.camera, query.prior, reach_m, turn_deg)
+        around = Surroundings(edges, scorer, params)
+        search = self._evidence(query, scorer, photo, params.coarse_width, is_coarse=True)
+        starts, best = grid_starts(query, search, params)
+        tops = climbed(starts, search, around, params.coarse_generations, params.coarse_spread_px, streams)
+        searched = time.perf_counter()
+        final = self._evidence(query, scorer, photo, params.fine_width, is_coarse=False)
+        means = np.array([top.cloud.mean for top in tops[: params.modes]])
+        modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams)
+        if not modes:
+            raise QueryFault("no outline of a building is in view of any pose that fits")
+        vector = modes[0].cloud.mean
+        covariance = covariance_at(final, vector, around, params)
+        finished = time.perf_counter()
+        return Estimate(
+            pose=pose_from_vector(vector),
+            score=float(final.fits(vector[None])[0]),
+            hypotheses=search.counted + final.counted,
+            seconds={"coarse": searched - started, "fine": finished - searched},
+            trace={"coarse": (best,), "modes": tuple(mode.log_posterior for mode in modes)},
+            covariance=covariance,
+            probability=share_of_best(modes) * probability_within(covariance, vector),
+        )
+
+    def _evidence(
+        self, query: Query, scorer: Scorer, photo: NDArray[np.uint8], width: int, is_coarse: bool
+    ) -> Evidence:
+        size = _size(query.camera, width)
+        return Evidence(query, scorer, PhotoFit(photo, size, self.params, is_coarse), self.params)
+
+
+def _size(camera: Camera, width: int) -> tuple[int, int]:
+    """Returns a width and the height that keeps the photo's aspect; never more than the photo has."""
+    width = min(width, camera.width)
+    return width, max(1, round(width * camera.height / camera.width))
+
+
+def _photo(query: Query) -> NDArray[np.uint8]:
+    if query.image is None:
+        raise QueryFault("there is no photo")
+    photo = read_picture(query.image)
+    if photo is None:
+        raise QueryFault(f"the photo {query.image.name} cannot be decoded")
+    return photo

@@ -1,0 +1,114 @@
+"""Parameters of region-based localisation; docs/adr/0021 says how the defaults were chosen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import ConfigError
+from lodbench.geometry import AxisRange, PoseGrid
+from lodbench.rendering.raster_rule import GUARD_PX
+
+_RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
+_POSITIVE = ("stride_m", "stride_z_m", "stride_yaw_deg", "coarse_spread_px", "fine_spread_px", "edge_blur_px")
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """Everything the method can be told.
+
+    Attributes:
+        name: Name to report.
+        coarse_width: Width of silhouettes in the search, pixels; their height follows from the photo's.
+        fine_width: The same where the best modes are refined.
+        range_x_m: Full width of the prior's error in x, metres; likewise y and z.
+        range_y_m: See range_x_m.
+        range_z_m: See range_x_m.
+        range_yaw_deg: Full width in yaw, degrees.
+        range_tilt_deg: Full width in pitch and in roll, degrees.
+        stride_m: Largest distance between samples of the grid along x and y, metres.
+        stride_z_m: The same in height.
+        stride_yaw_deg: The same in yaw, degrees.
+        starts: Distinct samples of the grid that are climbed from.
+        modes: Distinct tops of those that are refined.
+        coarse_generations: Generations of each climb in the search.
+        fine_generations: Generations of each refinement.
+        population: Poses in a generation, even.
+        coarse_spread_px: How far outlines lie apart in the first generation, pixels of the coarse size.
+        fine_spread_px: The same in a refinement, pixels of the fine size.
+        effective_pixels: How many independent pixels a photo is worth against the prior.
+        edge_weight: Weight of the photo's edges along the outline beside its regions; 0 leaves them out.
+        edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
+    """
+
+    name: str = "region"
+    coarse_width: int = 151
+    fine_width: int = 301
+    range_x_m: float = 20.0
+    range_y_m: float = 20.0
+    range_z_m: float = 60.0
+    range_yaw_deg: float = 15.0
+    range_tilt_deg: float = 2.0
+    stride_m: float = 5.0
+    stride_z_m: float = 15.0
+    stride_yaw_deg: float = 3.75
+    starts: int = 6
+    modes: int = 3
+    coarse_generations: int = 14
+    fine_generations: int = 22
+    population: int = 24
+    coarse_spread_px: float = 4.0
+    fine_spread_px: float = 2.5
+    effective_pixels: float = 2000.0
+    edge_weight: float = 2.0
+    edge_blur_px: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("coarse_width", "fine_width"):
+            if not 16 <= getattr(self, name) <= GUARD_PX:
+                raise ConfigError(f"method.{name} is 16 to {GUARD_PX} px, not {getattr(self, name)}.")
+        for name in (*_RANGES, "effective_pixels", "edge_weight"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
+        for name in _POSITIVE:
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(f"method.{name} is finite and above 0, not {getattr(self, name)}.")
+        if min(self.starts, self.modes, self.coarse_generations, self.fine_generations) < 1:
+            raise ConfigError("method.starts, method.modes and both numbers of generations are at least 1.")
+        if self.population < 8 or self.population % 2:
+            raise ConfigError(f"method.population is even and at least 8, not {self.population}.")
+
+    def grid(self) -> PoseGrid:
+        """Returns the grid of the search: samples at most a stride apart, ends included."""
+        return PoseGrid(
+            _axis(self.range_x_m, self.stride_m),
+            _axis(self.range_y_m, self.stride_m),
+            _axis(self.range_z_m, self.stride_z_m),
+            _axis(self.range_yaw_deg, self.stride_yaw_deg),
+        )
+
+    def prior_sigmas(self) -> tuple[float, ...]:
+        """Returns the standard deviations of the prior's x, y, z, pitch, roll and yaw.
+
+        The tilt has that of its uniform range, place and yaw the half width. A range of 0 is held to a
+        millimetre or a ten-thousandth of a degree.
+        """
+        place = [max(0.5 * w, 1e-3) for w in (self.range_x_m, self.range_y_m, self.range_z_m)]
+        tilt = max(0.5 * self.range_tilt_deg / math.sqrt(3.0), 1e-4)
+        return (*place, tilt, tilt, max(0.5 * self.range_yaw_deg, 1e-4))
+
+    def for_prior(self, prior: UniformPrior) -> Params:
+        """Returns these parameters for a prior's error of other half widths."""
+        return replace(
+            self,
+            range_x_m=2.0 * prior.x_m,
+            range_y_m=2.0 * prior.y_m,
+            range_z_m=2.0 * prior.z_m,
+            range_yaw_deg=2.0 * prior.yaw_deg,
+            range_tilt_deg=prior.pitch_deg + prior.roll_deg,
+        )
+
+
+def _axis(width: float, stride: float) -> AxisRange:
+    return AxisRange(width, math.ceil(width / stride - 1e-9) + 1)

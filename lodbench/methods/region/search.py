@@ -1,0 +1,118 @@
+"""From a wide prior to a few distinct poses: a grid, climbs from its best samples, refinement."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.methods.contour_alignment.outline import EdgeArrays, sample_outline
+from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, rotation_derivatives
+from lodbench.methods.protocol import Streams
+from lodbench.methods.region.evidence import Evidence
+from lodbench.methods.region.evolution import Cloud, climb
+from lodbench.methods.region.params import Params
+from lodbench.rendering import Scorer
+
+Floats = NDArray[np.float64]
+
+# Tops of climbs nearer to each other than this are the same one: metres, degrees.
+_SAME_M, _SAME_DEG = 3.0, 3.0
+# Distance between the points of an outline that say how it moves with the pose, pixels.
+_SPACING_PX = 4.0
+
+
+class Mode(NamedTuple):
+    """A top of the posterior.
+
+    Attributes:
+        cloud: Its pose and the shape of its surroundings.
+        log_posterior: At the pose, up to a constant.
+    """
+
+    cloud: Cloud
+    log_posterior: float
+
+
+def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Floats, float]:
+    """Returns the best samples of the grid, none a neighbour of a better one, (N, 6), and the best fit.
+
+    Raises:
+        QueryFault: The photo fits no sample at all.
+    """
+    grid = params.grid()
+    centers, yaws = grid.around(query.prior)
+    pitch, roll, _ = query.prior.euler
+    vectors = np.column_stack([centers, np.broadcast_to([pitch, roll], (len(yaws), 2)), yaws])
+    fits = evidence.fits(vectors)
+    best = float(fits.max())
+    if best <= 0:
+        raise QueryFault("the photo fits no view of the map: the prior may be far from the city")
+    axes = (grid.x, grid.y, grid.z, grid.yaw)
+    cell = np.array([axis.width / max(axis.count - 1, 1) or 1.0 for axis in axes])
+    places = np.column_stack([centers, yaws]) / cell
+    chosen: list[int] = []
+    for i in np.argsort(-fits, kind="stable"):
+        if (np.abs(places[chosen] - places[i]).max(axis=1, initial=0.0) > 1.01).all():
+            chosen.append(int(i))
+        if len(chosen) == params.starts:
+            break
+    return vectors[chosen], best
+
+
+def climbed(
+    starts: Floats,
+    evidence: Evidence,
+    around: Surroundings,
+    generations: int,
+    spread_px: float,
+    streams: Streams,
+) -> list[Mode]:
+    """Returns the distinct tops that climbs from some poses (N, 6) end on, best first."""
+    tops = []
+    for k, start in enumerate(starts):
+        shape = around.cloud(start, evidence, spread_px)
+        if shape is not None:
+            cloud = climb(
+                evidence.log_posterior,
+                shape,
+                generations,
+                around.population,
+                streams(f"climb {spread_px:g}", k),
+            )
+            tops.append(Mode(cloud, float(evidence.log_posterior(cloud.mean[None])[0])))
+    tops.sort(key=lambda top: -top.log_posterior)
+    distinct: list[Mode] = []
+    for top in tops:
+        gaps = [np.abs(top.cloud.mean - other.cloud.mean) for other in distinct]
+        if all(np.linalg.norm(gap[:3]) > _SAME_M or gap[3:].max() > _SAME_DEG for gap in gaps):
+            distinct.append(top)
+    return distinct
+
+
+class Surroundings:
+    """How the outline moves around a pose, which shapes the first generation of a climb."""
+
+    def __init__(self, edges: EdgeArrays, scorer: Scorer, params: Params) -> None:
+        self.population = params.population
+        self._edges, self._scorer = edges, scorer
+
+    def cloud(self, vector: Floats, evidence: Evidence, spread_px: float) -> Cloud | None:
+        """Returns poses whose outlines lie about ``spread_px`` apart, or the prior allows no more.
+
+        None where no outline is in view.
+        """
+        camera, pose = evidence.camera, pose_from_vector(vector)
+        silhouette = self._scorer.render(camera, pose)
+        turns = rotation_derivatives(vector)
+        points = sample_outline(self._edges, camera, pose, turns, silhouette, _SPACING_PX)
+        if not len(points):
+            return None
+        slopes = (points.moves[:, :6] * points.normals[:, None, :]).sum(axis=2)
+        weights = points.lengths / points.lengths.sum()
+        information = (slopes * weights[:, None]).T @ slopes / spread_px**2 + evidence.prior_information()
+        covariance = np.linalg.inv(information)
+        return Cloud(vector, np.asarray(0.5 * (covariance + covariance.T)))

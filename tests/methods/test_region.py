@@ -1,0 +1,142 @@
+"""Region-based localisation on pictures of the tests' tiny town: two grounds of noise, no mask anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.evaluation import pose_error
+from lodbench.methods.region import Params, Region
+from lodbench.methods.region.evolution import Cloud, climb
+from lodbench.methods.registry import make_method
+from lodbench.rendering import make_renderer
+from lodbench.storage import random_stream
+from tests.town import CAMERA
+
+FAST = Params(fine_width=200, starts=4, modes=2)
+
+
+def streams(seed=0):
+    return partial(random_stream, seed, "test", "query")
+
+
+@pytest.fixture(scope="module")
+def photographed(scorer, queries, truths, tmp_path_factory):
+    """Returns the queries with a photo and without a mask: buildings are reddish, all else is greenish."""
+    folder = tmp_path_factory.mktemp("photos")
+    found = []
+    for i, (query, truth) in enumerate(zip(queries, truths, strict=True)):
+        inside = scorer.render(CAMERA, truth)[..., None]
+        colours = np.where(inside, [90.0, 100.0, 140.0], [100.0, 130.0, 100.0])
+        noise = random_stream(0, "photo", i).normal(0.0, 20.0, colours.shape)
+        path = folder / f"q{i}.png"
+        cv2.imwrite(str(path), np.clip(colours + noise, 0, 255).astype(np.uint8))
+        found.append(replace(query, building_probability=None, image=path))
+    return found
+
+
+class TestTheMethod:
+    def test_it_finds_photos_from_their_pixels(self, scorer, photographed, truths):
+        for query, truth in zip(photographed, truths, strict=True):
+            before = pose_error(query.prior, truth)
+            estimate = Region(FAST).localize(query, scorer, streams())
+            after = pose_error(estimate.pose, truth)
+            assert after.translation_m < min(1.0, 0.5 * before.translation_m)
+            assert after.rotation_deg < 1.0
+            assert estimate.covariance is not None
+            assert (np.linalg.eigvalsh(estimate.covariance) > 0).all()
+            assert estimate.probability is not None
+            assert 0.5 < estimate.probability <= 1.0
+
+    def test_threads_and_repetition_change_no_bit(self, scene, scorer, photographed):
+        first = Region(FAST).localize(photographed[0], scorer, streams())
+        for threads in (1, 3):
+            again = Region(FAST).localize(
+                photographed[0], make_renderer("silhouette", scene, threads), streams()
+            )
+            np.testing.assert_array_equal(again.pose.cam_from_world, first.pose.cam_from_world)
+            assert (again.probability, again.hypotheses) == (first.probability, first.hypotheses)
+
+    def test_a_grey_photo_of_another_exposure_will_do(self, scorer, photographed, truths, tmp_path):
+        grey = cv2.imread(str(photographed[1].image), cv2.IMREAD_GRAYSCALE)
+        grey = np.where(scorer.render(CAMERA, truths[1]), grey // 2 + 60, grey // 2)
+        cv2.imwrite(str(tmp_path / "grey.png"), grey.astype(np.uint8))
+        query = replace(photographed[1], image=tmp_path / "grey.png")
+        estimate = Region(FAST).localize(query, scorer, streams())
+        assert pose_error(estimate.pose, truths[1]).translation_m < 1.0
+
+    def test_a_photo_of_noise_is_not_trusted(self, scorer, photographed, tmp_path):
+        noise = np.random.default_rng(1).integers(0, 256, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+        cv2.imwrite(str(tmp_path / "noise.png"), noise)
+        query = replace(photographed[0], image=tmp_path / "noise.png")
+        try:
+            estimate = Region(FAST).localize(query, scorer, streams())
+        except QueryFault:
+            return
+        assert estimate.probability is not None
+        assert estimate.probability < 0.2
+
+    def test_a_prior_s_width_sets_the_search(self):
+        wide = Region().params_for_prior(UniformPrior(50.0, 40.0, 30.0, 30.0, 2.0, 2.0))
+        assert (wide.range_x_m, wide.range_y_m, wide.range_z_m, wide.range_yaw_deg) == (
+            100.0,
+            80.0,
+            60.0,
+            60.0,
+        )
+        assert wide.range_tilt_deg == 4.0
+        assert len(wide.grid()) > len(Params().grid())
+
+
+class TestWhatIsRefused:
+    def test_no_photo(self, scorer, queries):
+        with pytest.raises(QueryFault, match="no photo"):
+            Region(FAST).localize(replace(queries[0], image=None), scorer, streams())
+
+    def test_a_file_that_is_no_photo(self, scorer, queries, tmp_path):
+        (tmp_path / "q.png").write_bytes(b"no picture")
+        with pytest.raises(QueryFault, match="decoded"):
+            Region(FAST).localize(replace(queries[0], image=tmp_path / "q.png"), scorer, streams())
+
+    def test_no_building_in_reach(self, scorer, photographed):
+        far = replace(photographed[0], prior=photographed[0].prior.shifted([5000.0, 0.0, 0.0]))
+        with pytest.raises(QueryFault, match="far from the city"):
+            Region(FAST).localize(far, scorer, streams())
+
+    @pytest.mark.parametrize(
+        "wrong",
+        [
+            {"coarse_width": 4}, {"fine_width": 9000}, {"range_x_m": -1.0}, {"stride_m": 0.0}, {"starts": 0},
+            {"population": 7}, {"population": 4}, {"effective_pixels": float("inf")}, {"edge_weight": -0.1},
+        ],
+    )  # fmt: skip
+    def test_settings_out_of_range(self, wrong):
+        (key,) = wrong
+        with pytest.raises(ConfigError, match=key):
+            make_method("region", **wrong)
+
+
+@given(st.integers(0, 2**32))
+def test_a_climb_ends_on_the_top_of_a_tilted_valley(seed):
+    rng = np.random.default_rng(seed)
+    turn = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    curvature = turn * np.logspace(0, 3, 6) @ turn.T
+    top = rng.normal(size=6)
+
+    def value(points):
+        return -0.5 * np.einsum("ni,ij,nj->n", points - top, curvature, points - top)
+
+    found = climb(value, Cloud(np.zeros(6), np.eye(6)), 120, 24, rng)
+    assert value(found.mean[None])[0] > -1e-3
+    # The cloud takes the valley's shape: longest where the curvature is least.
+    lengths, axes = np.linalg.eigh(found.covariance)
+    assert abs(axes[:, -1] @ turn[:, 0]) > 0.7
+    assert (lengths > 0).all()
