@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from lodbench.citymap.usage import MapUsage
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, make_renderer
+from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, ViewEdges, make_renderer
 from lodbench.rendering.bits import Words
-from lodbench.rendering.projection import require_poses
+from lodbench.rendering.model_edges import EdgeFaces, edge_faces, edges_in_view
+from lodbench.rendering.projection import require_poses, view_planes, visible_buildings
 from lodbench.rendering.raster import RasterRenderer
+from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import random_stream
 from lodbench.synthesis.photo import PLAIN_LOOK, PhotoRenderer, draw_look
@@ -23,7 +25,7 @@ Floats = NDArray[np.float64]
 
 
 class CityMap:
-    """Draws a city from many poses at a time: silhouettes, depth, normals, colour.
+    """Draws a city from many poses at a time: silhouettes, depth, normals, colour, edges.
 
     Poses are (N, 3, 3) rotations cam_from_world and (N, 3) camera centres in the scene's local metric
     frame; all views of a call share one pinhole camera, of any size. What comes out does not depend on
@@ -105,6 +107,37 @@ class CityMap:
         look, development = draw_look(PLAIN_LOOK, random_stream(0, "city map", "colour"))
         photos = [self._photos.photo(camera, pose, look, development) for pose in _poses(rotations, centers)]
         return np.array(photos, dtype=np.uint8).reshape(-1, camera.height, camera.width, 3)
+
+    def edges(
+        self, camera: Camera, rotations: Floats, centers: Floats, crease_deg: float = 15.0
+    ) -> tuple[ViewEdges, ...]:
+        """Returns the model's edges in N views, split where they are hidden; see ``ViewEdges``.
+
+        Args:
+            camera: Pinhole.
+            rotations: (N, 3, 3) cam_from_world.
+            centers: (N, 3) camera centres, scene metres.
+            crease_deg: Least angle between two faces' planes to be a crease. Contours need none.
+        """
+        self.usage.add("edges", len(centers))
+        rotations, centers = require_poses(rotations, centers)
+        planes = view_planes(camera, 0, camera.width)
+
+        def view(i: int) -> ViewEdges:
+            pose = rotations[i], centers[i]
+            depth = self._raster.depths(camera, rotations[i : i + 1], centers[i : i + 1])[0]
+            seen = visible_buildings(self._spheres, *pose, planes)
+            return edges_in_view(self._edge_faces, seen, camera, pose, depth, crease_deg)
+
+        return tuple(view(i) for i in range(len(centers)))
+
+    @cached_property
+    def _spheres(self) -> Floats:
+        return bounding_spheres(self.scene)
+
+    @cached_property
+    def _edge_faces(self) -> EdgeFaces:
+        return edge_faces(self.scene)
 
     @cached_property
     def _engine(self) -> SilhouetteRenderer:

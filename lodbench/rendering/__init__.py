@@ -4,6 +4,7 @@ from lodbench.rendering.appearance_bins import AppearanceBins, EdgeBins, appeara
 from lodbench.rendering.fit import BoundaryFit, Fit, IouFit, SoftIouFit
 from lodbench.rendering.instances import Instances
 from lodbench.rendering.layers import Layers
+from lodbench.rendering.model_edges import EdgeKind, ViewEdges
 from lodbench.rendering.protocol import (
     DepthRenderer,
     InstanceRenderer,
@@ -31,6 +32,7 @@ __all__ = [
     "ContourFit",
     "DepthRenderer",
     "EdgeBins",
+    "EdgeKind",
     "Fit",
     "InstanceRenderer",
     "Instances",
@@ -42,6 +44,7 @@ __all__ = [
     "Renderer",
     "Scorer",
     "SoftIouFit",
+    "ViewEdges",
     "appearance_bins",
     "edge_bins",
     "make_renderer",

@@ -103,6 +103,24 @@ def test_instances_unite_to_the_silhouette(city_map):
         np.testing.assert_array_equal(union, unpack_mask(view, CAMERA.width))
 
 
+def test_visible_edges_lie_on_depth_and_hidden_ones_behind_it(city_map):
+    depths = city_map.depth(CAMERA, ROTATIONS, CENTERS)
+    views = city_map.edges(CAMERA, ROTATIONS, CENTERS)
+    lengths = {True: 0.0, False: 0.0}
+    for pose, depth, view in zip(POSES, depths, views, strict=True):
+        middle = view.points.mean(axis=1)
+        z = (middle - pose.center) @ pose.rotation[2]
+        column, row = np.floor(view.pixels.mean(axis=1)).astype(int).T
+        # 1 / z is linear along the picture's line, so its middle is at or before the edge's middle.
+        behind = depth[np.clip(row, 0, 89), np.clip(column, 0, 120)]
+        hidden = ~view.is_visible
+        assert (behind[hidden] < 1.05 * z[hidden]).mean() > 0.9
+        pixels = np.sqrt(((view.pixels[:, 1] - view.pixels[:, 0]) ** 2).sum(axis=1))
+        for seen in (True, False):
+            lengths[seen] += pixels[view.is_visible == seen].sum()
+    assert lengths[True] > lengths[False] > 0
+
+
 def test_colour_differs_between_buildings_and_sky(city_map):
     colours = city_map.colour(CAMERA, ROTATIONS, CENTERS)
     depths = city_map.depth(CAMERA, ROTATIONS, CENTERS)
