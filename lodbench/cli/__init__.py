@@ -78,13 +78,20 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         sys.stdout.write(f"lodbench {__version__}\n")
         return 0
-    from lodbench.cli.console import report_fault
+    import contextlib
+    import logging
+
+    from lodbench.cli.console import PlainFormatter, PlainStream, report_fault
     from lodbench.errors import LodbenchError, nearest_names
 
+    if logging.lastResort is not None:
+        logging.lastResort.setFormatter(PlainFormatter())
     try:
         if words[0] not in COMMANDS:
             raise LodbenchError(f"There is no command {words[0]!r}.", nearest_names(words[0], COMMANDS))
-        code: int = import_module(COMMANDS[words[0]][0]).main(words[1:])
+        # Names and texts of cities, photos and runs come from strangers.
+        with contextlib.redirect_stdout(PlainStream(sys.stdout)):  # type: ignore[type-var]
+            code: int = import_module(COMMANDS[words[0]][0]).main(words[1:])
         sys.stdout.flush()
         return code
     except LodbenchError as error:

@@ -2,21 +2,50 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TextIO
 
 from lodbench.errors import LodbenchError
+from lodbench.reporting.safe_text import plain_lines, plain_text
 
 if TYPE_CHECKING:
     from lodbench.checks import Check
 
 
+class PlainStream:
+    """A stream that terminal sequences and other control characters from data do not pass.
+
+    Args:
+        stream: Where all else goes.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Writes a text, its line ends and tabs kept."""
+        self._stream.write(plain_lines(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+class PlainFormatter(logging.Formatter):
+    """Lines of warnings, without what would steer a terminal."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Returns the line of a record."""
+        return f"lodbench: {plain_text(record.getMessage())}"
+
+
 def report_fault(fault: LodbenchError) -> None:
     """Writes a fault to standard error: one line, and its hint below."""
-    sys.stderr.write(f"lodbench: {fault.message}\n")
+    sys.stderr.write(f"lodbench: {plain_text(fault.message)}\n")
     if fault.hint:
-        sys.stderr.write(f"  hint: {fault.hint}\n")
+        sys.stderr.write(f"  hint: {plain_text(fault.hint)}\n")
 
 
 def check_lines(checks: Sequence[Check]) -> Iterator[str]:

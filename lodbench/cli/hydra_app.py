@@ -56,6 +56,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
 
     Raises:
         LodbenchError: An override is malformed, unknown or of the wrong type; or the only job's own.
+        Exception: What else a job raised, as it was raised; the jobs after it are not run.
     """
     import hydra
     from hydra.core.hydra_config import HydraConfig
@@ -63,13 +64,19 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
 
     jobs: list[list[str]] = []
     faults: dict[int, LodbenchError] = {}
+    crashes: list[Exception] = []
 
     def job(config: DictConfig) -> None:
+        if crashes:
+            return
         jobs.append(list(HydraConfig.get().overrides.task))
         try:
             task(config)
         except LodbenchError as fault:
             faults[len(jobs) - 1] = fault
+        # Kept from Hydra, which has words of its own for it, and from what is caught below.
+        except Exception as error:
+            crashes.append(error)
 
     register_config_sources()
     # Hydra's parser wants its flags before the overrides; people write them anywhere.
@@ -85,6 +92,8 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         raise _explained(error, config_name) from error
     finally:
         sys.argv = saved
+    if crashes:
+        raise crashes[0]
     if faults and not flags:
         raise faults[0]
     for number, fault in faults.items():

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from omegaconf import OmegaConf
+from yaml import AliasToken, scan
 
 from lodbench.cli.run_dataset import open_dataset, with_prior, with_source
 from lodbench.datasets.query import Dataset
@@ -84,6 +85,10 @@ def reopen_dataset(folder: Path, dataset_root: str | None = None, city_model: st
     return _reopen(folder, read_config(folder), dataset_root or root, city_model or city)
 
 
+# A run's configuration has some kilobytes.
+_MAX_CONFIG = 1_000_000
+
+
 def read_config(folder: Path) -> dict[str, Any]:
     """Returns the configuration of a run folder as JSON values.
 
@@ -92,7 +97,10 @@ def read_config(folder: Path) -> dict[str, Any]:
     """
     path = folder / "config.yaml"
     try:
-        config = OmegaConf.to_container(OmegaConf.create(path.read_text(encoding="utf-8")))
+        text = path.read_text(encoding="utf-8")
+        if len(text) > _MAX_CONFIG or any(isinstance(token, AliasToken) for token in scan(text)):
+            raise ValueError("no run writes that")  # aliases of aliases grow without end
+        config = OmegaConf.to_container(OmegaConf.create(text))
     except Exception as error:  # the YAML reader's faults share no base with OmegaConf's
         raise DatasetError(f"{path} is not a readable configuration.", "Name a run folder.") from error
     if not isinstance(config, dict) or not {"dataset", "method", "tilt"} <= set(config):

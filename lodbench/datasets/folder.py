@@ -70,6 +70,8 @@ def open_folder(params: FolderParams) -> Dataset:
         raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
     folders = [root] if _is_split(root) else _split_folders(root)
     names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]
+    if folders != [root]:
+        _require_words(root, names)
     parts = [_read_split(folder, name) for folder, name in zip(folders, names, strict=True)]
     return Dataset(
         name=params.name,
@@ -84,6 +86,13 @@ def open_folder(params: FolderParams) -> Dataset:
         city_options=ReadOptions(crs=params.crs),
         roof_height=params.roof_height,
     )
+
+
+def _require_words(root: Path, splits: Sequence[str]) -> None:
+    """Refuses names that poses, stored as lines of words with SPLIT/PHOTO first, could not hold."""
+    for name in splits:
+        if name.split() != [name]:
+            raise DatasetError(f"The split {name!r} in {root} has a space in its name.", "Rename its folder.")
 
 
 def select_splits(dataset: Dataset, wanted: Sequence[str]) -> tuple[str, ...]:

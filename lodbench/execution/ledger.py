@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import json
-import os
+import logging
+import re
 from pathlib import Path
 from typing import Any
 
-from lodbench.storage import write_bytes
+import xxhash
+
+from lodbench.storage import make_folder, write_bytes
+from lodbench.storage.disk import disk
+
+_LOGGER = logging.getLogger(__name__)
+# The last key of a line is of all that stands before it.
+_CHECK = re.compile(rb', "check": "([0-9a-f]{16})"\}')
 
 
 class Ledger:
-    """Finished items by key, one JSON object per line.
+    """Finished items by key, one JSON object per line, with a check that a changed digit fails.
 
     A line is on disk before the next item starts, so a killed process loses at most the item it
-    was at. The half line it may leave, and any other line that is no item, is dropped from the file.
+    was at. The half line it may leave, and any other line that is not as it was written, is dropped from the
+    file; a warning tells how many of the latter. Lines without a check, as older versions wrote them, are
+    believed as long as no line before them has one.
 
     Args:
         path: The file; made on the first record.
@@ -38,27 +48,55 @@ class Ledger:
         return len(self._items)
 
     def record(self, key: str, value: dict[str, Any]) -> None:
-        """Adds a finished item and waits until it is on disk."""
-        line = json.dumps({"key": key, **value}, sort_keys=True, allow_nan=False)
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("a", encoding="utf-8") as stream:
-            stream.write(line + "\n")
-            stream.flush()
-            os.fsync(stream.fileno())
+        """Adds a finished item and waits until it is on disk.
+
+        Raises:
+            OSError: The disk is full; the item is not in the ledger then.
+        """
+        line = _checked(json.dumps({"key": key, **value}, sort_keys=True, allow_nan=False).encode())
+        is_new = not self._path.exists()
+        make_folder(self._path.parent)
+        with self._path.open("ab", buffering=0) as stream:
+            end = stream.tell()
+            try:
+                disk().write(stream, line + b"\n", self._path)
+                disk().sync(stream, self._path)
+            except OSError:
+                # Half a line would spoil the next one.
+                stream.truncate(end)
+                raise
+        if is_new:
+            disk().sync_folder(self._path.parent)
         self._items[key] = value
 
     def _load(self) -> None:
         content = self._path.read_bytes()
         kept: list[bytes] = []
+        damaged, has_checks = 0, False
         # What follows the last line end is a half line, or nothing.
         for line in content.split(b"\n")[:-1]:
-            item = _parse(line)
-            if item is not None:
+            found = _CHECK.fullmatch(line[-_CHECK_BYTES:])
+            item = _parse(line[:-_CHECK_BYTES] + b"}" if found else line)
+            is_sound = line == _checked(line[:-_CHECK_BYTES] + b"}") if found else not has_checks
+            has_checks |= found is not None
+            if item is None or not is_sound:
+                damaged += 1
+            else:
                 self._items[item.pop("key")] = item
                 kept.append(line + b"\n")
+        if damaged:
+            _LOGGER.warning("%s has %d damaged lines, which count as not done.", self._path, damaged)
         whole = b"".join(kept)
         if whole != content and not self._read_only:
             write_bytes(self._path, whole)
+
+
+def _checked(item: bytes) -> bytes:
+    """Returns a JSON object with a check of its bytes as its last key."""
+    return item[:-1] + f', "check": "{xxhash.xxh3_64(item).hexdigest()}"}}'.encode()
+
+
+_CHECK_BYTES = len(_checked(b"{}")) - 1
 
 
 def _parse(line: bytes) -> dict[str, Any] | None:

@@ -16,6 +16,15 @@ def plain_text(text: str) -> str:
     return _CONTROLS.sub(" ", _SEQUENCES.sub("", text)).strip()
 
 
+def plain_lines(text: str) -> str:
+    """Returns a text of several lines, pieces of lines or tables as ``plain_text`` would, spaces kept."""
+    return _CONTROLS.sub(_kept, _SEQUENCES.sub("", text))
+
+
+def _kept(found: re.Match[str]) -> str:
+    return found[0] if found[0] in "\n\t" else " "
+
+
 def csv_cell(value: object) -> str:
     """Returns a CSV cell that no spreadsheet takes for a formula.
 

@@ -6,7 +6,6 @@ text layout, so that every command that takes a dataset can run on a city that h
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Pose
 from lodbench.rendering import Renderer, make_renderer
-from lodbench.storage import digest_of, random_stream
+from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_bytes, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
 from lodbench.synthesis.mask_degradation import roughen_mask
@@ -160,25 +159,20 @@ def open_views(params: ViewsParams) -> Dataset:
 
 def _write_views(root: Path, scene: Scene, params: ViewsParams) -> None:
     """Writes the folder, whole or not at all."""
-    root.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(root.parent)
     renderer = make_renderer("silhouette", scene, None)
     queries, _ = draw_queries(
         scene, renderer, params.num_views, params.mask_iou, params.prior(), params.views_seed
     )
-    with tempfile.TemporaryDirectory(dir=root.parent) as building:
-        _write_split(Path(building) / "new" / SPLIT, queries, scene.origin)
-        try:
-            (Path(building) / "new").rename(root)
-        except OSError:
-            # Another process was quicker; its views have the same bytes.
-            if not root.is_dir():
-                raise
+    # Another process that is as quick leaves views of the same bytes.
+    with new_folder(root) as building:
+        _write_split(building / SPLIT, queries, scene.origin)
 
 
 def _write_split(folder: Path, queries: list[SyntheticQuery], origin: NDArray[np.float64]) -> None:
     import cv2
 
-    (folder / "masks").mkdir(parents=True)
+    make_folder(folder / "masks")
     names = {query.name: f"{query.name}.png" for query in queries}
     files = {
         TRUTH_FILE: [format_pose(names[q.name], q.truth.shifted(origin)) for q in queries],
@@ -186,7 +180,7 @@ def _write_split(folder: Path, queries: list[SyntheticQuery], origin: NDArray[np
         CAMERA_FILE: [format_camera(names[q.name], RGB_CAMERA) for q in queries],
     }
     for name, lines in files.items():
-        (folder / name).write_text(lines_to_text(lines), encoding="utf-8", newline="\n")
+        write_text(folder / name, lines_to_text(lines), survives_power_cut=False)
     for query in queries:
         content = cv2.imencode(".png", query.mask.astype(np.uint8) * 255)[1].tobytes()
-        (folder / "masks" / names[query.name]).write_bytes(content)
+        write_bytes(folder / "masks" / names[query.name], content, survives_power_cut=False)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -18,7 +16,7 @@ from lodbench.citymodel import open_scene
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.storage import digest_of, file_digest
+from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_bytes, write_text
 from lodbench.synthesis.props import write_props
 from lodbench.synthesis.town.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text, fine_citygml_text
 from lodbench.synthesis.town.looks import look_named
@@ -67,15 +65,10 @@ def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0, look: str = 
     }
     if root.exists() and _is_same_demo(root, asked):
         return root
-    root.parent.mkdir(parents=True, exist_ok=True)
-    building = Path(tempfile.mkdtemp(prefix=f".{root.name}.", suffix=".part", dir=root.parent))
-    try:
+    make_folder(root.parent)
+    # Another process that is as quick leaves a demo of the same bytes.
+    with new_folder(root) as building:
         _write_demo(building, asked)
-        # mkdtemp makes folders private; a dataset is as readable as any other folder of the user.
-        building.chmod(0o755)
-        _move_into_place(building, root, asked)
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
     return root
 
 
@@ -110,15 +103,6 @@ def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
     return True
 
 
-def _move_into_place(building: Path, root: Path, asked: dict[str, Any]) -> None:
-    try:
-        building.rename(root)
-    except OSError:
-        # Another process was quicker; its demo has the same bytes.
-        if not (root.exists() and _is_same_demo(root, asked)):
-            raise
-
-
 def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
     town = grow_town(asked["seed"], look_named(asked["look"]))
     props = demo_props(town)
@@ -147,14 +131,14 @@ def _write_town(folder: Path, town: Town) -> None:
 
 
 def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
+    write_text(path, text, survives_power_cut=False)
 
 
 def _write_split(folder: Path, split: DemoSplit, origin: NDArray[np.float64]) -> None:
     """Writes the poses, intrinsics, photos and masks of one split."""
     masks, photos = folder / "masks", folder / "Query_image"
-    masks.mkdir(parents=True)
-    photos.mkdir()
+    make_folder(masks)
+    make_folder(photos)
     c = QUERY_CAMERA
     camera = f"PINHOLE {c.width} {c.height} {c.fx!r} {c.fy!r} {c.cx!r} {c.cy!r}"
     files = {
@@ -165,8 +149,8 @@ def _write_split(folder: Path, split: DemoSplit, origin: NDArray[np.float64]) ->
     for name, lines in files.items():
         _write_text(folder / name, "\n".join(lines) + "\n")
     for query in split.queries:
-        (photos / query.name).write_bytes(query.photo)
-        (masks / query.name).with_suffix(".png").write_bytes(_png(query))
+        write_bytes(photos / query.name, query.photo, survives_power_cut=False)
+        write_bytes((masks / query.name).with_suffix(".png"), _png(query), survives_power_cut=False)
 
 
 def _pose_line(name: str, pose: Pose, origin: NDArray[np.float64]) -> str:

@@ -1,0 +1,118 @@
+"""What comes from strangers and from full disks ends in one line, and steers no terminal."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from lodbench.cli import main
+from tests.town import write_dataset
+
+ESCAPE = "\x1b]0;owned\x07\x1b[2J"
+
+
+def run_words(root, city, *more):
+    return ["run", "dataset=folder", f"dataset.root={root}", f"dataset.city_model={city}", *more]
+
+
+def test_a_split_with_a_space_in_its_name_is_refused_before_any_work(lodbench, tmp_path):
+    root, city = write_dataset(tmp_path / "town")
+    shutil.move(root, tmp_path / "parts" / "in place")
+    done = lodbench(*run_words(tmp_path / "parts", city))
+    assert done.returncode == 2
+    assert "The split 'in place'" in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_folder_of_one_split_may_have_a_space_in_its_name(lodbench, tmp_path):
+    root, city = write_dataset(tmp_path / "my town")
+    done = lodbench(*run_words(root, city, "method=prior_only", "segmenter=masks"))
+    assert done.returncode == 0, done.stderr
+    (folder,) = (tmp_path / "runs").glob("*/*/*")
+    assert lodbench("verify", folder).returncode == 0
+
+
+def test_what_a_job_raises_is_not_blamed_on_the_command_line(lodbench, tmp_path, monkeypatch):
+    def broken(*args):
+        raise ValueError("a mistake of ours")
+
+    monkeypatch.setattr("lodbench.cli.run.run_config", broken)
+    with pytest.raises(ValueError, match="a mistake of ours"):
+        lodbench("run", "dataset=demo")
+
+
+def test_a_full_disk_is_one_line_that_names_the_file(lodbench, tmp_path, monkeypatch):
+    root, city = write_dataset(tmp_path / "town")
+
+    def full(self, stream, content, path):
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr("lodbench.storage.disk.Disk.write", full)
+    done = lodbench(*run_words(root, city, "method=prior_only", "segmenter=masks"))
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[0].startswith("lodbench: ")
+    assert "runs/folder/" in done.stderr.splitlines()[0]
+    assert "No space left on device" in done.stderr.splitlines()[0]
+    assert len(done.stderr.splitlines()) == 2
+
+
+def test_aliases_of_aliases_in_a_run_s_configuration_are_refused_at_once(lodbench, tmp_path):
+    bomb = "a: &a [x, x, x, x, x, x, x, x]\n"
+    for one, two in zip("abcdefg", "bcdefgh", strict=True):
+        bomb += f"{two}: &{two} [{', '.join([f'*{one}'] * 8)}]\n"
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.yaml").write_text(bomb)
+    for name in ("poses.txt", "queries.csv", "summary.json", "provenance.json"):
+        (tmp_path / "run" / name).write_text("{}")
+    started = time.monotonic()
+    done = lodbench("verify", "run")
+    assert done.returncode == 2
+    assert time.monotonic() - started < 20
+
+
+@pytest.mark.parametrize("where", ["stdout", "stderr"])
+def test_no_terminal_sequence_of_data_reaches_the_terminal(lodbench, tmp_path, where):
+    name = f"town{ESCAPE}"
+    text = "v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\n" if where == "stdout" else "f 1 2\n"
+    (tmp_path / f"{name}.obj").write_text(text)
+    done = lodbench("city", "info", f"{name}.obj")
+    assert "town" in getattr(done, where)
+    assert "\x1b" not in done.stdout + done.stderr
+    assert "\x07" not in done.stdout + done.stderr
+
+
+def test_warnings_steer_no_terminal_either(capfd):
+    import logging
+
+    main(["city", "info", "nowhere.gml"])
+    logging.getLogger("lodbench.somewhere").warning("A name: %s", ESCAPE)
+    assert "\x1b" not in capfd.readouterr().err
+
+
+def test_what_a_killed_make_demo_left_is_swept_up(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "lodbench",
+        "dataset",
+        "make-demo",
+        str(tmp_path / "demo"),
+        "--num-queries",
+        "2",
+    ]
+    for _ in range(2):
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        while not (parts := list(tmp_path.glob(".demo.*/*"))) and process.poll() is None:
+            time.sleep(0.02)
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate()
+        assert parts
+        assert len(list(tmp_path.iterdir())) == 1
+    assert main(["dataset", "make-demo", str(tmp_path / "demo"), "--num-queries", "2"]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["demo"]
