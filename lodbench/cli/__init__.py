@@ -90,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if words[0] not in COMMANDS:
             raise LodbenchError(f"There is no command {words[0]!r}.", nearest_names(words[0], COMMANDS))
         # Names and texts of cities, photos and runs come from strangers.
-        with contextlib.redirect_stdout(PlainStream(sys.stdout)):  # type: ignore[type-var]
+        with contextlib.redirect_stdout(PlainStream(sys.stdout)):
             code: int = import_module(COMMANDS[words[0]][0]).main(words[1:])
         sys.stdout.flush()
         return code
