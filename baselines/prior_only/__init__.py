@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.methods import Estimate, Input, Streams
-from lodbench.rendering import Scorer
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +26,6 @@ class PriorOnly:
     def __init__(self, params: PriorOnlyParams) -> None:
         self.params = params
 
-    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the prior."""
-        return Estimate(query.prior, score=float("nan"), hypotheses=0)
+        return Estimate(query.prior, score=float("nan"))

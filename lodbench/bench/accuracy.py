@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.accuracy_report import TILTS, AccuracyReport, Outcome
 from lodbench.bench.figures import Progress, no_progress
+from lodbench.citymap import CityMap
 from lodbench.citymodel import Scene, open_scene
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.datasets.priors import UniformPrior
@@ -30,9 +31,10 @@ from lodbench.evaluation import pose_error
 from lodbench.evaluation.errors import FAILED
 from lodbench.geometry import Pose
 from lodbench.methods import Method
+from lodbench.methods.asking import localize_query
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
-from lodbench.rendering import Scorer, make_renderer
+from lodbench.rendering import Scorer
 from lodbench.storage import random_stream
 from lodbench.synthesis.view_sampling import RGB_CAMERA
 from lodbench.synthesis.views_dataset import SyntheticQuery, draw_queries
@@ -107,12 +109,12 @@ def measure_accuracy(
     return AccuracyReport(name, names, options.protocol(), rejections, tuple(outcomes))
 
 
-def open_scenes(city: Path, options: AccuracyOptions) -> tuple[Scorer, Scorer]:
+def open_scenes(city: Path, options: AccuracyOptions) -> tuple[CityMap, CityMap]:
     """Returns the renderer of the map that is searched, and that of the city that masks are drawn from."""
-    scorer = make_renderer("silhouette", open_scene(city, lod=options.map_lod), options.threads)
+    scorer = CityMap(open_scene(city, lod=options.map_lod), threads=options.threads)
     if options.mask_lod is None or options.mask_lod == options.map_lod:
         return scorer, scorer
-    return scorer, make_renderer("silhouette", open_scene(city, lod=options.mask_lod), options.threads)
+    return scorer, CityMap(open_scene(city, lod=options.mask_lod), threads=options.threads)
 
 
 def reaching(method: Method, prior: UniformPrior) -> Method:
@@ -152,14 +154,14 @@ def seeded_cases(scorer: Scorer, seen: Scorer, options: AccuracyOptions) -> list
     ]
 
 
-def run_case(case: Case, tilt: str, method: Method, scorer: Scorer, seed: int) -> Outcome:
+def run_case(case: Case, tilt: str, method: Method, city_map: CityMap, seed: int) -> Outcome:
     """Returns what a method makes of a case; a fault of the query is a failure, not an error."""
     query = case.query_with_tilt(tilt)
     started = time.perf_counter()
     error, score, hypotheses, probability = FAILED, 0.0, 0, None
     try:
         # The streams know nothing of the tilt: both blocks try the same moves.
-        estimate = method.localize(query, scorer, streams_of(seed, query.name))
+        estimate = localize_query(method, query, city_map, streams_of(seed, query.name))
         error = pose_error(estimate.pose, case.truth)
         score, hypotheses, probability = estimate.score, estimate.hypotheses, estimate.probability
     except QueryFault:

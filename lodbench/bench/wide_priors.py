@@ -10,13 +10,14 @@ import numpy as np
 from lodbench.bench.accuracy import Case, open_scenes, reaching, seeded_cases, streams_of
 from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.citymap import CityMap
 from lodbench.errors import QueryFault
 from lodbench.evaluation import PoseError, pose_error
 from lodbench.evaluation.errors import FAILED
 from lodbench.geometry import Pose
+from lodbench.methods.asking import localize_query
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.protocol import Method
-from lodbench.rendering import Scorer
 from lodbench.reporting.columns import format_columns
 
 SEARCHES = ("grid", "basins")
@@ -123,9 +124,9 @@ def measure_wide_priors(
     return WidePriorReport(title, tuple(pairs))
 
 
-def _search(case: Case, method: Method, scorer: Scorer, seed: int) -> tuple[Pose | None, int]:
+def _search(case: Case, method: Method, city_map: CityMap, seed: int) -> tuple[Pose | None, int]:
     try:
-        estimate = method.localize(case.query, scorer, streams_of(seed, case.query.name))
+        estimate = localize_query(method, case.query, city_map, streams_of(seed, case.query.name))
     except QueryFault:
         return None, 0
     return estimate.pose, estimate.hypotheses

@@ -77,6 +77,10 @@ class PathParams:
             raise ConfigError("paths.runs is empty.", "Set paths.runs=FOLDER.")
 
 
+# Asks queries again that failed before; no setting, for it changes no run's name.
+RETRY = "--retry-failed"
+_flags: set[str] = set()
+
 # The runs of this process, for the one table at the end of a sweep.
 _finished: list[Run] = []
 
@@ -84,10 +88,12 @@ _finished: list[Run] = []
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     _finished.clear()
-    code = run_hydra("run", "run", task, argv)
+    _flags.clear()
+    _flags.update(word for word in argv if word == RETRY)
+    code = run_hydra("run", "run", task, [word for word in argv if word != RETRY])
     if _finished:
         sys.stdout.write(report(_finished))
-    return code
+    return code or int(any(_is_fruitless(run) for run in _finished))
 
 
 def task(config: DictConfig) -> None:
@@ -126,11 +132,17 @@ def run_config(values: dict[str, Any]) -> Run:
         seed=options.seed,
         splits=tuple(options.split),
         limit=options.limit,
+        retries_failed=RETRY in _flags,
     )
     run = run_method(configured.make(), dataset, segmenter, settings)
     write_artefacts(run, OmegaConf.to_yaml(OmegaConf.create(config), sort_keys=True))
     write_overlays(run, run.preparation, run.scorer)
     return run
+
+
+def _is_fruitless(run: Run) -> bool:
+    """Tells whether every query of a run failed."""
+    return bool(run.rows) and all(not row.is_answered for row in run.rows)
 
 
 def _options_of(values: dict[str, Any]) -> RunOptions:

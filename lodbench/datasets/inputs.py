@@ -73,6 +73,7 @@ def inputs_of(dataset: Dataset, entries: Sequence[Entry]) -> frozenset[Input]:
     has = {
         Input.MASK: any(entry.mask is not None for entry in entries),
         Input.IMAGE: any(entry.image is not None for entry in entries),
+        Input.REFERENCES: bool(dataset.references),
         Input.TILT: Input.TILT not in dataset.assumed,
         Input.HEIGHT: Input.HEIGHT not in dataset.assumed,
         Input.MAP: dataset.city_model is not None,

@@ -78,6 +78,23 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """A picture of the place whose pose is known.
+
+    Attributes:
+        name: Of the picture, unique in its dataset.
+        image: The file.
+        camera: Its pinhole.
+        pose: In the dataset's frame; in the scene's where a method is handed it.
+    """
+
+    name: str
+    image: Path
+    camera: Camera
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Dataset:
     """Queries, their truth, and the city they were taken in.
 
@@ -99,6 +116,7 @@ class Dataset:
         photo_crs: CRS of which the frame is a shift, where that is known apart from the city model.
         photo_origin: East, north and height of the frame's zero in ``photo_crs``, or None.
         segmenter: Segmenter to run where none is named; None for masks, or photos, as there are.
+        references: Pictures of the place whose poses are known; no queries.
         assumed: Of ``tilt`` and ``height``, what the priors only assume: methods that require it do not run.
     """
 
@@ -119,6 +137,7 @@ class Dataset:
     photo_crs: str | None = None
     photo_origin: tuple[float, ...] | None = None
     segmenter: str | None = None
+    references: tuple[Reference, ...] = ()
     assumed: frozenset[str] = frozenset()
 
 

@@ -8,12 +8,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera, Pose
+from lodbench.methods.asking import localize_query
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import Estimate, Method
-from lodbench.rendering import make_renderer
 from lodbench.segmentation import check_mask
 from lodbench.storage import random_stream
 
@@ -22,7 +23,7 @@ def localize(
     scene: Scene,
     camera: Camera,
     prior: Pose,
-    mask: NDArray[np.float32] | NDArray[np.bool_],
+    mask: NDArray[np.float32] | NDArray[np.bool_] | None = None,
     *,
     method: Method | None = None,
     seed: int = 0,
@@ -34,7 +35,8 @@ def localize(
         scene: The city, from ``open_scene``.
         camera: Pinhole of the full-size photo.
         prior: Rough pose in the city's own coordinates (its CRS); so is the answer.
-        mask: (H, W) probability of building in [0, 1], or bool; any size of the photo's aspect.
+        mask: (H, W) probability of building in [0, 1], or bool; any size of the photo's aspect; None
+            for a method that requires none.
         method: How; LoD-Loc v2 with the paper's parameters by default.
         seed: Seed of the search.
         threads: Threads of the renderer, None for one per core; never changes the answer.
@@ -42,8 +44,9 @@ def localize(
     Raises:
         QueryFault: The mask is not as described or holds no building, or no building is near the prior.
     """
-    query = Query("photo", "", camera, prior.shifted(-scene.origin), check_mask(mask, camera))
-    scorer = make_renderer("silhouette", scene, threads)
+    probability = None if mask is None else check_mask(mask, camera)
+    query = Query("photo", "", camera, prior.shifted(-scene.origin), probability)
+    city_map = CityMap(scene, threads=threads)
     streams = partial(random_stream, seed, "localize", "photo")
-    estimate = (method or LodLocV2()).localize(query, scorer, streams)
+    estimate = localize_query(method or LodLocV2(), query, city_map, streams)
     return replace(estimate, pose=estimate.pose.shifted(scene.origin))

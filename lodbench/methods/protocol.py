@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.priors import UniformPrior
-from lodbench.datasets.query import Query
+from lodbench.datasets.query import Query, Reference
+from lodbench.errors import QueryFault
 from lodbench.geometry import Pose
-from lodbench.rendering import Scorer
+from lodbench.methods.workspace import Workspace
 
 # Random numbers of one query: a stage's name and a step give a generator of their own.
 Streams = Callable[[str, int], np.random.Generator]
@@ -25,8 +28,8 @@ class Estimate:
     Attributes:
         pose: The camera's pose, scene frame.
         score: The method's own measure of fit, higher is better.
-        hypotheses: Poses rendered and compared.
-        seconds: Wall time by stage.
+        hypotheses: Poses drawn; counted by the map, whatever the method says.
+        seconds: Wall time by stage, for a method that tells stages; the whole is measured.
         trace: Best score after each step of each stage.
         covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where the
             method knows it.
@@ -35,7 +38,7 @@ class Estimate:
 
     pose: Pose
     score: float
-    hypotheses: int
+    hypotheses: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
     covariance: NDArray[np.float64] | None = None
@@ -43,10 +46,10 @@ class Estimate:
 
 
 class Method(Protocol):
-    """Finds the pose of a query in a scene.
+    """Finds the pose of a query on a map.
 
-    A method is made from its ``Params`` and holds no state between queries. It is never shown the
-    truth, and draws random numbers only from the streams it is given.
+    A method is made from its ``Params`` and holds no state but what ``prepare`` made. It is never shown
+    the truth, and draws random numbers only from the streams it is given.
 
     Attributes:
         name: As its entry point's.
@@ -61,17 +64,61 @@ class Method(Protocol):
         """Returns the names of what it needs; a class attribute will do."""
         ...
 
-    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the estimated pose.
 
         Args:
-            query: Camera, prior and building mask, in the scene's frame.
-            scorer: Renders and scores hypotheses; ``scorer.scene`` is the city.
+            query: Camera, prior and, where it is required, building mask, in the scene's frame.
+            city_map: Draws the city from any pose, and counts; ``city_map.scene`` is its geometry.
             streams: Random numbers of this query.
 
         Raises:
             QueryFault: There is no estimate; the reason becomes the query's row.
         """
+        ...
+
+
+@runtime_checkable
+class SupportsPrepare(Protocol):
+    """A method that makes something of the map once, before the first query: a database of features."""
+
+    def prepare(self, city_map: CityMap, references: Sequence[Reference], workspace: Workspace) -> None:
+        """Makes, or finds made, what ``localize`` needs; called once before any query.
+
+        Args:
+            city_map: The map.
+            references: Posed pictures of the place, scene frame; empty where the dataset has none.
+            workspace: Keeps what is made, part by part, for the next time.
+
+        Raises:
+            LodbenchError: It cannot be made; the run ends.
+        """
+        ...
+
+
+@runtime_checkable
+class SupportsBatches(Protocol):
+    """A method that is faster at several queries at a time.
+
+    Attributes:
+        batch_size: At most so many at a time.
+    """
+
+    batch_size: int
+
+    def localize_batch(
+        self, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
+    ) -> Sequence[Estimate | QueryFault]:
+        """Returns what ``localize`` answers to each query, or would raise."""
+        ...
+
+
+@runtime_checkable
+class SupportsWeights(Protocol):
+    """A method that reads files besides its code: a run's digest names their content."""
+
+    def weight_files(self) -> Sequence[Path]:
+        """Returns the files."""
         ...
 
 

@@ -9,6 +9,7 @@ import pytest
 from lodbench.bench.accuracy import make_cases, measure_accuracy, reaching
 from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.accuracy_report import AccuracyReport, Outcome
+from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError
 from lodbench.evaluation import PoseError, pose_error
@@ -16,7 +17,6 @@ from lodbench.evaluation.errors import FAILED
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.lodlocv2 import Params as LodLocV2Params
-from lodbench.rendering import make_renderer
 from lodbench.synthesis.mask_degradation import mask_iou
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 
@@ -24,7 +24,7 @@ from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 @pytest.fixture(scope="module")
 def cases(city):
     scene = open_scene(city)
-    scorer = make_renderer("silhouette", scene, 1)
+    scorer = CityMap(scene, threads=1)
     return make_cases(scene, scorer, AccuracyOptions(num_views=3, threads=1))[0], scorer
 
 
@@ -64,7 +64,7 @@ class TestCases:
     def test_an_area_holds_what_its_views_look_at(self, city):
         scene = open_scene(city)
         middle_x = 0.5 * (scene.vertices[:, 0].min() + scene.vertices[:, 0].max())
-        scorer = make_renderer("silhouette", scene, 1)
+        scorer = CityMap(scene, threads=1)
         for area, sign in (("west", -1), ("east", 1)):
             drawn, _ = make_cases(scene, scorer, AccuracyOptions(num_views=6, area=area, threads=1))
             for case in drawn:

@@ -40,11 +40,11 @@ class Sound:
         self.settings = settings
         self.calls = 0
 
-    def localize(self, query, scorer, streams):
+    def localize(self, query, city_map, streams):
         if not query.building_probability.any():
             raise QueryFault("the mask holds no building")
         step = streams("step", 0).normal(size=3)
-        scorer.render(query.camera, query.prior)
+        city_map.render(query.camera, query.prior)
         return Estimate(query.prior.shifted(step), 0.5, 1)
 
 
@@ -53,45 +53,45 @@ def variant(method, **functions):
 
 
 def changed(**values):
-    def localize(self, query, scorer, streams):
-        estimate = Sound.localize(self, query, scorer, streams)
+    def localize(self, query, city_map, streams):
+        estimate = Sound.localize(self, query, city_map, streams)
         return replace(estimate, **{key: v(query, estimate) for key, v in values.items()})
 
     return localize
 
 
-def stateful(self, query, scorer, streams):
+def stateful(self, query, city_map, streams):
     self.calls += 1
-    estimate = Sound.localize(self, query, scorer, streams)
+    estimate = Sound.localize(self, query, city_map, streams)
     return replace(estimate, pose=estimate.pose.shifted([self.calls, 0, 0]))
 
 
-def dreamy(self, query, scorer, streams):
-    estimate = Sound.localize(self, query, scorer, streams)
+def dreamy(self, query, city_map, streams):
+    estimate = Sound.localize(self, query, city_map, streams)
     return replace(estimate, pose=estimate.pose.shifted([np.random.default_rng().normal(), 0, 0]))
 
 
-def careless(self, query, scorer, streams):
+def careless(self, query, city_map, streams):
     query.building_probability[:10] = 1.0
-    return Sound.localize(self, query, scorer, streams)
+    return Sound.localize(self, query, city_map, streams)
 
 
-def crashing(self, query, scorer, streams):
+def crashing(self, query, city_map, streams):
     if not query.building_probability.any():
         raise ZeroDivisionError("no pixels")
-    return Sound.localize(self, query, scorer, streams)
+    return Sound.localize(self, query, city_map, streams)
 
 
-def credulous(self, query, scorer, streams):
+def credulous(self, query, city_map, streams):
     step = streams("step", 0).normal(size=3) + query.building_probability.mean()
     return Estimate(query.prior.shifted(step), 0.5, 1)
 
 
-def speechless(self, query, scorer, streams):
+def speechless(self, query, city_map, streams):
     raise QueryFault("I never know")
 
 
-def exploding(self, query, scorer, streams):
+def exploding(self, query, city_map, streams):
     raise KeyError("oh")
 
 

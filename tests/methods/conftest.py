@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
-from lodbench.rendering import make_renderer
 from tests.town import CAMERA, box_obj, prior_of, true_poses
 
 
@@ -19,8 +19,8 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def scorer(scene):
-    return make_renderer("silhouette", scene, 1)
+def city_map(scene):
+    return CityMap(scene, threads=1)
 
 
 @pytest.fixture(scope="session")
@@ -29,8 +29,8 @@ def truths():
 
 
 @pytest.fixture(scope="session")
-def queries(scorer, truths):
+def queries(city_map, truths):
     return [
-        Query(f"q{i}", "all", CAMERA, prior_of(pose), scorer.render(CAMERA, pose).astype(np.float32))
+        Query(f"q{i}", "all", CAMERA, prior_of(pose), city_map.render(CAMERA, pose).astype(np.float32))
         for i, pose in enumerate(truths)
     ]

@@ -12,11 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
+from lodbench.methods.asking import localize_query
 from lodbench.methods.contour_alignment import ContourAlignment, Params
 from lodbench.methods.contour_alignment.alignment import Aligner, signed_distance
 from lodbench.methods.contour_alignment.outline import edges_in_reach, sample_outline
@@ -27,7 +29,6 @@ from lodbench.methods.contour_alignment.pose_vector import (
     vector_from_pose,
 )
 from lodbench.methods.contour_alignment.uncertainty import probability_within
-from lodbench.rendering import make_renderer
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
@@ -46,17 +47,17 @@ def tilted(pose: Pose, offset: tuple[float, ...]) -> Pose:
 
 
 @pytest.fixture(scope="module")
-def tilted_queries(scorer, truths):
+def tilted_queries(city_map, truths):
     offsets = [(5, -4, 9, 0.8, -0.7, 3), (-6, 3, -12, -0.9, 0.4, -4), (2, 6, 15, 0.5, 0.9, 5)]
     return [
-        Query(f"q{i}", "all", CAMERA, tilted(pose, offset), scorer.render(CAMERA, pose).astype(np.float32))
+        Query(f"q{i}", "all", CAMERA, tilted(pose, offset), city_map.render(CAMERA, pose).astype(np.float32))
         for i, (pose, offset) in enumerate(zip(truths, offsets, strict=True))
     ]
 
 
 @pytest.fixture(scope="module")
-def estimates(tilted_queries, scorer):
-    return [ContourAlignment(SMALL).localize(query, scorer, STREAMS) for query in tilted_queries]
+def estimates(tilted_queries, city_map):
+    return [ContourAlignment(SMALL).localize(query, city_map, STREAMS) for query in tilted_queries]
 
 
 class TestPoseVector:
@@ -83,26 +84,26 @@ class TestPoseVector:
 
 
 @pytest.fixture(scope="module")
-def seen(scene, scorer, truths):
+def seen(scene, city_map, truths):
     pose = truths[0]
     edges = edges_in_reach(scene, CAMERA, pose, 10.0, 5.0)
     derivatives = rotation_derivatives(vector_from_pose(pose))
-    return sample_outline(edges, CAMERA, pose, derivatives, scorer.render(CAMERA, pose), 2.0), pose
+    return sample_outline(edges, CAMERA, pose, derivatives, city_map.render(CAMERA, pose), 2.0), pose
 
 
 class TestOutline:
-    def test_points_lie_on_the_silhouette_s_outline(self, seen, scorer):
+    def test_points_lie_on_the_silhouette_s_outline(self, seen, city_map):
         points, pose = seen
-        distance = signed_distance(scorer.render(CAMERA, pose))
+        distance = signed_distance(city_map.render(CAMERA, pose))
         columns, rows = points.pixels.astype(int).T
         assert len(points) > 200
         assert np.abs(distance[rows, columns]).max() < 2.0
         outside = (points.pixels + 1.5 * points.normals).astype(int)
         assert np.mean(distance[outside[:, 1], outside[:, 0]] < 0) > 0.97
 
-    def test_lengths_add_up_to_the_outline(self, seen, scorer):
+    def test_lengths_add_up_to_the_outline(self, seen, city_map):
         points, pose = seen
-        mask = scorer.render(CAMERA, pose)
+        mask = city_map.render(CAMERA, pose)
         # Steps between pixels of unlike value, 4/pi of the length on average over directions.
         steps = np.count_nonzero(mask[1:] ^ mask[:-1]) + np.count_nonzero(mask[:, 1:] ^ mask[:, :-1])
         assert points.lengths.sum() == pytest.approx(steps * np.pi / 4, rel=0.12)
@@ -131,20 +132,20 @@ class TestOutline:
                 )
                 np.testing.assert_allclose(cosines, 1.0, atol=1e-6)
 
-    def test_a_part_of_the_city_gives_what_all_of_it_gives(self, scene, scorer, truths):
+    def test_a_part_of_the_city_gives_what_all_of_it_gives(self, scene, city_map, truths):
         pose = truths[0]
         derivatives = rotation_derivatives(vector_from_pose(pose))
         counts = []
         for reach_m in (1.0, 1000.0):
             edges = edges_in_reach(scene, CAMERA, pose, reach_m, 1.0)
-            silhouette = scorer.render(CAMERA, pose)
+            silhouette = city_map.render(CAMERA, pose)
             counts.append(sample_outline(edges, CAMERA, pose, derivatives, silhouette, 3.0).pixels)
         np.testing.assert_array_equal(*counts)
 
-    def test_room_grows_with_the_outline(self, scene, scorer, truths):
+    def test_room_grows_with_the_outline(self, scene, city_map, truths):
         pose = truths[0]
         edges = edges_in_reach(scene, CAMERA, pose, 10.0, 5.0)
-        derivatives, silhouette = rotation_derivatives(vector_from_pose(pose)), scorer.render(CAMERA, pose)
+        derivatives, silhouette = rotation_derivatives(vector_from_pose(pose)), city_map.render(CAMERA, pose)
         fine = sample_outline(edges, CAMERA, pose, derivatives, silhouette, 0.02)
         assert len(fine) > 1 << 14
         coarse = sample_outline(edges, CAMERA, pose, derivatives, silhouette, 1.0)
@@ -152,9 +153,9 @@ class TestOutline:
 
 
 class TestAlignment:
-    def test_the_gradient_vanishes_where_it_ends(self, tilted_queries, scorer):
+    def test_the_gradient_vanishes_where_it_ends(self, tilted_queries, city_map):
         query = tilted_queries[0]
-        aligner = Aligner(query, scorer, SMALL)
+        aligner = Aligner(query, city_map, SMALL)
         start = vector_from_pose(query.prior)
         vector = aligner.align(start, (24.0, 16.0, 12.0, 8.0, 6.0, 4.0, 3.0, 3.0, 3.0, 3.0), (320, 240))
         step = np.linalg.solve(
@@ -163,8 +164,8 @@ class TestAlignment:
         assert np.linalg.norm(step[:3]) < 0.2
         assert np.linalg.norm(step[3:]) < 0.05
 
-    def test_an_empty_view_is_no_information(self, tilted_queries, scorer):
-        aligner = Aligner(tilted_queries[0], scorer, SMALL)
+    def test_an_empty_view_is_no_information(self, tilted_queries, city_map):
+        aligner = Aligner(tilted_queries[0], city_map, SMALL)
         away = vector_from_pose(tilted_queries[0].prior.shifted([5000, 0, 0]))
         assert aligner.linearize(away, 3.0, (320, 240)) is None
 
@@ -191,10 +192,10 @@ class TestAlignment:
         assert errors[0] < 0.22
         assert errors[0] < 0.8 * errors[1]
 
-    def test_a_wrong_height_of_a_roof_is_told_from_a_wrong_pose(self, tilted_queries, scorer, truths):
+    def test_a_wrong_height_of_a_roof_is_told_from_a_wrong_pose(self, tilted_queries, city_map, truths):
         query = tilted_queries[0]
         informed = [
-            Aligner(query, scorer, replace(SMALL, roof_m=roof_m)).linearize(
+            Aligner(query, city_map, replace(SMALL, roof_m=roof_m)).linearize(
                 vector_from_pose(truths[0]), 3.0, (320, 240)
             )
             for roof_m in (0.0, 1.0)
@@ -221,60 +222,43 @@ class TestMethod:
             assert np.linalg.eigvalsh(estimate.covariance).min() > 0
 
     def test_does_not_depend_on_threads(self, tilted_queries, scene, estimates):
-        two = ContourAlignment(SMALL).localize(
-            tilted_queries[1], make_renderer("silhouette", scene, 2), STREAMS
-        )
+        two = ContourAlignment(SMALL).localize(tilted_queries[1], CityMap(scene, threads=2), STREAMS)
         np.testing.assert_array_equal(two.pose.cam_from_world, estimates[1].pose.cam_from_world)
         np.testing.assert_array_equal(two.covariance, estimates[1].covariance)
-        assert two.hypotheses == estimates[1].hypotheses
 
-    def test_counts_what_it_renders(self, tilted_queries, scene, estimates):
-        counting = Counting(make_renderer("silhouette", scene, 1))
-        ContourAlignment(SMALL).localize(tilted_queries[0], counting, STREAMS)
-        assert estimates[0].hypotheses == counting.count
+    def test_the_map_counts_what_it_renders(self, tilted_queries, city_map):
+        method = ContourAlignment(replace(SMALL, steps=2, final_steps=3))
+        counted = localize_query(method, tilted_queries[0], city_map, STREAMS).hypotheses
+        # The grid; two steps and a look for each of the starts; three steps and a look of the best.
+        assert counted == len(method.params.grid()) + method.params.starts * 3 + 4
 
-    def test_missing_buildings_do_not_pull(self, tilted_queries, scorer, truths):
+    def test_missing_buildings_do_not_pull(self, tilted_queries, city_map, truths):
         mask = tilted_queries[0].building_probability.copy()
         mask[:, :110] = 0
         query = replace(tilted_queries[0], building_probability=mask)
-        estimate = ContourAlignment(SMALL).localize(query, scorer, STREAMS)
+        estimate = ContourAlignment(SMALL).localize(query, city_map, STREAMS)
         assert pose_error(estimate.pose, truths[0]).translation_m < 1.0
 
-    def test_basins_find_what_the_grid_finds_with_a_tenth_of_the_hypotheses(self, scorer, truths):
+    def test_basins_find_what_the_grid_finds_with_a_tenth_of_the_hypotheses(self, city_map, truths):
         wide = SMALL.for_prior(UniformPrior(x_m=50.0, y_m=50.0, z_m=40.0, pitch_deg=0.5, roll_deg=0.5))
-        mask = scorer.render(CAMERA, truths[0]).astype(np.float32)
+        mask = city_map.render(CAMERA, truths[0]).astype(np.float32)
         query = Query("q", "all", CAMERA, tilted(truths[0], (31, -38, 26, 0.3, -0.4, 5)), mask)
         grid, basins = (
-            ContourAlignment(replace(wide, search=search)).localize(query, scorer, STREAMS)
+            localize_query(ContourAlignment(replace(wide, search=search)), query, city_map, STREAMS)
             for search in ("grid", "basins")
         )
         assert pose_error(basins.pose, grid.pose).translation_m < 0.2
         assert basins.hypotheses * 8 < grid.hypotheses
 
-    def test_an_empty_mask_is_a_fault_of_the_query(self, tilted_queries, scorer):
+    def test_an_empty_mask_is_a_fault_of_the_query(self, tilted_queries, city_map):
         query = replace(tilted_queries[0], building_probability=np.zeros((240, 320), dtype=np.float32))
         with pytest.raises(QueryFault, match="no building"):
-            ContourAlignment(SMALL).localize(query, scorer, STREAMS)
+            ContourAlignment(SMALL).localize(query, city_map, STREAMS)
 
-    def test_a_prior_far_from_the_city_is_a_fault_of_the_query(self, tilted_queries, scorer):
+    def test_a_prior_far_from_the_city_is_a_fault_of_the_query(self, tilted_queries, city_map):
         query = replace(tilted_queries[0], prior=tilted_queries[0].prior.shifted([9000, 0, 0]))
         with pytest.raises(QueryFault, match="far from the city"):
-            ContourAlignment(SMALL).localize(query, scorer, STREAMS)
-
-
-class Counting:
-    """A scorer that counts what it is asked to draw."""
-
-    def __init__(self, scorer):
-        self._scorer, self.scene, self.name, self.count = scorer, scorer.scene, scorer.name, 0
-
-    def render(self, camera, pose):
-        self.count += 1
-        return self._scorer.render(camera, pose)
-
-    def fit(self, camera, rotations, centers, fit):
-        self.count += len(centers)
-        return self._scorer.fit(camera, rotations, centers, fit)
+            ContourAlignment(SMALL).localize(query, city_map, STREAMS)
 
 
 class TestCertainty:

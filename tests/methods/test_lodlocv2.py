@@ -8,14 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods import Method
+from lodbench.methods.asking import localize_query
 from lodbench.methods.lodlocv2 import LodLocV2, Params
-from lodbench.methods.lodlocv2.method import Judge, select
-from lodbench.rendering import make_renderer
+from lodbench.methods.lodlocv2.method import PoseScorer, select
 from lodbench.storage import random_stream
 
 SMALL = {"coarse_size": (160, 120), "fine_size": (320, 240)}
@@ -33,97 +34,94 @@ def as_numbers(estimate) -> tuple:
     return (
         estimate.pose.cam_from_world.tobytes(),
         estimate.score,
-        estimate.hypotheses,
         tuple(sorted(estimate.trace.items())),
     )
 
 
 class TestFull:
-    def test_finds_every_pose_with_true_tilt(self, queries, scorer, truths):
+    def test_finds_every_pose_with_true_tilt(self, queries, city_map, truths):
         for query, truth in zip(queries, truths, strict=True):
             before = pose_error(query.prior, truth)
-            estimate = LodLocV2(Params(**SMALL)).localize(query, scorer, streams_of(0))
+            estimate = LodLocV2(Params(**SMALL)).localize(query, city_map, streams_of(0))
             after = pose_error(estimate.pose, truth)
             assert before.translation_m > 8
             assert after.translation_m < 0.5
             assert after.rotation_deg < 0.2
             assert estimate.score > 0.97
 
-    def test_tilt_stays_the_priors(self, queries, scorer):
+    def test_tilt_stays_the_priors(self, queries, city_map):
         query = queries[0]
         pitch, roll, _ = query.prior.euler
-        found = LodLocV2(QUICK).localize(query, scorer, streams_of(0)).pose.euler
+        found = LodLocV2(QUICK).localize(query, city_map, streams_of(0)).pose.euler
         np.testing.assert_allclose(found[:2], (pitch, roll), atol=1e-9)
 
-    def test_counts_its_hypotheses(self, queries, scorer):
-        estimate = LodLocV2(Params(**SMALL)).localize(queries[0], scorer, streams_of(0))
+    def test_counts_its_hypotheses(self, queries, city_map):
+        estimate = localize_query(LodLocV2(Params(**SMALL)), queries[0], city_map, streams_of(0))
         # The grid, its winner at the fine size, and 40 steps of 52 candidates less the 4 kept.
         assert estimate.hypotheses == 504 + 1 + 40 * 48
 
-    def test_the_score_never_falls(self, queries, scorer):
+    def test_the_score_never_falls(self, queries, city_map):
         for query in queries:
-            trace = LodLocV2(QUICK).localize(query, scorer, streams_of(3)).trace
+            trace = LodLocV2(QUICK).localize(query, city_map, streams_of(3)).trace
             assert len(trace["fine"]) == QUICK.steps
             assert (np.diff(trace["fine"]) >= 0).all()
 
-    def test_the_score_is_that_of_the_answer(self, queries, scorer):
+    def test_the_score_is_that_of_the_answer(self, queries, city_map):
         query = queries[1]
-        estimate = LodLocV2(QUICK).localize(query, scorer, streams_of(0))
-        drawn = scorer.render(query.camera.scaled(320, 240), estimate.pose)
+        estimate = LodLocV2(QUICK).localize(query, city_map, streams_of(0))
+        drawn = city_map.render(query.camera.scaled(320, 240), estimate.pose)
         mask = query.building_probability >= 0.5
         assert estimate.score == np.count_nonzero(drawn & mask) / np.count_nonzero(drawn | mask)
         assert estimate.score == estimate.trace["fine"][-1]
 
-    def test_wall_times_by_stage(self, queries, scorer):
-        seconds = LodLocV2(QUICK).localize(queries[0], scorer, streams_of(0)).seconds
+    def test_wall_times_by_stage(self, queries, city_map):
+        seconds = LodLocV2(QUICK).localize(queries[0], city_map, streams_of(0)).seconds
         assert set(seconds) == {"coarse", "fine"}
         assert min(seconds.values()) > 0
 
 
 class TestDeterminism:
-    def test_same_seed_same_answer(self, queries, scorer):
-        first, second = (LodLocV2(QUICK).localize(queries[0], scorer, streams_of(5)) for _ in range(2))
+    def test_same_seed_same_answer(self, queries, city_map):
+        first, second = (LodLocV2(QUICK).localize(queries[0], city_map, streams_of(5)) for _ in range(2))
         assert as_numbers(first) == as_numbers(second)
 
-    def test_another_seed_another_answer(self, queries, scorer):
-        first, second = (LodLocV2(QUICK).localize(queries[0], scorer, streams_of(s)) for s in (5, 6))
+    def test_another_seed_another_answer(self, queries, city_map):
+        first, second = (LodLocV2(QUICK).localize(queries[0], city_map, streams_of(s)) for s in (5, 6))
         assert as_numbers(first) != as_numbers(second)
 
     @pytest.mark.parametrize("threads", [2, 3])
-    def test_threads_change_no_byte(self, queries, scene, scorer, threads):
-        one = LodLocV2(QUICK).localize(queries[0], scorer, streams_of(0))
-        many = LodLocV2(QUICK).localize(
-            queries[0], make_renderer("silhouette", scene, threads), streams_of(0)
-        )
+    def test_threads_change_no_byte(self, queries, scene, city_map, threads):
+        one = LodLocV2(QUICK).localize(queries[0], city_map, streams_of(0))
+        many = LodLocV2(QUICK).localize(queries[0], CityMap(scene, threads=threads), streams_of(0))
         assert as_numbers(one) == as_numbers(many)
 
-    def test_any_batch_size_changes_no_byte(self, queries, scorer):
+    def test_any_batch_size_changes_no_byte(self, queries, city_map):
         class OneByOne:
-            name, scene = scorer.name, scorer.scene
+            name, scene = city_map.name, city_map.scene
 
             def fit(self, camera, rotations, centers, fit):
                 parts = [
-                    scorer.fit(camera, rotations[i : i + 1], centers[i : i + 1], fit)
+                    city_map.fit(camera, rotations[i : i + 1], centers[i : i + 1], fit)
                     for i in range(len(centers))
                 ]
                 return np.concatenate(parts)
 
-        whole = LodLocV2(QUICK).localize(queries[0], scorer, streams_of(0))
+        whole = LodLocV2(QUICK).localize(queries[0], city_map, streams_of(0))
         single = LodLocV2(QUICK).localize(queries[0], OneByOne(), streams_of(0))
         assert as_numbers(whole) == as_numbers(single)
 
-    def test_nothing_is_kept_between_queries(self, queries, scorer):
+    def test_nothing_is_kept_between_queries(self, queries, city_map):
         method = LodLocV2(QUICK)
-        alone = LodLocV2(QUICK).localize(queries[1], scorer, streams_of(0))
-        method.localize(queries[0], scorer, streams_of(0))
-        assert as_numbers(method.localize(queries[1], scorer, streams_of(0))) == as_numbers(alone)
+        alone = LodLocV2(QUICK).localize(queries[1], city_map, streams_of(0))
+        method.localize(queries[0], city_map, streams_of(0))
+        assert as_numbers(method.localize(queries[1], city_map, streams_of(0))) == as_numbers(alone)
 
 
 class TestVariants:
-    def test_no_refine_answers_with_a_pose_of_the_grid(self, queries, scorer):
+    def test_no_refine_answers_with_a_pose_of_the_grid(self, queries, city_map):
         params = Params(variant="no_refine", **SMALL)
         for query in queries:
-            estimate = LodLocV2(params).localize(query, scorer, streams_of(0))
+            estimate = localize_query(LodLocV2(params), query, city_map, streams_of(0))
             centers, yaws = params.grid().around(query.prior)
             offset = np.abs(centers - estimate.pose.center).max(axis=1) + np.abs(
                 yaws - estimate.pose.euler.yaw_deg
@@ -132,15 +130,15 @@ class TestVariants:
             assert estimate.hypotheses == 504
             assert set(estimate.trace) == {"coarse"}
 
-    def test_no_refine_does_not_depend_on_the_seed(self, queries, scorer):
+    def test_no_refine_does_not_depend_on_the_seed(self, queries, city_map):
         params = Params(variant="no_refine", **SMALL)
-        first, second = (LodLocV2(params).localize(queries[0], scorer, streams_of(s)) for s in (1, 2))
+        first, second = (LodLocV2(params).localize(queries[0], city_map, streams_of(s)) for s in (1, 2))
         assert as_numbers(first) == as_numbers(second)
 
-    def test_no_select_stays_within_the_filters_reach(self, queries, scorer):
+    def test_no_select_stays_within_the_filters_reach(self, queries, city_map):
         params = Params(variant="no_select", steps=12, sigma_m=0.05, spread_yaw_deg=0.1, **SMALL)
         query = queries[0]
-        estimate = LodLocV2(params).localize(query, scorer, streams_of(0))
+        estimate = localize_query(LodLocV2(params), query, city_map, streams_of(0))
         assert estimate.hypotheses == 1 + 12 * 48
         # Five standard deviations a step, and the full turn a step.
         moved = np.linalg.norm(estimate.pose.center - query.prior.center)
@@ -148,20 +146,20 @@ class TestVariants:
         assert 0 < moved < 12 * 5 * 0.05
         assert 0 < turned < 12 * 0.1
 
-    def test_a_filter_that_does_not_move_answers_with_the_prior(self, queries, scorer):
+    def test_a_filter_that_does_not_move_answers_with_the_prior(self, queries, city_map):
         params = Params(variant="no_select", steps=2, sigma_m=0.0, spread_yaw_deg=0.0, **SMALL)
-        estimate = LodLocV2(params).localize(queries[0], scorer, streams_of(0))
+        estimate = LodLocV2(params).localize(queries[0], city_map, streams_of(0))
         np.testing.assert_allclose(estimate.pose.cam_from_world, queries[0].prior.cam_from_world, atol=1e-9)
 
 
 class TestFits:
     @pytest.mark.parametrize("fit", ["soft_iou", "confident_iou", "boundary"])
-    def test_other_costs_find_the_pose_too(self, queries, scorer, truths, fit):
+    def test_other_costs_find_the_pose_too(self, queries, city_map, truths, fit):
         # Blurred, as a network's answer is; the grid is too coarse for outlines a few pixels wide.
         query = queries[0]
         soft = cv2.GaussianBlur(query.building_probability.astype(np.float32), (0, 0), 1.0)
         query = replace(query, building_probability=np.clip(soft, 0, 1))
-        estimate = LodLocV2(Params(fit=fit, **SMALL)).localize(query, scorer, streams_of(0))
+        estimate = LodLocV2(Params(fit=fit, **SMALL)).localize(query, city_map, streams_of(0))
         after = pose_error(estimate.pose, truths[0])
         assert after.translation_m < 1.0
         assert after.rotation_deg < 0.5
@@ -172,19 +170,19 @@ class TestFits:
             Params(fit="bondary")
         assert "boundary" in caught.value.hint
 
-    def test_a_mask_that_cannot_tell(self, queries, scorer):
+    def test_a_mask_that_cannot_tell(self, queries, city_map):
         query = replace(queries[0], building_probability=np.full((240, 320), 0.5, dtype=np.float32))
         with pytest.raises(QueryFault, match="says nothing"):
-            LodLocV2(Params(fit="confident_iou", **SMALL)).localize(query, scorer, streams_of(0))
+            LodLocV2(Params(fit="confident_iou", **SMALL)).localize(query, city_map, streams_of(0))
 
 
 class TestTies:
-    def test_the_first_of_equal_hypotheses_wins(self, queries, scorer):
-        judge = Judge(queries[0], scorer, (160, 120))
+    def test_the_first_of_equal_hypotheses_wins(self, queries, city_map):
+        score = PoseScorer(queries[0], city_map, (160, 120))
         prior = queries[0].prior
         # All are too far up to see a pixel of the town, so all score 0.
         centers = prior.center + np.array([[0.0, 0.0, 5000.0], [9.0, 0.0, 5000.0], [0.0, 9.0, 5000.0]])
-        best = select(judge, centers, np.full(3, prior.euler.yaw_deg))
+        best = select(score, centers, np.full(3, prior.euler.yaw_deg))
         np.testing.assert_array_equal(best.centers, centers[:1])
 
     def test_the_filter_keeps_the_start_when_nothing_is_better(self, queries, scene):
@@ -208,21 +206,23 @@ class TestTies:
 
 class TestFaults:
     @pytest.mark.parametrize("variant", ["full", "no_refine", "no_select"])
-    def test_an_empty_mask(self, queries, scorer, variant):
+    def test_an_empty_mask(self, queries, city_map, variant):
         query = replace(queries[0], building_probability=np.zeros((240, 320), dtype=np.float32))
         with pytest.raises(QueryFault, match="no building"):
-            LodLocV2(Params(variant=variant, **SMALL)).localize(query, scorer, streams_of(0))
+            LodLocV2(Params(variant=variant, **SMALL)).localize(query, city_map, streams_of(0))
 
     @pytest.mark.parametrize("variant", ["full", "no_refine", "no_select"])
-    def test_a_camera_far_from_the_city(self, queries, scorer, variant):
+    def test_a_camera_far_from_the_city(self, queries, city_map, variant):
         query = replace(queries[0], prior=queries[0].prior.shifted([50_000, 0, 0]))
         with pytest.raises(QueryFault, match="far from the city"):
-            LodLocV2(Params(variant=variant, steps=2, **SMALL)).localize(query, scorer, streams_of(0))
+            LodLocV2(Params(variant=variant, steps=2, **SMALL)).localize(query, city_map, streams_of(0))
 
-    def test_a_camera_that_looks_at_the_sky(self, queries, scorer):
+    def test_a_camera_that_looks_at_the_sky(self, queries, city_map):
         up = Pose.from_euler(EulerAngles(175.0, 0.0, 0.0), queries[0].prior.center)
         with pytest.raises(QueryFault):
-            LodLocV2(Params(steps=2, **SMALL)).localize(replace(queries[0], prior=up), scorer, streams_of(0))
+            LodLocV2(Params(steps=2, **SMALL)).localize(
+                replace(queries[0], prior=up), city_map, streams_of(0)
+            )
 
 
 class TestTheMethodNeverSeesTheTruth:
@@ -239,6 +239,6 @@ class TestTheMethodNeverSeesTheTruth:
 
     def test_nor_does_any_argument_of_localize(self):
         arguments = inspect.signature(Method.localize).parameters
-        assert list(arguments) == ["self", "query", "scorer", "streams"]
+        assert list(arguments) == ["self", "query", "city_map", "streams"]
         assert "truth" in {f.name for f in fields(Dataset)}
         assert not any("Dataset" in str(p.annotation) for p in arguments.values())

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.query import Entry, Query
-from lodbench.errors import LodbenchError, QueryFault
+from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.evaluation.predictions import Prediction, encoded_mask
 from lodbench.execution import Ledger, Progress
 from lodbench.geometry import Camera, Pose
+from lodbench.harness.runs.method_inputs import keep_traceback
 from lodbench.harness.runs.prepare import Preparation
-from lodbench.methods import Method
-from lodbench.methods.protocol import Streams
-from lodbench.rendering import Scorer
+from lodbench.methods import Estimate, Method
+from lodbench.methods.asking import localize_queries, localize_query
+from lodbench.methods.protocol import Streams, SupportsBatches
 from lodbench.segmentation import binary_mask
 from lodbench.storage import random_stream
 
@@ -37,62 +41,138 @@ def open_predictions(folder: Path, read_only: bool = False) -> Ledger:
 def predict(
     method: Method,
     preparation: Preparation,
-    scorer: Scorer,
+    city_map: CityMap,
     entries: Sequence[Entry],
     seed: int,
-    stored: Ledger,
+    folder: Path,
+    retries_failed: bool = False,
 ) -> dict[str, Prediction]:
     """Returns the predictions of some queries by key; those that are stored already are not made again.
 
     Args:
         method: What finds poses.
         preparation: Makes the queries.
-        scorer: Renders the city.
+        city_map: What they are found on.
         entries: The queries.
         seed: Of the random streams.
-        stored: Where predictions are kept, each before the next query starts.
+        folder: The run's, where predictions are kept, each before the next query starts.
+        retries_failed: Whether queries whose stored prediction is a failure are asked again.
+
+    Raises:
+        ConfigError: A setting of the method or the segmenter is wrong, which only a query could tell.
     """
+    stored = open_predictions(folder)
     dataset = preparation.dataset.name
-    _warm_up(scorer)
+    waiting = [e for e in entries if e.key not in stored or (retries_failed and stored[e.key]["failure"])]
+    size = method.batch_size if isinstance(method, SupportsBatches) else 1
+    _warm_up(city_map)
     with Progress(f"{method.name} on {dataset}", len(entries)) as progress:
-        for entry in entries:
-            if entry.key not in stored:
-                streams = partial(random_stream, seed, dataset, entry.key)
-                stored.record(entry.key, _answer(method, preparation, scorer, entry, streams).to_json())
-            progress.advance()
+        progress.advance(len(entries) - len(waiting))
+        for start in range(0, len(waiting), size):
+            asked = [
+                _Asked(entry, partial(random_stream, seed, dataset, entry.key))
+                for entry in waiting[start : start + size]
+            ]
+            _answer(method, preparation, city_map, asked, folder)
+            for each in asked:
+                stored.record(each.entry.key, each.prediction(preparation).to_json())
+                progress.advance()
     return {entry.key: Prediction.from_json(stored[entry.key]) for entry in entries}
 
 
-def _warm_up(scorer: Scorer) -> None:
+def _warm_up(city_map: CityMap) -> None:
     """Lets the renderer compile, or load what it compiled, before the first query's clock runs."""
     camera = Camera(8, 8, 8.0, 8.0, 4.0, 4.0)
-    scorer.counts(camera, np.eye(3)[None], np.zeros((1, 3)), np.zeros((8, 8), dtype=np.bool_))
+    city_map.counts(camera, np.eye(3)[None], np.zeros((1, 3)), np.zeros((8, 8), dtype=np.bool_))
+
+
+@dataclass(slots=True)
+class _Asked:
+    """A query on its way to a prediction.
+
+    Attributes:
+        entry: As the dataset stores it.
+        streams: Its random numbers.
+        query: As the method sees it, once it is made.
+        prepare_s: How long that took, seconds.
+        estimate: The method's, if there is one.
+        failure: Why there is none.
+    """
+
+    entry: Entry
+    streams: Streams
+    query: Query | None = None
+    prepare_s: float = 0.0
+    estimate: Estimate | None = None
+    failure: str = ""
+
+    def prediction(self, preparation: Preparation) -> Prediction:
+        """Returns what is stored."""
+        mask = "" if self.query is None else _stored_mask(self.query)
+        found = self.estimate
+        if found is not None:
+            try:
+                pose = Pose.from_matrix(preparation.in_dataset_frame(found.pose).cam_from_world)
+            except LodbenchError as fault:
+                # A method that answers with no pose has no answer either.
+                self.failure, found = fault.message.rstrip("."), None
+        if found is None:
+            return Prediction(None, self.failure, hypotheses=0, mask_png=mask)
+        return Prediction(
+            pose=pose,
+            score=float(found.score) if math.isfinite(found.score) else None,
+            hypotheses=int(found.hypotheses),
+            seconds={"prepare": self.prepare_s, **found.seconds},
+            trace={stage: tuple(map(float, scores)) for stage, scores in found.trace.items()},
+            probability=found.probability,
+            covariance=_upper_triangle(found.covariance),
+            mask_png=mask,
+        )
 
 
 def _answer(
-    method: Method, preparation: Preparation, scorer: Scorer, entry: Entry, streams: Streams
-) -> Prediction:
-    started = time.perf_counter()
-    query = None
+    method: Method, preparation: Preparation, city_map: CityMap, asked: Sequence[_Asked], folder: Path
+) -> None:
+    """Fills in estimates, or why there are none."""
+    for each in asked:
+        with _failing(each, folder):
+            started = time.perf_counter()
+            each.query = preparation.query(each.entry)
+            each.prepare_s = time.perf_counter() - started
+    ready = [(each, each.query) for each in asked if each.query is not None]
+    if isinstance(method, SupportsBatches) and len(ready) > 1:
+        try:
+            answers = localize_queries(
+                method, [query for _, query in ready], city_map, [each.streams for each, _ in ready]
+            )
+        except ConfigError:
+            raise
+        except Exception as error:  # one by one it shows which query it is
+            keep_traceback(folder, f"batch {ready[0][0].entry.key}", error)
+        else:
+            for (each, _), answer in zip(ready, answers, strict=True):
+                with _failing(each, folder):
+                    if isinstance(answer, QueryFault):
+                        raise answer
+                    each.estimate = answer
+            return
+    for each, query in ready:
+        with _failing(each, folder):
+            each.estimate = localize_query(method, query, city_map, each.streams)
+
+
+@contextmanager
+def _failing(each: _Asked, folder: Path) -> Iterator[None]:
+    """Turns what is raised into a query's failure, but for wrong settings; keeps a plug-in's traceback."""
     try:
-        query = preparation.query(entry)
-        prepared = time.perf_counter()
-        estimate = method.localize(query, scorer, streams)
-        pose = Pose.from_matrix(preparation.in_dataset_frame(estimate.pose).cam_from_world)
+        yield
+    except ConfigError:
+        raise
     except LodbenchError as fault:
-        # A method that answers with no pose has no answer either.
-        reason = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")
-        return Prediction(None, reason, hypotheses=0, mask_png="" if query is None else _stored_mask(query))
-    return Prediction(
-        pose=pose,
-        score=float(estimate.score) if math.isfinite(estimate.score) else None,
-        hypotheses=int(estimate.hypotheses),
-        seconds={"prepare": prepared - started, **estimate.seconds},
-        trace={stage: tuple(map(float, scores)) for stage, scores in estimate.trace.items()},
-        probability=estimate.probability,
-        covariance=_upper_triangle(estimate.covariance),
-        mask_png=_stored_mask(query),
-    )
+        each.failure = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")
+    except Exception as error:
+        keep_traceback(folder, each.entry.key, error)
+        each.failure = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
 def _stored_mask(query: Query) -> str:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.pose_direction import require_direction
@@ -17,6 +19,7 @@ from lodbench.errors import ConfigError
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.code_digest import code_digest
+from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_tilt
 from lodbench.harness.runs.requirements import can_segment, needs_segmenter, require_run_inputs
@@ -24,7 +27,7 @@ from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
 from lodbench.plugins import load_plugin
-from lodbench.rendering import Scorer, make_renderer
+from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import digest_of, write_text
 
@@ -43,6 +46,7 @@ class RunSettings:
         seed: Seed of the random streams.
         splits: Splits to run; empty for all.
         limit: At most this many queries per split, or None.
+        retries_failed: Whether queries that failed in an earlier run into the same folder are asked again.
     """
 
     runs_root: Path
@@ -53,6 +57,7 @@ class RunSettings:
     seed: int = 0
     splits: tuple[str, ...] = ()
     limit: int | None = None
+    retries_failed: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,13 +92,14 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     scene, dataset = _open_city(dataset)
     require_direction(dataset, entries, scene)
     preparation = Preparation(dataset, scene, segmenter, settings.tilt, needs_segmenter(method))
-    scorer = make_renderer(settings.renderer, scene, settings.threads)
+    city_map = CityMap(scene, settings.renderer, settings.threads)
     inputs = {
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),
         "priors": prior_digest(entries),
         "masks": segmenter.fingerprint(entries) if can_segment(segmenter, dataset, entries) else "",
         "code": code_digest(method, segmenter),
+        **method_inputs(method, dataset, entries),
     }
     digest = digest_of({"config": settings.config, "inputs": inputs})
     folder = settings.runs_root / dataset.name / method.name / digest
@@ -101,7 +107,14 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     write_text(folder / PLAN_FILE, json.dumps({"queries": [entry.key for entry in entries]}, indent=0) + "\n")
     stored = open_predictions(folder)
     resumed = sum(entry.key in stored for entry in entries)
-    predictions = predict(method, preparation, scorer, entries, settings.seed, stored)
+    try:
+        prepare_method(method, settings.config.get("method"), inputs, city_map, dataset.references, folder)
+        predictions = predict(
+            method, preparation, city_map, entries, settings.seed, folder, settings.retries_failed
+        )
+    except ConfigError:
+        _remove_unused(folder)
+        raise
     priors = {entry.key: preparation.prior(entry) for entry in entries}
     return Run(
         folder=folder,
@@ -109,11 +122,11 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         dataset=dataset,
         splits=splits,
         predictions=predictions,
-        rows=evaluate(entries, predictions, dataset.truth, priors, scorer),
+        rows=evaluate(entries, predictions, dataset.truth, priors, city_map),
         inputs=inputs,
         lod=scene.lod,
         preparation=preparation,
-        scorer=scorer,
+        scorer=city_map,
         resumed=resumed,
     )
 
@@ -127,6 +140,16 @@ def require_writable(folder: Path) -> None:
     existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         raise ConfigError(f"Run folders cannot be made in {folder}.", "Set paths.runs=FOLDER.")
+
+
+def _remove_unused(folder: Path) -> None:
+    """Removes a run folder that no query was answered into: wrong settings leave nothing behind."""
+    if len(open_predictions(folder, read_only=True)) or (folder / "tracebacks").exists():
+        return
+    (folder / PLAN_FILE).unlink(missing_ok=True)
+    with suppress(OSError):  # folders that hold something else stay
+        for place in (folder, folder.parent, folder.parent.parent):
+            place.rmdir()
 
 
 def scene_digest(scene: Scene) -> str:

@@ -1,25 +1,25 @@
-"""The trial that `lodbench check-method` puts a method to: a few blocks, and queries that look at them."""
+"""The trial that a method is put to: a few blocks, queries that look at them, and pictures of the place."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.citymodel.blocks import scene_of_blocks
-from lodbench.citymodel.scene import Scene
-from lodbench.datasets.query import Query
+from lodbench.datasets.inputs import Input, declared_inputs
+from lodbench.datasets.query import Query, Reference
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.methods.protocol import Estimate, Method
-from lodbench.rendering import LayerRenderer, Scorer, make_renderer, open_renderer
-from lodbench.rendering.fit import Fit
-from lodbench.rendering.protocol import Floats, IouCounts
+from lodbench.methods.asking import localize_query
+from lodbench.methods.protocol import Estimate, Method, Streams, SupportsPrepare
+from lodbench.methods.workspace import Workspace
+from lodbench.rendering import LayerRenderer, open_renderer
 from lodbench.storage import random_stream
 
 # West, south, east, north, base, top, metres: nothing repeats, so that every pose is unique.
@@ -41,80 +41,107 @@ _TRUTHS = (
     (31.0, -0.3, 25.0, -11.0, 3.0, 128.0),
     (26.0, 0.2, 140.0, 8.0, -10.0, 133.0),
 )
+_REFERENCES = (
+    (24.0, 0.0, -60.0, 9.0, 5.0, 124.0),
+    (28.0, 0.0, 30.0, -6.0, -2.0, 126.0),
+    (25.0, 0.0, 150.0, 3.0, -4.0, 130.0),
+)
 _PRIOR_OFF = (5.0, -4.0, 6.0)
 _PRIOR_OFF_YAW_DEG = 3.0
+# What the queries and the place have.
+GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.REFERENCES, Input.TILT, Input.HEIGHT, Input.MAP})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A scene, and queries with exact masks.
+    """A map, and queries with exact masks.
 
     Attributes:
-        scorer: Renders the scene, on one thread.
+        city_map: The map, on one thread.
         queries: Each with a photo.
         truths: Their true poses, scene frame; no method sees them.
+        references: Pictures of the place.
+        folder: For what methods prepare.
     """
 
-    scorer: Scorer
+    city_map: CityMap
     queries: tuple[Query, ...]
     truths: tuple[Pose, ...]
+    references: tuple[Reference, ...]
+    folder: Path
+
+    def prepared(self, method: Method, workspace: str = "workspace") -> Method:
+        """Returns a method that has prepared, if it does, in a workspace of that name."""
+        if isinstance(method, SupportsPrepare):
+            method.prepare(self.city_map, self.references, Workspace(self.folder / workspace))
+        return method
 
 
-class CountingScorer:
-    """A scorer that counts the poses it is asked to draw; all else goes to the one behind it."""
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialAnswers:
+    """What a method answered in the trial.
 
-    def __init__(self, scorer: Scorer) -> None:
-        self._scorer = scorer
-        self.name: str = scorer.name
-        self.scene: Scene = scorer.scene
-        self.count = 0
+    Attributes:
+        trial: The trial.
+        by_name: By the queries' names.
+        seconds: Wall time per query.
+    """
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._scorer, name)
+    trial: Trial
+    by_name: dict[str, Estimate | QueryFault] = field(default_factory=dict)
+    seconds: float = 0.0
 
-    def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
-        """Returns the scorer's silhouette."""
-        self.count += 1
-        return self._scorer.render(camera, pose)
-
-    def counts(
-        self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]
-    ) -> IouCounts:
-        """Returns the scorer's counts."""
-        self.count += len(centers)
-        return self._scorer.counts(camera, rotations, centers, mask)
-
-    def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
-        """Returns the scorer's similarities."""
-        self.count += len(centers)
-        return self._scorer.fit(camera, rotations, centers, fit)
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """Returns the answers that are one."""
+        return {name: found for name, found in self.by_name.items() if isinstance(found, Estimate)}
 
 
-def make_trial(folder: Path) -> Trial:
-    """Returns the trial; its photos are written to a folder."""
+def make_trial(folder: Path, method: object) -> Trial:
+    """Returns the trial of a method; its pictures are written to a folder.
+
+    A query has a mask only for a method that requires one.
+    """
     scene = scene_of_blocks(_BLOCKS, _ORIGIN)
-    scorer = make_renderer("silhouette", scene, 1)
+    city_map = CityMap(scene, threads=1)
     painter = cast(LayerRenderer, open_renderer("raster", scene, 1))
+    has_mask = Input.MASK in declared_inputs(method, "requires", {Input.MASK})
+
+    def picture(name: str, pose: Pose) -> Path:
+        cv2.imwrite(str(folder / name), painter.draw(_CAMERA, pose).colour[:, :, ::-1])
+        return folder / name
+
     queries, truths = [], []
     for k, (pitch, roll, yaw, *center) in enumerate(_TRUTHS):
         truth = Pose.from_euler(EulerAngles(pitch, roll, yaw), center)
         angles = EulerAngles(pitch, roll, yaw + _PRIOR_OFF_YAW_DEG)
         prior = Pose.from_euler(angles, truth.center + np.array(_PRIOR_OFF))
-        photo = folder / f"view_{k}.png"
-        cv2.imwrite(str(photo), painter.draw(_CAMERA, truth).colour[:, :, ::-1])
-        mask = scorer.render(_CAMERA, truth).astype(np.float32)
+        photo = picture(f"view_{k}.png", truth)
+        mask = city_map.render(_CAMERA, truth).astype(np.float32) if has_mask else None
         queries.append(Query(photo.name, "trial", _CAMERA, prior, mask, photo, (prior,)))
         truths.append(truth)
-    return Trial(scorer, tuple(queries), tuple(truths))
+    references = []
+    for k, (pitch, roll, yaw, *center) in enumerate(_REFERENCES):
+        pose = Pose.from_euler(EulerAngles(pitch, roll, yaw), center)
+        name = f"reference_{k}.png"
+        references.append(Reference(name, picture(name, pose), _CAMERA, pose))
+    return Trial(city_map, tuple(queries), tuple(truths), tuple(references), folder)
 
 
-def ask(method: Method, scorer: Scorer, query: Query, seed: int = 0) -> Estimate | QueryFault:
-    """Returns a method's answer to a query, from streams made anew.
+def streams_of(query: Query, seed: int = 0) -> Streams:
+    """Returns the random streams of a query, made anew."""
+    return partial(random_stream, seed, "trial", query.name)
+
+
+def ask(method: Method, trial: Trial, query: Query, seed: int = 0) -> Estimate | QueryFault:
+    """Returns a method's answer to a query, from streams and a mask made anew.
 
     Raises:
         Exception: Whatever the method raises that is no ``QueryFault``.
     """
+    mask = None if query.building_probability is None else query.building_probability.copy()
+    query = replace(query, building_probability=mask)
     try:
-        return method.localize(query, scorer, partial(random_stream, seed, "trial", query.name))
+        return localize_query(method, query, trial.city_map, streams_of(query, seed))
     except QueryFault as fault:
         return fault

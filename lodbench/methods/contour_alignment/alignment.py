@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
 from lodbench.methods.contour_alignment.outline import (
@@ -31,7 +32,6 @@ from lodbench.methods.contour_alignment.pose_vector import (
     rotation_derivatives,
     vector_from_pose,
 )
-from lodbench.rendering import Scorer
 from lodbench.segmentation import binary_mask
 
 Floats = NDArray[np.float64]
@@ -109,15 +109,14 @@ class Linearization:
 class Aligner:
     """Aligns poses of one query."""
 
-    def __init__(self, query: Query, scorer: Scorer, params: Params) -> None:
-        self.rendered = 0
-        self._scorer, self._query, self._params = scorer, query, params
+    def __init__(self, query: Query, city_map: CityMap, params: Params) -> None:
+        self._city_map, self._query, self._params = city_map, query, params
         self._prior = vector_from_pose(query.prior)
         self._precision = np.array(params.prior_sigmas()) ** -2.0
         # Full widths, where half would do: steps may lead out of the range, though the prior calls back.
         reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
         turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
-        self.edges: EdgeArrays = edges_in_reach(scorer.scene, query.camera, query.prior, reach_m, turn_deg)
+        self.edges: EdgeArrays = edges_in_reach(city_map.scene, query.camera, query.prior, reach_m, turn_deg)
         self._levels: dict[tuple[int, int], Level] = {}
 
     def align(self, vector: Floats, reaches_px: tuple[float, ...], size: tuple[int, int]) -> Floats:
@@ -153,8 +152,7 @@ class Aligner:
     def measure(self, vector: Floats, size: tuple[int, int]) -> Residuals | None:
         """Returns how far a pose's outline lies from the mask's; None if too little outline is seen."""
         level, pose = self._level(size), pose_from_vector(vector)
-        silhouette = self._scorer.render(level.camera, pose)
-        self.rendered += 1
+        silhouette = self._city_map.render(level.camera, pose)
         union = int(np.count_nonzero(silhouette | level.mask))
         iou = int(np.count_nonzero(silhouette & level.mask)) / union if union else 0.0
         derivatives, spacing = rotation_derivatives(vector), self._params.spacing_px

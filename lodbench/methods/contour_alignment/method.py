@@ -7,6 +7,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
@@ -18,7 +19,6 @@ from lodbench.methods.contour_alignment.refinement import refine
 from lodbench.methods.contour_alignment.starts import find_starts
 from lodbench.methods.contour_alignment.uncertainty import covariance, probability_within
 from lodbench.methods.protocol import Estimate, Streams
-from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]
 
@@ -37,15 +37,15 @@ class ContourAlignment:
         """Returns the parameters that search all that such a prior leaves open, tilt included."""
         return self.params.for_prior(prior)
 
-    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the pose whose outline fits the mask's best under the prior.
 
         Raises:
             QueryFault: The mask is empty, or no hypothesis overlaps it or shows an outline.
         """
         started = time.perf_counter()
-        aligner = Aligner(query, scorer, self.params)
-        starts, best, scored = find_starts(query, scorer, aligner, self.params)
+        aligner = Aligner(query, city_map, self.params)
+        starts, best = find_starts(query, city_map, aligner, self.params)
         selected = time.perf_counter()
         found, trace = self._align(aligner, starts)
         refined = refine(aligner, found, self.params)
@@ -57,7 +57,6 @@ class ContourAlignment:
         return Estimate(
             pose=pose_from_vector(vector),
             score=at.iou,
-            hypotheses=scored + aligner.rendered,
             seconds={"coarse": selected - started, "fine": finished - selected},
             trace={"coarse": (best,), "fine": trace},
             covariance=spread,

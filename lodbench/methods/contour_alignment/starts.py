@@ -5,50 +5,48 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import PoseGrid
 from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.contour_alignment.params import Params
-from lodbench.methods.lodlocv2.method import Judge
-from lodbench.rendering import Scorer
+from lodbench.methods.lodlocv2.method import PoseScorer
 
 Floats = NDArray[np.float64]
 
 
-def find_starts(query: Query, scorer: Scorer, aligner: Aligner, params: Params) -> tuple[Floats, float, int]:
-    """Returns the poses to align, (N, 6) best first, the best IoU, and how many hypotheses were scored.
-
-    What the aligner renders it counts itself.
+def find_starts(query: Query, city_map: CityMap, aligner: Aligner, params: Params) -> tuple[Floats, float]:
+    """Returns the poses to align, (N, 6) best first, and the best IoU.
 
     Raises:
         QueryFault: The mask is empty, or no hypothesis overlaps it.
     """
     if not params.searches_basins():
-        return _best_samples(query, scorer, params.grid(), params.coarse_size, params.starts)
+        return _best_samples(query, city_map, params.grid(), params.coarse_size, params.starts)
     size = max(8, params.fine_size[0] // 4), max(8, params.fine_size[1] // 4)
     grid = params.basin_grid()
     kept = max(params.starts, round(params.basin_share * len(grid)))
-    samples, _, scored = _best_samples(query, scorer, grid, size, kept)
+    samples, _ = _best_samples(query, city_map, grid, size, kept)
     basins = [aligner.align(sample, params.basin_reaches_px(), size) for sample in samples]
     here = [aligner.linearize(basin, params.reach_px, size) for basin in basins]
     ious = np.array([at.iou if at else 0.0 for at in here])
     chosen = _apart(np.array(basins), ious, params)
-    return np.array(basins)[chosen], float(ious[chosen[0]]), scored
+    return np.array(basins)[chosen], float(ious[chosen[0]])
 
 
 def _best_samples(
-    query: Query, scorer: Scorer, grid: PoseGrid, size: tuple[int, int], count: int
-) -> tuple[Floats, float, int]:
-    """Returns the best poses of a grid, (N, 6), the best IoU, and how many were scored."""
-    judge = Judge(query, scorer, size)
-    particles = judge(*grid.around(query.prior))
+    query: Query, city_map: CityMap, grid: PoseGrid, size: tuple[int, int], count: int
+) -> tuple[Floats, float]:
+    """Returns the best poses of a grid, (N, 6), and the best IoU."""
+    score = PoseScorer(query, city_map, size)
+    particles = score(*grid.around(query.prior))
     order = np.argsort(-particles.scores, kind="stable")[:count]
     best = float(particles.scores[order[0]])
     if best <= 0:
         raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
-    tilt = np.broadcast_to([judge.pitch_deg, judge.roll_deg], (len(order), 2))
-    return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order]]), best, judge.scored
+    tilt = np.broadcast_to([score.pitch_deg, score.roll_deg], (len(order), 2))
+    return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order]]), best
 
 
 def _apart(vectors: Floats, scores: Floats, params: Params) -> list[int]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
@@ -16,7 +17,6 @@ from lodbench.geometry import Camera, Pose, rotations_at_yaws
 from lodbench.methods.fits import make_fit
 from lodbench.methods.lodlocv2.params import Params
 from lodbench.methods.protocol import Estimate, Streams
-from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]
 
@@ -35,21 +35,19 @@ class Particles(NamedTuple):
     scores: Floats
 
 
-class Judge:
+class PoseScorer:
     """Scores poses of the prior's tilt against the query at one working size (paper equation 2: IoU)."""
 
-    def __init__(self, query: Query, scorer: Scorer, size: tuple[int, int], fit: str = "iou") -> None:
+    def __init__(self, query: Query, city_map: CityMap, size: tuple[int, int], fit: str = "iou") -> None:
         self.camera: Camera = query.camera.scaled(*size)
         self.fit = make_fit(fit, query.mask, size)
         self.pitch_deg, self.roll_deg, _ = query.prior.euler
-        self.scored = 0
-        self._scorer = scorer
+        self._city_map = city_map
 
     def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
         """Returns the poses with their scores."""
         rotations = rotations_at_yaws(self.pitch_deg, self.roll_deg, yaws_deg)
-        scores = self._scorer.fit(self.camera, rotations, centers, self.fit)
-        self.scored += len(centers)
+        scores = self._city_map.fit(self.camera, rotations, centers, self.fit)
         return Particles(centers, yaws_deg, scores)
 
 
@@ -67,7 +65,7 @@ class LodLocV2:
         """Returns the parameters whose grid covers such a prior's error."""
         return self.params.for_prior(prior)
 
-    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the pose whose silhouette fits the query mask best.
 
         Raises:
@@ -77,34 +75,31 @@ class LodLocV2:
         best = Particles(query.prior.center[None], np.array([query.prior.euler.yaw_deg]), np.zeros(1))
         seconds: dict[str, float] = {}
         trace: dict[str, tuple[float, ...]] = {}
-        hypotheses = 0
         if self.params.variant != "no_select":
-            judge = Judge(query, scorer, self.params.coarse_size, self.params.fit)
-            best = select(judge, *self.params.grid().around(query.prior))
-            hypotheses += judge.scored
+            score = PoseScorer(query, city_map, self.params.coarse_size, self.params.fit)
+            best = select(score, *self.params.grid().around(query.prior))
             trace["coarse"] = (float(best.scores[0]),)
             seconds["coarse"] = time.perf_counter() - started
         if self.params.variant != "no_refine":
-            judge = Judge(query, scorer, self.params.fine_size, self.params.fit)
-            best, traces = refine(judge, best, self.params, streams)
+            score = PoseScorer(query, city_map, self.params.fine_size, self.params.fit)
+            best, traces = refine(score, best, self.params, streams)
             trace |= traces
-            hypotheses += judge.scored
             seconds["fine"] = time.perf_counter() - started - seconds.get("coarse", 0.0)
         if best.scores[0] <= 0:
             raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
         rotation = rotations_at_yaws(*query.prior.euler[:2], best.yaws_deg)[0]
         pose = Pose.from_center(rotation, best.centers[0])
-        return Estimate(pose, float(best.scores[0]), hypotheses, seconds, trace)
+        return Estimate(pose, float(best.scores[0]), seconds=seconds, trace=trace)
 
 
-def select(judge: Judge, centers: Floats, yaws_deg: Floats) -> Particles:
+def select(score: PoseScorer, centers: Floats, yaws_deg: Floats) -> Particles:
     """Returns the one best pose of a grid; ties go to the first (paper section 3.2)."""
-    scored = judge(centers, yaws_deg)
+    scored = score(centers, yaws_deg)
     return _take(scored, np.array([int(np.argmax(scored.scores))]))
 
 
 def refine(
-    judge: Judge, start: Particles, params: Params, streams: Streams
+    score: PoseScorer, start: Particles, params: Params, streams: Streams
 ) -> tuple[Particles, dict[str, tuple[float, ...]]]:
     """Returns the best pose after the filter's last step, and the best score after each step.
 
@@ -113,11 +108,11 @@ def refine(
     Every beam starts from the same pose. In each step it keeps its best poses unchanged, so that
     its score never falls, and adds moved copies of each; beams never mix (paper section 3.3).
     """
-    first = judge(start.centers, start.yaws_deg)
+    first = score(start.centers, start.yaws_deg)
     beams = [_take(first, np.zeros(params.kept, dtype=np.int64)) for _ in range(params.beams)]
     traces: list[list[float]] = [[] for _ in beams]
     for step in range(params.steps):
-        children = judge(*_moved(beams, params, params.scale(step), streams("fine", step)))
+        children = score(*_moved(beams, params, params.scale(step), streams("fine", step)))
         per_beam = len(children.scores) // params.beams
         for b, kept in enumerate(beams):
             mine = _take(children, np.arange(b * per_beam, (b + 1) * per_beam))

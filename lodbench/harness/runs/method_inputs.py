@@ -1,0 +1,92 @@
+"""What a run's numbers depend on through its method: weights, pictures, and what was prepared from them."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.inputs import Input, declared_inputs
+from lodbench.datasets.query import Dataset, Entry, Reference
+from lodbench.errors import ConfigError, LodbenchError
+from lodbench.methods import Method
+from lodbench.methods.asking import weight_files
+from lodbench.methods.protocol import SupportsPrepare
+from lodbench.methods.workspace import open_workspace
+from lodbench.segmentation.masks import content_digest
+from lodbench.storage import digest_of, file_digest, write_text
+
+# What a workspace's content depends on, of a run's inputs.
+_PREPARED_FROM = ("scene", "code", "weights", "references")
+
+
+def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) -> dict[str, str]:
+    """Returns digests of the weights, photos and references that a method uses; nothing for what it does not.
+
+    Raises:
+        ConfigError: A file of weights is missing.
+    """
+    requires = declared_inputs(method, "requires", {Input.MASK})
+    weights = weight_files(method)
+    inputs = {}
+    if weights:
+        inputs["weights"] = digest_of([file_digest(file) for file in weights])
+    if Input.IMAGE in requires:
+        inputs["images"] = digest_of([[entry.key, content_digest(entry.image)] for entry in entries])
+    if Input.REFERENCES in requires:
+        inputs["references"] = digest_of([_identity(reference) for reference in dataset.references])
+    return inputs
+
+
+def prepare_method(
+    method: Method,
+    params: object,
+    inputs: Mapping[str, str],
+    city_map: CityMap,
+    references: Sequence[Reference],
+    folder: Path,
+) -> None:
+    """Lets a method prepare, if it does, in the workspace of this content; a second time it finds it filled.
+
+    Args:
+        method: The method.
+        params: Its parameters, as JSON values.
+        inputs: Digests of the run's inputs.
+        city_map: The map.
+        references: Posed pictures in the dataset's frame.
+        folder: The run's, for the traceback of a fault.
+
+    Raises:
+        LodbenchError: It cannot prepare: in the method's words, or, for a fault of its code, with the
+            traceback's file.
+    """
+    if not isinstance(method, SupportsPrepare):
+        return
+    content = {name: inputs[name] for name in _PREPARED_FROM if name in inputs}
+    workspace = open_workspace(method.name, digest_of([method.name, params, content]))
+    local = [replace(r, pose=r.pose.shifted(-city_map.scene.origin)) for r in references]
+    try:
+        method.prepare(city_map, local, workspace)
+    except LodbenchError:
+        raise
+    except Exception as error:  # a plug-in's code may raise anything
+        file = keep_traceback(folder, "prepare", error)
+        raise ConfigError(
+            f"method={method.name} cannot prepare: {type(error).__name__}: {error}", f"See {file}."
+        ) from error
+
+
+def keep_traceback(folder: Path, name: str, error: Exception) -> Path:
+    """Writes where a plug-in's code raised to ``tracebacks`` in a run folder; returns the file."""
+    safe = "".join(c if c.isalnum() or c in "._-" else "_" for c in name)
+    file = folder / "tracebacks" / f"{safe}.txt"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_text(file, "".join(traceback.format_exception(error)))
+    return file
+
+
+def _identity(reference: Reference) -> list[object]:
+    pose = [float(v) for v in reference.pose.cam_from_world[:3].ravel()]
+    return [reference.name, repr(reference.camera), pose, content_digest(reference.image)]

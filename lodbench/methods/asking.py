@@ -1,0 +1,71 @@
+"""Asking a method for poses: what it draws is counted by the map and its time is measured, for all alike."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.query import Query
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.methods.protocol import Estimate, Method, Streams, SupportsBatches, SupportsWeights
+
+
+def localize_query(method: Method, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
+    """Returns a method's estimate with the poses it had drawn and the time it took.
+
+    ``seconds`` holds the method's stages and ``other``, what it spent besides; or ``localize`` alone, where
+    it tells no stages or more than there was.
+
+    Raises:
+        QueryFault: There is no estimate.
+        TypeError: The method returned something else.
+    """
+    city_map.usage.take()
+    started = time.perf_counter()
+    estimate = method.localize(query, city_map, streams)
+    seconds = time.perf_counter() - started
+    return _measured(estimate, sum(city_map.usage.take().values()), seconds)
+
+
+def localize_queries(
+    method: SupportsBatches, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
+) -> list[Estimate | QueryFault]:
+    """Returns a method's answers to a batch, poses and time shared evenly among its queries.
+
+    Raises:
+        TypeError: The method returned another number of answers, or something else.
+    """
+    city_map.usage.take()
+    started = time.perf_counter()
+    answers = list(method.localize_batch(queries, city_map, streams))
+    seconds = (time.perf_counter() - started) / max(1, len(queries))
+    drawn = sum(city_map.usage.take().values()) // max(1, len(queries))
+    if len(answers) != len(queries):
+        raise TypeError(f"localize_batch returned {len(answers)} answers to {len(queries)} queries")
+    return [found if isinstance(found, QueryFault) else _measured(found, drawn, seconds) for found in answers]
+
+
+def weight_files(method: Method) -> tuple[Path, ...]:
+    """Returns the files that a method reads besides its code.
+
+    Raises:
+        ConfigError: One is not there.
+    """
+    files = tuple(method.weight_files()) if isinstance(method, SupportsWeights) else ()
+    for file in files:
+        if not file.is_file():
+            raise ConfigError(f"method={method.name} has no weights {file}.", "Set method.weights=FILE.")
+    return files
+
+
+def _measured(estimate: object, hypotheses: int, seconds: float) -> Estimate:
+    if not isinstance(estimate, Estimate):
+        raise TypeError(f"localize returned {type(estimate).__name__} instead of an Estimate")
+    other = seconds - sum(estimate.seconds.values())
+    stages = (
+        {**estimate.seconds, "other": other} if estimate.seconds and other >= 0 else {"localize": seconds}
+    )
+    return replace(estimate, hypotheses=hypotheses, seconds=stages)
