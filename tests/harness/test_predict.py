@@ -1,0 +1,200 @@
+"""A method's life in a run: prepared once, asked, alone or in batches; faults are told and can be retried."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lodbench.cli import main
+from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.query import Query
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.harness import RunSettings, run_method
+from lodbench.methods import Estimate
+from lodbench.segmentation.none import NoMask, NoMaskParams
+from tests.town import write_dataset
+
+NAMES = ["view_00.png", "view_01.png", "view_02.png"]
+
+
+@dataclass
+class Scripted:
+    """Answers the prior, unless told to raise; notes what it was asked."""
+
+    name = "scripted"
+    requires = frozenset()
+    raises: dict[str, Exception] = field(default_factory=dict)
+    asked: list[str] = field(default_factory=list)
+
+    def localize(self, query, city_map, streams):
+        assert query.building_probability is None
+        self.asked.append(query.name)
+        if query.name in self.raises:
+            raise self.raises[query.name]
+        city_map.render(query.camera, query.prior)
+        return Estimate(query.prior, 1.0, hypotheses=99)
+
+
+@dataclass
+class Batched(Scripted):
+    """The same, two at a time."""
+
+    batch_size = 2
+    batches: list[list[str]] = field(default_factory=list)
+
+    def localize_batch(self, queries, city_map, streams):
+        self.batches.append([query.name for query in queries])
+        found = []
+        for query, each in zip(queries, streams, strict=True):
+            try:
+                found.append(self.localize(query, city_map, each))
+            except QueryFault as fault:
+                found.append(fault)
+        return found
+
+
+@dataclass
+class Preparing(Scripted):
+    """Reads weights, and prepares the height of the city."""
+
+    weights: Path | None = None
+    made: list[str] = field(default_factory=list)
+    top_m: float | None = None
+
+    def weight_files(self):
+        return [] if self.weights is None else [self.weights]
+
+    def prepare(self, city_map, references, workspace):
+        def make(path):
+            self.made.append(path.suffix)
+            np.save(path, city_map.scene.vertices[:, 2].max())
+
+        self.top_m = float(np.load(workspace.part("top.npy", make)))
+
+    def localize(self, query, city_map, streams):
+        return Estimate(query.prior, self.top_m)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    root, city = write_dataset(tmp_path_factory.mktemp("town"), count=3)
+    return open_folder(FolderParams(str(root), str(city)))
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
+
+
+def run(method, dataset, tmp_path, **more):
+    settings = RunSettings(tmp_path / "runs", {"method": {"name": method.name}}, threads=1, **more)
+    return run_method(method, dataset, NoMask(NoMaskParams()), settings)
+
+
+def failures(run) -> list[str]:
+    return [row.failure for row in run.rows]
+
+
+def test_the_map_counts_and_the_clock_is_the_harness_s(dataset, tmp_path):
+    rows = run(Scripted(), dataset, tmp_path).rows
+    assert [row.hypotheses for row in rows] == [1, 1, 1]
+    assert all(set(row.seconds) == {"prepare", "localize"} for row in rows)
+
+
+def test_a_fault_of_the_code_is_its_query_s(dataset, tmp_path):
+    done = run(Scripted({NAMES[1]: ZeroDivisionError("no pixels")}), dataset, tmp_path)
+    assert failures(done) == ["", "ZeroDivisionError: no pixels", ""]
+    (kept,) = (done.folder / "tracebacks").iterdir()
+    assert NAMES[1] in kept.name
+    assert "in localize" in kept.read_text()
+
+
+def test_wrong_settings_end_the_run_and_leave_nothing(dataset, tmp_path):
+    with pytest.raises(ConfigError, match="no such layer"):
+        run(Scripted({NAMES[0]: ConfigError("no such layer")}), dataset, tmp_path)
+    assert not list((tmp_path / "runs").rglob("*.jsonl"))
+    assert not (tmp_path / "runs" / "folder").exists()
+
+
+def test_only_failed_queries_are_retried(dataset, tmp_path):
+    run(Scripted({NAMES[1]: QueryFault("no luck")}), dataset, tmp_path)
+    again, retried = Scripted(), Scripted()
+    assert failures(run(again, dataset, tmp_path)) == ["", "no luck", ""]
+    assert again.asked == []
+    assert failures(run(retried, dataset, tmp_path, retries_failed=True)) == ["", "", ""]
+    assert retried.asked == [NAMES[1]]
+    assert failures(run(again, dataset, tmp_path)) == ["", "", ""]
+
+
+class TestBatches:
+    def test_answers_are_those_of_single_queries(self, dataset, tmp_path):
+        method = Batched({NAMES[1]: QueryFault("no luck")})
+        done = run(method, dataset, tmp_path)
+        assert method.batches == [NAMES[:2]]
+        assert method.asked == NAMES
+        assert failures(done) == ["", "no luck", ""]
+        assert [row.hypotheses for row in done.rows] == [0, 0, 1]
+
+    def test_a_fault_is_found_one_by_one(self, dataset, tmp_path):
+        done = run(Batched({NAMES[0]: KeyError("oh")}), dataset, tmp_path)
+        assert failures(done) == ["KeyError: 'oh'", "", ""]
+
+
+class TestPreparation:
+    def test_is_made_once_and_handed_on(self, dataset, tmp_path):
+        first, second = Preparing(), Preparing()
+        assert [row.score for row in run(first, dataset, tmp_path).rows] == [40.0] * 3
+        run(second, dataset, tmp_path, limit=1, seed=1)
+        assert (first.made, second.made) == ([".npy"], [])
+        assert second.top_m == 40.0
+
+    def test_other_weights_are_another_run_and_prepared_anew(self, dataset, tmp_path):
+        folders, made = set(), []
+        for content in ("one", "two", "one"):
+            weights = tmp_path / "net.onnx"
+            weights.write_text(content)
+            method = Preparing(weights=weights)
+            folders.add(run(method, dataset, tmp_path).folder)
+            made.append(len(method.made))
+        assert len(folders) == 2
+        assert made == [1, 1, 0]
+
+    def test_missing_weights_are_told_before_any_work(self, dataset, tmp_path):
+        with pytest.raises(ConfigError, match=r"no weights .*gone\.onnx"):
+            run(Preparing(weights=tmp_path / "gone.onnx"), dataset, tmp_path)
+        assert not (tmp_path / "runs").exists()
+
+    def test_a_fault_ends_the_run_with_its_traceback(self, dataset, tmp_path):
+        class Torn(Preparing):
+            def prepare(self, city_map, references, workspace):
+                raise IndexError("out of views")
+
+        with pytest.raises(ConfigError, match="cannot prepare: IndexError: out of views") as caught:
+            run(Torn(), dataset, tmp_path)
+        file = Path(caught.value.hint.removeprefix("See ").rstrip("."))
+        assert "raise IndexError" in file.read_text()
+
+
+def test_the_command_tells_that_nothing_was_found(dataset, tmp_path, capsys):
+    root, city = write_dataset(tmp_path / "bare", count=2)
+    (root / "GPS_pose.txt").write_text("# none\n")
+    place = [f"dataset.root={root}", f"dataset.city_model={city}", f"paths.runs={tmp_path / 'runs'}"]
+    assert main(["run", "dataset=folder", *place, "method=prior_only"]) == 1
+    assert "2 x no prior pose" in capsys.readouterr().out
+
+
+def test_the_command_retries(dataset, tmp_path, capsys):
+    place = [f"dataset.root={dataset.root}", f"dataset.city_model={dataset.city_model}"]
+    words = ["run", "dataset=folder", *place, f"paths.runs={tmp_path / 'runs'}", "method=prior_only"]
+    assert main(words) == 0
+    assert main([*words, "--retry-failed"]) == 0
+    assert "(3 queries were there already)" in capsys.readouterr().out
+
+
+def test_a_query_without_a_mask_says_so_to_whom_it_concerns(dataset):
+    entry = dataset.entries[0]
+    with pytest.raises(QueryFault, match="there is no mask"):
+        _ = Query(entry.name, "all", entry.camera, entry.prior).mask
