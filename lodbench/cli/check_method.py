@@ -12,7 +12,7 @@ from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.console import check_lines
-from lodbench.cli.hydra_app import register_config_sources, section
+from lodbench.cli.hydra_app import explained, register_config_sources, section
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.methods.conformance import check_answers, check_class
 from lodbench.params import to_params
@@ -22,7 +22,8 @@ from lodbench.reporting.safe_text import plain_text
 _EPILOG = """\
 A method is an entry point under lodbench.methods, with conf/method/NAME.yaml: see CONTRIBUTING.md, "Add a
 method". It is asked for the poses of three photos over seven blocks, with exact masks, several times.
-Exit code: 0 it keeps to the protocol, 1 it does not, 2 there is no such method.
+Settings are those of a run: lodbench check-method lodlocv2 method.variant=no_refine
+Exit code: 0 it keeps to the protocol, 1 it does not, 2 there is no such method or setting.
 """
 
 
@@ -30,7 +31,7 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code.
 
     Raises:
-        ConfigError: There is no such method.
+        ConfigError: There is no such method or setting.
     """
     parser = argparse.ArgumentParser(
         "lodbench check-method",
@@ -39,21 +40,30 @@ def main(argv: Sequence[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("name", metavar="NAME", help="the method's name, as in method=NAME")
+    parser.add_argument(
+        "settings", nargs="*", metavar="method.KEY=VALUE", help="settings of the method to try"
+    )
     parser.add_argument("--json", action="store_true", help="one check per line, for machines")
     options = parser.parse_args(argv)
-    checks = list(_checks(find_plugin("methods", options.name)))
+    for word in options.settings:
+        if not word.startswith("method."):
+            raise ConfigError(f"{word} is no setting of a method.", "Write method.KEY=VALUE.")
+    checks = list(_checks(find_plugin("methods", options.name), options.settings))
     faults = [check for check in checks if check.status != OK]
     if options.json:
         lines = [json.dumps(asdict(check)) for check in checks]
     else:
         verdict = f"breaks {len(faults)} of its rules" if faults else "keeps to the protocol"
         # What a plug-in says is anybody's text; indents are ours.
-        lines = [*check_lines([_plain(check) for check in checks]), "", f"{options.name} {verdict}."]
+        lines = [*check_lines([_plain(check) for check in checks]), ""]
+        for check in faults:
+            lines += [plain_text(line) for line in check.traceback.splitlines()]
+        lines.append(f"{options.name} {verdict}.")
     sys.stdout.write("".join(line + "\n" for line in lines))
     return 1 if faults else 0
 
 
-def _checks(plug_in: PlugIn) -> Iterator[Check]:
+def _checks(plug_in: PlugIn, settings: Sequence[str]) -> Iterator[Check]:
     try:
         kind = plug_in.load()
     except LodbenchError as error:
@@ -67,27 +77,29 @@ def _checks(plug_in: PlugIn) -> Iterator[Check]:
     yield from checks
     broken = {check.name for check in checks if check.status != OK}
     if "parameters" not in broken:
-        values = {} if "configuration" in broken else load()
+        values = {} if "configuration" in broken else _configuration(plug_in.name, where, settings)
         yield from check_answers(lambda: kind(_params(kind, values or {})))
 
 
-def _configuration(name: str, where: str) -> dict[str, Any] | None:
-    """Returns what `lodbench run method=NAME` tells a method, nothing overridden; None if no file does.
+def _configuration(name: str, where: str, settings: Sequence[str] = ()) -> dict[str, Any] | None:
+    """Returns what `lodbench run method=NAME` and some settings tell a method; None if no file does.
 
     Raises:
-        ConfigError: The file cannot be read.
+        ConfigError: The file cannot be read, or has no such setting.
     """
     from hydra import compose, initialize_config_module
-    from hydra.errors import MissingConfigException
+    from hydra.errors import ConfigCompositionException, MissingConfigException
     from omegaconf import OmegaConf
 
     register_config_sources()
     try:
         with initialize_config_module("lodbench.conf", version_base="1.3"):
-            config = compose("run", overrides=[f"method={name}"]).method
+            config = compose("run", overrides=[f"method={name}", *settings]).method
         return section({"method": OmegaConf.to_container(config, resolve=True)}, "method")
     except MissingConfigException:
         return None
+    except ConfigCompositionException as error:
+        raise explained(error, "run") from error
     except Exception as error:  # the YAML reader's faults share no base with Hydra's
         raise ConfigError(f"{where} cannot be read: {str(error).splitlines()[0]}") from error
 

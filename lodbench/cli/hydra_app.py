@@ -89,7 +89,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         version = {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}
         hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **version)(job)()
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        raise _explained(error, config_name) from error
+        raise explained(error, config_name) from error
     finally:
         sys.argv = saved
     if crashes:
@@ -167,7 +167,7 @@ def register_config_sources() -> None:
     _is_registered = True
 
 
-def _explained(error: Exception, config_name: str) -> ConfigError:
+def explained(error: Exception, config_name: str) -> ConfigError:
     """Returns Hydra's complaint as one line and, for an unknown key, the nearest known ones."""
     text = str(error)
     option = re.search(

@@ -12,6 +12,7 @@ from lodbench.cli import main
 MODULE = '''
 import itertools
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -34,6 +35,7 @@ class Sound:
     """Moves the prior by a random step; faults where there is no building."""
 
     name = "sound"
+    requires = frozenset({"mask"})
     params_type = params("sound")
 
     def __init__(self, settings):
@@ -45,7 +47,7 @@ class Sound:
             raise QueryFault("the mask holds no building")
         step = streams("step", 0).normal(size=3)
         city_map.render(query.camera, query.prior)
-        return Estimate(query.prior.shifted(step), 0.5, 1)
+        return Estimate(query.prior.shifted(step), 0.5)
 
 
 def variant(method, **functions):
@@ -84,7 +86,7 @@ def crashing(self, query, city_map, streams):
 
 def credulous(self, query, city_map, streams):
     step = streams("step", 0).normal(size=3) + query.building_probability.mean()
-    return Estimate(query.prior.shifted(step), 0.5, 1)
+    return Estimate(query.prior.shifted(step), 0.5)
 
 
 def speechless(self, query, city_map, streams):
@@ -114,7 +116,51 @@ Inverted = variant(
     "inverted", localize=changed(pose=lambda q, e: Pose.from_center(e.pose.rotation.T, e.pose.center))
 )
 Boundless = variant("boundless", localize=changed(score=lambda q, e: float("inf")))
-Uncounted = variant("uncounted", localize=changed(hypotheses=lambda q, e: 0))
+Unasking = variant("unasking", requires=frozenset({"masks"}))
+Blind = variant("blind", localize=lambda self, q, m, s: Estimate(q.prior, 0.5))
+Silent = type("Silent", (), {k: v for k, v in vars(Sound).items() if k != "requires"} | {"name": "silent", "params_type": params("silent")})
+
+
+def prepare(self, city_map, references, workspace):
+    assert len(references) == 3 and all(r.image.is_file() for r in references)
+    self.parts = [
+        np.load(workspace.part(f"{r.name}.npy", lambda file, r=r: np.save(file, r.pose.center)))
+        for r in references
+    ]
+
+
+def retrieving(self, query, city_map, streams):
+    nearest = min(self.parts, key=lambda center: np.linalg.norm(center - query.prior.center))
+    return Estimate(query.prior.shifted((nearest - query.prior.center) * 0.1), 0.5)
+
+
+def forgetful(self, city_map, references, workspace):
+    workspace.part(f"part{next(COUNTER)}", lambda file: file.write_text("x"))
+    self.parts = [r.pose.center for r in references]
+
+
+def restless(self, city_map, references, workspace):
+    self.parts = [np.load(workspace.part("a.npy", lambda file: np.save(file, np.array([next(COUNTER), 0, 0]))))]
+
+
+NEEDS = {"requires": frozenset({"image", "references"}), "localize": retrieving}
+Retrieving = variant("retrieving", prepare=prepare, **NEEDS)
+Forgetful = variant("forgetful", prepare=forgetful, **NEEDS)
+Restless = variant("restless", prepare=restless, **NEEDS)
+Textured = variant("textured", requires=frozenset({"textured_map"}), localize=lambda *_: None)
+Batched = variant(
+    "batched",
+    batch_size=2,
+    localize_batch=lambda self, queries, city_map, streams: [
+        self.localize(q, city_map, s) for q, s in zip(queries, streams)
+    ],
+)
+Unlike = variant(
+    "unlike",
+    batch_size=2,
+    localize_batch=lambda self, queries, city_map, streams: [Estimate(q.prior, 0.5) for q in queries],
+)
+Weightless = variant("weightless", weight_files=lambda self: [Path("no/such/weights.onnx")])
 TooSure = variant("too_sure", localize=changed(probability=lambda q, e: 1.2))
 Lopsided = variant("lopsided", localize=changed(covariance=lambda q, e: np.triu(np.ones((6, 6)))))
 Negative = variant("negative", localize=changed(covariance=lambda q, e: np.diag([1.0, 1, 1, 1, 1, -1])))
@@ -131,6 +177,7 @@ CONFIGS = {
     "other": "name: other\nsteps: 4\n",
     "torn": "name: [torn\n",
 }
+SOUND = ["sound", "retrieving", "textured", "batched"]
 # Method, the check that finds the fault, a word of what is said.
 BROKEN = [
     ("stateful", "any order", "other queries came before"),
@@ -147,7 +194,13 @@ BROKEN = [
     ("abroad", "frame", "m from the prior"),
     ("inverted", "frame", "turned by"),
     ("boundless", "score", "inf"),
-    ("uncounted", "hypotheses", "had 1 drawn"),
+    ("unasking", "inputs", "'masks', which is no input"),
+    ("blind", "empty mask", "not looked at"),
+    ("silent", "inputs", "does not say what it requires"),
+    ("forgetful", "preparation", "was made anew"),
+    ("restless", "preparation", "another answer after a kill"),
+    ("unlike", "batches", "another answer in a batch"),
+    ("weightless", "weights", "no weights no/such/weights.onnx"),
     ("too_sure", "uncertainty", "1.2"),
     ("lopsided", "uncertainty", "not symmetric"),
     ("negative", "uncertainty", "negative eigenvalue"),
@@ -168,7 +221,7 @@ BROKEN = [
 def plug_in(tmp_path_factory) -> Path:
     """A package of methods as pip would install it, with its configuration."""
     folder = tmp_path_factory.mktemp("site")
-    names = ["sound", *(name for name, _, _ in BROKEN)]
+    names = [*SOUND, *(name for name, _, _ in BROKEN)]
     (folder / "trial_methods.py").write_text(MODULE)
     (folder / "trial_conf" / "method").mkdir(parents=True)
     (folder / "trial_conf" / "__init__.py").write_text("")
@@ -185,7 +238,7 @@ def plug_in(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["lodlocv2", "contour_alignment", "prior_only"])
+@pytest.mark.parametrize("name", ["lodlocv2", "contour_alignment", "region", "prior_only"])
 def test_ours_keep_to_it(capsys, name):
     assert main(["check-method", name]) == 0
     told = capsys.readouterr().out
@@ -199,11 +252,11 @@ def test_a_sound_plug_in(capsys, monkeypatch, plug_in):
     checks = {check["name"]: check for check in map(json.loads, capsys.readouterr().out.splitlines())}
     assert {check["status"] for check in checks.values()} == {"ok"}
     assert "another answer" in checks["another seed"]["detail"]
-    assert len(checks) == 16
+    assert len(checks) == 20
 
 
 @pytest.mark.parametrize(("name", "rule", "word"), BROKEN)
-def test_each_breach_is_told_and_no_other(capsys, monkeypatch, plug_in, name, rule, word):
+def test_each_violation_is_told_and_no_other(capsys, monkeypatch, plug_in, name, rule, word):
     monkeypatch.syspath_prepend(plug_in)
     assert main(["check-method", name, "--json"]) == 1
     checks = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
@@ -212,7 +265,38 @@ def test_each_breach_is_told_and_no_other(capsys, monkeypatch, plug_in, name, ru
     assert word in fault["detail"]
 
 
-def test_a_breach_as_people_read_it(capsys, monkeypatch, plug_in):
+@pytest.mark.parametrize(
+    ("name", "check", "word"),
+    [
+        ("retrieving", "preparation", "3 parts, found again after a kill"),
+        ("batched", "batches", "up to 2 at a time, the same answers"),
+        ("textured", "answers", "not tried: the trial has no textured_map"),
+    ],
+)
+def test_what_is_offered_is_tried(capsys, monkeypatch, plug_in, name, check, word):
+    monkeypatch.syspath_prepend(plug_in)
+    assert main(["check-method", name, "--json"]) == 0
+    checks = {each["name"]: each for each in map(json.loads, capsys.readouterr().out.splitlines())}
+    assert checks[check]["detail"] == word
+
+
+def test_settings_are_tried(capsys):
+    assert main(["check-method", "lodlocv2", "method.variant=no_refine"]) == 0
+    assert "504 at most" in capsys.readouterr().out
+    assert main(["check-method", "lodlocv2", "method.varjant=no_refine"]) == 2
+    assert "method.varjant is not a setting" in capsys.readouterr().err
+    assert main(["check-method", "lodlocv2", "tilt=truth"]) == 2
+
+
+def test_where_a_plug_in_raised_is_shown(capsys, monkeypatch, plug_in):
+    monkeypatch.syspath_prepend(plug_in)
+    assert main(["check-method", "exploding"]) == 1
+    told = capsys.readouterr().out
+    assert "in exploding" in told
+    assert 'raise KeyError("oh")' in told
+
+
+def test_a_violation_as_people_read_it(capsys, monkeypatch, plug_in):
     monkeypatch.syspath_prepend(plug_in)
     assert main(["check-method", "stateful"]) == 1
     told = capsys.readouterr().out

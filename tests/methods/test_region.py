@@ -29,12 +29,12 @@ def streams(seed=0):
 
 
 @pytest.fixture(scope="module")
-def photographed(scorer, queries, truths, tmp_path_factory):
+def photographed(city_map, queries, truths, tmp_path_factory):
     """Returns the queries with a photo and without a mask: buildings are reddish, all else is greenish."""
     folder = tmp_path_factory.mktemp("photos")
     found = []
     for i, (query, truth) in enumerate(zip(queries, truths, strict=True)):
-        inside = scorer.render(CAMERA, truth)[..., None]
+        inside = city_map.render(CAMERA, truth)[..., None]
         colours = np.where(inside, [90.0, 100.0, 140.0], [100.0, 130.0, 100.0])
         noise = random_stream(0, "photo", i).normal(0.0, 20.0, colours.shape)
         path = folder / f"q{i}.png"
@@ -44,10 +44,10 @@ def photographed(scorer, queries, truths, tmp_path_factory):
 
 
 class TestTheMethod:
-    def test_it_finds_photos_from_their_pixels(self, scorer, photographed, truths):
+    def test_it_finds_photos_from_their_pixels(self, city_map, photographed, truths):
         for query, truth in zip(photographed, truths, strict=True):
             before = pose_error(query.prior, truth)
-            estimate = Region(FAST).localize(query, scorer, streams())
+            estimate = Region(FAST).localize(query, city_map, streams())
             after = pose_error(estimate.pose, truth)
             assert after.translation_m < min(1.0, 0.5 * before.translation_m)
             assert after.rotation_deg < 1.0
@@ -56,8 +56,8 @@ class TestTheMethod:
             assert estimate.probability is not None
             assert 0.5 < estimate.probability <= 1.0
 
-    def test_threads_and_repetition_change_no_bit(self, scene, scorer, photographed):
-        first = Region(FAST).localize(photographed[0], scorer, streams())
+    def test_threads_and_repetition_change_no_bit(self, scene, city_map, photographed):
+        first = Region(FAST).localize(photographed[0], city_map, streams())
         for threads in (1, 3):
             again = Region(FAST).localize(
                 photographed[0], make_renderer("silhouette", scene, threads), streams()
@@ -65,20 +65,20 @@ class TestTheMethod:
             np.testing.assert_array_equal(again.pose.cam_from_world, first.pose.cam_from_world)
             assert (again.probability, again.hypotheses) == (first.probability, first.hypotheses)
 
-    def test_a_grey_photo_of_another_exposure_will_do(self, scorer, photographed, truths, tmp_path):
+    def test_a_grey_photo_of_another_exposure_will_do(self, city_map, photographed, truths, tmp_path):
         grey = cv2.imread(str(photographed[1].image), cv2.IMREAD_GRAYSCALE)
-        grey = np.where(scorer.render(CAMERA, truths[1]), grey // 2 + 60, grey // 2)
+        grey = np.where(city_map.render(CAMERA, truths[1]), grey // 2 + 60, grey // 2)
         cv2.imwrite(str(tmp_path / "grey.png"), grey.astype(np.uint8))
         query = replace(photographed[1], image=tmp_path / "grey.png")
-        estimate = Region(FAST).localize(query, scorer, streams())
+        estimate = Region(FAST).localize(query, city_map, streams())
         assert pose_error(estimate.pose, truths[1]).translation_m < 1.0
 
-    def test_a_photo_of_noise_is_not_trusted(self, scorer, photographed, tmp_path):
+    def test_a_photo_of_noise_is_not_trusted(self, city_map, photographed, tmp_path):
         noise = np.random.default_rng(1).integers(0, 256, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
         cv2.imwrite(str(tmp_path / "noise.png"), noise)
         query = replace(photographed[0], image=tmp_path / "noise.png")
         try:
-            estimate = Region(FAST).localize(query, scorer, streams())
+            estimate = Region(FAST).localize(query, city_map, streams())
         except QueryFault:
             return
         assert estimate.probability is not None
@@ -97,19 +97,19 @@ class TestTheMethod:
 
 
 class TestWhatIsRefused:
-    def test_no_photo(self, scorer, queries):
+    def test_no_photo(self, city_map, queries):
         with pytest.raises(QueryFault, match="no photo"):
-            Region(FAST).localize(replace(queries[0], image=None), scorer, streams())
+            Region(FAST).localize(replace(queries[0], image=None), city_map, streams())
 
-    def test_a_file_that_is_no_photo(self, scorer, queries, tmp_path):
+    def test_a_file_that_is_no_photo(self, city_map, queries, tmp_path):
         (tmp_path / "q.png").write_bytes(b"no picture")
         with pytest.raises(QueryFault, match="decoded"):
-            Region(FAST).localize(replace(queries[0], image=tmp_path / "q.png"), scorer, streams())
+            Region(FAST).localize(replace(queries[0], image=tmp_path / "q.png"), city_map, streams())
 
-    def test_no_building_in_reach(self, scorer, photographed):
+    def test_no_building_in_reach(self, city_map, photographed):
         far = replace(photographed[0], prior=photographed[0].prior.shifted([5000.0, 0.0, 0.0]))
         with pytest.raises(QueryFault, match="far from the city"):
-            Region(FAST).localize(far, scorer, streams())
+            Region(FAST).localize(far, city_map, streams())
 
     @pytest.mark.parametrize(
         "wrong",

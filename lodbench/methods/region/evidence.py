@@ -50,12 +50,10 @@ class Evidence:
 
     Attributes:
         camera: Pinhole of the working size.
-        counted: Poses rendered so far.
     """
 
     def __init__(self, query: Query, scorer: Scorer, fit: Fit, params: Params) -> None:
         self.camera = query.camera.scaled(*fit.size)
-        self.counted = 0
         self._scorer, self._fit = scorer, fit
         self._prior = vector_from_pose(query.prior)
         self._sigmas = np.array(params.prior_sigmas())
@@ -64,7 +62,6 @@ class Evidence:
     def fits(self, vectors: Floats) -> Floats:
         """Returns the (N,) fit of poses (N, 6), centre in metres and angles in degrees; nats per pixel."""
         rotations = np.stack([rotation_from_euler(EulerAngles(*(float(a) for a in v[3:]))) for v in vectors])
-        self.counted += len(vectors)
         return self._scorer.fit(self.camera, rotations, np.ascontiguousarray(vectors[:, :3]), self._fit)
 
     def log_posterior(self, vectors: Floats) -> Floats:

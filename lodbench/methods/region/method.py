@@ -8,6 +8,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.priors import UniformPrior
@@ -22,7 +23,6 @@ from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts
 from lodbench.methods.region.uncertainty import covariance_at, share_of_best
-from lodbench.rendering import Scorer
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Region:
         """Returns the parameters that search all that such a prior leaves open, tilt included."""
         return self.params.for_prior(prior)
 
-    def localize(self, query: Query, scorer: Scorer, streams: Streams) -> Estimate:
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the most probable pose.
 
         Raises:
@@ -52,13 +52,13 @@ class Region:
         params = self.params
         reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
         turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
-        edges = edges_in_reach(scorer.scene, query.camera, query.prior, reach_m, turn_deg)
-        around = Surroundings(edges, scorer, params)
-        search = self._evidence(query, scorer, photo, params.coarse_width, is_coarse=True)
+        edges = edges_in_reach(city_map.scene, query.camera, query.prior, reach_m, turn_deg)
+        around = Surroundings(edges, city_map, params)
+        search = self._evidence(query, city_map, photo, params.coarse_width, is_coarse=True)
         starts, best = grid_starts(query, search, params)
         tops = climbed(starts, search, around, params.coarse_generations, params.coarse_spread_px, streams)
         searched = time.perf_counter()
-        final = self._evidence(query, scorer, photo, params.fine_width, is_coarse=False)
+        final = self._evidence(query, city_map, photo, params.fine_width, is_coarse=False)
         means = np.array([top.cloud.mean for top in tops[: params.modes]])
         modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams)
         if not modes:
@@ -69,7 +69,6 @@ class Region:
         return Estimate(
             pose=pose_from_vector(vector),
             score=float(final.fits(vector[None])[0]),
-            hypotheses=search.counted + final.counted,
             seconds={"coarse": searched - started, "fine": finished - searched},
             trace={"coarse": (best,), "modes": tuple(mode.log_posterior for mode in modes)},
             covariance=covariance,
@@ -77,10 +76,10 @@ class Region:
         )
 
     def _evidence(
-        self, query: Query, scorer: Scorer, photo: NDArray[np.uint8], width: int, is_coarse: bool
+        self, query: Query, city_map: CityMap, photo: NDArray[np.uint8], width: int, is_coarse: bool
     ) -> Evidence:
         size = _size(query.camera, width)
-        return Evidence(query, scorer, PhotoFit(photo, size, self.params, is_coarse), self.params)
+        return Evidence(query, city_map, PhotoFit(photo, size, self.params, is_coarse), self.params)
 
 
 def _size(camera: Camera, width: int) -> tuple[int, int]:
