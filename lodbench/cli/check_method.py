@@ -76,7 +76,7 @@ def _checks(plug_in: PlugIn, settings: Sequence[str]) -> Iterator[Check]:
     checks = list(check_class(kind, plug_in.name, load, lambda values: _params(kind, values), where))
     yield from checks
     broken = {check.name for check in checks if check.status != OK}
-    if "parameters" not in broken:
+    if broken.isdisjoint({"parameters", "inputs"}):
         values = {} if "configuration" in broken else _configuration(plug_in.name, where, settings)
         yield from check_answers(lambda: kind(_params(kind, values or {})))
 

@@ -118,7 +118,8 @@ Inverted = variant(
 Boundless = variant("boundless", localize=changed(score=lambda q, e: float("inf")))
 Unasking = variant("unasking", requires=frozenset({"masks"}))
 Blind = variant("blind", localize=lambda self, q, m, s: Estimate(q.prior, 0.5))
-Silent = type("Silent", (), {k: v for k, v in vars(Sound).items() if k != "requires"} | {"name": "silent", "params_type": params("silent")})
+Silent = type("Silent", (), {key: value for key, value in vars(Sound).items() if key != "requires"})
+Silent.name, Silent.params_type = "silent", params("silent")
 
 
 def prepare(self, city_map, references, workspace):
@@ -140,7 +141,8 @@ def forgetful(self, city_map, references, workspace):
 
 
 def restless(self, city_map, references, workspace):
-    self.parts = [np.load(workspace.part("a.npy", lambda file: np.save(file, np.array([next(COUNTER), 0, 0]))))]
+    path = workspace.part("a.npy", lambda file: np.save(file, np.array([next(COUNTER), 0, 0])))
+    self.parts = [np.load(path)]
 
 
 NEEDS = {"requires": frozenset({"image", "references"}), "localize": retrieving}

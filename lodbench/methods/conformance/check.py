@@ -95,7 +95,8 @@ def _look_closer(make: Callable[[], Method], answers: TrialAnswers) -> Iterator[
     def prepared() -> Method:
         return trial.prepared(make())
 
-    yield _checked("answers", "query", lambda: life.untouched_queries(prepared(), answers))
+    untouched = _checked("answers", "query", lambda: life.untouched_queries(prepared(), answers))
+    yield untouched
     again = _checked("answers", "same again", lambda: life.same_again(prepared(), answers))
     yield again
     if again.status == OK:
@@ -103,7 +104,8 @@ def _look_closer(make: Callable[[], Method], answers: TrialAnswers) -> Iterator[
         yield _checked("answers", "preparation", lambda: life.preparation_resumes(make, answers))
         yield _checked("answers", "batches", lambda: life.batches_answer_alike(prepared(), answers))
     yield _checked("answers", "another seed", lambda: life.another_seed(prepared(), answers))
-    yield _checked("answers", "empty mask", lambda: life.empty_mask(prepared(), answers))
+    if untouched.status == OK:
+        yield _checked("answers", "empty mask", lambda: life.empty_mask(prepared(), answers))
     yield _checked("answers", "weights", lambda: life.weights_are_there(make()))
     yield _checked("answers", "prior width", lambda: right_prior_params(make()))
 
