@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 
 
@@ -50,3 +51,25 @@ def nearest_names(wanted: str, known: Iterable[str]) -> str:
     if close:
         return "Did you mean " + " or ".join(close) + "?"
     return "Known: " + ", ".join(names) + "." if names else ""
+
+
+def require_choice(name: str, value: str, known: Iterable[str]) -> None:
+    """Makes sure that a setting is one of the known names.
+
+    Raises:
+        ConfigError: It is not; the hint lists the nearest.
+    """
+    choices = list(known)
+    if value not in choices:
+        raise ConfigError(f"{name}={value} is not known.", nearest_names(value, choices))
+
+
+def require_within(name: str, value: float | Iterable[float] | None, low: float, high: float) -> None:
+    """Makes sure that a setting, or each of its values, is a finite number within bounds; None is.
+
+    Raises:
+        ConfigError: A value is not.
+    """
+    for number in value if isinstance(value, Iterable) else [value]:
+        if number is not None and not (math.isfinite(number) and low <= number <= high):
+            raise ConfigError(f"{name}={number:g} is not within {low:g} to {high:g}.")

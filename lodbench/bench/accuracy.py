@@ -1,7 +1,7 @@
 """How well a method finds poses over a real model: synthetic views, masks as wrong as a network's.
 
 Seeded drone views are drawn over a city. The mask of each is rendered at the true pose at the
-working size (602 x 448) and roughened to a target IoU; its prior is drawn uniformly around the
+working size (602 x 448) and degraded to a target IoU; its prior is drawn uniformly around the
 truth. Every method runs every view twice: with the true tilt in the prior, and with a tilt in error.
 Masks may come from another level of detail than the map that is searched.
 """
@@ -36,8 +36,9 @@ from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.rendering import Scorer
 from lodbench.storage import random_stream
+from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.view_sampling import RGB_CAMERA
-from lodbench.synthesis.views_dataset import SyntheticQuery, draw_queries
+from lodbench.synthesis.views_dataset import draw_queries
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -84,7 +84,7 @@ class AccuracyOptions:
         """Returns in words what is drawn."""
         prior, (width, height) = self.prior(), FINE_SIZE
         return (
-            f"masks of {width} x {height} roughened to IoU {self.mask_iou:g}, priors +-{prior.x_m:g}/"
+            f"masks of {width} x {height} degraded to IoU {self.mask_iou:g}, priors +-{prior.x_m:g}/"
             f"+-{prior.y_m:g}/+-{prior.z_m:g} m and +-{prior.yaw_deg:g} deg yaw, with tilt=prior "
             f"+-{self.tilt_deg:g} deg pitch and roll, {_seeds_in_words(self.seeds)}"
             + (f", {self.area}ern half of the city" if self.area else "")

@@ -195,7 +195,7 @@ def measure_iou_recall(
 ) -> IouRecallReport:
     """Returns the recall of methods over the IoU of their masks.
 
-    Views and priors are the same at every IoU; masks are roughened as ``noisy_oracle`` does.
+    Views and priors are the same at every IoU; masks are degraded as ``noisy_oracle`` does.
 
     Args:
         city: City model file.

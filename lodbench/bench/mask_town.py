@@ -13,7 +13,7 @@ from lodbench.synthesis.demo import DemoParams, DemoTrainParams, demo_folder
 from lodbench.synthesis.town.build import FINE_CITY_FILE, PROPS_FILE
 from lodbench.synthesis.training_data import generate
 from lodbench.synthesis.training_data.generate import generate_training_data
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
 
 TOWNS: dict[str, DemoParams] = {"test": DemoParams(), "train": DemoTrainParams()}
 # Draws per view that is kept; what else a view must show is in ``_settings``.
@@ -57,8 +57,8 @@ def town_sets(town: str, num_views: int, workers: int | None = None) -> TownSets
     return TownSets(Path(params.out), Path(visible.out))
 
 
-def _settings(root: Path, out: Path, num_views: int, workers: int | None) -> TrainingParams:
-    return TrainingParams(
+def _settings(root: Path, out: Path, num_views: int, workers: int | None) -> GenerateParams:
+    return GenerateParams(
         city=str(root / FINE_CITY_FILE),
         out=str(out),
         lod="3",

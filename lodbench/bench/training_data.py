@@ -13,15 +13,15 @@ from pathlib import Path
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.pictures import encoded_mask
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.execution.fan_out import fan_out
 from lodbench.geometry import Camera
 from lodbench.rendering import open_renderer
-from lodbench.synthesis.training_data.cameras import picture_camera
 from lodbench.synthesis.training_data.generate import open_cities, world_parts
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView, plan_views
-from lodbench.synthesis.training_data.world import World, WorldParts, encode_mask, files_of
+from lodbench.synthesis.training_data.view_writer import PictureParts, ViewWriter, files_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,14 +102,14 @@ def measure_training_data(
     workers = options.workers or os.cpu_count() or 1
     props = None if options.props is None else str(options.props)
     folder = Path(tempfile.mkdtemp(prefix="lodbench-bench-"))
-    params = TrainingParams(
+    params = GenerateParams(
         str(city), str(folder), sampling="random", count=20 * options.views, val_share=0.0, test_share=0.0,
         limit=10 * options.views, seed=options.seed, props=props, workers=workers,
     )  # fmt: skip
     try:
         scene, picture = open_cities(params, ReadOptions())
         parts, made, _ = world_parts(params, scene, picture)
-        views = plan_views(params, scene, made.plan, made.ground).views
+        views = plan_views(params, scene, made.ground).views
         rows: list[Figure] = []
         steps: list[Callable[[], list[Figure]]] = [
             lambda: _masks(params, parts, views, workers),
@@ -127,12 +127,12 @@ def measure_training_data(
 
 
 def _masks(
-    params: TrainingParams, parts: WorldParts, views: tuple[PlannedView, ...], workers: int
+    params: GenerateParams, parts: PictureParts, views: tuple[PlannedView, ...], workers: int
 ) -> list[Figure]:
     """Returns masks per second, alone; beside them pyrender, one process, drawn and encoded alike."""
     rate, cpu = _rate(replace(params, images=False), parts, views, workers)
     title = f"masks alone, bilevel PNG, {_size(params)}"
-    peer, peer_rate = _pyrender_rate(parts.scene, picture_camera(params), views[:20])
+    peer, peer_rate = _pyrender_rate(parts.scene, params.camera, views[:20])
     ratio = None if peer_rate is None else rate / peer_rate
     return [
         Figure(title, rate, "/s", peer, peer_rate, ratio),
@@ -141,7 +141,7 @@ def _masks(
 
 
 def _photos(
-    params: TrainingParams, parts: WorldParts, views: tuple[PlannedView, ...], workers: int
+    params: GenerateParams, parts: PictureParts, views: tuple[PlannedView, ...], workers: int
 ) -> list[Figure]:
     rate, cpu = _rate(params, parts, views, workers)
     title = f"photos with shadows, and masks, {_size(params)}"
@@ -149,7 +149,7 @@ def _photos(
 
 
 def _rate(
-    params: TrainingParams, parts: WorldParts, views: tuple[PlannedView, ...], workers: int
+    params: GenerateParams, parts: PictureParts, views: tuple[PlannedView, ...], workers: int
 ) -> tuple[float, float]:
     """Returns views written per second, and seconds of CPU time per view."""
     out = Path(tempfile.mkdtemp(dir=params.out))
@@ -177,11 +177,11 @@ def _warmed(views: tuple[PlannedView, ...], workers: int) -> list[tuple[PlannedV
     return [*warm, *((view, False) for view in views)]
 
 
-_opened: list[tuple[World, Path]] = []
+_opened: list[tuple[ViewWriter, Path]] = []
 
 
-def _open(params: TrainingParams, parts: WorldParts, out: Path) -> None:
-    _opened[:] = [(World(params, parts), out)]
+def _open(params: GenerateParams, parts: PictureParts, out: Path) -> None:
+    _opened[:] = [(ViewWriter(params, parts), out)]
 
 
 def _timed(item: tuple[PlannedView, bool]) -> float | None:
@@ -196,22 +196,22 @@ def _timed(item: tuple[PlannedView, bool]) -> float | None:
 def _pyrender_rate(scene: Scene, camera: Camera, views: tuple[PlannedView, ...]) -> tuple[str, float | None]:
     try:
         renderer = open_renderer("pyrender", scene)
-        encode_mask(renderer.render(camera, views[0].pose))
+        encoded_mask(renderer.render(camera, views[0].pose), bilevel=True)
     except LodbenchError as error:
         return f"pyrender ({error.message})", None
     started = time.perf_counter()
     for view in views:
-        encode_mask(renderer.render(camera, view.pose))
+        encoded_mask(renderer.render(camera, view.pose), bilevel=True)
     return "pyrender, one process", len(views) / (time.perf_counter() - started)
 
 
-def _memory(params: TrainingParams, parts: WorldParts, views: tuple[PlannedView, ...]) -> Figure:
+def _memory(params: GenerateParams, parts: PictureParts, views: tuple[PlannedView, ...]) -> Figure:
     """Returns how much larger a process is after many views than after few, MB, masks and photos."""
     small = replace(params, size=(256, 256))
     out = Path(tempfile.mkdtemp(dir=params.out))
     for path in files_of(small, views[0], out):
         path.parent.mkdir(parents=True, exist_ok=True)
-    world = World(small, parts)
+    world = ViewWriter(small, parts)
     tenth = max(1, len(views) // 10)
     for view in views[:tenth]:
         world.write(view, out)
@@ -231,5 +231,5 @@ def _resident_mb() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def _size(params: TrainingParams) -> str:
+def _size(params: GenerateParams) -> str:
     return f"{params.size[0]}x{params.size[1]}"

@@ -198,7 +198,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     wide.add_argument("--views", type=int, default=6, help="seeded views (6)")
     for action in (accuracy, budget, wide):
-        action.add_argument("--mask-iou", type=float, default=0.88, help="of the roughened masks (0.88)")
+        action.add_argument("--mask-iou", type=float, default=0.88, help="of the degraded masks (0.88)")
         action.add_argument(
             "--tilt-width", "--tilt-deg", type=float, default=1.0, help="prior's tilt error, +- degrees (1.0)"
         )

@@ -16,7 +16,7 @@ from lodbench.errors import ConfigError
 from lodbench.params import to_params
 from lodbench.synthesis.photo import LookRanges
 from lodbench.synthesis.training_data.generate import Generated, generate_training_data
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
 
 
 def main(argv: Sequence[str]) -> int:
@@ -58,7 +58,7 @@ def with_demo(values: dict[str, Any]) -> dict[str, Any]:
     return values | {"city": str(city), "props": values["props"] or str(root / PROPS_FILE), "lod": lod}
 
 
-def params_of(values: dict[str, Any]) -> TrainingParams:
+def params_of(values: dict[str, Any]) -> GenerateParams:
     """Returns the settings of a resolved configuration.
 
     Raises:
@@ -66,7 +66,7 @@ def params_of(values: dict[str, Any]) -> TrainingParams:
     """
     look = to_params(section(values, "look"), LookRanges, "look")
     return replace(
-        to_params({key: value for key, value in values.items() if key != "look"}, TrainingParams, ""),
+        to_params({key: value for key, value in values.items() if key != "look"}, GenerateParams, ""),
         look=look,
     )
 

@@ -15,16 +15,24 @@ Truth and priors may be missing only where ``dataset.json`` says so: a misspelt 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.posed import read_json
-from lodbench.datasets.pose_text import read_cameras, read_hypotheses, read_poses
+from lodbench.datasets.pose_text import (
+    format_camera,
+    format_pose,
+    lines_to_text,
+    read_cameras,
+    read_hypotheses,
+    read_poses,
+)
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, Pose
+from lodbench.storage import write_text
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
 ABOUT_FILE = "dataset.json"
@@ -93,6 +101,37 @@ def _require_words(root: Path, splits: Sequence[str]) -> None:
     for name in splits:
         if name.split() != [name]:
             raise DatasetError(f"The split {name!r} in {root} has a space in its name.", "Rename its folder.")
+
+
+def write_poses(
+    folder: Path,
+    cameras: Mapping[str, Camera],
+    truth: Mapping[str, Pose],
+    priors: Mapping[str, Pose],
+    *,
+    truth_file: str = TRUTH_FILE,
+    decimals: tuple[int, int] | None = None,
+    survives_power_cut: bool = True,
+) -> None:
+    """Writes the text files of one split, those that have lines.
+
+    Args:
+        folder: The split's.
+        cameras: By image name.
+        truth: True poses by image name, world to camera, coordinates of the city's CRS.
+        priors: Rough poses, likewise.
+        truth_file: Name of the file of true poses.
+        decimals: As for ``format_pose``.
+        survives_power_cut: As for ``write_bytes``.
+    """
+    lines = {
+        truth_file: [format_pose(name, pose, decimals) for name, pose in truth.items()],
+        PRIOR_FILE: [format_pose(name, pose, decimals) for name, pose in priors.items()],
+        CAMERA_FILE: [format_camera(name, camera) for name, camera in cameras.items()],
+    }
+    for name, listed in lines.items():
+        if listed:
+            write_text(folder / name, lines_to_text(listed), survives_power_cut)
 
 
 def select_splits(dataset: Dataset, wanted: Sequence[str]) -> tuple[str, ...]:

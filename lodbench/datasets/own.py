@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from lodbench.datasets.folder import ABOUT_FILE, CAMERA_FILE, PRIOR_FILE, TRUTH_FILE
+from lodbench.datasets.folder import ABOUT_FILE, write_poses
 from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.pictures import read_picture
-from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
+from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
@@ -199,21 +198,14 @@ def _encoded(source: Path, camera: Camera, pinhole: Camera, target: Path) -> byt
     if picture is None:
         raise DatasetError(f"{source} cannot be decoded")
     options = [] if is_mask else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-    encoded = cv2.imencode(target.suffix, undistorted(picture, camera, pinhole), options)[1]
-    return bytes(encoded.tobytes())
+    return encoded(undistorted(picture, camera, pinhole), target.suffix, options)
 
 
 def _write_texts(
     folder: Path, kept: Sequence[tuple[str, OwnImage, Camera]], about: Mapping[str, Any]
 ) -> None:
-    truth = [format_pose(name, image.truth) for name, image, _ in kept if image.truth is not None]
-    priors = [format_pose(name, image.prior) for name, image, _ in kept if image.prior is not None]
-    for file, lines in (
-        (TRUTH_FILE, truth),
-        (PRIOR_FILE, priors),
-        (CAMERA_FILE, [format_camera(name, pinhole) for name, _, pinhole in kept]),
-    ):
-        if lines:
-            write_text(folder / file, lines_to_text(lines))
+    truth = {name: image.truth for name, image, _ in kept if image.truth is not None}
+    priors = {name: image.prior for name, image, _ in kept if image.prior is not None}
+    write_poses(folder, {name: pinhole for name, _, pinhole in kept}, truth, priors)
     stated = {"truth": bool(truth), "priors": bool(priors), **about}
     write_text(folder / ABOUT_FILE, json.dumps(stated, indent=2, ensure_ascii=False) + "\n")

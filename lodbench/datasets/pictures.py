@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lodbench.errors import DatasetError
 
 
 def read_picture(path: Path, *, as_stored: bool = False) -> NDArray[Any] | None:
@@ -56,3 +59,29 @@ def has_too_many_pixels(content: bytes) -> bool:
         return True
     except Exception:  # a damaged header makes Pillow raise anything; the decoder says what is wrong
         return False
+
+
+def encoded(picture: NDArray[Any], suffix: str, options: Sequence[int] = ()) -> bytes:
+    """Returns a picture as the bytes of a file.
+
+    Args:
+        picture: (H, W) or (H, W, 3) BGR.
+        suffix: ``.png`` or ``.jpg``.
+        options: OpenCV's flags and values.
+
+    Raises:
+        DatasetError: It cannot be written so.
+    """
+    import cv2
+
+    is_encoded, content = cv2.imencode(suffix, picture, list(options))
+    if not is_encoded:
+        raise DatasetError(f"A picture of shape {picture.shape} cannot be written as {suffix[1:]}.")
+    return bytes(content.tobytes())
+
+
+def encoded_mask(mask: NDArray[np.bool_], *, bilevel: bool = False) -> bytes:
+    """Returns a (H, W) mask as a PNG that readers see as 0 and 255, of 8 bits or one bit per pixel."""
+    import cv2
+
+    return encoded(mask.astype(np.uint8) * 255, ".png", [cv2.IMWRITE_PNG_BILEVEL, 1] if bilevel else [])

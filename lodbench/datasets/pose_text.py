@@ -50,10 +50,20 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     return _only_ones(Path(path), parse_camera, "name PINHOLE W H fx fy cx cy")
 
 
-def format_pose(name: str, pose: Pose) -> str:
-    """Returns the line of a pose; its translation comes back to the last bit, its rotation to rounding."""
-    numbers = [*pose.quat_wxyz, *(float(v) for v in pose.translation)]
-    return " ".join([name, *(repr(v) for v in numbers)])
+def format_pose(name: str, pose: Pose, decimals: tuple[int, int] | None = None) -> str:
+    """Returns the line of a pose; its translation comes back to the last bit, its rotation to rounding.
+
+    Args:
+        name: Of the image.
+        pose: World to camera.
+        decimals: Of the quaternion and of the translation; None for as many as restore them.
+    """
+    if decimals is None:
+        numbers = [repr(float(value)) for value in (*pose.quat_wxyz, *pose.translation)]
+    else:
+        numbers = [f"{value:.{decimals[0]}f}" for value in pose.quat_wxyz]
+        numbers += [f"{value:.{decimals[1]}f}" for value in pose.translation]
+    return " ".join([name, *numbers])
 
 
 def format_camera(name: str, camera: Camera) -> str:

@@ -11,7 +11,7 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.storage import random_stream
-from lodbench.synthesis.mask_degradation import roughen_mask
+from lodbench.synthesis.mask_degradation import degrade_mask
 
 Mask = NDArray[np.bool_]
 
@@ -94,9 +94,9 @@ class NoisyOracle(Oracle):
     params_type = NoisyOracleParams
 
     def from_silhouette(self, silhouette: Mask, key: str) -> NDArray[np.float32]:
-        """Returns the (H, W) float32 mask, 0 or 1, roughened to the wanted IoU."""
+        """Returns the (H, W) float32 mask, 0 or 1, degraded to the wanted IoU."""
         params = self.params
         assert isinstance(params, NoisyOracleParams)  # noqa: S101
         stream = random_stream(params.seed, "noisy_oracle", key)
-        rough, _ = roughen_mask(silhouette, params.iou, stream, trees=params.trees)
+        rough, _ = degrade_mask(silhouette, params.iou, stream, trees=params.trees)
         return rough.astype(np.float32)

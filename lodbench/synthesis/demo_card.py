@@ -65,7 +65,7 @@ _REST = (
     "priors, out of place wider, so that a search around the prior is not enough.",
     "## What to know",
     "- The photos are drawn: what a network scores on them is no forecast for photos of a real drone.\n"
-    "- `masks/` holds the true silhouette less what trees and cars hide, roughened to the IoU above. "
+    "- `masks/` holds the true silhouette less what trees and cars hide, degraded to the IoU above. "
     "`segmenter=masks` reads them; the tables name the segmenter.\n"
     "- The priors out of place were widened after looking at a method's score, so that methods differ. "
     "Recall out of place is no forecast of the paper's.\n"

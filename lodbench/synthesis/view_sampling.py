@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -13,6 +14,7 @@ from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
 from lodbench.rendering.protocol import Renderer
 from lodbench.storage import random_stream
+from lodbench.synthesis.building_boxes import building_boxes
 
 # UAVD4L's drone camera; masks and renderings of it are made at FINE_SIZE, coarse ones at half that.
 RGB_CAMERA = Camera(width=5280, height=3956, fx=3778.423, fy=3767.392, cx=2663.624, cy=1919.721)
@@ -108,12 +110,10 @@ def sample_views(
     rejections = 0
     for index in range(count):
         generator = random_stream(sampling.seed, *names, "views", index)
-        for _ in range(_MAX_DRAWS_PER_VIEW):
-            pose = _draw_view(sampling, check.ground[targets], generator)
-            if check.accepts(pose):
-                break
-            rejections += 1
-        else:
+        draws = (_draw_view(sampling, check.ground[targets], generator) for _ in range(_MAX_DRAWS_PER_VIEW))
+        pose, rejected = first_accepted(draws, check)
+        rejections += rejected
+        if pose is None:
             low, high = sampling.building_share
             raise DatasetError(
                 f"{_MAX_DRAWS_PER_VIEW} views in a row show less than {low:.0%} or more than {high:.0%} "
@@ -122,6 +122,23 @@ def sample_views(
             )
         poses.append(pose)
     return SampledViews(tuple(poses), rejections)
+
+
+def first_accepted(poses: Iterable[Pose], check: ViewCheck) -> tuple[Pose | None, int]:
+    """Returns the first view that a check accepts, None if there is none, and how many it rejected."""
+    rejections = 0
+    for pose in poses:
+        if check.accepts(pose):
+            return pose, rejections
+        rejections += 1
+    return None, rejections
+
+
+def target_near(bases: NDArray[np.float64], generator: np.random.Generator) -> NDArray[np.float64]:
+    """Returns a place on the ground, (3,), near one of the buildings with these bases, (B, 3) metres."""
+    target = bases[int(generator.integers(len(bases)))].copy()
+    target[:2] += generator.normal(0.0, _TARGET_SPREAD_M, size=2)
+    return np.asarray(target)
 
 
 def view_of(target: NDArray[np.float64], height_m: float, angles: EulerAngles) -> Pose:
@@ -141,35 +158,24 @@ class ViewCheck:
         height = max(1, round(_PREVIEW_WIDTH * camera.height / camera.width))
         self._preview = camera.scaled(_PREVIEW_WIDTH, height)
         self._share = building_share
-        kept = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
-        starts = scene.vertex_starts[:-1][kept]
-        vertices = scene.vertices.astype(np.float64)
-        # Empty buildings own no vertices, so the starts of the others still bound them.
-        self._low = np.minimum.reduceat(vertices, starts, axis=0)
-        self._high = np.maximum.reduceat(vertices, starts, axis=0)
+        self._boxes = building_boxes(scene)
 
     @property
     def ground(self) -> NDArray[np.float64]:
         """Returns the middle of each building's base, (B, 3) local metres."""
-        middle = 0.5 * (self._low + self._high)
-        middle[:, 2] = self._low[:, 2]
-        return middle
+        return self._boxes.bases
 
     def buildings_in(self, area_m: tuple[float, float, float, float] | None) -> NDArray[np.int64]:
         """Returns the rows of ``ground`` within (west, south, east, north), or all of them."""
         if area_m is None:
-            return np.arange(len(self._low))
+            return np.arange(len(self.ground))
         x, y = self.ground[:, 0], self.ground[:, 1]
         west, south, east, north = area_m
         return np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north))
 
     def is_clear(self, center: NDArray[np.float64]) -> bool:
         """Returns whether a camera centre, (3,) metres, keeps its distance from every building."""
-        below = center[2] < self._high[:, 2] + _CLEARANCE_M
-        beside = (
-            (center[:2] > self._low[:, :2] - _CLEARANCE_M) & (center[:2] < self._high[:, :2] + _CLEARANCE_M)
-        ).all(axis=1)
-        return not bool((below & beside).any())
+        return self._boxes.are_clear_of(center, _CLEARANCE_M)
 
     def share(self, pose: Pose) -> float:
         """Returns the share of building pixels in a small picture of the view."""
@@ -183,8 +189,7 @@ class ViewCheck:
 
 def _draw_view(sampling: ViewSampling, ground: NDArray[np.float64], generator: np.random.Generator) -> Pose:
     """Draws one view whose centre lies on the ground near one of the buildings, (B, 3) metres."""
-    target = ground[int(generator.integers(len(ground)))].copy()
-    target[:2] += generator.normal(0.0, _TARGET_SPREAD_M, size=2)
+    target = target_near(ground, generator)
     height, pitch, roll, yaw = (
         generator.uniform(*bounds)
         for bounds in (sampling.height_m, sampling.pitch_deg, sampling.roll_deg, sampling.yaw_deg)

@@ -9,23 +9,19 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.folder import CAMERA_FILE, PRIOR_FILE, TRUTH_FILE, FolderParams, open_folder
-from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
+from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.geometry import Pose
 from lodbench.rendering import Renderer, make_renderer
-from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_bytes, write_text
+from lodbench.storage import digest_of, make_folder, new_folder, random_stream
 from lodbench.storage.paths import cache_root
+from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
-from lodbench.synthesis.mask_degradation import roughen_mask
+from lodbench.synthesis.queries import SyntheticQuery, write_queries
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
 # Raised whenever the same settings would draw something else.
@@ -74,25 +70,6 @@ class ViewsParams:
         return UniformPrior(pitch_deg=self.tilt_deg, roll_deg=self.tilt_deg)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SyntheticQuery:
-    """What is drawn for one view.
-
-    Attributes:
-        name: ``view_0000`` and so on.
-        truth: Where the view was drawn from, scene frame.
-        prior: The rough pose.
-        mask: (448, 602) query mask.
-        achieved_iou: Its IoU with the silhouette at the truth.
-    """
-
-    name: str
-    truth: Pose
-    prior: Pose
-    mask: NDArray[np.bool_]
-    achieved_iou: float
-
-
 def draw_queries(
     scene: Scene,
     renderer: Renderer,
@@ -126,7 +103,7 @@ def draw_queries(
     for index, truth in enumerate(views.poses):
         name = f"view_{index:04d}"
         clean = renderer.render(camera, truth)
-        rough, _ = roughen_mask(clean, mask_iou, random_stream(seed, "accuracy", name, "mask"))
+        rough, _ = degrade_mask(clean, mask_iou, random_stream(seed, "accuracy", name, "mask"))
         start = prior.draw(truth, random_stream(seed, "accuracy", name, "prior"))
         queries.append(SyntheticQuery(name, truth, start, rough, iou_of(rough, clean)))
     return queries, views.rejections
@@ -150,37 +127,14 @@ def open_views(params: ViewsParams) -> Dataset:
     key = digest_of([VIEWS_VERSION, drawn, scene.digest(), scene.origin.tolist()])
     root = cache_root() / "views" / key
     if not root.is_dir():
-        _write_views(root, scene, params)
+        make_folder(root.parent)
+        renderer = make_renderer("silhouette", scene, None)
+        queries, _ = draw_queries(
+            scene, renderer, params.num_views, params.mask_iou, params.prior(), params.views_seed
+        )
+        with new_folder(root) as building:
+            write_queries(building / SPLIT, queries, RGB_CAMERA, scene.origin)
     folder = open_folder(
         FolderParams(str(root), str(city), params.lod, params.crs, params.roof_height, params.name)
     )
     return replace(folder, version=f"views {VIEWS_VERSION}, seed {params.views_seed}")
-
-
-def _write_views(root: Path, scene: Scene, params: ViewsParams) -> None:
-    """Writes the folder, whole or not at all."""
-    make_folder(root.parent)
-    renderer = make_renderer("silhouette", scene, None)
-    queries, _ = draw_queries(
-        scene, renderer, params.num_views, params.mask_iou, params.prior(), params.views_seed
-    )
-    # Another process that is as quick leaves views of the same bytes.
-    with new_folder(root) as building:
-        _write_split(building / SPLIT, queries, scene.origin)
-
-
-def _write_split(folder: Path, queries: list[SyntheticQuery], origin: NDArray[np.float64]) -> None:
-    import cv2
-
-    make_folder(folder / "masks")
-    names = {query.name: f"{query.name}.png" for query in queries}
-    files = {
-        TRUTH_FILE: [format_pose(names[q.name], q.truth.shifted(origin)) for q in queries],
-        PRIOR_FILE: [format_pose(names[q.name], q.prior.shifted(origin)) for q in queries],
-        CAMERA_FILE: [format_camera(names[q.name], RGB_CAMERA) for q in queries],
-    }
-    for name, lines in files.items():
-        write_text(folder / name, lines_to_text(lines), survives_power_cut=False)
-    for query in queries:
-        content = cv2.imencode(".png", query.mask.astype(np.uint8) * 255)[1].tobytes()
-        write_bytes(folder / "masks" / names[query.name], content, survives_power_cut=False)

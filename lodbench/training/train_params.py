@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, require_choice, require_within
 
-WEIGHTINGS = ("paper", "released")
-OPTIMIZERS = ("adamw", "muon")
-PRECISIONS = ("auto", "float32", "bfloat16")
+_CHOICES = {
+    "weighting": ("paper", "released"),
+    "precision": ("auto", "float32", "bfloat16"),
+    "augment": ("full", "flips"),
+    "optimizer": ("adamw", "muon"),
+}
+_BOUNDS = {
+    "epochs": (1, 100_000),
+    "lr": (1e-12, 10.0),
+    "muon_lr": (1e-12, 10.0),
+    "lr_end": (0.0, 10.0),
+    "warmup": (0.0, 0.9),
+    "weight_decay": (0.0, 10.0),
+    "batch": (1, 4096),
+    "one_band": (0.0, 1.0),
+    "size": (0, 8192),
+    "crop": (0, 8192),
+    "scale": (0.1, 10.0),
+    "val_every": (1, 100_000),
+    "threads": (1, 1024),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,37 +95,9 @@ class TrainParams:
     tensorboard: bool = False
 
     def __post_init__(self) -> None:
-        for name, choices in (
-            ("weighting", WEIGHTINGS),
-            ("precision", PRECISIONS),
-            ("augment", ("full", "flips")),
-            ("optimizer", OPTIMIZERS),
-        ):
-            if getattr(self, name) not in choices:
-                raise ConfigError(
-                    f"{name}={getattr(self, name)} is not known.", nearest_names(getattr(self, name), choices)
-                )
-        for name, low, high in (
-            ("epochs", 1, 100_000),
-            ("lr", 1e-12, 10.0),
-            ("muon_lr", 1e-12, 10.0),
-            ("lr_end", 0.0, 10.0),
-            ("warmup", 0.0, 0.9),
-            ("weight_decay", 0.0, 10.0),
-            ("batch", 1, 4096),
-            ("one_band", 0.0, 1.0),
-            ("size", 0, 8192),
-            ("crop", 0, 8192),
-            ("val_every", 1, 100_000),
-        ):
-            self._check(name, getattr(self, name), low, high)
-        for value in self.scale:
-            self._check("scale", value, 0.1, 10.0)
-        if self.threads is not None:
-            self._check("threads", self.threads, 1, 1024)
+        for name, choices in _CHOICES.items():
+            require_choice(name, getattr(self, name), choices)
+        for name, (low, high) in _BOUNDS.items():
+            require_within(name, getattr(self, name), low, high)
         if self.size == self.crop == 0:
             raise ConfigError("size and crop are both 0.", "Views differ in size: set one of them.")
-
-    def _check(self, name: str, value: Any, low: float, high: float) -> None:
-        if not (math.isfinite(value) and low <= value <= high):
-            raise ConfigError(f"{name}={value:g} is not within {low:g} to {high:g}.")

@@ -14,7 +14,7 @@ from lodbench.rendering.reference import ReferenceRenderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.storage import file_digest
 from lodbench.synthesis.training_data.generate import generate_training_data
-from tests.training.conftest import SMALL
+from tests.synthesis.conftest import SMALL
 
 
 def files_in(folder):

@@ -10,8 +10,8 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.photo import PLAIN_LOOK, LookRanges, PhotoRenderer, draw_look
-from lodbench.synthesis.props import SceneProps, SurfaceClass
 from tests.town import box_obj
 
 CAMERA = Camera(64, 64, 64.0, 64.0, 32.0, 32.0)

@@ -8,8 +8,13 @@ from hypothesis import strategies as st
 
 from lodbench.errors import LodbenchError
 from lodbench.storage import random_stream
-from lodbench.synthesis.mask_degradation import IOU_TOLERANCE, mask_iou, roughen_mask
-from lodbench.synthesis.mask_errors import signed_distance, smooth_noise
+from lodbench.synthesis.mask_degradation import (
+    IOU_TOLERANCE,
+    degrade_mask,
+    mask_iou,
+    signed_distance,
+    smooth_noise,
+)
 
 
 def town_mask(seed: int = 0, size: tuple[int, int] = (448, 602), count: int = 25) -> np.ndarray:
@@ -27,7 +32,7 @@ def town_mask(seed: int = 0, size: tuple[int, int] = (448, 602), count: int = 25
 @pytest.mark.parametrize("seed", range(3))
 def test_hits_the_target(target, seed):
     mask = town_mask(seed)
-    rough, achieved = roughen_mask(mask, target, random_stream(seed, "rough"))
+    rough, achieved = degrade_mask(mask, target, random_stream(seed, "rough"))
     assert rough.dtype == np.bool_
     assert rough.shape == mask.shape
     assert achieved == mask_iou(rough, mask)
@@ -46,13 +51,13 @@ def test_hits_the_target_on_any_image(seed, target, size, count, trees):
     mask = town_mask(seed, size, count)
     if mask.sum() < 2000:
         return
-    _, achieved = roughen_mask(mask, target, random_stream(seed, "any"), trees=trees)
+    _, achieved = degrade_mask(mask, target, random_stream(seed, "any"), trees=trees)
     assert abs(achieved - target) <= IOU_TOLERANCE
 
 
 def test_target_one_is_the_mask_itself():
     mask = town_mask()
-    rough, achieved = roughen_mask(mask, 1.0, random_stream(0))
+    rough, achieved = degrade_mask(mask, 1.0, random_stream(0))
     np.testing.assert_array_equal(rough, mask)
     assert rough is not mask
     assert achieved == 1.0
@@ -60,23 +65,23 @@ def test_target_one_is_the_mask_itself():
 
 def test_same_stream_same_mask():
     mask = town_mask()
-    first, second = (roughen_mask(mask, 0.88, random_stream(5, "q"))[0] for _ in range(2))
+    first, second = (degrade_mask(mask, 0.88, random_stream(5, "q"))[0] for _ in range(2))
     np.testing.assert_array_equal(first, second)
-    other, _ = roughen_mask(mask, 0.88, random_stream(6, "q"))
+    other, _ = degrade_mask(mask, 0.88, random_stream(6, "q"))
     assert (first != other).any()
 
 
 def test_the_mask_given_is_left_alone():
     mask = town_mask()
     before = mask.copy()
-    roughen_mask(mask, 0.6, random_stream(0))
+    degrade_mask(mask, 0.6, random_stream(0))
     np.testing.assert_array_equal(mask, before)
 
 
 @pytest.mark.parametrize("target", [0.88, 0.80, 0.5])
 def test_errors_are_areas_not_pixels(target):
     mask = town_mask(1)
-    rough, _ = roughen_mask(mask, target, random_stream(1, "areas"))
+    rough, _ = degrade_mask(mask, target, random_stream(1, "areas"))
     wrong = (rough ^ mask).view(np.uint8)
     _, _, stats, _ = cv2.connectedComponentsWithStats(wrong, connectivity=8)
     areas = stats[1:, cv2.CC_STAT_AREA]
@@ -90,7 +95,7 @@ def test_both_kinds_of_error_occur():
     lost, gained = 0, 0
     for seed in range(6):
         mask = town_mask(seed)
-        rough, _ = roughen_mask(mask, 0.85, random_stream(seed))
+        rough, _ = degrade_mask(mask, 0.85, random_stream(seed))
         lost, gained = lost + (mask & ~rough).sum(), gained + (rough & ~mask).sum()
     assert min(lost, gained) > 0.2 * (lost + gained)
 
@@ -101,21 +106,21 @@ def test_trees_stand_before_the_lower_outlines():
     # A high target leaves hardly more than the first crowns.
     lost = np.zeros(mask.shape)
     for seed in range(20):
-        with_trees, _ = roughen_mask(mask, 0.9, random_stream(seed), trees=True)
-        without, _ = roughen_mask(mask, 0.9, random_stream(seed), trees=False)
+        with_trees, _ = degrade_mask(mask, 0.9, random_stream(seed), trees=True)
+        without, _ = degrade_mask(mask, 0.9, random_stream(seed), trees=False)
         lost += (mask & ~with_trees).astype(float) - (mask & ~without)
     assert lost[180:220].sum() > 5 * max(lost[80:120].sum(), 1)
 
 
 def test_an_empty_mask_stays_empty():
-    rough, achieved = roughen_mask(np.zeros((40, 50), bool), 0.8, random_stream(0))
+    rough, achieved = degrade_mask(np.zeros((40, 50), bool), 0.8, random_stream(0))
     assert not rough.any()
     assert achieved == 0.0
 
 
 @pytest.mark.parametrize("target", [0.9, 0.4])
 def test_a_mask_without_background_loses_areas(target):
-    rough, achieved = roughen_mask(np.ones((200, 300), bool), target, random_stream(0))
+    rough, achieved = degrade_mask(np.ones((200, 300), bool), target, random_stream(0))
     assert abs(achieved - target) <= IOU_TOLERANCE
     assert not rough.all()
 
@@ -124,25 +129,25 @@ def test_a_mask_without_background_loses_areas(target):
 def test_tiny_masks_come_as_near_as_pixels_allow(count, target):
     mask = np.zeros((60, 80), bool)
     mask.reshape(-1)[2000 : 2000 + count] = True
-    _, achieved = roughen_mask(mask, target, random_stream(0))
+    _, achieved = degrade_mask(mask, target, random_stream(0))
     assert abs(achieved - target) <= 1.0 / count
 
 
 @pytest.mark.parametrize("target", [0.0, -1.0, 1.01, float("nan")])
 def test_targets_out_of_range_are_refused(target):
     with pytest.raises(LodbenchError, match="target IoU"):
-        roughen_mask(town_mask(), target, random_stream(0))
+        degrade_mask(town_mask(), target, random_stream(0))
 
 
 def test_a_scale_of_zero_is_refused():
     with pytest.raises(LodbenchError, match="scale"):
-        roughen_mask(town_mask(), 0.8, random_stream(0), pixels_per_m=0.0)
+        degrade_mask(town_mask(), 0.8, random_stream(0), pixels_per_m=0.0)
 
 
 @pytest.mark.parametrize("bad", [np.zeros((3, 4)), np.zeros((2, 3, 4), bool)])
 def test_what_is_no_mask_is_refused(bad):
     with pytest.raises(LodbenchError, match="bool"):
-        roughen_mask(bad, 0.8, random_stream(0))
+        degrade_mask(bad, 0.8, random_stream(0))
 
 
 def test_smooth_noise_has_unit_variance_and_the_wavelength():

@@ -14,9 +14,9 @@ from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.storage import random_stream
 from lodbench.synthesis.photo import PLAIN_LOOK, PhotoRenderer, draw_look
 from lodbench.synthesis.training_data.generate import generate_training_data
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.texture_files import offset_to_city, read_textured
-from tests.training.conftest import SMALL, WHOLE
+from tests.synthesis.conftest import SMALL, WHOLE
 
 CAMERA = Camera(200, 160, 190.0, 190.0, 100.0, 80.0)
 POSE = Pose.from_euler(EulerAngles(35.0, 2.0, 20.0), [12.0, -45.0, 95.0])
@@ -126,7 +126,7 @@ def test_pyrender_and_the_raster_agree(box_file, tmp_path):
     looks = replace(PLAIN_LOOK, haze_range_m=(1e6, 1e6), noise=(0.0, 0.0), blur_px=(0.0, 0.0))
     pictures = []
     for renderer in ("raster", "pyrender"):
-        params = TrainingParams(
+        params = GenerateParams(
             str(box_file),
             str(tmp_path / renderer),
             texture_model=str(write_obj(tmp_path)),

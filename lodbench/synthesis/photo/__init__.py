@@ -1,14 +1,14 @@
 """Photos of cities, made on the CPU: procedural surfaces, sun and shadow, sky, haze, a camera's faults."""
 
-from lodbench.synthesis.photo.ground import LAND, Land
-from lodbench.synthesis.photo.look import PLAIN_LOOK, Development, Look, LookRanges, draw_look
+from lodbench.synthesis.photo.ground import LAND_COVER, LandCover
+from lodbench.synthesis.photo.look import PLAIN_LOOK, CameraResponse, Look, LookRanges, draw_look
 from lodbench.synthesis.photo.renderer import PhotoRenderer
 
 __all__ = [
-    "LAND",
+    "LAND_COVER",
     "PLAIN_LOOK",
-    "Development",
-    "Land",
+    "CameraResponse",
+    "LandCover",
     "Look",
     "LookRanges",
     "PhotoRenderer",

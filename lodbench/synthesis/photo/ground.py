@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.photo.compiled import per_pixel
 from lodbench.synthesis.photo.noise import detail, grain, mix, scaled, stripe, unit_hash, value_noise
-from lodbench.synthesis.props import SurfaceClass
 
-# Ground whose class, cell by cell, is in a ``Land``.
-LAND = np.uint8(255)
+# Ground whose class, cell by cell, is in a ``LandCover``.
+LAND_COVER = np.uint8(255)
 _LAST = 200
 
 _GROUND, _GRASS, _FIELD = int(SurfaceClass.GROUND), int(SurfaceClass.GRASS), int(SurfaceClass.FIELD)
@@ -26,7 +26,7 @@ _LINE_M = 0.14  # painted lines
 _DASH_M = 6.0  # a dash and its gap
 
 
-class Land(NamedTuple):
+class LandCover(NamedTuple):
     """What covers the ground, on a grid.
 
     Attributes:
@@ -50,18 +50,18 @@ class Land(NamedTuple):
     pavement_m: float
 
 
-def no_land() -> Land:
+def no_land_cover() -> LandCover:
     """Returns a grid of one cell of grass, for scenes whose triangles all say what they are."""
     far, east = np.full((1, 1), 1e6, dtype=np.float32), np.zeros((1, 1), dtype=np.float32)
-    return Land(np.full((1, 1), _GRASS, dtype=np.uint8), far, east, 0.0, 0.0, 1.0, 3.0, 1.5)
+    return LandCover(np.full((1, 1), _GRASS, dtype=np.uint8), far, east, 0.0, 0.0, 1.0, 3.0, 1.5)
 
 
 @per_pixel
-def ground_colour(kind, red, green, blue, x, y, pixel_m, look, land):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def ground_colour(kind, red, green, blue, x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the linear RGB of a ground surface at a point, and the share of sky it mirrors.
 
     Args:
-        kind: ``SurfaceClass``, or ``LAND`` to look it up.
+        kind: ``SurfaceClass``, or ``LAND_COVER`` to look it up.
         red: Linear base colour; negative for the class's own.
         green: Likewise.
         blue: Likewise.
@@ -69,10 +69,10 @@ def ground_colour(kind, red, green, blue, x, y, pixel_m, look, land):  # type: i
         y: North.
         pixel_m: Size of a pixel there.
         look: Look.
-        land: Land.
+        cover: LandCover.
     """
     if kind > _LAST:
-        return _land_colour(x, y, pixel_m, look, land)
+        return _covered_colour(x, y, pixel_m, look, cover)
     return _cover(kind, red, green, blue, x, y, pixel_m, look)
 
 
@@ -132,19 +132,19 @@ def _plants(kind, red, green, blue, x, y, broad, fine, pixel_m, look):  # type: 
 
 
 @per_pixel
-def _land_colour(x, y, pixel_m, look, land):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    rows, columns = land.classes.shape
+def _covered_colour(x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    rows, columns = cover.classes.shape
     # A wavering look-up hides the cells' corners.
-    wave = 0.45 * land.cell_m
+    wave = 0.45 * cover.cell_m
     px = x + wave * value_noise(x / 1.9, y / 1.9, 71)
     py = y + wave * value_noise(x / 1.9, y / 1.9, 72)
-    column = np.int64(np.floor((px - land.west) / land.cell_m))
-    row = np.int64(np.floor((py - land.south) / land.cell_m))
+    column = np.int64(np.floor((px - cover.west) / cover.cell_m))
+    row = np.int64(np.floor((py - cover.south) / cover.cell_m))
     is_inside = column >= 0 and row >= 0 and column < columns and row < rows
-    kind = np.int64(land.classes[row, column]) if is_inside else np.int64(_FIELD)
-    away, along = _road_place(x, y, land)
-    half = land.half_road_m
-    verge = half if kind == _FIELD else half + land.pavement_m
+    kind = np.int64(cover.classes[row, column]) if is_inside else np.int64(_FIELD)
+    away, along = _road_place(x, y, cover)
+    half = cover.half_road_m
+    verge = half if kind == _FIELD else half + cover.pavement_m
     blur = 0.5 * pixel_m
     if kind == _WATER or away > verge + blur:
         return _cover(kind, -1.0, -1.0, -1.0, x, y, pixel_m, look)
@@ -167,24 +167,24 @@ def _land_colour(x, y, pixel_m, look, land):  # type: ignore[no-untyped-def]  # 
 
 
 @per_pixel
-def _road_place(x, y, land):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _road_place(x, y, cover):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the distance from the middle of the nearest road and the way along it, metres."""
-    rows, columns = land.road_m2.shape
-    fx = (x - land.west) / land.cell_m - 0.5
-    fy = (y - land.south) / land.cell_m - 0.5
+    rows, columns = cover.road_m2.shape
+    fx = (x - cover.west) / cover.cell_m - 0.5
+    fy = (y - cover.south) / cover.cell_m - 0.5
     i, j = np.int64(np.floor(fx)), np.int64(np.floor(fy))
     if i < 0 or j < 0 or i >= columns - 1 or j >= rows - 1:
         return 1e6, 0.0
     u, v = fx - i, fy - j
-    low = land.road_m2[j, i] * (1.0 - u) + land.road_m2[j, i + 1] * u
-    high = land.road_m2[j + 1, i] * (1.0 - u) + land.road_m2[j + 1, i + 1] * u
+    low = cover.road_m2[j, i] * (1.0 - u) + cover.road_m2[j, i + 1] * u
+    high = cover.road_m2[j + 1, i] * (1.0 - u) + cover.road_m2[j + 1, i + 1] * u
     square = low * (1.0 - v) + high * v
     if square > 400.0:
         return 1e6, 0.0  # on no road, however wide
-    turn = land.road_rad[j, i]
+    turn = cover.road_rad[j, i]
     c, s = np.cos(turn), np.sin(turn)
     # A square interpolated linearly comes out too large by just this much.
-    excess = land.cell_m * land.cell_m * (s * s * u * (1.0 - u) + c * c * v * (1.0 - v))
+    excess = cover.cell_m * cover.cell_m * (s * s * u * (1.0 - u) + c * c * v * (1.0 - v))
     away = np.sqrt(max(0.0, square - excess))
     # Along is measured in sixteen directions: dashes do not shear where a road bends slowly.
     turn = np.round(turn * (8.0 / np.pi)) * (np.pi / 8.0)

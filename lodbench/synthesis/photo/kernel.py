@@ -95,7 +95,7 @@ def _lit(albedo, mirrored, x, y, z, normal, ray, look, sun_map):  # type: ignore
 
 
 @per_pixel
-def _pixel(triangle, inverse, column, row, f, rotation, center, stage):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _pixel(triangle, inverse, column, row, f, rotation, center, shading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the linear RGB of one triangle, or of the sky, at a place of the picture.
 
     Args:
@@ -106,9 +106,9 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, stage):  # type:
         f: (4,) intrinsics, sample pixels.
         rotation: (3, 3) cam_from_world.
         center: (3,) of the camera.
-        stage: (skin, look, land, sun map, palettes, charts).
+        shading: (skin, look, cover, sun map, palettes, charts).
     """
-    skin, look, land, sun_map, tables, charts = stage
+    skin, look, cover, sun_map, tables, charts = shading
     a, b = (column - f[2]) / f[0], (row - f[3]) / f[1]
     dx = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0]
     dy = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1]
@@ -127,14 +127,14 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, stage):  # type:
     # Two samples are one pixel; a grazed surface is seen coarser, at most by 4.
     cosine = abs(ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2])
     pixel_m = 2.0 * depth / f[0] / max(0.25, np.sqrt(cosine))
-    albedo, mirrored = surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, land, tables)
+    albedo, mirrored = surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, cover, tables)
     light = _lit(albedo, mirrored, x, y, z, normal, ray, look, sun_map)
     clear = np.exp(-depth * length * look.haze_per_m)
     return mix(look.haze_rgb, light, clear)
 
 
 @pixel_loop
-def resolve_photo(band, buffer, rotation, center, stage, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def resolve_photo(band, buffer, rotation, center, shading, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Writes the linear RGB of a band's pixels, each the mean of two by two samples.
 
     A triangle is shaded once per pixel, in the middle of its samples.
@@ -144,7 +144,7 @@ def resolve_photo(band, buffer, rotation, center, stage, out):  # type: ignore[n
         buffer: Its z-buffer.
         rotation: (3, 3) cam_from_world.
         center: (3,) of the camera.
-        stage: (skin, look, land, sun map, palettes, charts).
+        shading: (skin, look, cover, sun map, palettes, charts).
         out: (H, W, 3) float32.
     """
     winner, inverse = buffer.winner, buffer.inverse
@@ -170,7 +170,7 @@ def resolve_photo(band, buffer, rotation, center, stage, out):  # type: ignore[n
                         y += v
                 share = 1.0 / count
                 x, y = x * share + 0.5 + band.first, y * share + 0.5
-                colour = _pixel(triangle, depth * share, x, y, band.intrinsics, rotation, center, stage)
+                colour = _pixel(triangle, depth * share, x, y, band.intrinsics, rotation, center, shading)
                 red += 0.25 * count * colour[0]
                 green += 0.25 * count * colour[1]
                 blue += 0.25 * count * colour[2]

@@ -171,7 +171,7 @@ class Look(NamedTuple):
     seed: int
 
 
-class Development(NamedTuple):
+class CameraResponse(NamedTuple):
     """How light becomes a picture file; see ``LookRanges``."""
 
     exposure: float
@@ -185,7 +185,7 @@ class Development(NamedTuple):
     seed: int
 
 
-def draw_look(ranges: LookRanges, generator: np.random.Generator) -> tuple[Look, Development]:
+def draw_look(ranges: LookRanges, generator: np.random.Generator) -> tuple[Look, CameraResponse]:
     """Returns a look drawn from ranges; always as many draws, so that one range changes nothing else."""
     names = [field.name for field in fields(ranges) if field.name != "repaint"]
     drawn = {name: float(generator.uniform(*getattr(ranges, name))) for name in names}
@@ -217,9 +217,9 @@ def draw_look(ranges: LookRanges, generator: np.random.Generator) -> tuple[Look,
         seed=int(seeds[0]),
         **{name: drawn[name] for name in Look._fields[6:-1]},
     )
-    camera = {name: drawn[name] for name in Development._fields[:-2]}
+    camera = {name: drawn[name] for name in CameraResponse._fields[:-2]}
     quality = round(drawn["jpeg_quality"])
-    return light, Development(**camera, jpeg_quality=quality, seed=int(seeds[1]))
+    return light, CameraResponse(**camera, jpeg_quality=quality, seed=int(seeds[1]))
 
 
 def _triple(values: NDArray[np.float64]) -> Triple:

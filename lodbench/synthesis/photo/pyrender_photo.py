@@ -11,8 +11,8 @@ from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
 from lodbench.rendering.projection import require_pinhole
 from lodbench.rendering.pyrender_backend import gl_target, import_pyrender
-from lodbench.synthesis.photo.develop import develop
-from lodbench.synthesis.photo.look import Development, Look
+from lodbench.synthesis.photo.camera_response import apply_camera_response
+from lodbench.synthesis.photo.look import CameraResponse, Look
 from lodbench.synthesis.photo.surfaces import linear
 from lodbench.synthesis.photo.textured import TexturedMesh
 
@@ -53,7 +53,7 @@ class PyrenderPhotos:
         uv = mesh.uv[chosen].reshape(-1, 2).astype(np.float32)
         return self._library.Primitive(positions=positions, texcoord_0=uv, mode=4, material=material)
 
-    def photo(self, camera: Camera, pose: Pose, look: Look, development: Development) -> NDArray[np.uint8]:
+    def photo(self, camera: Camera, pose: Pose, look: Look, response: CameraResponse) -> NDArray[np.uint8]:
         """Returns the (H, W, 3) RGB photo from a pose in the mesh's frame.
 
         Raises:
@@ -70,7 +70,7 @@ class PyrenderPhotos:
         target = gl_target(camera)
         flags = self._library.RenderFlags.FLAT | self._library.RenderFlags.SKIP_CULL_FACES
         picture, _ = target.render(self._scene, flags=flags)
-        return develop(linear(picture).astype(np.float32), development)
+        return apply_camera_response(linear(picture).astype(np.float32), response)
 
     def _range(self, pose: Pose) -> tuple[float, float]:
         """Returns the distances, metres, between which the mesh lies."""

@@ -9,15 +9,15 @@ from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
-from lodbench.synthesis.photo.develop import develop
-from lodbench.synthesis.photo.ground import Land, no_land
+from lodbench.synthesis.objects.scene_props import SceneProps
+from lodbench.synthesis.photo.camera_response import apply_camera_response
+from lodbench.synthesis.photo.ground import LandCover, no_land_cover
 from lodbench.synthesis.photo.kernel import resolve_photo
-from lodbench.synthesis.photo.look import Development, Look
-from lodbench.synthesis.photo.stage import make_stage
+from lodbench.synthesis.photo.look import CameraResponse, Look
+from lodbench.synthesis.photo.render_scene import make_render_scene
 from lodbench.synthesis.photo.sunlight import SunMap, draw_sun_map, ground_in_view, no_sun_map
 from lodbench.synthesis.photo.surfaces import palettes
 from lodbench.synthesis.photo.textured import TexturedMesh
-from lodbench.synthesis.props import SceneProps
 
 # Side of the shadow map, pixels: of the largest one each is half a metre where 450 m are in view.
 _LEAST_SUN_MAP, _MOST_SUN_MAP = 512, 1536
@@ -33,8 +33,8 @@ class PhotoRenderer:
 
     Args:
         scene: The city as the picture shows it, local metric frame.
-        props: What stands around it, or None; see ``lodbench.synthesis.props``.
-        land: What covers ground of class ``LAND``.
+        props: What stands around it, or None; see ``lodbench.synthesis.objects.scene_props``.
+        cover: What covers ground of class ``LAND_COVER``.
         threads: Worker threads; None for one per core.
         textured: A textured mesh of the place to picture instead of the city, in the scene's frame.
             Its textures hold the light of the day they were taken: the sun casts nothing on them.
@@ -44,36 +44,43 @@ class PhotoRenderer:
         self,
         scene: Scene,
         props: SceneProps | None = None,
-        land: Land | None = None,
+        cover: LandCover | None = None,
         threads: int | None = None,
         textured: TexturedMesh | None = None,
     ) -> None:
-        self._stage = make_stage(scene, props, textured)
-        self._land = land or no_land()
-        self._raster = RasterRenderer(self._stage.mesh, threads, band=_BAND)
-        casters = self._stage.casters
+        self._render_scene = make_render_scene(scene, props, textured)
+        self._cover = cover or no_land_cover()
+        self._raster = RasterRenderer(self._render_scene.mesh, threads, band=_BAND)
+        casters = self._render_scene.casters
         self._casters = None if casters is None else RasterRenderer(casters, threads, band=_BAND)
-        low, high = np.percentile(self._stage.mesh.vertices[:, 2], [0.5, 99.5])
+        low, high = np.percentile(self._render_scene.mesh.vertices[:, 2], [0.5, 99.5])
         self._levels_m = float(low), float(high)
         self._palettes = palettes()
 
-    def photo(self, camera: Camera, pose: Pose, look: Look, development: Development) -> NDArray[np.uint8]:
+    def photo(self, camera: Camera, pose: Pose, look: Look, response: CameraResponse) -> NDArray[np.uint8]:
         """Returns the (H, W, 3) RGB photo from a pose in the scene's frame.
 
         Raises:
             RenderingError: The camera has lens distortion or is wider or higher than 4096 pixels.
         """
-        return develop(self.light(camera, pose, look), development)
+        return apply_camera_response(self.light(camera, pose, look), response)
 
     def light(self, camera: Camera, pose: Pose, look: Look) -> NDArray[np.float32]:
         """Returns (H, W, 3) linear RGB, before the camera."""
         out = np.empty((camera.height, camera.width, 3), dtype=np.float32)
         rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
         sun_map = self._sun_map(camera, pose, look)
-        stage = (self._stage.skin, look, self._land, sun_map, self._palettes, self._stage.charts)
+        shading = (
+            self._render_scene.skin,
+            look,
+            self._cover,
+            sun_map,
+            self._palettes,
+            self._render_scene.charts,
+        )
 
         def resolve(band: Band, buffer: Buffer) -> None:
-            resolve_photo(band, buffer, rotation, center, stage, out)
+            resolve_photo(band, buffer, rotation, center, shading, out)
 
         self._raster.draw_bands(camera.scaled(2 * camera.width, 2 * camera.height), pose, resolve)
         return out
@@ -85,7 +92,7 @@ class PhotoRenderer:
     def occluders(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) mask of trees, cars and fences that nothing hides."""
         triangle = self._raster.draw(camera, pose).triangle
-        return np.asarray((triangle >= 0) & self._stage.is_occluder[triangle])
+        return np.asarray((triangle >= 0) & self._render_scene.is_occluder[triangle])
 
     def _sun_map(self, camera: Camera, pose: Pose, look: Look) -> SunMap:
         if self._casters is None:

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.photo.compiled import per_pixel
 from lodbench.synthesis.photo.ground import ground_colour
 from lodbench.synthesis.photo.noise import detail, grain, mix, scaled, stripe, unit_hash, value_noise
-from lodbench.synthesis.props import SurfaceClass
 
 _WALL, _WINDOW, _GLASS = int(SurfaceClass.WALL), int(SurfaceClass.WINDOW), int(SurfaceClass.CAR_GLASS)
 _TILE, _FLAT, _BODY = int(SurfaceClass.ROOF_TILE), int(SurfaceClass.ROOF_FLAT), int(SurfaceClass.CAR_BODY)
@@ -41,7 +41,7 @@ class Palettes(NamedTuple):
 
 
 def linear(colours: object) -> NDArray[np.float64]:
-    """Returns linear RGB, 0 to 1, of 8-bit colours; the curve is a square, as ``develop`` undoes it."""
+    """Returns linear RGB, 0 to 1, of 8-bit colours: a square, which the camera response undoes."""
     return (np.asarray(colours, dtype=np.float64) / 255.0) ** 2
 
 
@@ -192,7 +192,7 @@ def _leaves(red, green, blue, number, x, y, z, pixel_m, look):  # type: ignore[n
 
 
 @per_pixel
-def surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, land, tables):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, cover, tables):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the linear RGB of a surface at a point, and the share of sky it mirrors.
 
     Args:
@@ -204,14 +204,14 @@ def surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, land, tables)
         normal: (3,) unit.
         pixel_m: Size of a pixel there.
         look: Look.
-        land: Land.
+        cover: LandCover.
         tables: Palettes.
     """
     kind, number = np.int64(skin.surface[triangle]), np.int64(skin.number[triangle])
     red, green, blue = skin.tint[triangle, 0], skin.tint[triangle, 1], skin.tint[triangle, 2]
     red, green, blue = np.float64(red), np.float64(green), np.float64(blue)
     if kind < _WALL or kind > 200:
-        return ground_colour(kind, red, green, blue, x, y, pixel_m, look, land)
+        return ground_colour(kind, red, green, blue, x, y, pixel_m, look, cover)
     if kind == _WALL:
         colour = _base_colour(tables.walls, red, green, blue, number, look)
         return _facade(colour, skin.place, triangle, number, x, y, z, pixel_m, look)

@@ -8,11 +8,12 @@ import numpy as np
 
 from lodbench.citymodel.scene import Scene
 from lodbench.storage import random_stream
-from lodbench.synthesis.photo import LAND, Land
-from lodbench.synthesis.props import SceneProps
-from lodbench.synthesis.surroundings.land import Plan, cover_land, look_down
-from lodbench.synthesis.surroundings.street_life import park_cars, plant_trees
-from lodbench.synthesis.surroundings.terrain_mesh import Ground, ground_from_bases, ground_from_raster
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.scene_props import SceneProps
+from lodbench.synthesis.photo import LAND_COVER, LandCover
+from lodbench.synthesis.surroundings.ground import Ground, ground_from_bases, ground_from_raster
+from lodbench.synthesis.surroundings.land_cover import TopView, draw_land_cover, look_down
+from lodbench.synthesis.surroundings.trees_and_cars import park_cars, plant_trees
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,15 +21,15 @@ class Surroundings:
     """What was made up around a city.
 
     Attributes:
-        plan: The city from above.
+        view: The city from above.
         ground: Ground heights.
-        land: Land cover.
+        land_cover: What covers the ground.
         props: Ground, trees and cars, in the scene's frame.
     """
 
-    plan: Plan
+    view: TopView
     ground: Ground
-    land: Land
+    land_cover: LandCover
     props: SceneProps
 
 
@@ -43,29 +44,12 @@ def make_surroundings(scene: Scene, seed: int, terrain: str | None = None) -> Su
     Raises:
         LodbenchError: The raster cannot be read, or covers no part of the city.
     """
-    plan = look_down(scene, threads=1)
-    ground = ground_from_raster(plan, scene, terrain) if terrain else ground_from_bases(plan)
-    land = cover_land(plan, random_stream(seed, "training", "land"))
-    trees = plant_trees(plan, land, ground, random_stream(seed, "training", "trees"))
-    cars = park_cars(plan, land, ground, random_stream(seed, "training", "cars"))
-    vertices, triangles = ground.mesh()
-    corners = [vertices[triangles], trees.corners, cars.corners]
-    first_tree = scene.num_buildings + 1
-    first_car = first_tree + int(trees.number.max(initial=-1)) + 1
-    count = sum(map(len, corners))
-    props = SceneProps(
-        vertices=np.concatenate(corners).reshape(-1, 3).astype(np.float32),
-        triangles=np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
-        surface=np.concatenate([np.full(len(triangles), LAND), trees.surface, cars.surface]).astype(np.uint8),
-        objects=np.concatenate(
-            [
-                np.full(len(triangles), scene.num_buildings),
-                trees.number + first_tree,
-                cars.number + first_car,
-            ]
-        ).astype(np.int32),
-        tint=np.concatenate([np.zeros((len(triangles), 3)), trees.tint, cars.tint]).astype(np.uint8),
-        num_buildings=scene.num_buildings,
-        origin=scene.origin,
-    )
-    return Surroundings(plan, ground, land, props)
+    view = look_down(scene, threads=1)
+    ground = ground_from_raster(view, scene, terrain) if terrain else ground_from_bases(view)
+    cover = draw_land_cover(view, random_stream(seed, "training", "land"))
+    builder = MeshBuilder(scene.num_buildings)
+    # Black, as what has no colour of its own: the cover decides, place by place.
+    builder.add(np.full(1, LAND_COVER), *ground.mesh(), (0, 0, 0))
+    plant_trees(builder, view, cover, ground, random_stream(seed, "training", "trees"))
+    park_cars(builder, view, cover, ground, random_stream(seed, "training", "cars"))
+    return Surroundings(view, ground, cover, builder.build(scene.origin))

@@ -8,21 +8,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
-
 from lodbench.citymodel import open_scene
 from lodbench.errors import DatasetError
-from lodbench.geometry import Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_bytes, write_text
-from lodbench.synthesis.props import write_props
+from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
+from lodbench.synthesis.objects.scene_props import write_props
+from lodbench.synthesis.queries import write_queries
 from lodbench.synthesis.town.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text, fine_citygml_text
 from lodbench.synthesis.town.looks import look_named
 from lodbench.synthesis.town.pictures import Photographer
 from lodbench.synthesis.town.props import demo_props
-from lodbench.synthesis.town.queries import QUERY_CAMERA, TARGET_IOU, DemoQuery, DemoSplit, make_splits
+from lodbench.synthesis.town.queries import QUERY_CAMERA, TARGET_IOU, DemoSplit, make_splits
 from lodbench.synthesis.town.relief import ascii_grid_text, relief_text
 from lodbench.synthesis.town.town import TOWN_VERSION, Town, grow_town
 
@@ -32,6 +28,8 @@ RELIEF_FILE = "relief.gml"
 TERRAIN_FILE = "terrain.asc"
 PROPS_FILE = "props.npz"
 MANIFEST_FILE = "demo.json"
+# Of quaternions and of metres.
+_POSE_DECIMALS = (12, 6)
 
 
 def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0, look: str = "test") -> Path:
@@ -76,11 +74,10 @@ def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0, look: str = 
 def generator_digest() -> str:
     """Returns a digest of the code that makes the demo: another generator, another town."""
     room = Path(__file__).parents[1]
-    files = [*sorted((room / "town").glob("*.py")), *sorted((room / "photo").glob("*.py"))]
-    files += [room / f"{name}.py" for name in ("view_sampling", "mask_degradation", "mask_errors")]
-    return digest_of(
-        [file_digest(file) for file in [*files, room.parent / "datasets" / "priors.py"]], length=8
-    )
+    files = [file for name in ("town", "objects", "photo") for file in sorted((room / name).glob("*.py"))]
+    files += [room / f"{name}.py" for name in ("queries", "view_sampling", "mask_degradation")]
+    files.append(room.parent / "datasets" / "priors.py")
+    return digest_of([file_digest(file) for file in files], length=8)
 
 
 def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
@@ -115,56 +112,19 @@ def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
     offset_m = ORIGIN_M - scene.origin
     splits = make_splits(town, scene, renderer, photographer, offset_m, asked["num_queries"])
     for split in splits:
-        _write_split(folder / split.name, split, scene.origin)
+        write_queries(folder / split.name, split.queries, QUERY_CAMERA, scene.origin, _POSE_DECIMALS)
     manifest = asked | _manifest(town, splits)
     text = json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False)
-    _write_text(folder / MANIFEST_FILE, text + "\n")
+    write_text(folder / MANIFEST_FILE, text + "\n", survives_power_cut=False)
 
 
 def _write_town(folder: Path, town: Town) -> None:
     """Writes the city files and the ground."""
     name = f"lodbench demo town, version {TOWN_VERSION}, look {town.look.name}, seed {town.seed}"
-    _write_text(folder / CITY_FILE, citygml_text(town))
-    _write_text(folder / FINE_CITY_FILE, fine_citygml_text(town))
-    _write_text(folder / RELIEF_FILE, relief_text(town.terrain, f"{name}: relief"))
-    _write_text(folder / TERRAIN_FILE, ascii_grid_text(town.terrain))
-
-
-def _write_text(path: Path, text: str) -> None:
-    write_text(path, text, survives_power_cut=False)
-
-
-def _write_split(folder: Path, split: DemoSplit, origin: NDArray[np.float64]) -> None:
-    """Writes the poses, intrinsics, photos and masks of one split."""
-    masks, photos = folder / "masks", folder / "Query_image"
-    make_folder(masks)
-    make_folder(photos)
-    c = QUERY_CAMERA
-    camera = f"PINHOLE {c.width} {c.height} {c.fx!r} {c.fy!r} {c.cx!r} {c.cy!r}"
-    files = {
-        "GT_pose.txt": [_pose_line(q.name, q.truth, origin) for q in split.queries],
-        "GPS_pose.txt": [_pose_line(q.name, q.prior, origin) for q in split.queries],
-        "intrinsic.txt": [f"{q.name} {camera}" for q in split.queries],
-    }
-    for name, lines in files.items():
-        _write_text(folder / name, "\n".join(lines) + "\n")
-    for query in split.queries:
-        write_bytes(photos / query.name, query.photo, survives_power_cut=False)
-        write_bytes((masks / query.name).with_suffix(".png"), _png(query), survives_power_cut=False)
-
-
-def _pose_line(name: str, pose: Pose, origin: NDArray[np.float64]) -> str:
-    """Returns one line of a pose file, the pose moved from the local frame to the CRS."""
-    absolute = pose.shifted(origin)
-    numbers = [f"{v:.12f}" for v in absolute.quat_wxyz] + [f"{v:.6f}" for v in absolute.translation]
-    return " ".join([name, *numbers])
-
-
-def _png(query: DemoQuery) -> bytes:
-    encoded, content = cv2.imencode(".png", query.mask.astype(np.uint8) * 255)
-    if not encoded:
-        raise DatasetError(f"The mask of {query.name} cannot be written as PNG.")
-    return content.tobytes()
+    write_text(folder / CITY_FILE, citygml_text(town), survives_power_cut=False)
+    write_text(folder / FINE_CITY_FILE, fine_citygml_text(town), survives_power_cut=False)
+    write_text(folder / RELIEF_FILE, relief_text(town.terrain, f"{name}: relief"), survives_power_cut=False)
+    write_text(folder / TERRAIN_FILE, ascii_grid_text(town.terrain), survives_power_cut=False)
 
 
 def _manifest(town: Town, splits: list[DemoSplit]) -> dict[str, Any]:
@@ -185,7 +145,7 @@ def _manifest(town: Town, splits: list[DemoSplit]) -> dict[str, Any]:
                 "queries": len(split.queries),
                 "rejected_views": split.rejections,
                 "target_iou": list(TARGET_IOU[split.name]),
-                "mask_iou": {query.name: round(query.mask_iou, 6) for query in split.queries},
+                "mask_iou": {query.name: round(query.achieved_iou, 6) for query in split.queries},
             }
             for split in splits
         },

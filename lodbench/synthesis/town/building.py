@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.synthesis.town.details import Annex, RoofBox
+from lodbench.synthesis.town.extrusion import Body, Strip
 from lodbench.synthesis.town.roofs import Roof
 from lodbench.synthesis.town.shapes import area
 from lodbench.synthesis.town.solid import Solid, prism
-from lodbench.synthesis.town.sweep import Body, Strip
 from lodbench.synthesis.town.terrain import Terrain
 
 Points = NDArray[np.float64]

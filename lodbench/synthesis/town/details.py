@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.model import SurfaceKind
+from lodbench.synthesis.town.extrusion import Body
 from lodbench.synthesis.town.shapes import left_of
-from lodbench.synthesis.town.sweep import Body
 
 Points = NDArray[np.float64]
 

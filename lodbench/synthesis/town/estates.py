@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.synthesis.town.building import Plan
+from lodbench.synthesis.town.extrusion import Strip
 from lodbench.synthesis.town.fittings import chance, eaves, lift_houses
 from lodbench.synthesis.town.roofs import Roof, flat, gabled, serrated
 from lodbench.synthesis.town.shapes import box_of
 from lodbench.synthesis.town.site import Site, places_on
-from lodbench.synthesis.town.sweep import Strip
 
 Points = NDArray[np.float64]
 

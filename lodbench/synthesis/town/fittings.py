@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lodbench.synthesis.town.details import Annex, RoofBox
+from lodbench.synthesis.town.extrusion import Body, Strip, wing_direction
 from lodbench.synthesis.town.roofs import Roof, flat, gabled, hipped, mansard
-from lodbench.synthesis.town.sweep import Body, Strip, wing_direction
 
 STOREY_M = 3.1
 

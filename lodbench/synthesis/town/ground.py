@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.props import SurfaceClass
-from lodbench.synthesis.town.pile import PropPile, along_line, filled, length_of, offset_line, refined
-from lodbench.synthesis.town.shapes import contains, inset, left_of
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.scene_props import SurfaceClass
+from lodbench.synthesis.town.plane_mesh import filled, refined
+from lodbench.synthesis.town.shapes import along_line, contains, inset, left_of, length_of, offset_line
 from lodbench.synthesis.town.streets import Street
 from lodbench.synthesis.town.town import Town
 
@@ -38,14 +40,14 @@ _FIELDS = np.array(
 _NUM_FIELDS = 420
 
 
-def add_ground(pile: PropPile, town: Town) -> None:
+def add_ground(builder: MeshBuilder, town: Town) -> None:
     """Adds everything that lies on the ground."""
-    _add_land(pile, town)
-    _add_river(pile, town)
+    _add_land(builder, town)
+    _add_river(builder, town)
     for number, (block, district) in enumerate(zip(town.streets.blocks, town.districts, strict=True)):
         chances = random_stream(town.seed, "demo", "yard", number)
         shade = float(chances.uniform(0.94, 1.06))
-        _drape(pile, town, SurfaceClass.PAVEMENT, block.ring, _PAVEMENT_M, _STONE * shade)
+        _drape(builder, town, SurfaceClass.PAVEMENT, block.ring, _PAVEMENT_M, _STONE * shade)
         yard = inset(block.ring, _PAVEMENT_WIDTH_M)
         # The market square, the first block, is paved all over.
         if yard is not None and number > 0:
@@ -53,9 +55,9 @@ def add_ground(pile: PropPile, town: Town) -> None:
             tint = {SurfaceClass.GRASS: _pick(chances, town.look.grass), SurfaceClass.GROUND: _EARTH}.get(
                 kind, _STONE
             )
-            _drape(pile, town, kind, yard, _YARD_M, tint * float(chances.uniform(0.92, 1.08)))
+            _drape(builder, town, kind, yard, _YARD_M, tint * float(chances.uniform(0.92, 1.08)))
     for street in town.streets.streets:
-        _add_markings(pile, town, street)
+        _add_markings(builder, town, street)
 
 
 def _pick(chances: np.random.Generator, colours: tuple[tuple[int, int, int], ...]) -> Points:
@@ -68,13 +70,13 @@ def on_ground(town: Town, points: Points, above_m: float) -> Points:
 
 
 def _drape(
-    pile: PropPile, town: Town, surface: SurfaceClass, ring: Points, above_m: float, tint: Points
+    builder: MeshBuilder, town: Town, surface: SurfaceClass, ring: Points, above_m: float, tint: Points
 ) -> None:
     points, triangles = refined(*filled(ring), lambda middles: np.full(len(middles), _NEAR_M))
-    pile.add(surface, on_ground(town, points, above_m), triangles, tint)
+    builder.add(surface, on_ground(town, points, above_m), triangles, tint)
 
 
-def _add_land(pile: PropPile, town: Town) -> None:
+def _add_land(builder: MeshBuilder, town: Town) -> None:
     """Adds the bare ground: streets under the town, fields, meadows beside the river, its bed."""
     square = _LAND_M * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
@@ -95,7 +97,7 @@ def _add_land(pile: PropPile, town: Town) -> None:
     colours = _FIELDS[chances.integers(len(_FIELDS), size=_NUM_FIELDS)] * chances.uniform(
         0.9, 1.1, (_NUM_FIELDS, 1)
     )
-    tint = colours[_nearest(middles, parcels)]
+    tint = colours[cKDTree(parcels).query(middles)[1]]
     surface = np.full(len(middles), SurfaceClass.FIELD, np.uint8)
     meadow = river < 36.0
     surface[meadow], tint[meadow] = SurfaceClass.GRASS, np.array(town.look.grass[0])
@@ -103,24 +105,14 @@ def _add_land(pile: PropPile, town: Town) -> None:
     # Streets are what blocks leave free of the land: no triangle sticks out of it.
     is_town = np.logical_or(*[contains(bank, points) for bank in town.streets.banks])[triangles].all(axis=1)
     surface[is_town], tint[is_town] = SurfaceClass.ROAD, np.array(town.look.road)
-    pile.add(surface, on_ground(town, points, 0.0), triangles, tint)
+    builder.add(surface, on_ground(town, points, 0.0), triangles, tint)
 
 
-def _nearest(points: Points, sites: Points) -> NDArray[np.int64]:
-    """Returns (N,) the nearest of sites, (M, 2), to each point, (N, 2)."""
-    found = np.empty(len(points), np.int64)
-    square = (sites * sites).sum(axis=1)
-    for first in range(0, len(points), 8192):
-        some = points[first : first + 8192]
-        found[first : first + 8192] = np.argmin(square - 2.0 * some @ sites.T, axis=1)
-    return found
-
-
-def _add_river(pile: PropPile, town: Town) -> None:
+def _add_river(builder: MeshBuilder, town: Town) -> None:
     """Adds the water, level, and two bridges."""
     line = town.streets.river
     ribbon = _ribbon(line, _WATER_HALF_M, town.terrain.water_m)
-    pile.add(SurfaceClass.WATER, *ribbon, town.look.water)
+    builder.add(SurfaceClass.WATER, *ribbon, town.look.water)
     half = 0.5 * length_of(line)
     for at in (half - 150.0, half + 170.0):
         (middle,), (along,) = along_line(line, np.array([at]))
@@ -128,11 +120,11 @@ def _add_river(pile: PropPile, town: Town) -> None:
         ends = middle + np.outer([-1.0, -0.5, 0.0, 0.5, 1.0], 33.0 * across)
         heights = town.terrain.water_m + np.array([2.75, 3.3, 3.5, 3.3, 2.75])
         deck = _ribbon(ends, 5.0, heights)
-        number = pile.new_objects(1)
-        pile.add(SurfaceClass.ROAD, *deck, town.look.road, number[0])
+        number = builder.new_objects(1)
+        builder.add(SurfaceClass.ROAD, *deck, town.look.road, number[0])
         for side in (-5.0, 5.0):
             wall = _upright(offset_line(ends, side), heights - 1.0, heights + 1.0)
-            pile.add(SurfaceClass.PAVEMENT, *wall, (170, 164, 154), number[0])
+            builder.add(SurfaceClass.PAVEMENT, *wall, (170, 164, 154), number[0])
 
 
 def _ribbon(line: Points, half_m: float, height: float | Points) -> tuple[Points, NDArray[np.int64]]:
@@ -156,7 +148,7 @@ def _strip_triangles(count: int) -> NDArray[np.int64]:
     return np.concatenate([lower, upper])
 
 
-def _add_markings(pile: PropPile, town: Town, street: Street) -> None:
+def _add_markings(builder: MeshBuilder, town: Town, street: Street) -> None:
     """Adds the middle line of a street, and on wide ones edge lines and crossings on foot at its ends."""
     length, width = length_of(street.line), street.width_m
     if width < 9.5 or length < 25.0:
@@ -178,7 +170,7 @@ def _add_markings(pile: PropPile, town: Town, street: Street) -> None:
     points = on_ground(town, quads.reshape(-1, 2), _MARKING_M)
     first = 4 * np.arange(len(quads))[:, None]
     triangles = np.concatenate([first + np.array(fan) for fan in ((0, 1, 2), (0, 2, 3))])
-    pile.add(SurfaceClass.MARKING, points, triangles, _PAINT)
+    builder.add(SurfaceClass.MARKING, points, triangles, _PAINT)
 
 
 def _bars(line: Points, at: Points, length: float, width: float) -> Points:

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from lodbench.synthesis.town.building import Plan
 from lodbench.synthesis.town.details import Annex, RoofBox
+from lodbench.synthesis.town.extrusion import Strip
 from lodbench.synthesis.town.fittings import annex, chance, dormers, eaves, house_roof
 from lodbench.synthesis.town.roofs import flat, gabled
 from lodbench.synthesis.town.shapes import edge_directions, left_of
 from lodbench.synthesis.town.site import Site
-from lodbench.synthesis.town.sweep import Strip
 
 Points = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.model import SurfaceKind
+from lodbench.synthesis.town.extrusion import Strip, wing_direction
 from lodbench.synthesis.town.fittings import chance
 from lodbench.synthesis.town.roofs import Roof
 from lodbench.synthesis.town.shapes import left_of
 from lodbench.synthesis.town.solid import Solid, prism
-from lodbench.synthesis.town.sweep import Strip, wing_direction
 
 Points = NDArray[np.float64]
 

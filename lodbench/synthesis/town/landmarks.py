@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from lodbench.synthesis.town.building import Plan
 from lodbench.synthesis.town.closed_blocks import COURTYARD_M
+from lodbench.synthesis.town.extrusion import Strip
 from lodbench.synthesis.town.fittings import chance, dormers, eaves
 from lodbench.synthesis.town.roofs import Roof, gabled, hipped, mansard
 from lodbench.synthesis.town.shapes import box_of, edge_directions, inset, left_of
 from lodbench.synthesis.town.site import Site, places_on
-from lodbench.synthesis.town.sweep import Strip
 
 Points = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.synthesis.town.extrusion import Body
 from lodbench.synthesis.town.fittings import STOREY_M, chance
 from lodbench.synthesis.town.occupancy import NOBODY, Occupancy
 from lodbench.synthesis.town.shapes import left_of
-from lodbench.synthesis.town.sweep import Body
 from lodbench.synthesis.town.terrain import Terrain
 
 Points = NDArray[np.float64]

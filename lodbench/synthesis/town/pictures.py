@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.errors import DatasetError
+from lodbench.datasets.pictures import encoded
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import random_stream
+from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look
-from lodbench.synthesis.props import SceneProps
 from lodbench.synthesis.town.town import Town
 
 # The days of the flights: sun and air are drawn once per split, what changes from photo to photo each time.
@@ -70,15 +70,12 @@ class Photographer:
             name: Names the stream of what single photos differ in.
         """
         stream = random_stream(self._town.seed, "demo", name, "photo")
-        look, development = draw_look(self._ranges(split), stream)
+        look, response = draw_look(self._ranges(split), stream)
         # The town's own patterns stay as they are from photo to photo.
         look = look._replace(seed=self._town.seed)
-        picture = self._renderer.photo(camera, pose, look, development)
-        quality = [cv2.IMWRITE_JPEG_QUALITY, development.jpeg_quality]
-        is_encoded, content = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), quality)
-        if not is_encoded:
-            raise DatasetError(f"The photo {name} cannot be written as JPEG.")
-        return content.tobytes()
+        picture = self._renderer.photo(camera, pose, look, response)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality]
+        return encoded(np.ascontiguousarray(picture[..., ::-1]), ".jpg", quality)
 
     def _ranges(self, split: str) -> LookRanges:
         day = random_stream(self._town.seed, "demo", split, "day")

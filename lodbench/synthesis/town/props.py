@@ -9,16 +9,15 @@ from lodbench.citymodel.model import Polygons, SurfaceKind
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
 from lodbench.storage import random_stream
-from lodbench.synthesis.props import SceneProps, SurfaceClass
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.town.building import Building
 from lodbench.synthesis.town.citygml_writer import ORIGIN_M
-from lodbench.synthesis.town.greenery import add_greenery
 from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.looks import Look
-from lodbench.synthesis.town.pile import PropPile
 from lodbench.synthesis.town.solid import Solid
 from lodbench.synthesis.town.town import Town
-from lodbench.synthesis.town.traffic import add_cars
+from lodbench.synthesis.town.trees_and_cars import add_greenery, add_traffic
 
 Points = NDArray[np.float64]
 
@@ -40,15 +39,15 @@ _CHIMNEY, _RAILING, _GLASS, _WOOD, _SOFFIT = (
 
 def demo_props(town: Town) -> SceneProps:
     """Returns what a photo of the town shows, in the frame of ``ORIGIN_M``."""
-    pile = PropPile(len(town.standing))
-    _add_buildings(pile, town)
-    add_ground(pile, town)
-    add_greenery(pile, town)
-    add_cars(pile, town)
-    return pile.build(ORIGIN_M)
+    builder = MeshBuilder(len(town.standing))
+    _add_buildings(builder, town)
+    add_ground(builder, town)
+    add_greenery(builder, town)
+    add_traffic(builder, town)
+    return builder.build(ORIGIN_M)
 
 
-def _add_buildings(pile: PropPile, town: Town) -> None:
+def _add_buildings(builder: MeshBuilder, town: Town) -> None:
     """Adds walls, roofs, windows, doors, chimneys and balconies, each building in colours of its own."""
     points: list[Points] = []
     rings: list[int] = []
@@ -82,7 +81,7 @@ def _add_buildings(pile: PropPile, town: Town) -> None:
     owner = polygons.building[result.polygon].astype(np.int64)
     colours = np.stack([_colours(town.look, town.seed, name) for name in names])
     tint = colours[owner, surface - SurfaceClass.WALL]
-    pile.add(surface.astype(np.uint8), polygons.points, result.triangles, tint, owner)
+    builder.add(surface.astype(np.uint8), polygons.points, result.triangles, tint, owner)
 
 
 def _solids(building: Building) -> list[tuple[Solid, SurfaceClass | None]]:

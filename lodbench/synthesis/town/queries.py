@@ -13,7 +13,8 @@ from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering.protocol import Renderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.mask_degradation import roughen_mask
+from lodbench.synthesis.mask_degradation import degrade_mask
+from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.town.districts import OLD_TOWN_RADIUS_M
 from lodbench.synthesis.town.pictures import Photographer
 from lodbench.synthesis.town.town import Town
@@ -22,6 +23,7 @@ from lodbench.synthesis.view_sampling import (
     RGB_CAMERA,
     ViewCheck,
     ViewSampling,
+    first_accepted,
     sample_views,
     view_of,
 )
@@ -50,27 +52,6 @@ _ATTEMPTS = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DemoQuery:
-    """One query with its truth, in the scene's local frame.
-
-    Attributes:
-        name: Image name.
-        truth: Where the camera was.
-        prior: Where the sensor says it was.
-        photo: JPEG file of what `QUERY_CAMERA` saw.
-        mask: (H, W) bool, the silhouette in `QUERY_CAMERA`, roughened, where nothing hides it.
-        mask_iou: IoU of the mask with the true LoD3 silhouette.
-    """
-
-    name: str
-    truth: Pose
-    prior: Pose
-    photo: bytes
-    mask: NDArray[np.bool_]
-    mask_iou: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class DemoSplit:
     """The queries of one split.
 
@@ -81,7 +62,7 @@ class DemoSplit:
     """
 
     name: str
-    queries: tuple[DemoQuery, ...]
+    queries: tuple[SyntheticQuery, ...]
     rejections: int
 
 
@@ -137,7 +118,7 @@ def _split(
         clean = renderer.render(QUERY_CAMERA, truth)
         # A network cannot see through trees; their shapes are those of the photo.
         visible = clean & ~photographer.hidden(QUERY_CAMERA, truth)
-        rough, iou = roughen_mask(
+        rough, iou = degrade_mask(
             visible,
             targets[k],
             random_stream(seed, "demo", image, "mask"),
@@ -147,7 +128,7 @@ def _split(
         )
         prior = PRIORS[name].draw(truth, random_stream(seed, "demo", image, "prior"))
         photo = photographer.jpeg(QUERY_CAMERA, truth, name, image)
-        queries.append(DemoQuery(image, truth, prior, photo, rough, iou))
+        queries.append(SyntheticQuery(image, truth, prior, rough, iou, photo))
     return DemoSplit(name, tuple(queries), rejections)
 
 
@@ -180,13 +161,14 @@ def _fly_over(town: Town, check: ViewCheck, offset_m: Points, count: int) -> tup
     poses, rejections = [], 0
     for index in range(count):
         line, place = index * 3 // count, (index * 3 % count) / count
-        for attempt in range(_ATTEMPTS):
-            generator = random_stream(town.seed, "demo", "in_place", index, attempt)
-            pose = _station(town, line, place, turn, 1.0 + attempt, generator).shifted(offset_m)
-            if check.accepts(pose):
-                break
-            rejections += 1
-        else:
+        streams = (random_stream(town.seed, "demo", "in_place", index, k) for k in range(_ATTEMPTS))
+        stations = (
+            _station(town, line, place, turn, 1.0 + attempt, stream).shifted(offset_m)
+            for attempt, stream in enumerate(streams)
+        )
+        pose, rejected = first_accepted(stations, check)
+        rejections += rejected
+        if pose is None:
             raise DatasetError(
                 f"The demo town of seed {town.seed} shows too few buildings from its flight line {line}.",
                 "Take another seed.",

@@ -107,3 +107,24 @@ def box_of(ring: Points) -> tuple[Points, float, float]:
     assert best is not None  # noqa: S101 - a ring has edges
     _, along, length, width = best
     return (along, length, width) if length >= width else (left_of(along), width, length)
+
+
+def offset_line(line: Points, distance: float) -> Points:
+    """Returns a polyline, (K, 2), moved to its left."""
+    way = np.gradient(line, axis=0)
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    return np.asarray(line + distance * np.stack([-way[:, 1], way[:, 0]], axis=1))
+
+
+def along_line(line: Points, at: Points) -> tuple[Points, Points]:
+    """Returns positions, (N, 2), and unit directions, (N, 2), at distances along a polyline."""
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    starts = np.concatenate([[0.0], np.cumsum(steps)])
+    k = np.clip(np.searchsorted(starts, at, side="right") - 1, 0, len(steps) - 1)
+    direction = np.diff(line, axis=0)[k] / steps[k, None]
+    return line[k] + (at - starts[k])[:, None] * direction, direction
+
+
+def length_of(line: Points) -> float:
+    """Returns the length of a polyline, metres."""
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())

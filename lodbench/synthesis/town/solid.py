@@ -45,18 +45,6 @@ class Solid:
     points: Points
     faces: tuple[Face, ...]
 
-    def volume_m3(self) -> float:
-        """Returns the enclosed volume in cubic metres, positive when the faces look outward."""
-        volume = 0.0
-        middle = self.points.mean(axis=0)
-        for face in self.faces:
-            for ring in face.rings:
-                corners = self.points[list(ring)] - middle
-                # Fans around the first corner: a hole's fan is negative, so it need not be convex.
-                crossed = np.cross(corners[1:-1], corners[2:])
-                volume += float(np.sum(crossed @ corners[0])) / 6.0
-        return volume
-
 
 @dataclass(slots=True)
 class SolidBuilder:

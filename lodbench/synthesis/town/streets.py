@@ -31,7 +31,7 @@ _BEND_LEAST_M = 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Land between streets.
+    """LandCover between streets.
 
     Attributes:
         ring: Its edge along the kerbs, (N, 2) local metres, counter-clockwise, nearly convex.

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from lodbench.storage import random_stream
 from lodbench.synthesis.town.building import Age, Building, Plan, pieces_of
+from lodbench.synthesis.town.construction import construct_all
 from lodbench.synthesis.town.districts import build_up, building_line, district_of
-from lodbench.synthesis.town.erection import erect_all
 from lodbench.synthesis.town.landmarks import church, town_hall
 from lodbench.synthesis.town.looks import TEST, Look
 from lodbench.synthesis.town.occupancy import Occupancy, occupancy_of
@@ -80,7 +80,7 @@ def grow_town(seed: int, look: Look = TEST) -> Town:
         for k, plan in enumerate(blocks[number])
     ]
     occupancy = occupancy_of([pieces_of(plan) for _, plan in named], _REACH_M)
-    buildings = tuple(erect_all(named, seed, look, terrain, occupancy))
+    buildings = tuple(construct_all(named, seed, look, terrain, occupancy))
     return Town(seed, look, buildings, streets, districts, terrain, occupancy)
 
 

@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.pictures import encoded
 from lodbench.errors import DatasetError
 from lodbench.storage import write_bytes
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView
-from lodbench.synthesis.training_data.world import files_of
+from lodbench.synthesis.training_data.view_writer import files_of
 
 SHEET_FILE = "overview.png"
 _VIEWS, _PER_ROW = 8, 2
@@ -22,7 +23,7 @@ _MASK_BGR = np.array([60.0, 170.0, 255.0])
 Picture = NDArray[np.uint8]
 
 
-def write_sheet(params: TrainingParams, views: Sequence[PlannedView], path: Path) -> None:
+def write_sheet(params: GenerateParams, views: Sequence[PlannedView], path: Path) -> None:
     """Writes picture, mask and overlay of eight views, evenly chosen, side by side.
 
     Args:
@@ -34,12 +35,10 @@ def write_sheet(params: TrainingParams, views: Sequence[PlannedView], path: Path
     strips = [_strip(params, view, path.parent, params.sheet) for view in chosen]
     strips += [np.full_like(strips[0], 255)] * (-len(strips) % _PER_ROW)
     rows = [np.hstack(strips[k : k + _PER_ROW]) for k in range(0, len(strips), _PER_ROW)]
-    is_encoded, content = cv2.imencode(".png", np.vstack(rows), [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    if is_encoded:
-        write_bytes(path, content.tobytes())
+    write_bytes(path, encoded(np.vstack(rows), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 9]))
 
 
-def _strip(params: TrainingParams, view: PlannedView, folder: Path, tile: int) -> Picture:
+def _strip(params: GenerateParams, view: PlannedView, folder: Path, tile: int) -> Picture:
     """Returns the picture (or grey), the mask, and the mask's outline and tint over the picture."""
     files = {path.parent.name: path for path in files_of(params, view, folder)}
     size = (tile, max(1, round(tile * params.size[1] / params.size[0])))

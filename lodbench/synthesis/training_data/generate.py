@@ -14,22 +14,20 @@ import numpy as np
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.folder import CAMERA_FILE, PRIOR_FILE, RENDERED_TRUTH_FILE
-from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
+from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.execution.fan_out import fan_out
-from lodbench.storage import random_stream, write_text
-from lodbench.synthesis.props import read_props
+from lodbench.storage import random_stream
+from lodbench.synthesis.objects.scene_props import read_props
 from lodbench.synthesis.surroundings.surroundings import Surroundings, make_surroundings
-from lodbench.synthesis.training_data.cameras import picture_camera
 from lodbench.synthesis.training_data.contact_sheet import SHEET_FILE, write_sheet
 from lodbench.synthesis.training_data.manifest import begin_manifest, finish_manifest
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
 from lodbench.synthesis.training_data.texture_files import offset_to_city, read_textured
-from lodbench.synthesis.training_data.world import World, WorldParts, files_of, is_written
+from lodbench.synthesis.training_data.view_writer import PictureParts, ViewWriter, files_of, is_written
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +49,7 @@ class Generated:
     notes: tuple[str, ...]
 
 
-def generate_training_data(params: TrainingParams, options: ReadOptions | None = None) -> Generated:
+def generate_training_data(params: GenerateParams, options: ReadOptions | None = None) -> Generated:
     """Writes a training set, or what is still missing of it.
 
     Every file of a view depends on the settings, the inputs and its name only, not on the workers or on
@@ -80,18 +78,18 @@ def generate_training_data(params: TrainingParams, options: ReadOptions | None =
     return Generated(out, {split: counts[split] for split in SPLITS}, resumed, plan.skipped, notes)
 
 
-def _prepare(params: TrainingParams, options: ReadOptions) -> tuple[WorldParts, ViewPlan, tuple[str, ...]]:
+def _prepare(params: GenerateParams, options: ReadOptions) -> tuple[PictureParts, ViewPlan, tuple[str, ...]]:
     """Returns the city with its surroundings, the views to take of it, and what was met."""
     city, picture = open_cities(params, options)
     parts, made, notes = world_parts(params, city, picture)
     with Progress("views judged", None) as progress:
-        plan = plan_views(params, city, made.plan, made.ground, progress.advance)
+        plan = plan_views(params, city, made.ground, progress.advance)
     return parts, plan, notes
 
 
 def world_parts(
-    params: TrainingParams, city: Scene, picture: Scene
-) -> tuple[WorldParts, Surroundings, tuple[str, ...]]:
+    params: GenerateParams, city: Scene, picture: Scene
+) -> tuple[PictureParts, Surroundings, tuple[str, ...]]:
     """Returns what workers draw from, the surroundings made up for it, and notes for the reader.
 
     Args:
@@ -103,19 +101,19 @@ def world_parts(
         LodbenchError: The terrain, the props or the textured mesh cannot be read or lies elsewhere.
     """
     made = make_surroundings(picture, params.seed, params.terrain)
-    parts = WorldParts(city, picture, made.props, made.land)
+    parts = PictureParts(city, picture, made.props, made.land_cover)
     notes: tuple[str, ...] = ()
     if params.texture_model is not None:
         model = Path(params.texture_model).expanduser()
         mesh = read_textured(model, params.texture_up)
         offset, note = offset_to_city(mesh, city, model.name)
-        parts, notes = WorldParts(city, picture, None, None, offset), (note,)
+        parts, notes = PictureParts(city, picture, None, None, offset), (note,)
     elif params.props is not None:
-        parts = WorldParts(city, picture, read_props(Path(params.props).expanduser()), None)
+        parts = PictureParts(city, picture, read_props(Path(params.props).expanduser()), None)
     return parts, made, notes
 
 
-def open_cities(params: TrainingParams, options: ReadOptions) -> tuple[Scene, Scene]:
+def open_cities(params: GenerateParams, options: ReadOptions) -> tuple[Scene, Scene]:
     """Returns the city of the masks and that of the pictures, in one frame."""
     path = Path(params.city).expanduser()
     opened = partial(open_cached_city, path, options=options, roof_height=params.roof_height)
@@ -126,13 +124,13 @@ def open_cities(params: TrainingParams, options: ReadOptions) -> tuple[Scene, Sc
     return city, picture
 
 
-def _is_written(params: TrainingParams, view: PlannedView, out: Path) -> bool:
+def _is_written(params: GenerateParams, view: PlannedView, out: Path) -> bool:
     return all(is_written(path) for path in files_of(params, view, out))
 
 
-def _write_layout(params: TrainingParams, scene: Scene, plan: ViewPlan, out: Path) -> None:
+def _write_layout(params: GenerateParams, scene: Scene, plan: ViewPlan, out: Path) -> None:
     """Makes the folders, and writes poses, priors and cameras of all views, finished or not."""
-    camera = picture_camera(params)
+    camera = params.camera
     for split in SPLITS:
         views = [view for view in plan.views if view.split == split]
         if not views:
@@ -140,25 +138,26 @@ def _write_layout(params: TrainingParams, scene: Scene, plan: ViewPlan, out: Pat
         for view in views[:1]:
             for path in files_of(params, view, out):
                 path.parent.mkdir(parents=True, exist_ok=True)
-        lines: dict[str, list[str]] = {RENDERED_TRUTH_FILE: [], PRIOR_FILE: [], CAMERA_FILE: []}
-        for view in views:
-            name = f"{view.name}.{params.format}"
-            prior = UniformPrior().draw(view.pose, random_stream(params.seed, "training", "gps", view.key))
-            lines[RENDERED_TRUTH_FILE].append(format_pose(name, view.pose.shifted(scene.origin)))
-            lines[PRIOR_FILE].append(format_pose(name, prior.shifted(scene.origin)))
-            lines[CAMERA_FILE].append(format_camera(name, camera))
-        for name, content in lines.items():
-            write_text(out / split / name, lines_to_text(content))
+        names = {view.key: f"{view.name}.{params.format}" for view in views}
+        truth = {names[view.key]: view.pose.shifted(scene.origin) for view in views}
+        priors = {
+            names[view.key]: UniformPrior()
+            .draw(view.pose, random_stream(params.seed, "training", "gps", view.key))
+            .shifted(scene.origin)
+            for view in views
+        }
+        cameras = dict.fromkeys(truth, camera)
+        write_poses(out / split, cameras, truth, priors, truth_file=RENDERED_TRUTH_FILE)
 
 
 def _write_views(
-    params: TrainingParams, parts: WorldParts, missing: list[PlannedView], out: Path, resumed: int
+    params: GenerateParams, parts: PictureParts, missing: list[PlannedView], out: Path, resumed: int
 ) -> None:
     workers = min(params.workers or os.cpu_count() or 1, max(1, len(missing)))
     done = 0
     try:
         with Progress("views", len(missing)) as progress:
-            for _ in fan_out(_write_view, missing, workers, _open_world, (params, parts, out)):
+            for _ in fan_out(_write_view, missing, workers, _open_writer, (params, parts, out)):
                 done += 1
                 progress.advance()
     except OSError as error:
@@ -171,11 +170,11 @@ def _write_views(
 
 
 # The world of this process and the folder it writes to; set once, before the first view.
-_world: list[tuple[World, Path]] = []
+_world: list[tuple[ViewWriter, Path]] = []
 
 
-def _open_world(params: TrainingParams, parts: WorldParts, out: Path) -> None:
-    _world[:] = [(World(params, parts), out)]
+def _open_writer(params: GenerateParams, parts: PictureParts, out: Path) -> None:
+    _world[:] = [(ViewWriter(params, parts), out)]
 
 
 def _write_view(view: PlannedView) -> str:

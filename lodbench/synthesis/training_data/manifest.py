@@ -14,7 +14,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import DatasetError
 from lodbench.storage import digest_of, file_digest, write_text
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, ViewPlan
 
 MANIFEST_FILE = "manifest.json"
@@ -25,7 +25,7 @@ _PATHS = ("city", "texture_model", "props", "terrain", "poses")
 _IDLE = ("out", "sheet", "workers")
 
 
-def begin_manifest(params: TrainingParams, scene: Scene, plan: ViewPlan, out: Path) -> dict[str, Any]:
+def begin_manifest(params: GenerateParams, scene: Scene, plan: ViewPlan, out: Path) -> dict[str, Any]:
     """Writes the manifest of a set about to be made, unless the same is there; returns it.
 
     Raises:
@@ -51,7 +51,7 @@ def finish_manifest(manifest: dict[str, Any], out: Path) -> None:
     _write(manifest | {"state": "finished"}, out / MANIFEST_FILE)
 
 
-def _manifest(params: TrainingParams, scene: Scene, plan: ViewPlan) -> dict[str, Any]:
+def _manifest(params: GenerateParams, scene: Scene, plan: ViewPlan) -> dict[str, Any]:
     settings = {key: value for key, value in asdict(params).items() if key not in _IDLE}
     inputs = {key: _digests(Path(settings[key]).expanduser()) for key in _PATHS if settings[key] is not None}
     identity = {

@@ -5,23 +5,41 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, require_choice, require_within
+from lodbench.geometry import Camera
+from lodbench.synthesis.camera_paths import CAMERA_PATHS
 from lodbench.synthesis.photo import LookRanges
 
-SAMPLINGS = ("grid", "random", "trajectory", "priors")
-RENDERERS = ("raster", "pyrender")
 _CHOICES = {
-    "sampling": SAMPLINGS,
-    "renderer": RENDERERS,
+    "sampling": tuple(CAMERA_PATHS),
+    "renderer": ("raster", "pyrender"),
     "pitch_from": ("nadir", "horizon"),
     "naming": ("index", "pose"),
     "format": ("jpg", "png"),
     "texture_up": ("auto", "y", "z"),
 }
+_BOUNDS = {
+    "pitch": (0.0, 90.0),
+    "height": (1.0, 5000.0),
+    "yaw": (-360.0, 360.0),
+    "size": (16, 4096),
+    "spacing_m": (0.1, 1e5),
+    "count": (1, 10_000_000),
+    "limit": (1, 10_000_000),
+    "sheet": (16, 2048),
+    "workers": (1, 1024),
+    "fov_deg": (1.0, 150.0),
+    "min_buildings": (0.0, 1.0),
+    "val_share": (0.0, 0.9),
+    "test_share": (0.0, 0.9),
+    "overlap": (0.0, 1.0),
+    "prior_m": (0.0, 1e4),
+    "prior_deg": (0.0, 180.0),
+}
 
 
 @dataclass(frozen=True, slots=True)
-class TrainingParams:
+class GenerateParams:
     """What to generate.
 
     Attributes:
@@ -112,12 +130,12 @@ class TrainingParams:
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise ConfigError(
-                    f"{name}={getattr(self, name)} is not known.", nearest_names(getattr(self, name), choices)
-                )
-        self._check_lists()
-        self._check_numbers()
+            require_choice(name, getattr(self, name), choices)
+        for name in ("pitch", "height", "yaw"):
+            if getattr(self, name) == []:
+                raise ConfigError(f"{name} is empty.", f"Give it as a list: {name}='[{_BOUNDS[name][0]:g}]'.")
+        for name, (low, high) in _BOUNDS.items():
+            require_within(name, getattr(self, name), low, high)
         if self.sampling in ("trajectory", "priors") and self.poses is None:
             raise ConfigError(f"sampling={self.sampling} needs poses.", "Add poses=FILE.")
         if self.renderer == "pyrender" and self.texture_model is None:
@@ -130,37 +148,13 @@ class TrainingParams:
                 f"val_share={self.val_share:g} and test_share={self.test_share:g} leave little to train on."
             )
 
-    def _check_lists(self) -> None:
-        for name, values, low, high in (
-            ("pitch", self.pitch, 0.0, 90.0),
-            ("height", self.height, 1.0, 5000.0),
-            ("yaw", self.yaw if self.yaw is not None else [0.0], -360.0, 360.0),
-            ("size", list(self.size), 16, 4096),
-        ):
-            if not values:
-                raise ConfigError(f"{name} is empty.", f"Give it as a list: {name}='[{low:g}]'.")
-            for value in values:
-                if not low <= value <= high:
-                    raise ConfigError(f"{name}={value:g} is not within {low:g} to {high:g}.")
-
-    def _check_numbers(self) -> None:
-        for name, value, low, high in (
-            ("spacing_m", self.spacing_m if self.spacing_m is not None else 1.0, 0.1, 1e5),
-            ("count", self.count, 1, 10_000_000),
-            ("limit", self.limit if self.limit is not None else 1, 1, 10_000_000),
-            ("sheet", self.sheet, 16, 2048),
-            ("workers", self.workers if self.workers is not None else 1, 1, 1024),
-            ("fov_deg", self.fov_deg, 1.0, 150.0),
-            ("min_buildings", self.min_buildings, 0.0, 1.0),
-            ("val_share", self.val_share, 0.0, 0.9),
-            ("test_share", self.test_share, 0.0, 0.9),
-            ("overlap", self.overlap, 0.0, 1.0),
-            *(("prior_m", value, 0.0, 1e4) for value in self.prior_m),
-            *(("prior_deg", value, 0.0, 180.0) for value in self.prior_deg),
-        ):
-            if not (math.isfinite(value) and low <= value <= high):
-                raise ConfigError(f"{name}={value:g} is not within {low:g} to {high:g}.")
-
     def pitches_from_nadir(self) -> list[float]:
         """Returns the pitches as the poses have them: 0 straight down, 90 at the horizon."""
         return [90.0 - pitch if self.pitch_from == "horizon" else pitch for pitch in self.pitch]
+
+    @property
+    def camera(self) -> Camera:
+        """Returns the camera of the pictures: square pixels, principal point in the middle."""
+        width, height = self.size
+        focal = 0.5 * width / math.tan(math.radians(0.5 * self.fov_deg))
+        return Camera(width, height, focal, focal, 0.5 * width, 0.5 * height)

@@ -14,10 +14,10 @@ from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.surroundings.land import Plan
-from lodbench.synthesis.surroundings.terrain_mesh import Ground
-from lodbench.synthesis.training_data.cameras import candidates, picture_camera
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.building_boxes import building_boxes
+from lodbench.synthesis.camera_paths import Place, candidates
+from lodbench.synthesis.surroundings.ground import Ground
+from lodbench.synthesis.training_data.params import GenerateParams
 
 SPLITS = ("train", "val", "test")
 # Views are judged on pictures this wide: a building of three pixels there has some 40 in full size.
@@ -77,9 +77,8 @@ def regions_of(bases: NDArray[np.float64], val_share: float, test_share: float) 
 
 
 def plan_views(
-    params: TrainingParams,
+    params: GenerateParams,
     scene: Scene,
-    plan: Plan,
     ground: Ground,
     progress: Callable[[], None] = lambda: None,
 ) -> ViewPlan:
@@ -88,18 +87,17 @@ def plan_views(
     Args:
         params: What to generate.
         scene: The city of the masks.
-        plan: It from above.
         ground: Its ground.
         progress: Called for every candidate judged.
 
     Raises:
         DatasetError: No view is left.
     """
-    poses = candidates(params, scene, plan, ground)
+    judge = _Judge(params, scene, ground)
+    poses = candidates(params, Place(judge.boxes.bases, ground, scene.origin))
     order = np.arange(len(poses))
     if params.limit is not None:
         order = random_stream(params.seed, "training", "choice").permutation(len(poses))
-    judge = _Judge(params, scene, plan, ground)
     taken: dict[int, str] = {}
     skipped: Counter[str] = Counter()
     for index in order:
@@ -125,22 +123,21 @@ def plan_views(
 class _Judge:
     """Decides on views; its pictures are small."""
 
-    def __init__(self, params: TrainingParams, scene: Scene, plan: Plan, ground: Ground) -> None:
-        self._params, self._plan, self._ground = params, plan, ground
-        camera = picture_camera(params)
+    def __init__(self, params: GenerateParams, scene: Scene, ground: Ground) -> None:
+        self._params, self._ground, self.boxes = params, ground, building_boxes(scene)
+        camera = params.camera
         width = min(_PREVIEW_WIDTH, camera.width)
         self._camera: Camera = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
         self._raster = RasterRenderer(scene, threads=1)
-        filled = np.diff(scene.vertex_starts) > 0
         self._region = np.zeros(scene.num_buildings, dtype=np.int64)
-        self._region[filled] = regions_of(plan.bases, params.val_share, params.test_share)
+        self._region[self.boxes.building] = regions_of(self.boxes.bases, params.val_share, params.test_share)
 
     def verdict(self, pose: Pose) -> tuple[str | None, str]:
         """Returns the split of a view and "", or None and why it is not taken."""
         center = pose.center[None]
         if center[0, 2] < self._ground.at(center)[0] + _CLEARANCE_M:
             return None, BELOW_GROUND
-        if self._is_inside(center):
+        if not self.boxes.are_clear_of(pose.center, _CLEARANCE_M):
             return None, IN_BUILDING
         building = self._raster.draw(self._camera, pose).building
         seen = np.bincount(self._region[building[building >= 0]], minlength=len(SPLITS)) / building.size
@@ -151,16 +148,8 @@ class _Judge:
             return None, TWO_REGIONS
         return SPLITS[most], ""
 
-    def _is_inside(self, center: NDArray[np.float64]) -> bool:
-        row, column, inside = self._plan.cells_of(center)
-        reach = int(_CLEARANCE_M / self._plan.cell_m) + 1
-        rows = slice(max(0, row[0] - reach), row[0] + reach + 1)
-        columns = slice(max(0, column[0] - reach), column[0] + reach + 1)
-        tops = self._plan.tops_m[rows, columns]
-        return bool(inside[0] and (tops > center[0, 2] - _CLEARANCE_M).any())
 
-
-def _names(params: TrainingParams, scene: Scene, poses: dict[int, Pose]) -> dict[int, str]:
+def _names(params: GenerateParams, scene: Scene, poses: dict[int, Pose]) -> dict[int, str]:
     """Returns a name for each pose: its number, or X@Y@Z@PITCH@YAW@ROLL in whole metres and degrees."""
     if params.naming == "index":
         return {index: f"{index:06d}" for index in poses}

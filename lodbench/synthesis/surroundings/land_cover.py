@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.synthesis.photo import Land
-from lodbench.synthesis.props import SurfaceClass
+from lodbench.synthesis.building_boxes import building_boxes
+from lodbench.synthesis.objects.scene_props import SurfaceClass
+from lodbench.synthesis.photo import LandCover
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.float32]
@@ -31,7 +32,7 @@ _SMOOTH_M = 2.0  # roads are smoothed by this much
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class TopView:
     """A city seen from above, on a grid from the south-west; its margin included.
 
     Attributes:
@@ -53,6 +54,11 @@ class Plan:
         """Returns (rows, columns) whether a building covers a cell."""
         return np.asarray(np.isfinite(self.tops_m))
 
+    @property
+    def free_m(self) -> Grid:
+        """Returns (rows, columns) float32 distance from the nearest building, metres."""
+        return distance_in(~self.is_built, self.cell_m)
+
     def cells_of(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Returns rows and columns, clipped, of points (N, 2), and whether they are on the grid."""
         rows, columns = self.tops_m.shape
@@ -62,8 +68,8 @@ class Plan:
         return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1), inside
 
 
-def look_down(scene: Scene, threads: int | None = None) -> Plan:
-    """Returns the plan of a city: its highest surfaces, drawn from straight above."""
+def look_down(scene: Scene, threads: int | None = None) -> TopView:
+    """Returns a city from above: its highest surfaces, drawn from straight above."""
     low, high = scene.extent_m
     span = high[:2] - low[:2] + 2 * MARGIN_M
     cell = max(_LEAST_CELL_M, float(span.max()) / _MAX_SIDE)
@@ -74,27 +80,19 @@ def look_down(scene: Scene, threads: int | None = None) -> Plan:
     camera = Camera(columns, rows, focal, focal, 0.5 * columns, 0.5 * rows)
     depth = RasterRenderer(scene, threads).depth(camera, Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), middle))
     tops = np.where(depth > 0, _ABOVE_M - depth, np.nan)[::-1]
-    return Plan(west, south, cell, np.ascontiguousarray(tops, dtype=np.float32), _bases(scene))
+    return TopView(
+        west, south, cell, np.ascontiguousarray(tops, dtype=np.float32), building_boxes(scene).bases
+    )
 
 
-def _bases(scene: Scene) -> Floats:
-    filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
-    starts = scene.vertex_starts[filled]
-    points = scene.vertices.astype(np.float64)
-    low, high = np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)
-    middle = 0.5 * (low + high)
-    middle[:, 2] = low[:, 2]
-    return np.asarray(middle)
-
-
-def cover_land(plan: Plan, generator: np.random.Generator) -> Land:
-    """Returns a made-up land cover that fits the buildings of a plan.
+def draw_land_cover(view: TopView, generator: np.random.Generator) -> LandCover:
+    """Returns a made-up land cover that fits the buildings of a view.
 
     Streets run midway between blocks, as Voronoi edges of what stands close together; yards are paved
     where blocks are dense and green where they are not; beyond are fields, and water in places.
     """
-    cell, built = plan.cell_m, plan.is_built
-    block, away_m, built_share = _blocks(plan)
+    cell, built = view.cell_m, view.is_built
+    block, away_m, built_share = _blocks(view)
     half = float(generator.uniform(2.6, 4.2))
     road_m2, road_rad = _streets(block, away_m, cell)
     ground = np.full(built.shape, SurfaceClass.GRASS, dtype=np.uint8)
@@ -102,28 +100,28 @@ def cover_land(plan: Plan, generator: np.random.Generator) -> Land:
     paved = (built_share > _DENSE) | (lots < 0.12)
     bare = (lots > 0.93) & ~paved
     relief = _waves(built.shape, cell, generator)
-    distance = _distance(~built, cell)
+    distance = view.free_m
     ground[paved[block] & (distance < 9.0 + 7.0 * relief)] = SurfaceClass.PAVEMENT
     ground[bare[block] & (distance < 25.0)] = SurfaceClass.GROUND
     near = distance < 2.5 + 2.0 * relief
     ground[near & (lots[block] < 0.6)] = SurfaceClass.PAVEMENT
     ground[distance > _FIELD_M + 25.0 * relief] = SurfaceClass.FIELD
     ground[_water(relief, distance, road_m2, generator)] = SurfaceClass.WATER
-    return Land(
-        ground, road_m2, road_rad, plan.west, plan.south, cell, half, float(generator.uniform(0.8, 2.2))
+    return LandCover(
+        ground, road_m2, road_rad, view.west, view.south, cell, half, float(generator.uniform(0.8, 2.2))
     )
 
 
-def _distance(mask: NDArray[np.bool_], cell_m: float) -> Grid:
+def distance_in(mask: NDArray[np.bool_], cell_m: float) -> Grid:
     """Returns the distance of each cell of a mask from the nearest cell outside it, metres."""
     return cast(Grid, cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) * np.float32(cell_m))
 
 
-def _blocks(plan: Plan) -> tuple[NDArray[np.int32], Grid, Floats]:
+def _blocks(view: TopView) -> tuple[NDArray[np.int32], Grid, Floats]:
     """Returns the block each cell is nearest to, how far that is, and the built share of every block."""
-    cell, built = plan.cell_m, plan.is_built
-    joined = _distance(~built, cell) < 0.5 * _JOINED_M
-    joined = _distance(joined, cell) > 0.5 * _JOINED_M - cell
+    cell, built = view.cell_m, view.is_built
+    joined = view.free_m < 0.5 * _JOINED_M
+    joined = distance_in(joined, cell) > 0.5 * _JOINED_M - cell
     joined |= built
     _, labels, stats, _ = cv2.connectedComponentsWithStats(joined.astype(np.uint8), connectivity=8)
     large = stats[:, cv2.CC_STAT_AREA] * cell * cell >= _LEAST_BLOCK_M2
@@ -149,7 +147,7 @@ def _streets(block: NDArray[np.int32], away_m: Grid, cell_m: float) -> tuple[Gri
     if not edge.any():
         return np.full(block.shape, 1e6, dtype=np.float32), np.zeros(block.shape, dtype=np.float32)
     sigma = _SMOOTH_M / cell_m
-    away = cv2.GaussianBlur(_distance(~edge, cell_m), (0, 0), sigma)
+    away = cv2.GaussianBlur(distance_in(~edge, cell_m), (0, 0), sigma)
     # Near a line the blurred distance is that of a hyperbola; squared, what it is off by is a constant.
     square = np.maximum(0.0, away**2 - 2.0 / np.pi * _SMOOTH_M**2)
     gx, gy = cv2.Sobel(away, cv2.CV_32F, 1, 0), cv2.Sobel(away, cv2.CV_32F, 0, 1)

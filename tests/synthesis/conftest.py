@@ -1,4 +1,4 @@
-"""A tiny city of boxes and a renderer of it that owes nothing to the engine."""
+"""A tiny city of boxes, a renderer of it that owes nothing to the engine, and a small training set of it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,18 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel.scene import Scene, build_scene
+from lodbench.synthesis.training_data.generate import generate_training_data
+from lodbench.synthesis.training_data.params import GenerateParams
+from tests.town import box_obj
 
 # Corners of a unit box (x, y, z in bits 2, 1, 0) and its twelve triangles.
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
 _QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 _TRIANGLES = np.array([t for a, b, c, d in _QUADS for t in ((a, b, c), (a, c, d))])
+
+# Few and small: what is tested does not depend on the size.
+SMALL = {"pitch": [40.0], "height": [90.0], "yaw": [0.0, 120.0, 240.0], "size": (96, 80), "workers": 1}
+WHOLE = {"val_share": 0.0, "test_share": 0.0}
 
 
 def box_city(count: int = 6, pitch_m: float = 40.0, base_m: float = 20.0) -> Scene:
@@ -58,3 +65,19 @@ def city():
 @pytest.fixture
 def renderer(city):
     return FillPolyRenderer(city)
+
+
+@pytest.fixture(scope="session")
+def box_file(tmp_path_factory):
+    """A city of seven boxes as Wavefront OBJ."""
+    path = tmp_path_factory.mktemp("boxes") / "city.obj"
+    path.write_text(box_obj())
+    return path
+
+
+@pytest.fixture(scope="session")
+def small_set(box_file, tmp_path_factory):
+    """A finished training set with everything in it, and its parameters."""
+    out = tmp_path_factory.mktemp("set") / "data"
+    params = GenerateParams(str(box_file), str(out), labels=True, depth=True, **SMALL, **WHOLE)
+    return params, generate_training_data(params)

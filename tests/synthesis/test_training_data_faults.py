@@ -17,11 +17,11 @@ import pytest
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.synthesis.photo import LookRanges
-from lodbench.synthesis.training_data import world
+from lodbench.synthesis.training_data import view_writer
 from lodbench.synthesis.training_data.generate import generate_training_data
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
+from tests.synthesis.conftest import SMALL, WHOLE
 from tests.synthesis.test_generate import files_in
-from tests.training.conftest import SMALL, WHOLE
 
 
 def test_a_killed_run_leaves_whole_pictures_and_goes_on(small_set, tmp_path):
@@ -60,7 +60,7 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
         path.write_bytes(content)
 
     with monkeypatch.context() as patched:
-        patched.setattr(world, "write_bytes", write)
+        patched.setattr(view_writer, "write_bytes", write)
         with pytest.raises(DatasetError, match=r"full after 1 of \d+ views") as caught:
             generate_training_data(params)
     assert "goes on" in caught.value.hint
@@ -85,7 +85,7 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
 )
 def test_impossible_settings_are_named(settings, message):
     with pytest.raises(ConfigError, match=message):
-        TrainingParams("city.obj", "out", **settings)
+        GenerateParams("city.obj", "out", **settings)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_impossible_looks_are_named(ranges):
 
 
 def test_no_building_anywhere_counts_the_reasons(box_file, tmp_path):
-    params = TrainingParams(str(box_file), str(tmp_path / "data"), min_buildings=0.99, **{**SMALL, **WHOLE})
+    params = GenerateParams(str(box_file), str(tmp_path / "data"), min_buildings=0.99, **{**SMALL, **WHOLE})
     with pytest.raises(DatasetError, match=r"None of \d+ views can be taken: \d+ too few buildings in view"):
         generate_training_data(params)
     assert not (tmp_path / "data").exists()
@@ -118,7 +118,7 @@ def test_the_command_exits_with_2_and_one_line(box_file, tmp_path, capsys):
 def test_another_folder_is_never_written_into(box_file, tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "thesis.txt").write_text("all of it")
-    params = TrainingParams(str(box_file), str(tmp_path / "data"), **SMALL, **WHOLE)
+    params = GenerateParams(str(box_file), str(tmp_path / "data"), **SMALL, **WHOLE)
     with pytest.raises(DatasetError, match="or no training set at all"):
         generate_training_data(params)
     assert [path.name for path in (tmp_path / "data").iterdir()] == ["thesis.txt"]

@@ -6,14 +6,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lodbench.synthesis.photo.look import Development
+from lodbench.synthesis.photo.look import CameraResponse
 from lodbench.synthesis.photo.noise import unit_hash
 
 _STEPS, _BRIGHTEST = 2048, 4
 _MIDDLE = 0.45  # the grey that contrast leaves as it is
 
 
-def develop(light: NDArray[np.float32], how: Development) -> NDArray[np.uint8]:
+def apply_camera_response(light: NDArray[np.float32], how: CameraResponse) -> NDArray[np.uint8]:
     """Returns the (H, W, 3) 8-bit RGB picture of (H, W, 3) linear light.
 
     Args:
@@ -30,7 +30,7 @@ def develop(light: NDArray[np.float32], how: Development) -> NDArray[np.uint8]:
     return picture
 
 
-def _tone_curve(how: Development) -> NDArray[np.float32]:
+def _tone_curve(how: CameraResponse) -> NDArray[np.float32]:
     """Returns the brightness, 0 to 1, of linear light 0, 1 / _STEPS, 2 / _STEPS, ...
 
     It is the inverse of ``linear``, with a shoulder instead of a hard cut at white, and contrast.

@@ -18,6 +18,7 @@ from lodbench.synthesis.town.building import (
     plain_body,
 )
 from lodbench.synthesis.town.details import Annex
+from lodbench.synthesis.town.extrusion import Body
 from lodbench.synthesis.town.fittings import STOREY_M, chance
 from lodbench.synthesis.town.installations import balconies, chimneys
 from lodbench.synthesis.town.looks import Look
@@ -25,7 +26,6 @@ from lodbench.synthesis.town.occupancy import Occupancy
 from lodbench.synthesis.town.openings import Neighbourhood, add_openings, has_balconies
 from lodbench.synthesis.town.roofs import half_hipped, shed
 from lodbench.synthesis.town.solid import Solid
-from lodbench.synthesis.town.sweep import Body
 from lodbench.synthesis.town.terrain import Terrain
 
 # How far roofs stand out over walls.
@@ -36,7 +36,7 @@ _NEW, _GONE, _RAISED = 0.05, 0.04, 0.08
 _PER_METRE = 10_000
 
 
-def erect_all(
+def construct_all(
     named: Sequence[tuple[str, Plan]], seed: int, look: Look, terrain: Terrain, occupancy: Occupancy
 ) -> list[Building]:
     """Returns the buildings of all plans.
@@ -49,7 +49,7 @@ def erect_all(
         occupancy: Who stands where.
     """
     return [
-        _erect(name, plan, Neighbourhood(k, occupancy, terrain, _annex_m(plan)), seed)
+        _construct(name, plan, Neighbourhood(k, occupancy, terrain, _annex_m(plan)), seed)
         for k, (name, plan) in enumerate((name, restyled(name, plan, seed, look)) for name, plan in named)
     ]
 
@@ -71,7 +71,7 @@ def _annex_m(plan: Plan) -> float:
     return max((detail.height_m for detail in plan.details if isinstance(detail, Annex)), default=0.0)
 
 
-def _erect(name: str, plan: Plan, place: Neighbourhood, seed: int) -> Building:
+def _construct(name: str, plan: Plan, place: Neighbourhood, seed: int) -> Building:
     chances = random_stream(seed, "demo", name, "details")
     base_m = base_of(plan, place.terrain)
     height_error = float(chances.normal(0.0, LOD1_HEIGHT_SIGMA_M))

@@ -11,11 +11,12 @@ import pytest
 
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.synthesis.surroundings.land import look_down
-from lodbench.synthesis.surroundings.terrain_mesh import ground_from_bases
-from lodbench.synthesis.training_data.cameras import candidates
+from lodbench.synthesis.building_boxes import building_boxes
+from lodbench.synthesis.camera_paths import Place, candidates
+from lodbench.synthesis.surroundings.ground import ground_from_bases
+from lodbench.synthesis.surroundings.land_cover import look_down
 from lodbench.synthesis.training_data.generate import generate_training_data
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import (
     BELOW_GROUND,
     IN_BUILDING,
@@ -24,24 +25,23 @@ from lodbench.synthesis.training_data.plan_views import (
     plan_views,
     regions_of,
 )
-from tests.datasets.conftest import box_city
-from tests.training.conftest import SMALL, WHOLE
+from tests.synthesis.conftest import SMALL, WHOLE, box_city
 
 
 @pytest.fixture(scope="module")
 def town():
     scene = box_city()
-    plan = look_down(scene, threads=1)
-    return scene, plan, ground_from_bases(plan)
+    ground = ground_from_bases(look_down(scene, threads=1))
+    return scene, Place(building_boxes(scene).bases, ground, scene.origin)
 
 
 def params(**settings):
-    return TrainingParams("city.obj", "out", **{"size": (120, 90), **settings})
+    return GenerateParams("city.obj", "out", **{"size": (120, 90), **settings})
 
 
 def test_pitch_counts_from_nadir_and_30_60_are_the_same_two_either_way(town):
     for pitch, down in ((0.0, -1.0), (30.0, -np.cos(np.radians(30))), (90.0, 0.0)):
-        pose = candidates(params(pitch=[pitch], yaw=[20.0], height=[90.0]), *town)[0]
+        pose = candidates(params(pitch=[pitch], yaw=[20.0], height=[90.0]), town[1])[0]
         assert pose.rotation[2, 2] == pytest.approx(down, abs=1e-12)
     gimbal = params(pitch=[30.0, 60.0], pitch_from="horizon")
     assert sorted(gimbal.pitches_from_nadir()) == [30.0, 60.0]
@@ -49,30 +49,28 @@ def test_pitch_counts_from_nadir_and_30_60_are_the_same_two_either_way(town):
 
 
 def test_the_grid_is_half_the_height_apart_and_that_high_above_the_ground(town):
-    poses = candidates(params(pitch=[30.0], height=[100.0], yaw=[0.0]), *town)
+    poses = candidates(params(pitch=[30.0], height=[100.0], yaw=[0.0]), town[1])
     centers = np.stack([pose.center for pose in poses])
     for axis in (0, 1):
         steps = np.diff(np.unique(centers[:, axis].round(6)))
         # Buildings' middles span 200 m; four places at about 50 m, ends included, as UAVD4L spaces them.
         np.testing.assert_allclose(steps, 200.0 / 3)
     np.testing.assert_allclose(centers[:, 2], 20.0 + 100.0, atol=0.2)
-    assert len(candidates(params(), *town)) == 16 * 8 * 2 + 9 * 8 * 2
+    assert len(candidates(params(), town[1])) == 16 * 8 * 2 + 9 * 8 * 2
 
 
 def test_a_trajectory_is_followed_and_looks_ahead(town, tmp_path):
-    scene = replace(town[0], origin=np.array([1000.0, 2000.0, 0.0]))
+    place = town[1]._replace(origin=np.array([1000.0, 2000.0, 0.0]))
     corners = [[0.0, 0.0, 130.0], [0.0, 90.0, 140.0], [60.0, 90.0, 140.0]]
     path = tmp_path / "poses.txt"
-    poses = [Pose.from_euler(EulerAngles(0, 0, 0), np.add(c, scene.origin)) for c in corners]
+    poses = [Pose.from_euler(EulerAngles(0, 0, 0), np.add(c, place.origin)) for c in corners]
     path.write_text(lines_to_text(format_pose(f"{k}", pose) for k, pose in enumerate(poses)))
-    along = candidates(
-        params(sampling="trajectory", poses=str(path), spacing_m=30.0, pitch=[45.0]), scene, *town[1:]
-    )
+    along = candidates(params(sampling="trajectory", poses=str(path), spacing_m=30.0, pitch=[45.0]), place)
     assert len(along) == 3 + 2
     np.testing.assert_allclose(along[1].center, [0.0, 30.0, 130.0 + 10.0 / 3], atol=1e-9)
     assert along[0].euler.yaw_deg == pytest.approx(0.0, abs=1e-9)  # north
     assert along[-1].euler.yaw_deg == pytest.approx(-90.0)  # east
-    around = candidates(params(sampling="priors", poses=str(path), count=4), scene, *town[1:])
+    around = candidates(params(sampling="priors", poses=str(path), count=4), place)
     assert len(around) == 12
     offsets = np.array([pose.center - corners[k // 4] for k, pose in enumerate(around)])
     assert (np.abs(offsets) <= [10.0, 10.0, 30.0]).all()
@@ -80,8 +78,8 @@ def test_a_trajectory_is_followed_and_looks_ahead(town, tmp_path):
 
 
 def test_views_are_skipped_for_a_reason_and_counted(town, tmp_path):
-    scene, plan, ground = town
-    middle = plan.bases[0]
+    scene, place = town
+    middle = place.bases[0]
     centers = [
         (middle[0], middle[1], 5.0),  # below the ground, which is at 20
         (middle[0], middle[1], 24.0),  # inside the first building
@@ -95,11 +93,11 @@ def test_views_are_skipped_for_a_reason_and_counted(town, tmp_path):
     asked = params(
         sampling="priors", poses=str(path), count=1, prior_m=(0.0, 0.0, 0.0), prior_deg=(0.0, 0.0, 0.0)
     )
-    made = plan_views(replace(asked, val_share=0.0, test_share=0.0), scene, plan, ground)
+    made = plan_views(replace(asked, val_share=0.0, test_share=0.0), scene, place.ground)
     assert made.skipped == {BELOW_GROUND: 1, IN_BUILDING: 1, NO_BUILDINGS: 1}
     assert [view.name for view in made.views] == ["000003"]
     low = params(sampling="grid", height=[40.0], pitch=[0.0], yaw=[0.0], val_share=0.3, test_share=0.3)
-    split = plan_views(low, scene, plan, ground)
+    split = plan_views(low, scene, place.ground)
     assert split.skipped[TWO_REGIONS] > 0
     assert {view.split for view in split.views} == {"train", "val", "test"}
 
@@ -115,7 +113,7 @@ def test_regions_are_strips_with_the_shares_asked_for(town):
 
 
 def test_no_building_is_seen_in_two_splits(box_file, tmp_path):
-    asked = TrainingParams(
+    asked = GenerateParams(
         str(box_file),
         str(tmp_path / "data"),
         images=False,
@@ -142,7 +140,7 @@ def test_no_building_is_seen_in_two_splits(box_file, tmp_path):
 
 
 def test_names_hold_the_pose_in_whole_metres_and_degrees(box_file, tmp_path):
-    asked = TrainingParams(
+    asked = GenerateParams(
         str(box_file), str(tmp_path / "data"), images=False, naming="pose", **SMALL, **WHOLE
     )
     made = generate_training_data(asked)
@@ -157,7 +155,7 @@ def test_names_hold_the_pose_in_whole_metres_and_degrees(box_file, tmp_path):
 def test_occluders_are_cut_out_of_masks_only_when_asked(box_file, tmp_path):
     shown = {}
     for cut in (False, True):
-        asked = TrainingParams(
+        asked = GenerateParams(
             str(box_file), str(tmp_path / f"{cut}"), occluders_in_mask=cut, images=False, **SMALL, **WHOLE
         )
         made = generate_training_data(asked)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.synthesis.photo.ground import LAND
+from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
+from lodbench.synthesis.photo.ground import LAND_COVER
 from lodbench.synthesis.photo.surfaces import linear
 from lodbench.synthesis.photo.textured import TEXTURED, Charts, TexturedMesh, make_charts
-from lodbench.synthesis.props import SceneProps, SurfaceClass
 
 Floats = NDArray[np.float64]
 
@@ -23,15 +23,15 @@ _WALL_UP, _FLAT_UP = 0.3, 0.985
 _TILED_TOPS = 0.5
 _ON_GROUND = [kind for kind in SurfaceClass if not kind.is_building and not kind.is_occluder]
 _ON_WALLS = [SurfaceClass.WINDOW, SurfaceClass.DOOR, SurfaceClass.FRAME]
-_NO_CASTERS = np.array([*_ON_GROUND, *_ON_WALLS, LAND, TEXTURED], dtype=np.uint8)
+_NO_CASTERS = np.array([*_ON_GROUND, *_ON_WALLS, LAND_COVER, TEXTURED], dtype=np.uint8)
 
 
 class Skin(NamedTuple):
-    """What the triangles of a stage look like, for the kernel.
+    """What the triangles of a render scene look like, for the kernel.
 
     Attributes:
         normal: (T, 3) float32 unit normals, whichever side.
-        surface: (T,) uint8 ``SurfaceClass``, or ``LAND``.
+        surface: (T,) uint8 ``SurfaceClass``, or ``LAND_COVER``.
         number: (T,) int32 of the object.
         tint: (T, 3) float32 linear base colour; a negative red one for the palette's.
         place: (T, 7) float32. Walls: tangent x, y, where the wall begins along it, its width, base and
@@ -46,7 +46,7 @@ class Skin(NamedTuple):
     place: NDArray[np.float32]
 
 
-class Stage(NamedTuple):
+class RenderScene(NamedTuple):
     """A city with its surroundings, ready to be pictured.
 
     Attributes:
@@ -74,8 +74,10 @@ class _Loose(NamedTuple):
     is_plain: NDArray[np.bool_]
 
 
-def make_stage(scene: Scene, props: SceneProps | None, textured: TexturedMesh | None = None) -> Stage:
-    """Returns the stage of a city and what stands around it.
+def make_render_scene(
+    scene: Scene, props: SceneProps | None, textured: TexturedMesh | None = None
+) -> RenderScene:
+    """Returns the render scene of a city and what stands around it.
 
     Where the props hold the buildings themselves, or there is a textured mesh, those of the scene are
     left out.
@@ -107,7 +109,7 @@ def make_stage(scene: Scene, props: SceneProps | None, textured: TexturedMesh | 
     is_occluder = (loose.surface >= int(SurfaceClass.TRUNK)) & (loose.surface < 100)
     skin = Skin(normal.astype(np.float32), loose.surface, loose.number, loose.tint, place)
     casters = _casters(loose, scene)
-    return Stage(mesh, skin, is_occluder, casters, make_charts(textured))
+    return RenderScene(mesh, skin, is_occluder, casters, make_charts(textured))
 
 
 def _casters(loose: _Loose, scene: Scene) -> Scene | None:

@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.errors import RenderingError
+from lodbench.datasets.pictures import encoded, encoded_mask
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import random_stream, write_bytes
-from lodbench.synthesis.photo import Development, Land, Look, PhotoRenderer, draw_look
+from lodbench.synthesis.objects.scene_props import SceneProps
+from lodbench.synthesis.photo import CameraResponse, LandCover, Look, PhotoRenderer, draw_look
 from lodbench.synthesis.photo.pyrender_photo import PyrenderPhotos
 from lodbench.synthesis.photo.textured import TexturedMesh
-from lodbench.synthesis.props import SceneProps
-from lodbench.synthesis.training_data.cameras import picture_camera
-from lodbench.synthesis.training_data.params import TrainingParams
+from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView
 from lodbench.synthesis.training_data.texture_files import read_textured
 
@@ -27,25 +26,25 @@ _MOST = 65535
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WorldParts:
+class PictureParts:
     """What a worker is sent.
 
     Attributes:
         scene: The city of the masks.
         picture_scene: The city as pictures show it, in the same frame.
         props: Its surroundings.
-        land: Its land cover, or None where props say all.
+        cover: Its land cover, or None where props say all.
         texture_offset: (3,) what brings the textured mesh into the scene's frame, or None without one.
     """
 
     scene: Scene
     picture_scene: Scene
     props: SceneProps | None
-    land: Land | None
+    cover: LandCover | None
     texture_offset: NDArray[np.float64] | None = None
 
 
-class World:
+class ViewWriter:
     """Draws and writes the files of views.
 
     Args:
@@ -53,15 +52,15 @@ class World:
         parts: The city and its surroundings.
     """
 
-    def __init__(self, params: TrainingParams, parts: WorldParts) -> None:
-        self._params, self._camera = params, picture_camera(params)
+    def __init__(self, params: GenerateParams, parts: PictureParts) -> None:
+        self._params, self._camera = params, params.camera
         self._silhouette = SilhouetteRenderer(parts.scene, threads=1)
         self._raster = RasterRenderer(parts.scene, threads=1) if params.labels else None
         self._photos: PhotoRenderer | None = None
         self._painter: PhotoRenderer | PyrenderPhotos | None = None
         if params.images or params.depth or params.occluders_in_mask:
             mesh = textured_mesh(params, parts)
-            self._photos = PhotoRenderer(parts.picture_scene, parts.props, parts.land, 1, mesh)
+            self._photos = PhotoRenderer(parts.picture_scene, parts.props, parts.cover, 1, mesh)
             self._painter = self._photos
             if params.renderer == "pyrender" and mesh is not None:
                 self._painter = PyrenderPhotos(mesh)
@@ -79,26 +78,26 @@ class World:
                 write_bytes(path, content, survives_power_cut=False)
 
     def _images(self, view: PlannedView) -> bytes:
-        look, development = look_of(self._params, view)
+        look, response = look_of(self._params, view)
         assert self._painter is not None  # noqa: S101
-        picture = self._painter.photo(self._camera, view.pose, look, development)
-        options = [cv2.IMWRITE_JPEG_QUALITY, development.jpeg_quality] if self._params.format == "jpg" else []
-        return _encoded(f".{self._params.format}", np.ascontiguousarray(picture[:, :, ::-1]), options)
+        picture = self._painter.photo(self._camera, view.pose, look, response)
+        options = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality] if self._params.format == "jpg" else []
+        return encoded(np.ascontiguousarray(picture[:, :, ::-1]), f".{self._params.format}", options)
 
     def _masks(self, view: PlannedView) -> bytes:
         mask = self._silhouette.render(self._camera, view.pose)
         if self._params.occluders_in_mask:
             mask &= ~self._photo_renderer.occluders(self._camera, view.pose)
-        return encode_mask(mask)
+        return encoded_mask(mask, bilevel=True)
 
     def _labels(self, view: PlannedView) -> bytes:
         assert self._raster is not None  # noqa: S101
         building = self._raster.draw(self._camera, view.pose).building
-        return _encoded(".png", (building + 1).astype(np.uint16), [])
+        return encoded((building + 1).astype(np.uint16), ".png")
 
     def _depth(self, view: PlannedView) -> bytes:
         depth = self._photo_renderer.depth(self._camera, view.pose).astype(np.float64)
-        return _encoded(".png", np.rint(np.minimum(depth * 100.0, _MOST)).astype(np.uint16), [])
+        return encoded(np.rint(np.minimum(depth * 100.0, _MOST)).astype(np.uint16), ".png")
 
     @property
     def _photo_renderer(self) -> PhotoRenderer:
@@ -106,7 +105,7 @@ class World:
         return self._photos
 
 
-def textured_mesh(params: TrainingParams, parts: WorldParts) -> TexturedMesh | None:
+def textured_mesh(params: GenerateParams, parts: PictureParts) -> TexturedMesh | None:
     """Returns the textured mesh in the scene's frame, or None where the city itself is pictured.
 
     Raises:
@@ -118,7 +117,7 @@ def textured_mesh(params: TrainingParams, parts: WorldParts) -> TexturedMesh | N
     return mesh.shifted(parts.texture_offset)
 
 
-def look_of(params: TrainingParams, view: PlannedView) -> tuple[Look, Development]:
+def look_of(params: GenerateParams, view: PlannedView) -> tuple[Look, CameraResponse]:
     """Returns the look of a view: the seed and its name decide it, nothing else."""
     return draw_look(params.look, random_stream(params.seed, "training", "look", view.key))
 
@@ -131,7 +130,7 @@ def is_written(path: Path) -> bool:
         return False
 
 
-def files_of(params: TrainingParams, view: PlannedView, folder: Path) -> list[Path]:
+def files_of(params: GenerateParams, view: PlannedView, folder: Path) -> list[Path]:
     """Returns the files of a view."""
     kinds = {
         "images": (params.images, params.format),
@@ -141,15 +140,3 @@ def files_of(params: TrainingParams, view: PlannedView, folder: Path) -> list[Pa
     }
     root = folder / view.split
     return [root / kind / f"{view.name}.{ending}" for kind, (wanted, ending) in kinds.items() if wanted]
-
-
-def encode_mask(mask: NDArray[np.bool_]) -> bytes:
-    """Returns a mask as a PNG of one bit per pixel; readers see 0 and 255."""
-    return _encoded(".png", mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
-
-
-def _encoded(ending: str, picture: NDArray[np.uint8] | NDArray[np.uint16], options: list[int]) -> bytes:
-    is_encoded, content = cv2.imencode(ending, picture, options)
-    if not is_encoded:
-        raise RenderingError(f"A picture cannot be written as {ending[1:]}.")
-    return content.tobytes()

@@ -1,4 +1,4 @@
-"""Trees and hedges of the town: where they grow."""
+"""Where trees, hedges and cars of the town stand."""
 
 from __future__ import annotations
 
@@ -6,12 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.props import SurfaceClass
+from lodbench.synthesis.objects.cars import add_cars
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.scene_props import SurfaceClass
+from lodbench.synthesis.objects.trees import add_trees
 from lodbench.synthesis.town.ground import on_ground
-from lodbench.synthesis.town.pile import PropPile, along_line, length_of, offset_line
-from lodbench.synthesis.town.shapes import area, contains, edge_directions, inset, left_of
+from lodbench.synthesis.town.shapes import (
+    along_line,
+    area,
+    contains,
+    edge_directions,
+    inset,
+    left_of,
+    length_of,
+    offset_line,
+)
 from lodbench.synthesis.town.town import Town
-from lodbench.synthesis.town.trees import add_trees
 
 Points = NDArray[np.float64]
 
@@ -28,16 +38,26 @@ _HEDGE = np.array((66.0, 88.0, 46.0))
 _NUM_WOODS = 14
 
 
-def add_greenery(pile: PropPile, town: Town) -> None:
+def add_greenery(builder: MeshBuilder, town: Town) -> None:
     """Adds trees in streets, yards and parks, along the river and in woods around, and hedges."""
     chances = random_stream(town.seed, "demo", "trees")
     places = np.concatenate(
         [_along_streets(town, chances), _in_yards(town, chances), _along_river(town, chances)]
     )
     places = places[town.occupancy.is_free_around(places, 2.4)]
-    add_trees(pile, town, places, chances, is_far=False)
-    add_trees(pile, town, _in_woods(town, chances), chances, is_far=True)
-    _add_hedges(pile, town, chances)
+    feet, broadleaf = on_ground(town, places, 0.0), town.look.broadleaf
+    add_trees(builder, feet, chances, broadleaf, _room(town, places))
+    woods = on_ground(town, _in_woods(town, chances), 0.0)
+    add_trees(builder, woods, chances, broadleaf, is_far=True)
+    _add_hedges(builder, town, chances)
+
+
+def _room(town: Town, places: Points) -> Points:
+    """Returns how wide a crown may grow beside buildings, (N,) metres: it may touch a wall."""
+    room = np.full(len(places), 2.6)
+    for gap in (3.2, 4.0, 5.0):
+        room[town.occupancy.is_free_around(places, gap)] = gap
+    return room
 
 
 def _along_streets(town: Town, chances: np.random.Generator) -> Points:
@@ -104,7 +124,7 @@ def _in_woods(town: Town, chances: np.random.Generator) -> Points:
     return drawn[town.terrain.river_distance(drawn) > 30.0]
 
 
-def _add_hedges(pile: PropPile, town: Town, chances: np.random.Generator) -> None:
+def _add_hedges(builder: MeshBuilder, town: Town, chances: np.random.Generator) -> None:
     """Adds hedges along the front gardens of the suburbs, with gaps for gates."""
     for block, district in zip(town.streets.blocks, town.districts, strict=True):
         ring = inset(block.ring, 2.9)
@@ -115,11 +135,13 @@ def _add_hedges(pile: PropPile, town: Town, chances: np.random.Generator) -> Non
             while at < length - 4.0:
                 run = min(float(chances.uniform(4.0, 15.0)), length - at - 1.0)
                 if chances.random() < 0.6:
-                    _add_hedge(pile, town, start + along * at, along * run, chances)
+                    _add_hedge(builder, town, start + along * at, along * run, chances)
                 at += run + float(chances.uniform(2.0, 4.5))
 
 
-def _add_hedge(pile: PropPile, town: Town, start: Points, way: Points, chances: np.random.Generator) -> None:
+def _add_hedge(
+    builder: MeshBuilder, town: Town, start: Points, way: Points, chances: np.random.Generator
+) -> None:
     side = left_of(way / np.linalg.norm(way)) * 0.3
     ring = np.stack([start - side, start + way - side, start + way + side, start + side])
     if (town.occupancy.at(ring) > 0).any():
@@ -131,6 +153,36 @@ def _add_hedge(pile: PropPile, town: Town, start: Points, way: Points, chances: 
     faces = np.concatenate(
         [np.stack([k, ahead, ahead + 4], 1), np.stack([k, ahead + 4, k + 4], 1), [[4, 5, 6], [4, 6, 7]]]
     )
-    pile.add(
+    builder.add(
         SurfaceClass.FENCE, np.concatenate([low, high]), faces, _HEDGE * float(chances.uniform(0.8, 1.2))
     )
+
+
+def add_traffic(builder: MeshBuilder, town: Town) -> None:
+    """Adds cars to all streets wide enough for them."""
+    chances = random_stream(town.seed, "demo", "cars")
+    places: list[Points] = []
+    ways: list[Points] = []
+    for street in town.streets.streets:
+        width = street.width_m
+        kerb = 0.5 * width - 1.2
+        for side in (-1.0, 1.0):
+            # Right-hand traffic: to the right of the line cars go along it.
+            if width > 9.5:
+                parked = np.cumsum(chances.uniform(5.6, 7.6, 200)) + 7.0
+                parked = parked[(parked < length_of(street.line) - 9.0) & (chances.random(200) < 0.4)]
+                _park(offset_line(street.line, side * kerb), parked, -side, places, ways)
+            if width > 12.0:
+                moving = np.cumsum(chances.uniform(25.0, 120.0, 40)) + 4.0
+                moving = moving[moving < length_of(street.line) - 6.0]
+                _park(offset_line(street.line, side * 0.2 * width), moving, -side, places, ways)
+    middles, directions = np.concatenate(places), np.concatenate(ways)
+    # A car stands on the slope of its street.
+    rise = town.terrain.height(middles + 2.0 * directions) - town.terrain.height(middles - 2.0 * directions)
+    add_cars(builder, on_ground(town, middles, 0.0), directions, rise / 4.0, chances)
+
+
+def _park(line: Points, at: Points, sign: float, places: list[Points], ways: list[Points]) -> None:
+    middle, along = along_line(line, at)
+    places.append(middle)
+    ways.append(sign * along)

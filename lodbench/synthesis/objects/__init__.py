@@ -1,0 +1,1 @@
+"""What stands in pictures: triangles with classes and colours, their builder, shapes of trees and cars."""

@@ -1,0 +1,102 @@
+"""Triangles of scene props while they are collected."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
+
+Points = NDArray[np.float64]
+Triangles = NDArray[np.int64]
+Tint = NDArray[np.float64] | tuple[float, float, float]
+
+
+class MeshBuilder:
+    """Collects triangles, and numbers the objects they belong to.
+
+    Args:
+        num_buildings: Numbers that are taken already.
+    """
+
+    def __init__(self, num_buildings: int) -> None:
+        self._num_buildings = num_buildings
+        self._num_objects = num_buildings
+        self._parts: list[tuple[Points, Triangles, NDArray[np.uint8], NDArray[np.int64], Points]] = []
+        self._num_points = 0
+
+    def new_objects(self, count: int) -> NDArray[np.int64]:
+        """Returns so many fresh numbers, (count,)."""
+        first, self._num_objects = self._num_objects, self._num_objects + count
+        return np.arange(first, self._num_objects)
+
+    def add(
+        self,
+        surface: SurfaceClass | NDArray[np.uint8],
+        points: Points,
+        triangles: Triangles,
+        tint: Tint,
+        objects: NDArray[np.int64] | int | None = None,
+    ) -> None:
+        """Adds triangles.
+
+        Args:
+            surface: Class of all, or (T,) of each.
+            points: (P, 3) local metres.
+            triangles: (T, 3) indices into ``points``.
+            tint: RGB of all, or (T, 3) of each.
+            objects: Object of all, or (T,) of each; None for a new one.
+        """
+        count = len(triangles)
+        if objects is None:
+            objects = self.new_objects(1)[0]
+        self._parts.append(
+            (
+                points,
+                triangles + self._num_points,
+                np.broadcast_to(np.asarray(surface, np.uint8), count),
+                np.broadcast_to(np.asarray(objects, np.int64), count),
+                np.broadcast_to(np.asarray(tint, np.float64), (count, 3)),
+            )
+        )
+        self._num_points += len(points)
+
+    def add_copies(
+        self,
+        surface: SurfaceClass | NDArray[np.uint8],
+        points: Points,
+        faces: Triangles,
+        tint: Tint,
+        objects: NDArray[np.int64] | None = None,
+    ) -> NDArray[np.int64]:
+        """Adds many objects of the same triangles, each with points of its own; returns their numbers, (N,).
+
+        Args:
+            surface: Class of all, or (F,) of each triangle.
+            points: (N, P, 3) local metres.
+            faces: (F, 3) indices into the P points of one object.
+            tint: RGB of all, or (N, F, 3) of each triangle.
+            objects: (N,) numbers; None for new ones.
+        """
+        count, size, _ = points.shape
+        numbers = self.new_objects(count) if objects is None else objects
+        triangles = (faces[None] + size * np.arange(count)[:, None, None]).reshape(-1, 3)
+        colours = np.broadcast_to(np.asarray(tint, np.float64), (count, len(faces), 3)).reshape(-1, 3)
+        kinds = np.tile(np.broadcast_to(np.asarray(surface, np.uint8), len(faces)), count)
+        self.add(kinds, points.reshape(-1, 3), triangles, colours, np.repeat(numbers, len(faces)))
+        return numbers
+
+    def build(self, origin: Points) -> SceneProps:
+        """Returns everything added, in the frame of an origin, (3,)."""
+        points, triangles, surface, objects, tint = (
+            np.concatenate(arrays) for arrays in zip(*self._parts, strict=True)
+        )
+        return SceneProps(
+            vertices=points.astype(np.float32),
+            triangles=triangles.astype(np.int32),
+            surface=surface,
+            objects=objects.astype(np.int32),
+            tint=np.clip(np.round(tint), 0, 255).astype(np.uint8),
+            num_buildings=self._num_buildings,
+            origin=np.asarray(origin, dtype=np.float64),
+        )

@@ -1,0 +1,75 @@
+"""Made-up queries, and the one way they become a folder that ``dataset=folder`` reads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.folder import write_poses
+from lodbench.datasets.pictures import encoded_mask
+from lodbench.geometry import Camera, Pose
+from lodbench.storage import make_folder, write_bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SyntheticQuery:
+    """What is made up for one view, in the scene's local frame.
+
+    Attributes:
+        name: Of the view; its random streams follow from it.
+        truth: Where the view was drawn from.
+        prior: The rough pose.
+        mask: (H, W) query mask, as wrong as a network's.
+        achieved_iou: Its IoU with the silhouette at the truth.
+        photo: JPEG file of the view, or None.
+    """
+
+    name: str
+    truth: Pose
+    prior: Pose
+    mask: NDArray[np.bool_]
+    achieved_iou: float
+    photo: bytes | None = None
+
+    @property
+    def file_name(self) -> str:
+        """Returns the name of its image in a folder."""
+        return self.name if self.photo is not None else f"{self.name}.png"
+
+
+def write_queries(
+    folder: Path,
+    queries: Sequence[SyntheticQuery],
+    camera: Camera,
+    origin: NDArray[np.float64],
+    decimals: tuple[int, int] | None = None,
+) -> None:
+    """Writes poses, intrinsics, masks and photos of one split, in a folder that becomes one once it is full.
+
+    Args:
+        folder: The split's, which is made.
+        queries: Its queries.
+        camera: Of all of them.
+        origin: (3,) of the scene's frame, coordinates of the city's CRS.
+        decimals: Of the poses; None for as many as restore them.
+    """
+    make_folder(folder / "masks")
+    truth = {query.file_name: query.truth.shifted(origin) for query in queries}
+    priors = {query.file_name: query.prior.shifted(origin) for query in queries}
+    write_poses(
+        folder,
+        {query.file_name: camera for query in queries},
+        truth,
+        priors,
+        decimals=decimals,
+        survives_power_cut=False,
+    )
+    for query in queries:
+        write_bytes((folder / "masks" / query.file_name).with_suffix(".png"), encoded_mask(query.mask), False)
+        if query.photo is not None:
+            make_folder(folder / "Query_image")
+            write_bytes(folder / "Query_image" / query.name, query.photo, False)

@@ -1,0 +1,97 @@
+"""The ground under a city as a mesh: from the bases of its buildings, or from a terrain raster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial import cKDTree
+
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.terrain import ground_under
+from lodbench.errors import DatasetError
+from lodbench.synthesis.surroundings.land_cover import MARGIN_M, TopView
+
+Floats = NDArray[np.float64]
+
+_LEAST_CELL_M, _MAX_SIDE = 6.0, 260
+_SMOOTH_M = 14.0
+_HORIZON_M = 9000.0
+# The ground lies a little below the bases: it must not show through floors.
+_BELOW_M = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """Ground heights on a grid of points, from the south-west.
+
+    Attributes:
+        west: x of the first column, local metres.
+        south: y of the first row.
+        cell_m: Distance of points.
+        heights_m: (rows, columns).
+    """
+
+    west: float
+    south: float
+    cell_m: float
+    heights_m: Floats
+
+    @property
+    def places(self) -> Floats:
+        """Returns the points of the grid, (rows * columns, 2) local metres, row by row."""
+        rows, columns = self.heights_m.shape
+        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+        return np.stack([x.ravel(), y.ravel()], axis=1) * self.cell_m + [self.west, self.south]
+
+    def at(self, points: Floats) -> Floats:
+        """Returns (N,) heights under points (N, 2 or more), interpolated; at the rim's beyond it."""
+        place = (points[:, :2] - [self.west, self.south]) / self.cell_m
+        return np.asarray(map_coordinates(self.heights_m, place.T[::-1], order=1, mode="nearest"))
+
+    def mesh(self) -> tuple[Floats, NDArray[np.int64]]:
+        """Returns vertices and triangles, with a skirt of plain land to the horizon."""
+        rows, columns = self.heights_m.shape
+        grid = np.column_stack([self.places, self.heights_m.ravel()])
+        index = np.arange(rows * columns).reshape(rows, columns)
+        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+        inner = np.concatenate([np.dstack([a, b, c]).reshape(-1, 3), np.dstack([a, c, d]).reshape(-1, 3)])
+        rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
+        middle = grid[:, :2].mean(axis=0)
+        out = grid[rim].copy()
+        out[:, :2] = middle + (out[:, :2] - middle) * (_HORIZON_M / np.abs(out[:, :2] - middle).max())
+        far = len(grid) + np.arange(len(rim))
+        after, far_after = np.roll(rim, -1), np.roll(far, -1)
+        skirt = [np.stack([rim, far, far_after], axis=1), np.stack([rim, far_after, after], axis=1)]
+        return np.concatenate([grid, out]), np.concatenate([inner, *skirt])
+
+
+def ground_from_bases(view: TopView) -> Ground:
+    """Returns ground at the height of the nearest buildings' bases, smoothed."""
+    rows, columns = view.tops_m.shape
+    wide, high = columns * view.cell_m, rows * view.cell_m
+    cell = max(_LEAST_CELL_M, max(wide, high, 2 * MARGIN_M) / _MAX_SIDE)
+    level = Ground(view.west, view.south, cell, np.zeros((int(high / cell) + 2, int(wide / cell) + 2)))
+    _, nearest = cKDTree(view.bases[:, :2]).query(level.places)
+    heights = view.bases[nearest, 2].reshape(level.heights_m.shape)
+    smooth = gaussian_filter(heights, _SMOOTH_M / cell, mode="nearest")
+    return replace(level, heights_m=smooth - _BELOW_M)
+
+
+def ground_from_raster(view: TopView, scene: Scene, raster: str) -> Ground:
+    """Returns ground at the heights of a terrain raster, and beyond it at that of the bases.
+
+    Raises:
+        CityModelError: The raster cannot be read.
+        DatasetError: It covers no part of the city.
+    """
+    fallback = ground_from_bases(view)
+    places = fallback.places + scene.origin[:2]
+    found = ground_under(places, scene.crs or "", ReadOptions(terrain=raster)) - scene.origin[2]
+    if not np.isfinite(found).any():
+        raise DatasetError(f"The terrain {raster} covers no part of the city.", "Check its reference system.")
+    heights = np.where(np.isfinite(found), found, fallback.heights_m.ravel())
+    return replace(fallback, heights_m=heights.reshape(fallback.heights_m.shape))

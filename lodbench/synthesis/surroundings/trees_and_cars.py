@@ -1,0 +1,95 @@
+"""Where trees and parked cars stand in a city that has none."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.synthesis.objects.cars import add_cars
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.scene_props import SurfaceClass
+from lodbench.synthesis.objects.trees import add_trees
+from lodbench.synthesis.photo import LandCover
+from lodbench.synthesis.surroundings.ground import Ground
+from lodbench.synthesis.surroundings.land_cover import TopView
+
+Floats = NDArray[np.float64]
+
+_TREE_SPACING_M, _MAX_TREES = 6.0, 9000
+_CAR_SPACING_M, _MAX_CARS = 7.0, 3000
+_BROADLEAF = 0.85
+_TREE_GAP_M, _CAR_GAP_M = 2.2, 2.0  # from buildings
+# Share of places taken by a tree, by what covers the ground.
+_TREE_CHANCE = {
+    SurfaceClass.GRASS: 0.42,
+    SurfaceClass.GROUND: 0.15,
+    SurfaceClass.PAVEMENT: 0.12,
+    SurfaceClass.FIELD: 0.015,
+}
+
+
+def plant_trees(
+    builder: MeshBuilder, view: TopView, cover: LandCover, ground: Ground, generator: np.random.Generator
+) -> None:
+    """Adds trees in gardens, along streets and in copses; none on a building or a carriageway."""
+    places = _jittered(view, _TREE_SPACING_M, generator)
+    row, column, _ = view.cells_of(places)
+    away = np.sqrt(cover.road_m2[row, column])
+    chance = np.zeros(len(places))
+    for kind, share in _TREE_CHANCE.items():
+        chance[cover.classes[row, column] == kind] = share
+    copse = _patches(places, generator)
+    chance = np.where(
+        copse > 0.45, np.maximum(2.0 * chance, 0.0) + 0.25 * (chance > 0), chance * (0.4 + copse)
+    )
+    verge = cover.half_road_m + cover.pavement_m
+    chance[(away > verge) & (away < verge + 2.5)] += 0.18
+    chance[away < verge + 0.4] = 0.0
+    chance[cover.classes[row, column] == SurfaceClass.WATER] = 0.0
+    free_m = view.free_m[row, column].astype(np.float64)
+    chance[free_m < _TREE_GAP_M] = 0.0
+    kept = np.flatnonzero(generator.random(len(places)) < chance)
+    kept = kept[generator.permutation(len(kept))[:_MAX_TREES]]
+    feet = np.column_stack([places[kept], ground.at(places[kept])])
+    # A crown may touch a wall.
+    add_trees(builder, feet, generator, _BROADLEAF, free_m[kept] + 0.4)
+
+
+def park_cars(
+    builder: MeshBuilder, view: TopView, cover: LandCover, ground: Ground, generator: np.random.Generator
+) -> None:
+    """Adds cars on the carriageways, most of them at the kerb."""
+    places = _jittered(view, _CAR_SPACING_M, generator)
+    row, column, _ = view.cells_of(places)
+    away, turn = np.sqrt(cover.road_m2[row, column]), cover.road_rad[row, column].astype(np.float64)
+    on_road = (away < cover.half_road_m) & (view.free_m[row, column] > _CAR_GAP_M)
+    chosen = on_road & (generator.random(len(places)) < 0.45)
+    chosen &= cover.classes[row, column] != SurfaceClass.FIELD
+    places, away, turn = places[chosen][:_MAX_CARS], away[chosen][:_MAX_CARS], turn[chosen][:_MAX_CARS]
+    # Aside, onto the kerb or a lane: the way there is across the road, away from its middle.
+    across = np.stack([-np.sin(turn), np.cos(turn)], axis=1)
+    wanted = np.where(generator.random(len(away)) < 0.75, cover.half_road_m - 1.05, 0.5 * cover.half_road_m)
+    row, column, _ = view.cells_of(places + across * 0.8)
+    outward = np.where(np.sqrt(cover.road_m2[row, column]) > away, 1.0, -1.0)
+    places = places + across * (outward * (wanted - away))[:, None]
+    ways = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    rise = ground.at(places + 2.0 * ways) - ground.at(places - 2.0 * ways)
+    add_cars(builder, np.column_stack([places, ground.at(places)]), ways, rise / 4.0, generator)
+
+
+def _jittered(view: TopView, spacing_m: float, generator: np.random.Generator) -> Floats:
+    """Returns places all over a plan, about a spacing apart, (N, 2)."""
+    rows, columns = view.tops_m.shape
+    x = np.arange(view.west + 0.5 * spacing_m, view.west + columns * view.cell_m, spacing_m)
+    y = np.arange(view.south + 0.5 * spacing_m, view.south + rows * view.cell_m, spacing_m)
+    grid = np.stack([axis.ravel() for axis in np.meshgrid(x, y)], axis=1)
+    return np.asarray(grid + generator.uniform(-0.45, 0.45, size=grid.shape) * spacing_m)
+
+
+def _patches(places: Floats, generator: np.random.Generator) -> Floats:
+    """Returns a sum of waves in [-1, 1] at places: trees stand in groups."""
+    total = np.zeros(len(places))
+    for length_m in (130.0, 61.0, 37.0):
+        turn, phase = generator.uniform(0.0, 2 * np.pi, size=2)
+        total += np.sin((places @ [np.cos(turn), np.sin(turn)]) * (2 * np.pi / length_m) + phase)
+    return total / 3.0
