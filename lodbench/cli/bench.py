@@ -35,7 +35,9 @@ from lodbench.bench import (
     measure_training_data,
     measure_wide_priors,
 )
+from lodbench.bench.real_report import RealReport
 from lodbench.bench.silhouette_pictures import write_pictures
+from lodbench.cli import bench_real
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
@@ -152,6 +154,7 @@ Report = (
     | EvaluationReport
     | IouRecallReport
     | MaskQualityReport
+    | RealReport
     | WidePriorReport
 )
 MEASURES: dict[str, Callable[..., Report]] = {
@@ -161,6 +164,7 @@ MEASURES: dict[str, Callable[..., Report]] = {
     "budget": _budget,
     "city": _city,
     "evaluation": _evaluation,
+    "real": bench_real.measure,
     "segmentation": measure_segmentation,
     "training-data": _training_data,
     "wide-priors": _wide_priors,
@@ -223,6 +227,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluation = actions.add_parser("evaluation", help="scoring many methods on many queries; a run's page")
     evaluation.add_argument("--queries", type=int, default=2192, help="as the largest published split (2192)")
     evaluation.add_argument("--methods", type=int, default=100, help="scored on all of them (100)")
+    real = bench_real.add_real(actions)
     segmentation = add_segmentation(actions)
     training = actions.add_parser("training-data", help="masks and photos per second; memory")
     training.add_argument("--views", type=int, default=24, help="photos of each size; masks 10 x (24)")
@@ -232,7 +237,7 @@ def _parser() -> argparse.ArgumentParser:
         action.add_argument("--seed", type=int, default=0)
     for action in (speed, accuracy, budget, wide, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
-    for action in (speed, scale, accuracy, budget, wide, city, evaluation, segmentation, training):
+    for action in (speed, scale, accuracy, budget, wide, city, evaluation, real, segmentation, training):
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser
 

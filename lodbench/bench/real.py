@@ -1,0 +1,131 @@
+"""`lodbench bench real`: posed photos, priors drawn anew around their truth, and where methods end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from lodbench.bench.figures import Progress, no_progress
+from lodbench.bench.real_report import MethodOutcome, RealReport, Trial
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Dataset, Query
+from lodbench.errors import ConfigError, DatasetError, QueryFault
+from lodbench.evaluation import pose_error
+from lodbench.evaluation.errors import FAILED
+from lodbench.geometry import Pose
+from lodbench.harness.runs.prepare import Preparation
+from lodbench.methods import Method
+from lodbench.rendering import Scorer, make_renderer
+from lodbench.segmentation import Segmenter
+from lodbench.storage import random_stream
+
+
+@dataclass(frozen=True, slots=True)
+class RealOptions:
+    """What to measure.
+
+    Attributes:
+        priors: Priors drawn around each photo's truth.
+        prior: How far off.
+        is_published_too: Whether the dataset's own prior is tried as well.
+        seed: Of the priors and of the methods' searches.
+    """
+
+    priors: int = 20
+    prior: UniformPrior = UniformPrior()  # noqa: RUF009 - frozen
+    is_published_too: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.priors < 1:
+            raise ConfigError(f"--priors {self.priors} is not a number of priors.")
+
+
+def measure_real(
+    dataset: Dataset,
+    scene: Scene,
+    segmenter: Segmenter,
+    methods: Sequence[Method],
+    options: RealOptions,
+    progress: Progress = no_progress,
+) -> RealReport:
+    """Returns where methods end from redrawn priors of photos whose pose is known.
+
+    All methods start from the same priors. The truth draws them and scores the answers; no method sees it.
+
+    Args:
+        dataset: Photos with poses.
+        scene: Their city.
+        segmenter: Makes masks for methods that want one, once per photo.
+        methods: What to measure, told the width of the prior.
+        options: Which priors.
+        progress: Called after each answer.
+
+    Raises:
+        DatasetError: No photo has a pose.
+    """
+    scorer = make_renderer("silhouette", scene, None)
+    known = [entry for entry in dataset.entries if entry.key in dataset.truth]
+    if not known:
+        raise DatasetError(f"None of the {len(dataset.entries)} photos of {dataset.name} has a true pose.")
+    outcomes: dict[str, list[Trial]] = {method.name: [] for method in methods}
+    total, done = len(methods) * len(known) * (options.priors + options.is_published_too), 0
+    for method in methods:
+        preparation = Preparation(dataset, scene, segmenter, "prior", "mask" in method.requires)
+        for entry in known:
+            query = preparation.query(entry)
+            truth = preparation.local(dataset.truth[entry.key])
+            for number, prior in enumerate(_priors(query, truth, options)):
+                trial = _tried(
+                    method, replace(query, prior=prior, hypotheses=(prior,)), truth, scorer, number, options
+                )
+                outcomes[method.name].append(trial)
+                done += 1
+                progress(done, total)
+    return RealReport(
+        dataset.name, options.prior.describe(), tuple(MethodOutcome(n, tuple(t)) for n, t in outcomes.items())
+    )
+
+
+def _priors(query: Query, truth: Pose, options: RealOptions) -> list[Pose]:
+    drawn = [
+        options.prior.draw(truth, random_stream(options.seed, "bench real", query.name, number))
+        for number in range(options.priors)
+    ]
+    return [*drawn, query.prior] if options.is_published_too else drawn
+
+
+def _tried(
+    method: Method, query: Query, truth: Pose, scorer: Scorer, number: int, options: RealOptions
+) -> Trial:
+    streams = partial(random_stream, options.seed, "bench real", query.name, number, "search")
+    wall, cpu = time.perf_counter(), time.process_time()
+    pose: Pose | None = None
+    score, failure = 0.0, ""
+    probability: float | None = None
+    try:
+        estimate = method.localize(query, scorer, streams)
+    except QueryFault as fault:
+        # No answer is an answer that nobody will trust.
+        probability, failure = 0.0, fault.message
+    else:
+        pose, score, probability = estimate.pose, float(estimate.score), estimate.probability
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return Trial(
+        photo=query.name,
+        number=number if number < options.priors else None,
+        prior_offset_m=query.prior.center - truth.center,
+        offset_m=np.full(3, np.nan) if pose is None else pose.center - truth.center,
+        prior_error=pose_error(query.prior, truth),
+        error=FAILED if pose is None else pose_error(pose, truth),
+        score=score,
+        probability=probability,
+        seconds=wall,
+        cpu_seconds=cpu,
+        failure=failure,
+    )

@@ -1,0 +1,82 @@
+"""`lodbench bench real`: recall from the pixels of real photos, priors drawn anew."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from lodbench.bench.real import RealOptions, measure_real
+from lodbench.bench.real_report import RealReport
+from lodbench.cli.segmenters import default_segmenter, segmenter_of
+from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.inputs import Input, declared_inputs
+from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import ConfigError
+from lodbench.execution import ProgressCallback
+from lodbench.harness.city import open_city
+from lodbench.methods.registry import configure_method
+
+_MORE = """\
+  lodbench bench real --query DIR --city CITY --priors 20
+  lodbench bench real --query DIR --city CITY --prior-range 50 --prior-yaw 30     the wide protocol
+  lodbench bench real --query DIR --city CITY --method region,contour_alignment --segmenter compact
+"""
+
+
+def add_real(actions: Any) -> argparse.ArgumentParser:
+    """Adds the command's options to ``lodbench bench`` and returns its parser."""
+    parser: argparse.ArgumentParser = actions.add_parser(
+        "real",
+        help="recall on posed real photos from redrawn priors",
+        epilog=_MORE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--query", type=Path, required=True, metavar="DIR", help="photos and poses, as dataset=folder"
+    )
+    parser.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
+    parser.add_argument("--lod", help="level of detail to localise against (the lowest)")
+    parser.add_argument("--crs", help="of the city model, where its file says none")
+    parser.add_argument("--method", default="region", help="methods, comma-separated (region)")
+    parser.add_argument("--segmenter", metavar="NAME", help="for methods that want a mask (as a run chooses)")
+    parser.add_argument("--priors", type=int, default=20, help="drawn around each photo's truth (20)")
+    parser.add_argument("--prior-range", type=float, default=10.0, metavar="M", help="+- east and north (10)")
+    parser.add_argument("--prior-height", type=float, default=30.0, metavar="M", help="+- up (30)")
+    parser.add_argument("--prior-yaw", type=float, default=7.5, metavar="DEG", help="+- (7.5)")
+    parser.add_argument("--prior-tilt", type=float, default=1.0, metavar="DEG", help="+- pitch and roll (1)")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="folder for a picture of the basins")
+    parser.add_argument("--seed", type=int, default=0)
+    return parser
+
+
+def measure(options: argparse.Namespace, steps: ProgressCallback) -> RealReport:
+    """Returns what was asked for, its picture written."""
+    if not options.city.exists():
+        raise ConfigError(f"The city model {options.city} does not exist.", "Write --city FILE.")
+    dataset = open_folder(
+        FolderParams(
+            str(options.query), str(options.city), options.lod, options.crs, None, options.query.name
+        )
+    )
+    width = UniformPrior(
+        x_m=options.prior_range,
+        y_m=options.prior_range,
+        z_m=options.prior_height,
+        yaw_deg=options.prior_yaw,
+        pitch_deg=options.prior_tilt,
+        roll_deg=options.prior_tilt,
+    )
+    methods = [configure_method({"name": n}).for_prior(width).make() for n in options.method.split(",")]
+    needs_mask = any(Input.MASK in declared_inputs(method, "requires") for method in methods)
+    if options.segmenter is not None:
+        segmenter = segmenter_of(options.segmenter)
+    else:
+        segmenter = default_segmenter(dataset)[0] if needs_mask else segmenter_of("none")
+    city = open_city(options.city, dataset.lod, dataset.city_options, dataset.roof_height)
+    # Priors of another width than the dataset's own leave its own out.
+    asked = RealOptions(options.priors, width, is_published_too=width == UniformPrior(), seed=options.seed)
+    report = measure_real(dataset, city.scene, segmenter, methods, asked, steps)
+    if options.pictures is not None:
+        report.write_picture(options.pictures)
+    return report

@@ -1,0 +1,79 @@
+"""Redrawn priors: who starts where, what is counted, and the command from end to end."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from lodbench.bench.real_report import MethodOutcome, RealReport, Trial
+from lodbench.cli.bench import main
+from lodbench.evaluation import PoseError
+from tests.town import write_dataset
+
+
+def trial(metres, probability, degrees=0.1):
+    return Trial(
+        "photo.jpg", 0, np.zeros(3), np.zeros(3), PoseError(20.0, 3.0), PoseError(metres, degrees), 0.1,
+        probability, 1.0, 1.0, "",
+    )  # fmt: skip
+
+
+class TestTheReport:
+    def test_wrong_answers_are_flagged_by_what_right_ones_pass(self):
+        right = [trial(1.0, p) for p in np.linspace(0.5, 1.0, 11)]
+        # The lowest tenth of the right ones lies below 0.55.
+        wrong = [trial(9.0, p) for p in (0.1, 0.2, 0.54, 0.9)]
+        assert MethodOutcome("m", (*right, *wrong)).flagged() == 0.75
+        assert MethodOutcome("m", tuple(right)).flagged() is None
+        assert MethodOutcome("m", (*right, trial(9.0, None))).flagged() is None
+
+    def test_limits_are_strict_and_failures_count(self):
+        outcome = MethodOutcome(
+            "m", (trial(1.9, 0.5), trial(2.0, 0.5), trial(1.0, 0.5, 1.5), trial(math.inf, 0.0, 180))
+        )
+        assert outcome.found((2.0, 1.0)).tolist() == [True, False, False, False]
+        assert outcome.found((2.0, 2.0)).tolist() == [True, False, True, False]
+        figures = {f.figure: f.value for f in RealReport("d", "p", (outcome,)).figures()}
+        assert figures["m: recall 2m-2deg"] == 50.0
+        assert figures["m: priors"] == 4.0
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("real"))
+
+
+def test_methods_start_from_the_same_priors_and_better_ones_end_nearer(town, tmp_path, capsys):
+    root, city = town
+    asked = ["real", "--query", str(root), "--city", str(city), "--priors", "2", "--pictures", str(tmp_path)]
+    assert main([*asked, "--method", "prior_only,contour_alignment", "--json"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    figures = {
+        f["figure"]: f["value"] for f in map(json.loads, (line for line in lines if line.startswith("{")))
+    }
+    # Two drawn priors and the published one, for each of three photos.
+    assert figures["prior_only: priors"] == 9
+    assert figures["prior_only: recall 2m-1deg"] == 0
+    assert figures["contour_alignment: recall 2m-1deg"] > 80
+    assert figures["contour_alignment: median translation"] < figures["prior_only: median translation"] / 5
+    assert (tmp_path / "basins.png").read_bytes().startswith(b"\x89PNG")
+    assert main([*asked, "--method", "prior_only", "--prior-range", "50"]) == 0
+    text = capsys.readouterr().out
+    assert "+-50/50/30 m" in text
+    assert "published" not in text
+
+
+def test_what_is_refused(town, tmp_path, capsys):
+    root, city = town
+    from lodbench.cli import main as lodbench
+
+    for wrong, words in (
+        (["--city", str(tmp_path / "none.gml")], "does not exist"),
+        (["--city", str(city), "--priors", "0"], "not a number of priors"),
+        (["--city", str(city), "--method", "nobody"], "nobody"),
+    ):
+        assert lodbench(["bench", "real", "--query", str(root), *wrong]) == 2
+        assert words in capsys.readouterr().err
