@@ -11,6 +11,7 @@ import numpy as np
 
 from lodbench.bench.figures import Progress, no_progress
 from lodbench.bench.real_report import MethodOutcome, RealReport, Trial
+from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset, Query
@@ -20,7 +21,7 @@ from lodbench.evaluation.errors import FAILED
 from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.methods import Method
-from lodbench.rendering import Scorer, make_renderer
+from lodbench.methods.asking import localize_query
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream
 
@@ -69,7 +70,7 @@ def measure_real(
     Raises:
         DatasetError: No photo has a pose.
     """
-    scorer = make_renderer("silhouette", scene, None)
+    city_map = CityMap(scene)
     known = [entry for entry in dataset.entries if entry.key in dataset.truth]
     if not known:
         raise DatasetError(f"None of the {len(dataset.entries)} photos of {dataset.name} has a true pose.")
@@ -82,7 +83,7 @@ def measure_real(
             truth = preparation.local(dataset.truth[entry.key])
             for number, prior in enumerate(_priors(query, truth, options)):
                 trial = _tried(
-                    method, replace(query, prior=prior, hypotheses=(prior,)), truth, scorer, number, options
+                    method, replace(query, prior=prior, hypotheses=(prior,)), truth, city_map, number, options
                 )
                 outcomes[method.name].append(trial)
                 done += 1
@@ -101,7 +102,7 @@ def _priors(query: Query, truth: Pose, options: RealOptions) -> list[Pose]:
 
 
 def _tried(
-    method: Method, query: Query, truth: Pose, scorer: Scorer, number: int, options: RealOptions
+    method: Method, query: Query, truth: Pose, city_map: CityMap, number: int, options: RealOptions
 ) -> Trial:
     streams = partial(random_stream, options.seed, "bench real", query.name, number, "search")
     wall, cpu = time.perf_counter(), time.process_time()
@@ -109,7 +110,7 @@ def _tried(
     score, failure = 0.0, ""
     probability: float | None = None
     try:
-        estimate = method.localize(query, scorer, streams)
+        estimate = localize_query(method, query, city_map, streams)
     except QueryFault as fault:
         # No answer is an answer that nobody will trust.
         probability, failure = 0.0, fault.message

@@ -17,6 +17,8 @@ _GREY_LEVELS = (16, 8)
 _COLOUR_LEVELS = (6, 6, 8, 3)
 # Channels of a grey photo stored in colour differ by no more than this on average, of 255.
 _GREY_SPREAD = 2.0
+# How much of the average around a pixel is taken off, over which part of the width.
+_LOCAL_SHARE, _LOCAL_PARTS = 0.7, 8.0
 # Levels of the strength of edges, and the part of the width that their mean is taken over.
 _EDGE_LEVELS = 12
 _AROUND_SHARE = 12.0
@@ -41,8 +43,9 @@ def appearance_bins(photo: NDArray[Any], size: tuple[int, int], has_texture: boo
 
     A grey photo, thermal ones among them, gives 16 levels of brightness by 8 of texture; a colour photo 6 of
     L by 6 of a by 8 of b (CIE Lab) by 3 of texture. Texture is the absolute Laplacian of the brightness,
-    smoothed over 2 pixels. Levels are quantiles of the photo itself, so that exposure, palette and haze
-    change little.
+    smoothed over 2 pixels. Most of each channel's average over an eighth of the width is taken off, so that
+    haze, vignettes and the sky's light do not part a photo; levels are quantiles, so that exposure changes
+    nothing.
 
     Args:
         photo: (H, W) or (H, W, 3) BGR, 8 bits.
@@ -62,6 +65,7 @@ def appearance_bins(photo: NDArray[Any], size: tuple[int, int], has_texture: boo
     else:
         lab: Picture = np.asarray(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), dtype=np.float32)
         channels, levels = [lab[..., 0], lab[..., 1], lab[..., 2], _texture(lab[..., 0])], _COLOUR_LEVELS
+    channels = [_local(channel) for channel in channels]
     if not has_texture:
         channels, levels = channels[:-1], levels[:-1]
     bins = np.zeros(small.shape[:2], dtype=np.int64)
@@ -108,6 +112,12 @@ def edge_bins(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Edg
 def _is_grey(photo: Picture) -> bool:
     spread = photo.max(axis=2) - photo.min(axis=2)
     return float(spread.mean()) <= _GREY_SPREAD
+
+
+def _local(channel: Picture) -> Picture:
+    """Returns a channel less most of its own average around each pixel: what haze and vignettes change."""
+    around = cv2.GaussianBlur(channel, (0, 0), channel.shape[1] / _LOCAL_PARTS)
+    return np.asarray(channel - np.float32(_LOCAL_SHARE) * around, dtype=np.float32)
 
 
 def _texture(grey: Picture) -> Picture:

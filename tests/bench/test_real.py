@@ -49,7 +49,7 @@ def town(tmp_path_factory):
 def test_methods_start_from_the_same_priors_and_better_ones_end_nearer(town, tmp_path, capsys):
     root, city = town
     asked = ["real", "--query", str(root), "--city", str(city), "--priors", "2", "--pictures", str(tmp_path)]
-    assert main([*asked, "--method", "prior_only,contour_alignment", "--json"]) == 0
+    assert main([*asked, "--method", "prior_only,lodlocv2", "--json"]) == 0
     lines = capsys.readouterr().out.splitlines()
     figures = {
         f["figure"]: f["value"] for f in map(json.loads, (line for line in lines if line.startswith("{")))
@@ -57,8 +57,8 @@ def test_methods_start_from_the_same_priors_and_better_ones_end_nearer(town, tmp
     # Two drawn priors and the published one, for each of three photos.
     assert figures["prior_only: priors"] == 9
     assert figures["prior_only: recall 2m-1deg"] == 0
-    assert figures["contour_alignment: recall 2m-1deg"] > 80
-    assert figures["contour_alignment: median translation"] < figures["prior_only: median translation"] / 5
+    assert figures["lodlocv2: priors"] == 9
+    assert figures["lodlocv2: median translation"] < figures["prior_only: median translation"] / 2
     assert (tmp_path / "basins.png").read_bytes().startswith(b"\x89PNG")
     assert main([*asked, "--method", "prior_only", "--prior-range", "50"]) == 0
     text = capsys.readouterr().out

@@ -18,6 +18,10 @@ from lodbench.rendering.bits import Words
 Floats = NDArray[np.float64]
 
 
+# How softly a prior's range ends, as a share of its half width.
+_EDGE_SHARE = 0.1
+
+
 class PhotoFit:
     """The region fit, and a weighted contour fit added; a ``Fit``.
 
@@ -57,6 +61,7 @@ class Evidence:
         self._scorer, self._fit = scorer, fit
         self._prior = vector_from_pose(query.prior)
         self._sigmas = np.array(params.prior_sigmas())
+        self._range = np.array(params.half_widths())
         self._samples = params.effective_pixels
 
     def fits(self, vectors: Floats) -> Floats:
@@ -68,9 +73,10 @@ class Evidence:
         """Returns the (N,) logarithm of the posterior of poses (N, 6)."""
         offsets = vectors - self._prior
         offsets[:, 5] = [wrap_deg(float(turn)) for turn in offsets[:, 5]]
-        return np.asarray(
-            self._samples * self.fits(vectors) - 0.5 * ((offsets / self._sigmas) ** 2).sum(axis=1)
-        )
+        # What lies outside the prior's range by a fifth of it is as unlikely as one standard deviation.
+        beyond = np.maximum(np.abs(offsets) - self._range, 0.0) / (_EDGE_SHARE * self._range)
+        penalty = 0.5 * ((offsets / self._sigmas) ** 2 + beyond**2).sum(axis=1)
+        return np.asarray(self._samples * self.fits(vectors) - penalty)
 
     def prior_information(self) -> Floats:
         """Returns (6, 6) the inverse of the prior's covariance."""

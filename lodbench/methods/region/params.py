@@ -88,15 +88,20 @@ class Params:
             _axis(self.range_yaw_deg, self.stride_yaw_deg),
         )
 
+    def half_widths(self) -> tuple[float, ...]:
+        """Returns the half widths of x, y, z, pitch, roll and yaw; at least 1 mm and 0.0001 degrees."""
+        place = (self.range_x_m, self.range_y_m, self.range_z_m)
+        turn = (self.range_tilt_deg, self.range_tilt_deg, self.range_yaw_deg)
+        return (*(max(0.5 * w, 1e-3) for w in place), *(max(0.5 * w, 1e-4) for w in turn))
+
     def prior_sigmas(self) -> tuple[float, ...]:
         """Returns the standard deviations of the prior's x, y, z, pitch, roll and yaw.
 
-        The tilt has that of its uniform range, place and yaw the half width. A range of 0 is held to a
-        millimetre or a ten-thousandth of a degree.
+        The tilt has that of its uniform range; for place and yaw, which the photo says, a weak hold will do:
+        the half width.
         """
-        place = [max(0.5 * w, 1e-3) for w in (self.range_x_m, self.range_y_m, self.range_z_m)]
-        tilt = max(0.5 * self.range_tilt_deg / math.sqrt(3.0), 1e-4)
-        return (*place, tilt, tilt, max(0.5 * self.range_yaw_deg, 1e-4))
+        x, y, z, pitch, roll, yaw = self.half_widths()
+        return x, y, z, pitch / math.sqrt(3.0), roll / math.sqrt(3.0), yaw
 
     def for_prior(self, prior: UniformPrior) -> Params:
         """Returns these parameters for a prior's error of other half widths."""
