@@ -10,10 +10,21 @@ import numpy as np
 
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.gml_batch import read_batch
+from lodbench.citymodel.gml_context import owner_of
+from lodbench.citymodel.gml_details import SolidReader, read_attributes
 from lodbench.citymodel.gml_links import LinkResolver
-from lodbench.citymodel.gml_names import BUILDINGS, GML_IDS, MEMBERS, PARTS, is_building_tag
+from lodbench.citymodel.gml_names import (
+    BUILDINGS,
+    GML_IDS,
+    MEMBERS,
+    NESTED,
+    NESTED_TYPES,
+    NestingTable,
+    is_building_tag,
+)
 from lodbench.citymodel.gml_walk import GeometryWalk
 from lodbench.citymodel.growing import GrowingArray
+from lodbench.citymodel.objects import ObjectTable, Solids
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
 from lodbench.findings import Findings
@@ -23,18 +34,21 @@ from lodbench.findings import Findings
 _BATCH_CHARACTERS = 1 << 20
 
 
-def read_citygml(open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True) -> RawCity:
+def read_citygml(
+    open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True, has_details: bool = False
+) -> RawCity:
     """Returns the buildings of a CityGML document in the coordinates of the file.
 
     Args:
         open_stream: Opens the document; called again only when a reference crosses members.
         source: Name of the file, for messages.
         is_strict: Whether a bad coordinate is an error, or a finding that drops its polygon.
+        has_details: Whether attributes, solids and ids of polygons are read as well.
 
     Raises:
         CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
     """
-    reader = _Reader(source, is_strict)
+    reader = _Reader(source, is_strict, has_details)
     with open_stream() as stream:
         reader.read(stream)
     if reader.links.unresolved:
@@ -46,14 +60,16 @@ def read_citygml(open_stream: Callable[[], BinaryIO], source: str, *, is_strict:
 class _Reader:
     """State of one document while it is read."""
 
-    def __init__(self, source: str, is_strict: bool) -> None:
+    def __init__(self, source: str, is_strict: bool, has_details: bool) -> None:
         self.findings = Findings()
         self.walk = GeometryWalk(self.findings)
         self.links = LinkResolver(self.walk, source.rpartition("/")[2], self.findings)
         self._source = source
         self._is_strict = is_strict
         self._building_ids: list[str] = []
-        self._num_parts = 0
+        self._objects = ObjectTable(has_details)
+        self._nesting = NestingTable()
+        self._num_walked = 0  # polygons of the batches that are read
         self._others: Counter[str] = Counter()
         self._columns = {
             "points": GrowingArray(np.float64, (3,)),
@@ -63,7 +79,10 @@ class _Reader:
             "lod": GrowingArray(np.int16),
             "kind": GrowingArray(np.uint8),
             "srs": GrowingArray(np.int16),
+            "part": GrowingArray(np.int32),
         }
+        if has_details:
+            self._columns["serial"] = GrowingArray(np.int64)
         self._version: str | None = None
         self._srs_name: str | None = None
 
@@ -104,29 +123,52 @@ class _Reader:
 
     def _read_member(self, member: Element) -> None:
         self.walk.begin_member()
-        is_building_met = False
+        met: list[tuple[Element, dict[Element, int], int]] = []
         for element in member.iter(*BUILDINGS):
             if not is_building_tag(element.tag):
                 continue
-            is_building_met = True
             number = len(self._building_ids)
             building_id = _gml_id(element) or f"building-{number + 1}"
             self._building_ids.append(building_id)
-            self._num_parts += sum(1 for _ in element.iter(*PARTS))
+            own, part_of = self._add_objects(element, number, building_id)
+            met.append((element, part_of, own))
             srs_name = _envelope_srs(element) or self._srs_name
             before = len(self.walk.batch.owners), len(self.walk.references)
-            self.walk.walk_building(element, number, building_id, srs_name)
+            self.walk.walk_building(element, number, building_id, srs_name, own, part_of)
             if before == (len(self.walk.batch.owners), len(self.walk.references)):
                 self.findings.add(BUILDING_EMPTY, building_id)
-        if not is_building_met:
+        if not met:
             self._others.update(local_name(child.tag) for child in member)
-        elif self.walk.references or self.walk.duplicate_ids:
+            return
+        if self._objects.has_details:
+            solids = SolidReader(member, self.walk, self._objects, self._num_walked)
+            for element, part_of, own in met:
+                solids.read(element, part_of, own)
+        if self.walk.references or self.walk.duplicate_ids:
             self.links.resolve_member(member, self._building_ids)
+
+    def _add_objects(self, element: Element, number: int, building_id: str) -> tuple[int, dict[Element, int]]:
+        """Adds a building and the objects inside of it; returns its number and theirs, by element."""
+        table = self._objects
+        attributes = read_attributes(element) if table.has_details else None
+        own = table.add(building_id, "Building", -1, number, attributes)
+        part_of: dict[Element, int] = {}
+        # Only where a child may hold one is it worth a look at everything below.
+        holds_objects = any(self._nesting[child.tag] for child in element.iterchildren("*"))
+        for nested in element.iter(*NESTED) if holds_objects else ():
+            name = local_name(nested.tag)
+            parent = owner_of(nested, element, part_of, own)
+            object_id = _gml_id(nested) or f"{building_id}-{name}-{len(part_of) + 1}"
+            attributes = read_attributes(nested) if table.has_details else None
+            part_of[nested] = table.add(object_id, NESTED_TYPES[name], parent, number, attributes)
+        return own, part_of
 
     def _flush(self) -> None:
         batch = self.walk.take_batch()
         if batch.owners:
             arrays = read_batch(batch, self._building_ids, self.findings, is_strict=self._is_strict)
+            arrays.serial[arrays.serial >= 0] += self._num_walked
+            self._num_walked += len(batch.owners)
             for name, column in self._columns.items():
                 column.extend(getattr(arrays, name))
 
@@ -138,13 +180,20 @@ class _Reader:
         if not self._building_ids:
             raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
         joined = {name: column.finish() for name, column in self._columns.items()}
+        types = self._objects.types
+        solids: Solids | None = None
+        polygon_ids: tuple[str, ...] = ()
+        if self._objects.has_details:
+            solids, polygon_ids = self._objects.finish_solids(joined["serial"])
+        # Where buildings have no parts, their own numbers say it all.
+        is_plain = len(types) == len(self._building_ids) and not self._objects.has_details
         return RawCity(
             source=self._source,
             format="CityGML",
             version=self._version or None,
             srs_names=tuple(self.walk.srs_names.names),
             building_ids=tuple(self._building_ids),
-            num_parts=self._num_parts,
+            num_parts=types.count("BuildingPart"),
             lods=tuple(name or "" for name in self.walk.lods.names),
             points=joined["points"],
             ring_starts=starts_of(joined["ring_lengths"]),
@@ -155,6 +204,10 @@ class _Reader:
             srs=joined["srs"],
             has_closing_points=True,
             findings=self.findings,
+            part=None if is_plain else joined["part"],
+            objects=None if is_plain else self._objects.finish(),
+            solids=solids,
+            polygon_ids=polygon_ids,
         )
 
 

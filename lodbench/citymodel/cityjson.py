@@ -16,6 +16,7 @@ from lodbench.citymodel.cityjson_geometry import GeometryReader
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.gml_names import INTERIOR_NAMES
+from lodbench.citymodel.objects import ObjectTable
 from lodbench.citymodel.raw import NotACity, RawCity
 from lodbench.errors import CityModelError
 
@@ -26,19 +27,22 @@ _HINT = "Check it with a CityJSON validator."
 Json = dict[str, Any]
 
 
-def read_cityjson(open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True) -> RawCity:
+def read_cityjson(
+    open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True, has_details: bool = False
+) -> RawCity:
     """Returns the buildings of a CityJSON file or a sequence of CityJSON features.
 
     Args:
         open_stream: Opens the document.
         source: Its name, for messages.
         is_strict: Whether a bad vertex index is an error, or a finding that drops its polygon.
+        has_details: Whether attributes and solids are kept as well.
 
     Raises:
         CityModelError: The file is no JSON, no CityJSON, or breaks its structure; the message names
             the object.
     """
-    reader = _Reader(source, is_strict)
+    reader = _Reader(source, is_strict, has_details)
     with _paused_collector(), open_stream() as stream:
         documents = _documents(stream, source)
         header = next(documents)
@@ -53,10 +57,11 @@ def read_cityjson(open_stream: Callable[[], BinaryIO], source: str, *, is_strict
 class _Reader:
     """State of one file while it is read."""
 
-    def __init__(self, source: str, is_strict: bool) -> None:
+    def __init__(self, source: str, is_strict: bool, has_details: bool) -> None:
         self._source = source
         self._is_strict = is_strict
-        self._collector = PolygonCollector()
+        self._objects = ObjectTable(has_details)
+        self._collector = PolygonCollector(objects=self._objects)
         self._version: str | None = None
         self._srs_name: str | None = None
         self._transform: Json | None = None
@@ -98,15 +103,16 @@ class _Reader:
             return
         vertices = self._vertices(document.get("vertices", []))
         geometry = GeometryReader(self._collector, vertices, self._templates, self._is_strict)
-        numbers = self._number_buildings(objects)
+        numbers = self._number_objects(objects)
         for object_id, item in objects.items():
-            number = numbers.get(object_id)
-            if number is None:
+            part = numbers.get(object_id)
+            if part is None:
                 continue
+            number = self._objects.building[part]
             is_interior = item.get("type") in INTERIOR_NAMES
             try:
-                for part in item.get("geometry") or ():
-                    geometry.read(part, number, object_id, is_interior)
+                for shape in item.get("geometry") or ():
+                    geometry.read(shape, number, object_id, is_interior, part)
             except CityModelError:
                 raise
             except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
@@ -139,8 +145,8 @@ class _Reader:
             raise CityModelError(f"{self._source} has a malformed transform ({error}).", _HINT) from None
         return vertices * scale + translate
 
-    def _number_buildings(self, objects: dict[str, Json]) -> dict[str, int]:
-        """Returns the building number of every object that belongs to a building."""
+    def _number_objects(self, objects: dict[str, Json]) -> dict[str, int]:
+        """Adds every object that belongs to a building, parents first; returns their numbers by id."""
         parents: dict[str, str] = {}
         for object_id, item in objects.items():
             if not isinstance(item, dict):
@@ -149,20 +155,33 @@ class _Reader:
                 parents.setdefault(str(child), object_id)
             for parent in (item.get("parents") or ())[:1]:
                 parents[object_id] = str(parent)
-        roots = {object_id: _root_of(object_id, parents, objects) for object_id in objects}
+        lines = {object_id: _line_of(object_id, parents, objects) for object_id in objects}
+        has_geometry = {lines[object_id][-1] for object_id, item in objects.items() if item.get("geometry")}
         numbers: dict[str, int] = {}
-        has_geometry = {roots[object_id] for object_id, item in objects.items() if item.get("geometry")}
         for object_id, item in objects.items():
-            kind = str(item.get("type"))
-            if not _is_building(str(objects[roots[object_id]].get("type"))):
-                self._others[kind] += 1
+            line = lines[object_id]
+            if not _is_building(str(objects[line[-1]].get("type"))):
+                self._others[str(item.get("type"))] += 1
                 continue
-            self._collector.num_parts += kind == "BuildingPart"
-            root = roots[object_id]
-            if root not in numbers:
-                numbers[root] = self._add_building(root, root in has_geometry)
-            numbers[object_id] = numbers[root]
+            for ancestor in reversed(line):
+                if ancestor not in numbers:
+                    parent = parents.get(ancestor, "") if ancestor != line[-1] else ""
+                    numbers[ancestor] = self._add_object(
+                        ancestor, objects[ancestor], numbers.get(parent, -1), line[-1] in has_geometry
+                    )
         return numbers
+
+    def _add_object(self, object_id: str, item: Json, parent: int, has_geometry: bool) -> int:
+        """Returns the number of a new object, which is a building of its own where it has no parent."""
+        table = self._objects
+        building = table.building[parent] if parent >= 0 else self._add_building(object_id, has_geometry)
+        attributes = None
+        if table.has_details:
+            told = item.get("attributes")
+            attributes = dict(told) if isinstance(told, dict) else {}
+            if item.get("address"):
+                attributes["address"] = item["address"]
+        return table.add(object_id, str(item.get("type")), parent, building, attributes)
 
     def _add_building(self, building_id: str, has_geometry: bool) -> int:
         findings = self._collector.findings
@@ -198,13 +217,14 @@ def _is_building(kind: str) -> bool:
     return kind.lstrip("+").startswith("Building") or (kind.startswith("+") and "Building" in kind)
 
 
-def _root_of(object_id: str, parents: dict[str, str], objects: dict[str, Json]) -> str:
-    """Returns the topmost ancestor that is in the file; a circle of parents ends where it closes."""
+def _line_of(object_id: str, parents: dict[str, str], objects: dict[str, Json]) -> list[str]:
+    """Returns an object and its ancestors in the file, the topmost last; a circle ends where it closes."""
+    line = [object_id]
     visited = {object_id}
-    while (parent := parents.get(object_id)) in objects and parent not in visited and parent is not None:
+    while (parent := parents.get(line[-1])) in objects and parent not in visited and parent is not None:
         visited.add(parent)
-        object_id = parent
-    return object_id
+        line.append(parent)
+    return line
 
 
 def _documents(stream: BinaryIO, source: str) -> Iterator[Any]:

@@ -12,6 +12,7 @@ from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPO
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.gml_names import INTERIOR_NAMES, SURFACE_KINDS
 from lodbench.citymodel.model import SurfaceKind
+from lodbench.citymodel.objects import ObjectTable
 from lodbench.errors import CityModelError
 
 # How many lists of lists stand around a surface.
@@ -49,14 +50,16 @@ class GeometryReader:
         self._first_ring = len(self._collector.ring_lengths)
         self._objects: list[tuple[int, str]] = []  # first polygon of each geometry, and whose it is
 
-    def read(self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool) -> None:
-        """Adds one geometry of an object."""
+    def read(
+        self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool, part: int
+    ) -> None:
+        """Adds one geometry of an object, which is the ``part``-th of the city."""
         kind = geometry["type"]
         findings = self._collector.findings
         if kind == "GeometryInstance":
-            self._read_instance(geometry, building, object_id, is_interior)
+            self._read_instance(geometry, building, object_id, is_interior, part)
         elif kind in _DEPTHS:
-            if not self._read_surfaces(geometry, building, object_id, is_interior):
+            if not self._read_surfaces(geometry, building, object_id, is_interior, part):
                 findings.add(GEOMETRY_EMPTY, object_id, f"{kind} of LoD{geometry.get('lod')}")
         elif kind not in _WITHOUT_SURFACES:
             findings.add(GEOMETRY_UNSUPPORTED, object_id, str(kind))
@@ -86,7 +89,9 @@ class GeometryReader:
         counts = collector.ring_counts[self._first_polygon :]
         lengths = collector.ring_lengths[self._first_ring :]
         owners = collector.owners[self._first_polygon :]
+        serials = collector.serials[self._first_polygon :]
         del collector.ring_counts[self._first_polygon :], collector.owners[self._first_polygon :]
+        del collector.serials[self._first_polygon :]
         del collector.ring_lengths[self._first_ring :]
         starts = [polygon for polygon, _ in self._objects]
         kept: list[Any] = []
@@ -100,13 +105,14 @@ class GeometryReader:
                 collector.ring_lengths += own_lengths
                 collector.ring_counts.append(count)
                 collector.owners.append(owners[polygon])
+                collector.serials += serials[polygon : polygon + 1]  # none where no details are kept
             else:
                 geometry = bisect.bisect_right(starts, self._first_polygon + polygon) - 1
                 self._report_index(indices, self._objects[geometry][1])
         self._indices = kept
 
     def _read_surfaces(
-        self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool
+        self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool, part: int
     ) -> int:
         """Adds the surfaces of a geometry; returns how many it has, sound or not."""
         collector, indices = self._collector, self._indices
@@ -116,13 +122,32 @@ class GeometryReader:
         if oddity:
             collector.findings.add(SEMANTICS_MISFIT, object_id, f"LoD{geometry.get('lod')}: {oddity}")
         self._objects.append((len(collector.ring_counts), object_id))
-        collector.owners += [(building, lod, kind) for kind in kinds]
+        collector.owners += [(building, lod, kind, part) for kind in kinds]
+        if collector.objects is not None and collector.objects.has_details:
+            self._note_solids(geometry, collector.objects, part, len(surfaces))
         for surface in surfaces:
             for ring in surface:
                 indices += ring
             collector.ring_lengths += map(len, surface)
             collector.ring_counts.append(len(surface))
         return len(surfaces)
+
+    def _note_solids(self, geometry: dict[str, Any], table: ObjectTable, part: int, count: int) -> None:
+        """Gives the next polygons their serial numbers, and notes which solids they close."""
+        serials = self._collector.serials
+        first = table.num_polygons
+        table.num_polygons += count
+        serials += range(first, first + count)
+        depth = _DEPTHS[geometry["type"]]
+        if depth == 0:
+            return
+        for solid in [geometry["boundaries"]] if depth == 1 else geometry["boundaries"]:
+            shells = []
+            for shell in solid:
+                shells.append([(first + k, False) for k in range(len(shell))])
+                first += len(shell)
+            if any(shells):
+                table.solids.append((part, shells))
 
     def _report_index(self, indices: list[Any], object_id: str) -> None:
         detail = f"a polygon with the indices {str(indices)[:60]}, of {len(self._vertices)} vertices"
@@ -134,7 +159,7 @@ class GeometryReader:
         self._collector.findings.add(BAD_INDEX, object_id, detail)
 
     def _read_instance(
-        self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool
+        self, geometry: dict[str, Any], building: int, object_id: str, is_interior: bool, part: int
     ) -> None:
         """Adds a template, moved by its 4x4 matrix to its reference point."""
         number = geometry["template"]
@@ -152,7 +177,7 @@ class GeometryReader:
             raise ValueError("template coordinates are not finite")
         self.finish()
         inner = GeometryReader(self._collector, placed, {}, self._is_strict)
-        inner.read(template, building, object_id, is_interior)
+        inner.read(template, building, object_id, is_interior, part)
         inner.finish()
         self._begin()
 

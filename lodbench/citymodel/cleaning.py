@@ -54,6 +54,7 @@ def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
         building=raw.building[kept],
         lod=raw.lod[kept],
         kind=raw.kind[kept],
+        part=None if raw.part is None else raw.part[kept],
     )
     return polygons, kept
 

@@ -7,8 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.objects import ObjectTable, Solids
 from lodbench.citymodel.raw import RawCity, starts_of
+from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+
+_MAX_LODS = 64
 
 
 @dataclass(slots=True)
@@ -21,15 +25,20 @@ class PolygonCollector:
     point_blocks: list[NDArray[np.float64]] = field(default_factory=list)
     ring_lengths: list[int] = field(default_factory=list)
     ring_counts: list[int] = field(default_factory=list)
-    owners: list[tuple[int, int, int]] = field(default_factory=list)
+    owners: list[tuple[int, int, int, int]] = field(default_factory=list)
     lods: list[str] = field(default_factory=list)
     building_ids: list[str] = field(default_factory=list)
-    num_parts: int = 0
+    objects: ObjectTable | None = None
+    serials: list[int] = field(default_factory=list)
     findings: Findings = field(default_factory=Findings)
 
     def lod_index(self, name: str) -> int:
         """Returns the number of a level of detail, a new one where it is new."""
         if name not in self.lods:
+            if len(self.lods) == _MAX_LODS:
+                raise CityModelError(
+                    f"There are more than {_MAX_LODS} levels of detail.", "Four is usual: mend the file."
+                )
             self.lods.append(name)
         return self.lods.index(name)
 
@@ -37,7 +46,13 @@ class PolygonCollector:
         self, *, source: str, format: str, version: str | None, srs_names: tuple[str | None, ...]
     ) -> RawCity:
         """Returns everything collected; all of it is in the first of ``srs_names``."""
-        owners = np.asarray(self.owners, np.int64).reshape(-1, 3)
+        owners = np.asarray(self.owners, np.int64).reshape(-1, 4)
+        table = self.objects
+        solids: Solids | None = None
+        polygon_ids: tuple[str, ...] = ()
+        if table is not None and table.has_details:
+            solids, polygon_ids = table.finish_solids(np.asarray(self.serials, np.int64))
+        is_plain = table is None or (len(table.ids) == len(self.building_ids) and not table.has_details)
         points = np.concatenate(self.point_blocks) if self.point_blocks else np.zeros((0, 3))
         return RawCity(
             source=source,
@@ -45,7 +60,7 @@ class PolygonCollector:
             version=version,
             srs_names=srs_names,
             building_ids=tuple(self.building_ids),
-            num_parts=self.num_parts,
+            num_parts=0 if table is None else table.types.count("BuildingPart"),
             lods=tuple(self.lods),
             points=points,
             ring_starts=starts_of(np.asarray(self.ring_lengths, np.int64)),
@@ -56,4 +71,8 @@ class PolygonCollector:
             srs=np.zeros(len(owners), np.int16),
             has_closing_points=False,
             findings=self.findings,
+            part=None if is_plain else owners[:, 3].astype(np.int32),
+            objects=None if table is None or is_plain else table.finish(),
+            solids=solids,
+            polygon_ids=polygon_ids,
         )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -11,23 +11,15 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.cache import open_city, store_city
+from lodbench.citymodel.cityjson_writer import cityjson_text, cityjsonseq_text
 from lodbench.citymodel.mesh import CityMesh, mesh_model
 from lodbench.citymodel.mesh_frames import MeshFrame
-from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.subset import keep_level
 from lodbench.errors import CityModelError
+from lodbench.findings import Findings
 from lodbench.storage import write_bytes
-
-_SURFACE_NAMES = {
-    SurfaceKind.WALL: "WallSurface",
-    SurfaceKind.ROOF: "RoofSurface",
-    SurfaceKind.GROUND: "GroundSurface",
-    SurfaceKind.CLOSURE: "ClosureSurface",
-    SurfaceKind.OPENING: "Window",
-    SurfaceKind.FLOOR: "OuterFloorSurface",
-    SurfaceKind.INTERIOR: "InteriorWallSurface",
-}
-_MILLIMETRE = 0.001
 
 
 def check_target(target: Path) -> None:
@@ -44,42 +36,70 @@ def check_target(target: Path) -> None:
         raise CityModelError(f"{target} cannot be written: {target.parent} is no folder.", "Make it first.")
 
 
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """What was written.
+
+    Attributes:
+        model: The city written: its buildings, levels and polygons.
+        mesh: The mesh written, with its account of area; None for CityJSON, which has the polygons.
+        findings: What was met on the way, reading included.
+        left_out: A line for each thing the format could not say.
+    """
+
+    model: CityModel
+    mesh: CityMesh | None
+    findings: Findings
+    left_out: tuple[str, ...] = ()
+
+
+def keeps_details(target: Path) -> bool:
+    """Tells whether a format has room for attributes and solids, so that they are worth reading."""
+    return target.suffix.lower() in _CITYJSON_WRITERS
+
+
 def convert_city(
     model: CityModel, target: Path, *, lod: str | None = None, roof_height: str | None = None
-) -> CityMesh | None:
+) -> Conversion:
     """Writes a city in the format the target's ending names; a file is written whole or not at all.
 
-    ``.obj``, ``.ply``, ``.glb`` and ``.scene`` hold one level of detail, in the local frame (the
-    origin is written beside it where the format has room). ``.json`` is CityJSON 2.0 with all
-    levels, in the model's reference system, to the millimetre.
+    ``.obj``, ``.ply``, ``.glb`` and ``.scene`` hold one level of detail, in the local frame; origin and
+    reference system are written beside it. ``.json`` is CityJSON 2.0 and ``.jsonl`` CityJSONSeq, with all
+    levels or the one asked for, in the model's reference system, to the millimetre: parts, attributes and
+    solids too, where the model was read with ``ReadOptions(has_details=True)``.
 
     Args:
         model: The city as read.
         target: Where to write.
-        lod: Level for the mesh formats, as in ``mesh_city``.
+        lod: Level, as in ``mesh_city``; None is all levels for CityJSON, the lowest with walls for meshes.
         roof_height: As in ``mesh_city``.
-
-    Returns:
-        The mesh written, with its account of area; None for CityJSON, which has the polygons.
 
     Raises:
         CityModelError: The ending is unknown, the level absent, or the folder not writable.
     """
     check_target(target)
     suffix = target.suffix.lower()
-    mesh = None if suffix == ".json" else mesh_model(model, lod, roof_height=roof_height)
+    findings = Findings(list(model.findings.items))
+    mesh: CityMesh | None = None
+    left_out: tuple[str, ...] = ()
+    if suffix in _CITYJSON_WRITERS:
+        if lod is not None:
+            model = keep_level(model, lod, roof_height, findings)
+        content, left_out = _CITYJSON_WRITERS[suffix](model)
+    else:
+        mesh = mesh_model(model, lod, roof_height=roof_height)
+        findings.items += mesh.findings.items
+        content = b"" if suffix == ".scene" else _MESH_WRITERS[suffix](mesh.scene)
     try:
-        if mesh is None:
-            write_bytes(target, _cityjson(model))
-        elif suffix == ".scene":
+        if suffix == ".scene" and mesh is not None:
             store_city(open_city(model, mesh), target)
         else:
-            write_bytes(target, _MESH_WRITERS[suffix](mesh.scene))
+            write_bytes(target, content)
     except OSError as error:
         raise CityModelError(
             f"{target} cannot be written: {error.strerror}.", "Choose another place or name."
         ) from None
-    return mesh
+    return Conversion(model, mesh, findings, left_out)
 
 
 def obj_text(scene: Scene) -> str:
@@ -126,68 +146,10 @@ def _glb(scene: Scene) -> bytes:
     return content
 
 
-def _cityjson(model: CityModel) -> bytes:
-    polygons = model.polygons
-    low = polygons.points.min(axis=0) if len(polygons.points) else np.zeros(3)
-    whole = np.rint((polygons.points - low) / _MILLIMETRE).astype(np.int64)
-    vertices, inverse = np.unique(whole, axis=0, return_inverse=True)
-    indices = inverse.reshape(-1)
-    objects: dict[str, Any] = {
-        building_id: {"type": "Building", "geometry": []} for building_id in model.building_ids
-    }
-    order = np.lexsort((polygons.lod, polygons.building))
-    key = polygons.building[order].astype(np.int64) * len(model.lods) + polygons.lod[order]
-    for group in np.split(order, np.flatnonzero(np.diff(key)) + 1):
-        if len(group):
-            building_id = model.building_ids[polygons.building[group[0]]]
-            objects[building_id]["geometry"].append(_multi_surface(model, group, indices))
-    document: dict[str, Any] = {
-        "type": "CityJSON",
-        "version": "2.0",
-        "transform": {"scale": [_MILLIMETRE] * 3, "translate": (low + model.origin).tolist()},
-        "CityObjects": objects,
-        "vertices": vertices.tolist(),
-    }
-    name = _reference_system(model.crs)
-    if name is not None:
-        document["metadata"] = {"referenceSystem": name}
-    return json.dumps(document, separators=(",", ":")).encode()
-
-
-def _multi_surface(
-    model: CityModel, group: np.ndarray[Any, Any], indices: np.ndarray[Any, Any]
-) -> dict[str, Any]:
-    polygons = model.polygons
-    boundaries = []
-    for n in group.tolist():
-        rings = range(polygons.polygon_starts[n], polygons.polygon_starts[n + 1])
-        bounds = [(polygons.ring_starts[r], polygons.ring_starts[r + 1]) for r in rings]
-        boundaries.append([indices[first:last].tolist() for first, last in bounds])
-    kinds = [_SURFACE_NAMES.get(SurfaceKind(kind)) for kind in polygons.kind[group].tolist()]
-    names = sorted({kind for kind in kinds if kind is not None})
-    geometry: dict[str, Any] = {
-        "type": "MultiSurface",
-        "lod": model.lods[polygons.lod[group[0]]] or "1",
-        "boundaries": boundaries,
-    }
-    if names:
-        geometry["semantics"] = {
-            "surfaces": [{"type": name} for name in names],
-            "values": [names.index(kind) if kind is not None else None for kind in kinds],
-        }
-    return geometry
-
-
-def _reference_system(crs: str | None) -> str | None:
-    """Returns the name in CityJSON's form, which has one code; a compound of two keeps its plane."""
-    if crs is None or not crs.startswith("EPSG:"):
-        return None
-    return f"https://www.opengis.net/def/crs/EPSG/0/{crs[5:].partition('+')[0]}"
-
-
+_CITYJSON_WRITERS = {".json": cityjson_text, ".jsonl": cityjsonseq_text}
 _MESH_WRITERS: dict[str, Callable[[Scene], bytes]] = {
     ".obj": lambda scene: obj_text(scene).encode(),
     ".ply": _ply,
     ".glb": _glb,
 }
-FORMATS = (*_MESH_WRITERS, ".json", ".scene")
+FORMATS = (*_MESH_WRITERS, *_CITYJSON_WRITERS, ".scene")

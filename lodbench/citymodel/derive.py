@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.codes import LOD_DERIVED, LOD_UNDERIVABLE
 from lodbench.citymodel.extrude import extrude
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
+from lodbench.citymodel.objects import outer_parts
 from lodbench.citymodel.raw import starts_of
 from lodbench.citymodel.selection import select_polygons
 from lodbench.citymodel.triangulate import newell, triangulate
@@ -21,6 +22,7 @@ ROOF_HEIGHTS: dict[str, float] = {"median": 0.5, "max": 1.0, "p70": 0.7, "eave":
 
 # Faces flatter than this against the vertical (cosine) are roofs or floors, the others walls.
 _MIN_SLOPE = 0.1
+_GRID_M, _MIN_PLAN_M2 = 1e-3, 1e-3
 # Middles of the 16 equal parts of a triangle: heights of a roof are spread as its area is.
 _SAMPLES = np.array(
     [(i + t, j + t) for t in (1 / 3, 2 / 3) for i in range(4) for j in range(4) if i + j + 2 * t < 4.0]
@@ -31,10 +33,11 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     """Returns block polygons of level 1 for every building of the lowest finer level.
 
     The footprint is the building's ground surfaces; where it has none, the faces that look down;
-    where there are none either, its roofs seen from above. Everything stands on the building's
-    lowest point and reaches one height, taken over the area of its roofs: ``max`` the highest
-    point, ``median`` and ``p70`` the height that half and 70 % of the roof area stay below,
-    ``eave`` the lowest point of the roofs.
+    where there are none either, its roofs seen from above; dissolved, so that no wall stands between
+    two of them. Every part of a building is a block of its own, as published LoD1 models have it, unless
+    one of them has no roof: then the building is one block. A block stands on its lowest point and reaches
+    one height, taken over the area of its roofs: ``max`` the highest point, ``median`` and ``p70`` the
+    height that half and 70 % of the roof area stay below, ``eave`` the lowest point of the roofs.
 
     Args:
         model: A city with a level finer than 1.
@@ -51,33 +54,100 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     if roof_height not in ROOF_HEIGHTS:
         raise ConfigError(f"roof_height={roof_height} is unknown.", f"Known: {', '.join(ROOF_HEIGHTS)}.")
     finer, source = _finer_level(model)
-    count = len(model.building_ids)
-    bottom = np.full(count, np.inf)
-    np.minimum.at(bottom, np.repeat(source.building, _point_counts(source)), source.points[:, 2])
     normals, areas = newell(source)
     slope = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
-    top = _roof_heights(source, slope, count, ROOF_HEIGHTS[roof_height])
-    chosen = _footprints(source, slope, areas, count)
-    chosen = chosen[np.isfinite(top)[source.building[chosen]]]
-    for building in np.setdiff1d(np.arange(count), source.building[chosen]):
+    block, building_of = _block_of(model, source, slope)
+    count = len(building_of)
+    bottom = np.full(count, np.inf)
+    np.minimum.at(bottom, np.repeat(block, _point_counts(source)), source.points[:, 2])
+    top = _roof_heights(source, block, slope, count, ROOF_HEIGHTS[roof_height])
+    chosen = _footprints(source, block, slope, areas, count)
+    chosen = chosen[np.isfinite(top)[block[chosen]]]
+    points, ring_starts, polygon_starts, owner = _dissolve(select_polygons(source, chosen), block[chosen])
+    for building in np.setdiff1d(np.arange(len(model.building_ids)), building_of[owner]):
         findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer}")
-    if len(chosen) == 0:
+    if len(owner) == 0:
         raise CityModelError(
             "No building has a footprint and a roof to derive level 1 from.",
             "Take a level that is there: lodbench city info FILE.",
         )
     findings.add(LOD_DERIVED, "", f"from LoD{finer}, roof_height={roof_height}")
-    plans = select_polygons(source, chosen)
-    owner = plans.building
-    blocks = extrude(plans.points[:, :2], plans.ring_starts, plans.polygon_starts, bottom[owner], top[owner])
+    blocks = extrude(points, ring_starts, polygon_starts, bottom[owner], top[owner])
+    own = owner[blocks.footprint]
     return Polygons(
         points=blocks.points,
         ring_starts=starts_of(blocks.ring_lengths),
         polygon_starts=starts_of(blocks.ring_counts),
-        building=owner[blocks.footprint],
+        building=building_of[own].astype(np.int32),
         lod=np.zeros(len(blocks.kind), np.int16),
         kind=blocks.kind,
+        part=None if source.part is None else own.astype(np.int32),
     )
+
+
+def _block_of(
+    model: CityModel, polygons: Polygons, slope: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the block each polygon goes into, and the building of each block."""
+    objects = model.objects
+    if polygons.part is None or objects is None:
+        return polygons.building.astype(np.int64), np.arange(len(model.building_ids))
+    block = outer_parts(objects)[polygons.part].astype(np.int64)
+    count = len(objects)
+    has_roof = np.bincount(block[_are_roofs(polygons, block, slope, count)], minlength=count) > 0
+    is_roofless = np.bincount(block, minlength=count).astype(bool) & ~has_roof
+    is_whole = np.zeros(len(model.building_ids), np.bool_)
+    is_whole[objects.building[is_roofless]] = True
+    root = np.zeros(len(model.building_ids), np.int64)
+    is_root = objects.parents < 0
+    root[objects.building[is_root]] = np.flatnonzero(is_root)
+    return np.where(is_whole[polygons.building], root[polygons.building], block), objects.building.astype(
+        np.int64
+    )
+
+
+def _are_roofs(
+    polygons: Polygons, block: NDArray[np.int64], slope: NDArray[np.float64], count: int
+) -> NDArray[np.bool_]:
+    """Tells which polygons are roofs: by their kind, and in blocks without such those that look up."""
+    is_roof = polygons.kind == SurfaceKind.ROOF
+    has_roof = np.bincount(block[is_roof], minlength=count) > 0
+    result: NDArray[np.bool_] = is_roof | (~has_roof[block] & (slope > _MIN_SLOPE))
+    return result
+
+
+def _dissolve(
+    plans: Polygons, block: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the plan of each block without inner edges: points (P, 2), ring and polygon starts, blocks.
+
+    Points are rounded to a millimetre, so that edges meet that were drawn twice.
+    """
+    import shapely
+
+    ends = np.cumsum(np.diff(plans.ring_starts))
+    closed = np.insert(plans.points[:, :2], ends, plans.points[plans.ring_starts[:-1], :2], axis=0)
+    ring = np.repeat(np.arange(len(ends)), np.diff(plans.ring_starts) + 1)
+    rings = shapely.linearrings(closed, indices=ring)
+    polygon = np.repeat(np.arange(len(plans)), np.diff(plans.polygon_starts))
+    shapes = shapely.make_valid(shapely.polygons(rings, indices=polygon))
+    shapes = shapely.set_precision(shapes, _GRID_M)
+    order = np.argsort(block, kind="stable")
+    cuts = np.flatnonzero(np.diff(block[order])) + 1
+    groups = np.split(order, cuts) if len(order) else []
+    merged = [shapely.union_all(shapes[group], grid_size=_GRID_M) for group in groups]
+    owners = np.asarray([block[group[0]] for group in groups], np.int64)
+    shapes, index = shapely.get_parts(np.asarray(merged, object), return_index=True)
+    is_area = (shapely.get_type_id(shapes) == shapely.GeometryType.POLYGON) & (
+        shapely.area(shapes) > _MIN_PLAN_M2
+    )
+    if not is_area.any():
+        return np.zeros((0, 2)), np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(0, np.int64)
+    _, points, (ring_starts, polygon_starts) = shapely.to_ragged_array(shapes[is_area], include_z=False)
+    is_last = np.zeros(len(points), np.bool_)
+    is_last[ring_starts[1:] - 1] = True
+    starts = np.asarray(ring_starts, np.int64) - np.arange(len(ring_starts))
+    return points[~is_last], starts, np.asarray(polygon_starts, np.int64), owners[index[is_area]]
 
 
 def _finer_level(model: CityModel) -> tuple[str, Polygons]:
@@ -98,16 +168,13 @@ def _point_counts(polygons: Polygons) -> NDArray[np.int64]:
 
 
 def _roof_heights(
-    polygons: Polygons, slope: NDArray[np.float64], count: int, share: float
+    polygons: Polygons, block: NDArray[np.int64], slope: NDArray[np.float64], count: int, share: float
 ) -> NDArray[np.float64]:
-    """Returns (count,) the height below which a share of each building's roof area lies, or NaN."""
-    is_roof = polygons.kind == SurfaceKind.ROOF
-    has_roof = np.bincount(polygons.building[is_roof], minlength=count) > 0
-    # Without semantics a roof is what looks up.
-    is_roof |= ~has_roof[polygons.building] & (slope > _MIN_SLOPE)
-    roofs = select_polygons(polygons, np.flatnonzero(is_roof))
-    mesh = triangulate(roofs, tuple("" for _ in range(count)), Findings())
-    building = roofs.building[mesh.polygon]
+    """Returns (count,) the height below which a share of each block's roof area lies, or NaN."""
+    chosen = np.flatnonzero(_are_roofs(polygons, block, slope, count))
+    roofs = select_polygons(polygons, chosen)
+    mesh = triangulate(roofs, ("",) * (int(roofs.building.max(initial=-1)) + 1), Findings())
+    building = block[chosen][mesh.polygon]
     corners = roofs.points[mesh.triangles]
     vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if share in (0.0, 1.0):
@@ -134,9 +201,13 @@ def _roof_heights(
 
 
 def _footprints(
-    polygons: Polygons, slope: NDArray[np.float64], areas: NDArray[np.float64], count: int
+    polygons: Polygons,
+    block: NDArray[np.int64],
+    slope: NDArray[np.float64],
+    areas: NDArray[np.float64],
+    count: int,
 ) -> NDArray[np.int64]:
-    """Returns the polygons that make each building's footprint, by the best source it has."""
+    """Returns the polygons that make each block's footprint, by the best source it has."""
     is_open = np.ones(count, np.bool_)
     chosen = np.zeros(len(polygons), np.bool_)
     has_plan_area = (np.abs(slope) > _MIN_SLOPE) & (areas > 0)
@@ -145,7 +216,7 @@ def _footprints(
         (slope < -_MIN_SLOPE) & (polygons.kind == SurfaceKind.UNKNOWN),
         (polygons.kind == SurfaceKind.ROOF) | (slope > _MIN_SLOPE),
     ):
-        fits = is_candidate & has_plan_area & is_open[polygons.building]
+        fits = is_candidate & has_plan_area & is_open[block]
         chosen |= fits
-        is_open[polygons.building[fits]] = False
+        is_open[block[fits]] = False
     return np.flatnonzero(chosen)

@@ -1,78 +1,117 @@
-"""Surfaces written twice: inline in a solid, and again as the walls and roofs that bound it."""
+"""Surfaces written twice: inline in a solid and as the walls that bound it, or once more for no reason."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import DUPLICATE_POLYGON
-from lodbench.citymodel.identity import number_rows, point_bits
+from lodbench.citymodel.identity import number_rows
 from lodbench.citymodel.model import Polygons, SurfaceKind
 from lodbench.citymodel.selection import group_cuts, select_polygons
 from lodbench.findings import Findings
 
-# Polygons compared at a time: some thirty times their points are held meanwhile.
-_BLOCK_POLYGONS = 1 << 14
+# Polygons compared at a time: some hundred bytes each are held meanwhile.
+_BLOCK_POLYGONS = 1 << 16
 
 
-def drop_repeated_solids(polygons: Polygons, building_ids: tuple[str, ...], findings: Findings) -> Polygons:
-    """Returns the polygons less those of solids that also stand as surfaces of a known kind.
+def drop_repeats(
+    polygons: Polygons, building_ids: tuple[str, ...], findings: Findings
+) -> tuple[Polygons, NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the polygons less those that stand twice in a building at one level.
 
-    XLinks say so; some writers copy the coordinates instead, and the area would count twice. Two
-    polygons are the same when they belong to the same building and level and have the same corners.
-    Walls that two parts share are of equal kind, and stay.
+    XLinks say so; some writers copy the coordinates instead, and the area would count twice. Two polygons
+    are the same when they have the same corners, whichever way round. Of a surface and the face of a
+    solid the surface is kept, whatever the part; of two faces of one kind the first, within a part:
+    walls that two parts share are walls of both. Interiors are their own.
 
     Args:
         polygons: Clean polygons.
         building_ids: For the findings.
         findings: Receives ``DUPLICATE_POLYGON`` for each polygon dropped.
+
+    Returns:
+        polygons: What is left.
+        kept_as: (N,) the index among them of each polygon given, or of what it repeats.
+        kept: (M,) the index among those given of each polygon left.
     """
-    is_solid = polygons.kind == SurfaceKind.UNKNOWN
-    if is_solid.all() or not is_solid.any():
-        return polygons
-    # Only buildings that have both at one level can repeat themselves.
-    level = polygons.building.astype(np.int64) * (int(polygons.lod.max()) + 1) + polygons.lod
-    count = int(level.max()) + 1
-    has_solid, has_known = (
-        np.bincount(level[is_met], minlength=count) > 0 for is_met in (is_solid, ~is_solid)
-    )
-    has_both = has_solid & has_known
-    candidates = np.flatnonzero(has_both[level])
-    candidates = candidates[np.argsort(level[candidates], kind="stable")]
-    is_repeated = np.zeros(len(polygons), np.bool_)
-    for first, last in pairwise(group_cuts(level[candidates], _BLOCK_POLYGONS)):
-        block = candidates[first:last]
-        is_repeated[block] = _repeats(select_polygons(polygons, block), is_solid[block])
-    for polygon in np.flatnonzero(is_repeated):
-        findings.add(DUPLICATE_POLYGON, building_ids[polygons.building[polygon]])
-    return select_polygons(polygons, np.flatnonzero(~is_repeated))
+    kept_as = np.arange(len(polygons))
+    building = polygons.building
+    order = np.arange(len(polygons))
+    if np.any(building[1:] < building[:-1]):
+        order = np.argsort(building, kind="stable")
+    for first, last in pairwise(group_cuts(building[order], _BLOCK_POLYGONS)):
+        _find_repeats(polygons, order[first:last], kept_as)
+    is_kept = kept_as == np.arange(len(polygons))
+    if is_kept.all():
+        return polygons, kept_as, kept_as
+    for polygon in np.flatnonzero(~is_kept):
+        findings.add(DUPLICATE_POLYGON, building_ids[building[polygon]])
+    rank = np.cumsum(is_kept) - 1
+    kept = np.flatnonzero(is_kept)
+    return select_polygons(polygons, kept), rank[kept_as], kept
 
 
-def _repeats(polygons: Polygons, is_solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tells which polygons of solids have the corners of one of a known kind."""
-    point_counts = np.diff(polygons.ring_starts[polygons.polygon_starts])
-    corner = number_rows(point_bits(polygons.points))[0]
-    # Two 64-bit sums over a polygon's corners stand for the set of them, wherever its rings begin.
-    weights = _spread(corner)
-    first = np.concatenate([[0], np.cumsum(point_counts)[:-1]])
-    columns = [
-        polygons.building.astype(np.uint64),
-        polygons.lod.astype(np.uint64),
-        point_counts.astype(np.uint64),
-        np.add.reduceat(weights, first),
-        np.bitwise_xor.reduceat(weights, first),
-    ]
+def _find_repeats(polygons: Polygons, chosen: NDArray[np.int64], kept_as: NDArray[np.int64]) -> None:
+    """Writes which polygon each of the chosen repeats, if any; the chosen are whole buildings."""
+    hashes = np.zeros((2, len(chosen)), np.uint64)
+    bits = polygons.points.view(np.uint64)
+    _hash_corners(bits, polygons.ring_starts, polygons.polygon_starts, chosen, hashes)
+    is_interior = polygons.kind[chosen] == SurfaceKind.INTERIOR
+    owner = polygons.building[chosen].astype(np.uint64)
+    # Most cities repeat nothing, which one sort of short keys tells.
+    keys = np.sort(hashes[0] ^ (owner << np.uint64(32)))
+    if not np.any(keys[1:] == keys[:-1]):
+        return
+    columns = [owner, polygons.lod[chosen].astype(np.uint64), is_interior.astype(np.uint64), *hashes]
     number, _ = number_rows(columns)
-    is_known = np.bincount(number[~is_solid], minlength=int(number.max()) + 1) > 0
-    is_repeated: NDArray[np.bool_] = is_solid & is_known[number]
-    return is_repeated
+    sizes = np.bincount(number)
+    twice = np.flatnonzero((sizes[number] > 1) & ~is_interior)
+    if len(twice) == 0:
+        return
+    part = polygons.building if polygons.part is None else polygons.part
+    # Surfaces of a kind come before faces of solids, each in the order of the file.
+    is_solid = polygons.kind[chosen[twice]] == SurfaceKind.UNKNOWN
+    first_known: dict[int, int] = {}
+    first_of_part: dict[tuple[int, int], int] = {}
+    for n in twice[np.argsort(is_solid, kind="stable")].tolist():
+        polygon, group = int(chosen[n]), int(number[n])
+        if polygons.kind[polygon] == SurfaceKind.UNKNOWN and group in first_known:
+            kept_as[polygon] = first_known[group]
+            continue
+        kept_as[polygon] = first_of_part.setdefault((group, int(part[polygon])), polygon)
+        if polygons.kind[polygon] != SurfaceKind.UNKNOWN:
+            first_known.setdefault(group, polygon)
 
 
-def _spread(numbers: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Returns well mixed bits for small numbers, so that sums of them tell sets apart."""
-    bits = numbers.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
-    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return bits ^ (bits >> np.uint64(31))
+@numba.njit(cache=True, nogil=True)
+def _hash_corners(
+    bits: NDArray[np.uint64],
+    ring_starts: NDArray[np.int64],
+    polygon_starts: NDArray[np.int64],
+    chosen: NDArray[np.int64],
+    hashes: NDArray[np.uint64],
+) -> None:  # pragma: no cover - compiled
+    """Fills two 64-bit sums over the corners of each chosen polygon, equal for equal sets of corners."""
+    odd, mixer = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)
+    negative_zero, shift = np.uint64(1 << 63), np.uint64(31)
+    for i in range(len(chosen)):
+        total, twisted = np.uint64(0), np.uint64(0)
+        first = ring_starts[polygon_starts[chosen[i]]]
+        last = ring_starts[polygon_starts[chosen[i] + 1]]
+        for p in range(first, last):
+            key = np.uint64(0)
+            for k in range(3):
+                word = bits[p, k]
+                if word == negative_zero:
+                    word = np.uint64(0)
+                key = (key ^ word) * odd
+                key = (key ^ (key >> shift)) * mixer
+            key ^= key >> shift
+            total += key
+            twisted += (key * odd) ^ (key >> shift)
+        hashes[0, i] = total + np.uint64(last - first)
+        hashes[1, i] = twisted

@@ -24,7 +24,8 @@ class PolygonArrays:
         points: (P, 3) float64 in the coordinates of the file.
         ring_lengths: (R,) points per ring.
         ring_counts: (N,) rings per polygon.
-        building, lod, kind, srs: (N,) each, as in ``RawCity``.
+        building, lod, kind, srs, part: (N,) each, as in ``RawCity``.
+        serial: (N,) number of each polygon among those of the batch, dropped ones included; -1 for copies.
     """
 
     points: NDArray[np.float64]
@@ -34,6 +35,8 @@ class PolygonArrays:
     lod: NDArray[np.int16]
     kind: NDArray[np.uint8]
     srs: NDArray[np.int16]
+    part: NDArray[np.int32]
+    serial: NDArray[np.int64]
 
 
 def read_batch(
@@ -59,7 +62,7 @@ def read_batch(
     _settle_dimensions(values, counts, dimensions)
     has_remainder = counts % dimensions != 0
     ring_counts = np.asarray(batch.ring_counts, np.int64)
-    building, lod, kind, srs = np.asarray(batch.owners, np.int64).reshape(-1, 4).T
+    building, lod, kind, srs, part = np.asarray(batch.owners, np.int64).reshape(-1, 5).T
     ring_polygon = np.repeat(np.arange(len(ring_counts)), ring_counts)
     faults: list[tuple[FindingCode, NDArray[np.bool_]]] = [
         (BAD_COORDINATE, is_bad),
@@ -75,6 +78,8 @@ def read_batch(
         lod=lod.astype(np.int16),
         kind=kind.astype(np.uint8),
         srs=srs.astype(np.int16),
+        part=part.astype(np.int32),
+        serial=np.arange(len(building)),
     )
     for ring in np.flatnonzero(dimensions == 2):
         findings.add(RING_2D, building_ids[batch.owners[ring_polygon[ring]][0]])
@@ -169,6 +174,8 @@ def _select(arrays: PolygonArrays, batch: PolygonBatch, faulty: NDArray[np.int64
         lod=np.concatenate([arrays.lod, copies[:, 2].astype(np.int16)])[chosen],
         kind=np.concatenate([arrays.kind, copies[:, 3].astype(np.uint8)])[chosen],
         srs=np.concatenate([arrays.srs, arrays.srs[copies[:, 0]]])[chosen],
+        part=np.concatenate([arrays.part, [copy[6] for copy in batch.copies]])[chosen].astype(np.int32),
+        serial=np.concatenate([arrays.serial, np.full(len(copies), -1)])[chosen],
     )
     is_flipped = np.asarray([False] * len(arrays.building) + [copy[4] for copy in batch.copies])[chosen]
     _flip(selected, np.flatnonzero(is_flipped).tolist())

@@ -51,3 +51,13 @@ def is_in_ring(element: Element) -> bool:
             return False
         node = node.getparent()
     return False
+
+
+def owner_of(prop: Element, building: Element, part_of: dict[Element, int], own: int) -> int:
+    """Returns the object a geometry property belongs to: the nearest around it."""
+    node = prop.getparent()
+    while node is not None and node is not building:
+        if node in part_of:
+            return part_of[node]
+        node = node.getparent()
+    return own

@@ -26,7 +26,7 @@ _INTERIOR = int(SurfaceKind.INTERIOR)
 
 
 @dataclass(slots=True)
-class _MemberIndex:
+class MemberIndex:
     """Everything in a member that can be referred to; built only when a plain look-up fails."""
 
     elements: dict[str, Element]
@@ -66,10 +66,10 @@ class LinkResolver:
         walk.duplicate_ids.clear()
         self._copied.clear()
         self._visited.clear()
-        index: _MemberIndex | None = None
+        index: MemberIndex | None = None
         owners, polygon_ids = walk.batch.owners, walk.polygon_ids
         for reference in tuple(walk.references):
-            href, building, lod, kind, _, placement = reference
+            href, building, lod, kind, _, placement, _ = reference
             known = polygon_ids.get(href[1:])
             if (
                 known is not None
@@ -87,7 +87,7 @@ class LinkResolver:
                 self._copy(polygon, reference)
                 continue
             if index is None:
-                index = _index_member(member, walk)
+                index = index_member(member, walk)
             if target not in index.elements:
                 self.unresolved.append(reference)
             else:
@@ -103,7 +103,7 @@ class LinkResolver:
 
     def resolve_elsewhere(self, member: Element, building_ids: list[str]) -> bool:
         """Second pass: adds what ``member`` holds of the unresolved references; tells if any are left."""
-        index = _index_member(member, None)
+        index = index_member(member, None)
         found = [
             (number, target)
             for target in self._wanted.keys() & index.elements.keys()
@@ -139,7 +139,7 @@ class LinkResolver:
 
     def _copy(self, polygon: int, reference: Reference) -> None:
         batch = self._walk.batch
-        building, lod, own_kind, _ = batch.owners[polygon]
+        building, lod, own_kind, _, _ = batch.owners[polygon]
         # A door of a room that an outer wall borrows bounds the outside, too.
         is_borrowed = own_kind == _INTERIOR != reference.kind
         is_own = (building, lod) == (reference.building, reference.lod) and reference.placement is None
@@ -150,11 +150,14 @@ class LinkResolver:
             self._copied.add(key)
             kind = reference.kind or (int(SurfaceKind.UNKNOWN) if is_borrowed else own_kind)
             batch.copies.append(
-                (polygon, reference.building, reference.lod, kind, reference.is_flipped, reference.placement)
+                (
+                    *(polygon, reference.building, reference.lod, kind),
+                    *(reference.is_flipped, reference.placement, reference.part),
+                )
             )
 
     def _copy_all(
-        self, index: _MemberIndex, target: str, reference: Reference, building_ids: list[str]
+        self, index: MemberIndex, target: str, reference: Reference, building_ids: list[str]
     ) -> None:
         """Copies every polygon below a referenced element, and below what that refers to in turn.
 
@@ -186,7 +189,7 @@ class LinkResolver:
                 open_targets.add(inner)
                 stack.append((inner, self._copy_below(index.elements[inner], index, reference)))
 
-    def _copy_below(self, element: Element, index: _MemberIndex, reference: Reference) -> Iterator[str]:
+    def _copy_below(self, element: Element, index: MemberIndex, reference: Reference) -> Iterator[str]:
         """Copies the polygons below an element; returns the references that stand there."""
         for polygon_element in element.iter(*POLYGONS):
             if polygon_element not in index.polygons:
@@ -199,9 +202,10 @@ class LinkResolver:
         ]
         return iter([str(href) for href in hrefs if href is not None])
 
-    def _walk_once(self, element: Element, index: _MemberIndex, reference: Reference) -> None:
+    def _walk_once(self, element: Element, index: MemberIndex, reference: Reference) -> None:
         walk = self._walk
         polygon = len(walk.batch.owners)
+        walk.part = reference.part
         walk.walk_geometry(element, reference.building, reference.lod, reference.kind, walk.default_srs, 0)
         index.polygons[element] = polygon
         if reference.is_flipped:
@@ -210,7 +214,7 @@ class LinkResolver:
             walk.batch.placed[polygon] = reference.placement
 
 
-def _index_member(member: Element, walk: GeometryWalk | None) -> _MemberIndex:
+def index_member(member: Element, walk: GeometryWalk | None) -> MemberIndex:
     """Returns what can be referred to; polygons by number where ``walk`` has just collected them."""
     elements: dict[str, Element] = {}
     for element in member.iter():
@@ -219,7 +223,7 @@ def _index_member(member: Element, walk: GeometryWalk | None) -> _MemberIndex:
             if gml_id is not None:
                 elements.setdefault(gml_id, element)
     if walk is None:
-        return _MemberIndex(elements, {})
+        return MemberIndex(elements, {})
     # The same steps in the same order as the walk took, so that numbers agree.
     in_order = (
         polygon
@@ -230,4 +234,4 @@ def _index_member(member: Element, walk: GeometryWalk | None) -> _MemberIndex:
         for polygon in prop.iter(*POLYGONS)
     )
     polygons = {element: walk.first_polygon + i for i, element in enumerate(in_order)}
-    return _MemberIndex(elements, polygons)
+    return MemberIndex(elements, polygons)

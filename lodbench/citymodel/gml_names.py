@@ -12,7 +12,24 @@ GML_IDS = ("{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id
 
 MEMBERS = ("cityObjectMember", "featureMember", "featureMembers", "member", "appearanceMember")
 BUILDINGS = ("{*}Building",)
-PARTS = ("{*}BuildingPart",)
+# City objects inside a building, by their names in CityJSON.
+NESTED_TYPES = {
+    "BuildingPart": "BuildingPart",
+    "BuildingInstallation": "BuildingInstallation",
+    "BuildingConstructiveElement": "BuildingConstructiveElement",
+    "IntBuildingInstallation": "BuildingInstallation",
+    "Room": "BuildingRoom",
+    "BuildingRoom": "BuildingRoom",
+    "BuildingFurniture": "BuildingFurniture",
+}
+_NESTING_PROPERTIES = frozenset(
+    {
+        "consistsOfBuildingPart", "buildingPart", "outerBuildingInstallation", "buildingInstallation",
+        "interiorBuildingInstallation", "interiorRoom", "buildingRoom", "buildingFurniture",
+        "buildingConstructiveElement",
+    }
+)  # fmt: skip
+NESTED = tuple("{*}" + name for name in NESTED_TYPES)
 
 # Exact names only: PLATEAU's `uro:lod1HeightType` and the like begin with "lod" and hold no geometry.
 _PROPERTY_SUFFIXES = ("Solid", "MultiSurface", "Geometry", "FootPrint", "RoofEdge", "ImplicitRepresentation")
@@ -25,11 +42,11 @@ SURFACE_KINDS = {
     "GroundSurface": SurfaceKind.GROUND,
     "ClosureSurface": SurfaceKind.CLOSURE,
     "OuterFloorSurface": SurfaceKind.FLOOR,
-    "OuterCeilingSurface": SurfaceKind.FLOOR,
+    "OuterCeilingSurface": SurfaceKind.CEILING,
     "Window": SurfaceKind.OPENING,
-    "Door": SurfaceKind.OPENING,
+    "Door": SurfaceKind.DOOR,
     "WindowSurface": SurfaceKind.OPENING,
-    "DoorSurface": SurfaceKind.OPENING,
+    "DoorSurface": SurfaceKind.DOOR,
     "BuildingInstallation": SurfaceKind.INSTALLATION,
     "BuildingConstructiveElement": SurfaceKind.INSTALLATION,
     "OtherConstruction": SurfaceKind.INSTALLATION,
@@ -93,6 +110,14 @@ class NodeTable(dict[str, int]):
     def __missing__(self, tag: str) -> int:
         self[tag] = node = _NODES.get(local_name(tag), NOTHING)
         return node
+
+
+class NestingTable(dict[str, bool]):
+    """Full tag of a property to whether it may hold other city objects, filled as tags are met."""
+
+    def __missing__(self, tag: str) -> bool:
+        self[tag] = may_hold = local_name(tag) in _NESTING_PROPERTIES
+        return may_hold
 
 
 @lru_cache(maxsize=256)

@@ -21,6 +21,7 @@ class Reference(NamedTuple):
     kind: int
     is_flipped: bool
     placement: Placement | None
+    part: int
 
 
 @dataclass(slots=True)
@@ -32,10 +33,10 @@ class PolygonBatch:
         dimensions: Ring index to declared dimension, for the rings that declare one.
         solid_rings: Rings that declare three dimensions themselves, which most files do, or none.
         ring_counts: Rings of each polygon.
-        owners: (building, lod, kind, srs) of each polygon.
+        owners: (building, lod, kind, srs, part) of each polygon.
         flipped: Polygons whose orientation is turned round.
         copies: Polygons that repeat an earlier one: source polygon, building, lod, kind, flipped,
-            placement.
+            placement, part.
         placed: Where the polygons of implicit geometries are set down.
         num_characters: Total length of the texts, to know when to read the numbers.
     """
@@ -44,9 +45,9 @@ class PolygonBatch:
     dimensions: dict[int, int] = field(default_factory=dict)
     solid_rings: list[int] = field(default_factory=list)
     ring_counts: list[int] = field(default_factory=list)
-    owners: list[tuple[int, int, int, int]] = field(default_factory=list)
+    owners: list[tuple[int, int, int, int, int]] = field(default_factory=list)
     flipped: list[int] = field(default_factory=list)
-    copies: list[tuple[int, int, int, int, bool, Placement | None]] = field(default_factory=list)
+    copies: list[tuple[int, int, int, int, bool, Placement | None, int]] = field(default_factory=list)
     placed: dict[int, Placement] = field(default_factory=dict)
     num_characters: int = 0
 

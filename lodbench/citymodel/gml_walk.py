@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
-from lodbench.citymodel.gml_context import is_in_ring, plain_numbers, surface_kind
+from lodbench.citymodel.gml_context import is_in_ring, owner_of, plain_numbers, surface_kind
 from lodbench.citymodel.gml_implicit import read_placement
 from lodbench.citymodel.gml_names import (
     CURVE,
@@ -43,6 +43,7 @@ class GeometryWalk:
         references: XLinks of the current member.
         duplicate_ids: Polygon ids met twice in the current member.
         default_srs: Reference system of the current building.
+        part: City object that the polygons met next belong to.
     """
 
     def __init__(self, findings: Findings) -> None:
@@ -54,6 +55,7 @@ class GeometryWalk:
         self.references: list[Reference] = []
         self.duplicate_ids: set[str] = set()
         self.default_srs = 0
+        self.part = 0
         self._findings = findings
         self._nodes = NodeTable()
         self._turned: set[Element] = set()
@@ -69,8 +71,25 @@ class GeometryWalk:
         batch, self.batch = self.batch, PolygonBatch()
         return batch
 
-    def walk_building(self, element: Element, building: int, building_id: str, srs_name: str | None) -> None:
-        """Adds every polygon of a building, its parts, surfaces, openings and installations."""
+    def walk_building(
+        self,
+        element: Element,
+        building: int,
+        building_id: str,
+        srs_name: str | None,
+        own: int,
+        part_of: dict[Element, int],
+    ) -> None:
+        """Adds every polygon of a building, its parts, surfaces, openings and installations.
+
+        Args:
+            element: The building.
+            building: Its number.
+            building_id: Its id, for the findings.
+            srs_name: Reference system of its coordinates.
+            own: Its number among the city objects.
+            part_of: Numbers of the city objects inside of it, by element.
+        """
         srs = self.default_srs = self.srs_names.index(srs_name)
         for prop in element.iter(*GEOMETRY_PROPERTIES):
             lod_name = property_lod(prop.tag)
@@ -78,6 +97,7 @@ class GeometryWalk:
                 continue
             lod = self.lods.index(lod_name)
             kind = int(surface_kind(prop, element))
+            self.part = owner_of(prop, element, part_of, own) if part_of else own
             name = local_name(prop.tag)
             if name.endswith("ImplicitRepresentation"):
                 self._walk_implicit(prop, building, building_id, lod, kind, srs)
@@ -88,7 +108,7 @@ class GeometryWalk:
         """Adds the polygons and references of one geometry property; tells whether there were any."""
         href = prop.get(XLINK_HREF)
         if href is not None:
-            self.references.append(Reference(href, building, lod, kind, False, None))
+            self.references.append(Reference(href, building, lod, kind, False, None, self.part))
         if len(prop) == 0:
             return href is not None
         srs, dimension = self._declared(prop[0], srs, 0)
@@ -109,7 +129,7 @@ class GeometryWalk:
         for shape in prop[0].iterchildren("{*}relativeGMLGeometry", "{*}relativeGeometry"):
             href = shape.get(XLINK_HREF)
             if href is not None:
-                self.references.append(Reference(href, building, lod, kind, False, placement))
+                self.references.append(Reference(href, building, lod, kind, False, placement, self.part))
             self.walk_geometry(shape, building, lod, kind, srs, 3)
         self.batch.placed.update(dict.fromkeys(range(first, len(self.batch.owners)), placement))
 
@@ -127,7 +147,7 @@ class GeometryWalk:
         self, root: Element, building: int, lod: int, kind: int, srs: int, dimension: int
     ) -> None:
         """Adds the polygons and references below an element, in document order."""
-        batch, nodes = self.batch, self._nodes
+        batch, nodes, part = self.batch, self._nodes, self.part
         texts, ring_counts = batch.texts, batch.ring_counts
         is_new_ring, is_in_polygon = True, False
         ring_dimension = dimension
@@ -165,7 +185,7 @@ class GeometryWalk:
                 if self._turned and element in self._turned:
                     batch.flipped.append(len(ring_counts))
                 ring_counts.append(0)
-                batch.owners.append((building, lod, kind, polygon_srs))
+                batch.owners.append((building, lod, kind, polygon_srs, part))
                 is_new_ring, is_in_polygon = True, True
             elif node == ORIENTABLE:
                 self._note_orientation(element)
@@ -197,7 +217,8 @@ class GeometryWalk:
         href = element.get(XLINK_HREF)
         if href is not None:
             is_flipped = self._turned and element in self._turned
-            self.references.append(Reference(href, building, lod, kind, bool(is_flipped), None))
+            reference = Reference(href, building, lod, kind, bool(is_flipped), None, self.part)
+            self.references.append(reference)
 
     def _note_orientation(self, element: Element) -> None:
         """Marks what stands below an ``OrientableSurface`` of orientation "-"; twice is not at all."""

@@ -29,6 +29,7 @@ class CityMesh:
         area_m2: Their Newell area.
         meshed_m2: Area of their triangles; larger where polygons are bent.
         lost_m2: Area no triangle covers.
+        excess_m2: Area triangles cover beyond their polygons.
         findings: What was met while meshing; the model's own findings are not repeated.
     """
 
@@ -37,6 +38,7 @@ class CityMesh:
     area_m2: float
     meshed_m2: float
     lost_m2: float
+    excess_m2: float
     findings: Findings
 
 
@@ -73,20 +75,20 @@ def _mesh_level(model: CityModel, lod: str, chosen: NDArray[np.int64], findings:
     for building in np.flatnonzero(~has_level):
         findings.add(LOD_ABSENT, model.building_ids[building], f"no {lod_in_words(lod)}")
     builder = SceneBuilder(model.building_ids)
-    areas = np.zeros(3)
+    areas = np.zeros(4)
     num_triangles = 0
     for num_before, block in polygon_blocks(model.polygons, chosen, CHUNK_POLYGONS):
         result = triangulate(block, model.building_ids, findings, num_before=num_before)
         builder.add(block.points, result.triangles, block.building[result.polygon])
-        areas += result.area_m2.sum(), result.meshed_m2.sum(), result.lost_m2
+        areas += result.area_m2.sum(), result.meshed_m2.sum(), result.lost_m2, result.excess_m2
         num_triangles += len(result.triangles)
     if num_triangles == 0:
         raise CityModelError(
             f"{model.source} has no surface to mesh at level of detail {lod}.", "Try lodbench city check."
         )
-    area_m2, meshed_m2, lost_m2 = areas.tolist()
+    area_m2, meshed_m2, lost_m2, excess_m2 = areas.tolist()
     scene = builder.finish(lod=lod, crs=model.crs, origin=model.origin)
-    return CityMesh(scene, len(chosen), area_m2, meshed_m2, lost_m2, findings)
+    return CityMesh(scene, len(chosen), area_m2, meshed_m2, lost_m2, excess_m2, findings)
 
 
 def mesh_city(model: CityModel, lod: str | None = None, *, roof_height: str | None = None) -> Scene:

@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.objects import CityObjects, Solids
 from lodbench.findings import Findings
 
 
@@ -19,10 +20,12 @@ class SurfaceKind(IntEnum):
     ROOF = 2
     GROUND = 3
     CLOSURE = 4
-    OPENING = 5
+    OPENING = 5  # windows, and openings of no known kind
     INSTALLATION = 6
-    FLOOR = 7  # outer floors and ceilings: balconies, arcades, overhangs
+    FLOOR = 7  # outer floors: balconies, arcades
     INTERIOR = 8  # rooms and furniture: read, counted, never meshed
+    DOOR = 9
+    CEILING = 10  # outer ceilings: what a balcony or an arcade shows from below
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +42,7 @@ class Polygons:
         building: (N,) int32 index of the building each polygon belongs to.
         lod: (N,) int16 index into ``CityModel.lods``.
         kind: (N,) uint8 ``SurfaceKind``.
+        part: (N,) int32 index into ``CityModel.objects``; None where buildings are all there is.
     """
 
     points: NDArray[np.float64]
@@ -47,6 +51,7 @@ class Polygons:
     building: NDArray[np.int32]
     lod: NDArray[np.int16]
     kind: NDArray[np.uint8]
+    part: NDArray[np.int32] | None = None
 
     def __len__(self) -> int:
         return len(self.building)
@@ -71,6 +76,9 @@ class CityModel:
         polygons: All polygons of all levels.
         polygons_read: Per level, polygons in the file; those too short to be one are not kept.
         findings: What was wrong, changed or dropped while reading.
+        objects: Buildings and their parts; None where buildings are all there is.
+        solids: Volumes that the polygons close; only with ``ReadOptions(has_details=True)``.
+        polygon_ids: The source's id of each polygon, or ""; likewise, else empty.
     """
 
     source: str
@@ -84,3 +92,6 @@ class CityModel:
     polygons: Polygons
     polygons_read: tuple[int, ...]
     findings: Findings
+    objects: CityObjects | None = None
+    solids: Solids | None = None
+    polygon_ids: tuple[str, ...] = ()

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 from lodbench.citymodel.codes import DUPLICATE_ID
+from lodbench.citymodel.objects import CityObjects
 from lodbench.findings import Findings
 
 
@@ -27,7 +29,7 @@ def unique_ids(ids: Sequence[str], findings: Findings) -> tuple[str, ...]:
     counts = Counter(ids)
     for name, count in counts.items():
         if count > 1:
-            findings.add(DUPLICATE_ID, name, f"names {count} buildings; the later get ~2 and so on")
+            findings.add(DUPLICATE_ID, name, f"names {count} objects; the later get ~2 and so on")
     taken, met, unique = set(ids), Counter[str](), []
     for name in ids:
         met[name] += 1
@@ -38,3 +40,18 @@ def unique_ids(ids: Sequence[str], findings: Findings) -> tuple[str, ...]:
         taken.add(own)
         unique.append(own)
     return tuple(unique)
+
+
+def unique_objects(objects: CityObjects, building_ids: tuple[str, ...], findings: Findings) -> CityObjects:
+    """Returns objects of which no two have one id; buildings are called as ``building_ids`` says.
+
+    Args:
+        objects: As the file has them.
+        building_ids: Ids of the buildings, unique already.
+        findings: Receives ``DUPLICATE_ID`` for parts and installations.
+    """
+    ids = list(objects.ids)
+    for n, building in enumerate(objects.building.tolist()):
+        if objects.parents[n] < 0:
+            ids[n] = building_ids[building]
+    return replace(objects, ids=unique_ids(ids, findings))

@@ -39,6 +39,8 @@ class ReadOptions:
         sunk_m: How deep.
         ecef_origin: Latitude and longitude, degrees, of the origin of coordinates that are
             earth-centred minus its own: they are turned to east, north, up there. None for others.
+        has_details: Whether attributes, solids and the ids of polygons are kept, as ``city check`` and
+            ``city convert`` need them; reading takes longer.
     """
 
     reader: str | None = None
@@ -58,6 +60,7 @@ class ReadOptions:
     base: Literal["as_given", "ground", "sunk"] = "as_given"
     sunk_m: float = 3.0
     ecef_origin: tuple[float, float] | None = None
+    has_details: bool = False
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> ReadOptions:

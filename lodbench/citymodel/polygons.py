@@ -11,10 +11,10 @@ from lodbench.citymodel.bases import move_bases
 from lodbench.citymodel.cleaning import clean_polygons
 from lodbench.citymodel.codes import CRS_MIXED
 from lodbench.citymodel.crs import require_crs
-from lodbench.citymodel.duplicates import drop_repeated_solids
+from lodbench.citymodel.duplicates import drop_repeats
 from lodbench.citymodel.frame import to_metres
 from lodbench.citymodel.model import CityModel, Polygons
-from lodbench.citymodel.naming import unique_ids
+from lodbench.citymodel.naming import unique_ids, unique_objects
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity
 from lodbench.errors import CityModelError
@@ -45,6 +45,8 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
             "See which: lodbench city check FILE.",
         )
     raw.building_ids = unique_ids(raw.building_ids, raw.findings)
+    objects = None if raw.objects is None else unique_objects(raw.objects, raw.building_ids, raw.findings)
+    num_polygons = len(raw.building)
     num_read = np.bincount(raw.lod, minlength=len(raw.lods))
     # A level that only empty elements name is none: by default the lowest there is would be taken.
     order = sorted(np.flatnonzero(num_read).tolist(), key=lambda i: raw.lods[i])
@@ -57,6 +59,14 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     rank = np.zeros(len(raw.lods), np.int16)
     rank[order] = np.arange(len(order))
     polygons = replace(polygons, lod=rank[polygons.lod])
+    first_kept = kept_as = np.arange(len(polygons))
+    if raw.lods != ("",):  # a mesh is what its triangles are: of two parts that touch, both have their wall
+        polygons, kept_as, first_kept = drop_repeats(polygons, raw.building_ids, raw.findings)
+    solids = raw.solids
+    if solids is not None:
+        places = np.full(num_polygons + 1, -1, np.int64)
+        places[kept] = kept_as
+        solids = replace(solids, faces=places[solids.faces])
     return CityModel(
         source=raw.source,
         format=raw.format,
@@ -66,9 +76,12 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         building_ids=raw.building_ids,
         num_parts=raw.num_parts,
         lods=tuple(raw.lods[i] for i in order),
-        polygons=drop_repeated_solids(polygons, raw.building_ids, raw.findings),
+        polygons=polygons,
         polygons_read=tuple(num_read[order].tolist()),
         findings=raw.findings,
+        objects=objects,
+        solids=solids,
+        polygon_ids=tuple(raw.polygon_ids[n] for n in kept[first_kept].tolist()) if raw.polygon_ids else (),
     )
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.growing import GrowingArray
+from lodbench.citymodel.objects import CityObjects, Solids
 from lodbench.citymodel.options import AxisOrder
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
@@ -46,6 +48,7 @@ class RawCity:
         findings: What was met while reading.
         axis_orders: For each of ``srs_names``, which of the first two columns is the easting, where the
             format settles it; empty where it never does.
+        part, objects, solids, polygon_ids: As in ``Polygons`` and ``CityModel``.
     """
 
     source: str
@@ -65,6 +68,10 @@ class RawCity:
     has_closing_points: bool | NDArray[np.bool_]
     findings: Findings
     axis_orders: tuple[AxisOrder, ...] = ()
+    part: NDArray[np.int32] | None = None
+    objects: CityObjects | None = None
+    solids: Solids | None = None
+    polygon_ids: tuple[str, ...] = ()
 
     def systems(self) -> tuple[tuple[str | None, AxisOrder], ...]:
         """Returns name and axis order of each reference system; one without a name where there is none."""
@@ -90,6 +97,7 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         points.extend(city.points)
         city.points = np.zeros((0, 3))
     before = starts_of(np.asarray([len(city.building_ids) for city in cities]))
+    part, objects, solids, polygon_ids = _merge_objects(cities)
     return RawCity(
         source=source,
         format=first.format,
@@ -112,6 +120,58 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         ),
         findings=findings,
         axis_orders=tuple(order for _, order in systems),
+        part=part,
+        objects=objects,
+        solids=solids,
+        polygon_ids=polygon_ids,
+    )
+
+
+def _merge_objects(
+    cities: list[RawCity],
+) -> tuple[NDArray[np.int32] | None, CityObjects | None, Solids | None, tuple[str, ...]]:
+    """Returns parts, objects, solids and polygon ids of several tiles, as far as any has them."""
+    if all(city.objects is None for city in cities):
+        return None, None, None, ()
+    tables = [city.objects or buildings_only(city.building_ids) for city in cities]
+    parts = [city.part if city.part is not None else city.building for city in cities]
+    buildings = starts_of(np.asarray([len(city.building_ids) for city in cities]))[:-1]
+    firsts = starts_of(np.asarray([len(table) for table in tables]))[:-1]
+    polygons = starts_of(np.asarray([len(city.building) for city in cities]))[:-1]
+    objects = CityObjects(
+        tuple(name for table in tables for name in table.ids),
+        tuple(name for table in tables for name in table.types),
+        np.concatenate(
+            [np.where(t.parents < 0, -1, t.parents + n) for t, n in zip(tables, firsts, strict=True)]
+        ).astype(np.int32),
+        np.concatenate([t.building + n for t, n in zip(tables, buildings, strict=True)]).astype(np.int32),
+        tuple(values for table in tables for values in (table.attributes or ({},) * len(table)))
+        if any(table.attributes for table in tables)
+        else (),
+    )
+    part = np.concatenate([p + n for p, n in zip(parts, firsts, strict=True)]).astype(np.int32)
+    if all(city.solids is None for city in cities):
+        return part, objects, None, ()
+    told = [
+        (city.solids, n, f)
+        for city, n, f in zip(cities, polygons, firsts, strict=True)
+        if city.solids is not None
+    ]
+    solids = Solids(
+        np.concatenate([s.part + f for s, _, f in told]).astype(np.int32),
+        starts_of(np.concatenate([np.diff(s.shell_starts) for s, _, _ in told])),
+        starts_of(np.concatenate([np.diff(s.face_starts) for s, _, _ in told])),
+        np.concatenate([np.where(s.faces < 0, -1, s.faces + n) for s, n, _ in told]),
+        np.concatenate([s.is_flipped for s, _, _ in told]),
+    )
+    ids = (city.polygon_ids or ("",) * len(city.building) for city in cities)
+    return part, objects, solids, tuple(chain.from_iterable(ids))
+
+
+def buildings_only(ids: tuple[str, ...]) -> CityObjects:
+    """Returns the objects of a city whose source knows buildings alone."""
+    return CityObjects(
+        ids, ("Building",) * len(ids), np.full(len(ids), -1, np.int32), np.arange(len(ids), dtype=np.int32)
     )
 
 

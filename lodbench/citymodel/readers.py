@@ -13,14 +13,18 @@ def citygml(source: Source, options: ReadOptions) -> RawCity:
     """Returns the buildings of CityGML 1.0 to 3.0."""
     from lodbench.citymodel.citygml import read_citygml
 
-    return read_citygml(source.open, source.name, is_strict=options.is_strict)
+    return read_citygml(
+        source.open, source.name, is_strict=options.is_strict, has_details=options.has_details
+    )
 
 
 def cityjson(source: Source, options: ReadOptions) -> RawCity:
     """Returns the buildings of CityJSON or CityJSONSeq."""
     from lodbench.citymodel.cityjson import read_cityjson
 
-    return read_cityjson(source.open, source.name, is_strict=options.is_strict)
+    return read_cityjson(
+        source.open, source.name, is_strict=options.is_strict, has_details=options.has_details
+    )
 
 
 def obj(source: Source, options: ReadOptions) -> RawCity:

@@ -25,6 +25,7 @@ def select_polygons(polygons: Polygons, chosen: NDArray[np.int64]) -> Polygons:
         building=polygons.building[chosen],
         lod=polygons.lod[chosen],
         kind=polygons.kind[chosen],
+        part=None if polygons.part is None else polygons.part[chosen],
     )
 
 
@@ -41,6 +42,7 @@ def slice_polygons(polygons: Polygons, first: int, last: int) -> Polygons:
         building=polygons.building[first:last],
         lod=polygons.lod[first:last],
         kind=polygons.kind[first:last],
+        part=None if polygons.part is None else polygons.part[first:last],
     )
 
 

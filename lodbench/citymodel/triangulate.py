@@ -51,6 +51,11 @@ class Triangulation:
         """Area the triangles do not cover, over all polygons that come out smaller than they are."""
         return float(np.maximum(self.area_m2 - self.covered_m2, 0.0).sum())
 
+    @property
+    def excess_m2(self) -> float:
+        """Area the triangles cover beyond their polygons, over all polygons that cross themselves."""
+        return float(np.maximum(self.covered_m2 - self.area_m2, 0.0).sum())
+
 
 def triangulate(
     polygons: Polygons, building_ids: tuple[str, ...], findings: Findings, *, num_before: int = 0

@@ -31,6 +31,8 @@ examples:
   lodbench city check houses.shp --option height_column=HOEHE --option ground_m=430
   lodbench city convert tile.city.json town.glb --lod 2.2
   lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
+  lodbench city convert tiles/ centre.city.jsonl --to-crs EPSG:25832 --bbox 691000 5335000 692000 5336000
+  lodbench city convert lod2.gml churches.json --where function=31001_3041
 
 options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
   axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
@@ -60,7 +62,10 @@ def _parser() -> argparse.ArgumentParser:
     for name, help_ in (
         ("info", "format, place, levels of detail, counts, areas, findings"),
         ("check", "every defect with its building, and where the area went; exit code 1 if data was lost"),
-        ("convert", "write it as .glb, .ply, .obj, CityJSON (.json) or a scene for lodbench (.scene)"),
+        (
+            "convert",
+            "write it as CityJSON (.json, .jsonl), .glb, .ply, .obj or for lodbench (.scene)",
+        ),
     ):
         action = actions.add_parser(
             name, help=help_, description=help_, epilog=_EXAMPLES, formatter_class=raw
@@ -70,7 +75,25 @@ def _parser() -> argparse.ArgumentParser:
             action.add_argument("out", type=Path, metavar="OUT", help="its ending names the format")
             action.add_argument(
                 "--lod",
-                help="level of detail for meshes and scenes, or finest: each building's (lowest)",
+                help="the one level to write, or finest: each building's own (meshes: lowest; CityJSON: all)",
+            )
+            action.add_argument("--to-crs", metavar="CRS", help="project to another system in metres")
+            action.add_argument(
+                "--id", action="append", default=[], help="only the building of this id; may be repeated"
+            )
+            action.add_argument(
+                "--bbox",
+                nargs=4,
+                type=float,
+                metavar=("W", "S", "E", "N"),
+                help="only buildings whose middle lies inside, in the system written",
+            )
+            action.add_argument(
+                "--where",
+                action="append",
+                default=[],
+                metavar="ATTRIBUTE=VALUE",
+                help="only buildings with this attribute, or with a part that has it; may be repeated",
             )
             action.add_argument(
                 "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
@@ -104,15 +127,22 @@ def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
 
 
 def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -> int:
-    from lodbench.citymodel.convert import check_target, convert_city
+    from lodbench.citymodel.convert import check_target, convert_city, keeps_details
+    from lodbench.citymodel.subset import choose_buildings, reproject
     from lodbench.cli.city_text import conversion_summary, format_conversion
 
     check_target(asked.out)
     if asked.out.resolve() == asked.file.resolve():
         raise CityModelError(f"{asked.out} is the city itself.", "Choose another name to write to.")
-    model = _read(asked.file, options)
-    mesh = convert_city(model, asked.out, lod=lod, roof_height=asked.roof_height)
-    summary = conversion_summary(str(asked.out), model, mesh)
+    where = [pair.partition("=")[::2] for pair in asked.where]
+    has_details = keeps_details(asked.out) or bool(where)
+    model = _read(asked.file, replace(options, has_details=has_details))
+    if asked.to_crs is not None:
+        model = reproject(model, asked.to_crs)
+    bbox = None if asked.bbox is None else tuple(asked.bbox)
+    model = choose_buildings(model, ids=asked.id, bbox=bbox, where=where)
+    done = convert_city(model, asked.out, lod=lod, roof_height=asked.roof_height)
+    summary = conversion_summary(str(asked.out), done)
     _write(asked, summary, lambda: format_conversion(summary))
     return 0
 

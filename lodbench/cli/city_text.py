@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from lodbench.citymodel.codes import finding_catalogue
+from lodbench.citymodel.convert import Conversion
 from lodbench.citymodel.lods import lod_in_words
-from lodbench.citymodel.mesh import CityMesh
-from lodbench.citymodel.model import CityModel
-from lodbench.findings import Findings
 from lodbench.reporting.columns import format_columns
 
 _MEANINGS = {str(code): code for code in finding_catalogue()}
@@ -52,22 +50,24 @@ def crs_in_words(crs: str | None) -> str:
         return crs
 
 
-def conversion_summary(target: str, model: CityModel, mesh: CityMesh | None) -> dict[str, Any]:
+def conversion_summary(target: str, done: Conversion) -> dict[str, Any]:
     """Returns what was written as plain values.
 
     Args:
         target: Where it was written.
-        model: The city as read.
-        mesh: What ``convert_city`` returned.
+        done: What ``convert_city`` returned.
     """
-    summary: dict[str, Any] = {"written": target, "buildings": len(model.building_ids), "crs": model.crs}
+    model, mesh = done.model, done.mesh
+    findings = {"findings": done.findings.counts(), "finding_objects": done.findings.objects()}
+    summary: dict[str, Any] = {
+        "written": target,
+        "buildings": len(model.building_ids),
+        "parts": model.num_parts,
+        "crs": model.crs,
+    }
     if mesh is None:
-        return (
-            summary
-            | {"lods": list(model.lods), "polygons": len(model.polygons)}
-            | {"findings": model.findings.counts(), "finding_objects": model.findings.objects()}
-        )
-    findings = Findings([*model.findings.items, *mesh.findings.items])
+        levels = {"lods": list(model.lods), "polygons": len(model.polygons), "left_out": list(done.left_out)}
+        return summary | levels | findings
     return summary | {
         "lod": mesh.scene.lod,
         "origin": mesh.scene.origin.tolist(),
@@ -75,8 +75,8 @@ def conversion_summary(target: str, model: CityModel, mesh: CityMesh | None) -> 
         "area_m2": round(mesh.area_m2, 3),
         "meshed_m2": round(mesh.meshed_m2, 3),
         "lost_m2": round(mesh.lost_m2, 3),
-        "findings": findings.counts(),
-        "finding_objects": findings.objects(),
+        "excess_m2": round(mesh.excess_m2, 3),
+        **findings,
     }
 
 
@@ -84,13 +84,16 @@ def format_conversion(summary: dict[str, Any]) -> str:
     """Returns what was written as lines of text."""
     if "lods" in summary:
         lods = ", ".join(filter(None, summary["lods"])) or "unnamed"
-        what = f"LoD {lods}, {summary['buildings']:,} buildings, {summary['polygons']:,} polygons"
-        lines = [f"{summary['written']}: {what}"]
+        parts = f", {summary['parts']:,} parts" if summary["parts"] else ""
+        what = f"LoD {lods}, {summary['buildings']:,} buildings{parts}, {summary['polygons']:,} polygons"
+        lines = [f"{summary['written']}: {what}", f"CRS {crs_in_words(summary['crs'])}"]
+        lines += [f"left out: {line}" for line in summary["left_out"]]
     else:
         lod = f"{lod_in_words(summary['lod'])}, " if summary["lod"] else ""
         what = f"{lod}{summary['buildings']:,} buildings, {summary['triangles']:,} triangles"
         origin = " ".join(f"{value:.3f}" for value in summary["origin"])
-        areas = "{area_m2:,.2f} m2 in, {meshed_m2:,.2f} m2 meshed, {lost_m2:,.2f} m2 lost".format(**summary)
+        areas = "{area_m2:,.2f} m2 in, {meshed_m2:,.2f} m2 meshed".format(**summary)
+        areas += ", {lost_m2:,.2f} m2 lost, {excess_m2:,.2f} m2 too much".format(**summary)
         lines = [
             f"{summary['written']}: {what}",
             areas,

@@ -151,8 +151,10 @@ class TestGeometry:
     def test_orientation_turns_a_polygon_round(self, tmp_path: Path) -> None:
         base = "<gml:baseSurface>{}</gml:baseSurface>"
         turned = f'<gml:OrientableSurface orientation="-">{base}</gml:OrientableSurface>'
-        text = surface_members([polygon(BOX[1]), turned.format(polygon(BOX[1]))])
-        model = model_of(tmp_path, city(member(multi_surface(text))))
+        text = multi_surface(surface_members([polygon(BOX[1])])) + multi_surface(
+            surface_members([turned.format(polygon(BOX[1]))]), 3
+        )
+        model = model_of(tmp_path, city(member(text)))
         first, second = model.polygons.points[:4], model.polygons.points[4:]
         assert {tuple(p) for p in first.tolist()} == {tuple(p) for p in second.tolist()}
         area = [np.cross(r[1] - r[0], r[2] - r[0])[2] for r in (first, second)]
@@ -233,7 +235,7 @@ class TestLinks:
 
     def test_duplicate_ids(self, tmp_path: Path) -> None:
         model = model_of(tmp_path, city(member(self.walls + self.walls)))
-        assert codes(model) == {"LB205": 1}
+        assert codes(model) == {"LB109": 1, "LB205": 1}
 
 
 class TestSurfacesWrittenTwice:
@@ -247,9 +249,25 @@ class TestSurfacesWrittenTwice:
 
     def test_walls_that_parts_share_stay(self, tmp_path: Path) -> None:
         wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2])])))
-        model = model_of(tmp_path, city(member(wall + wall + solid(surface_members([polygon(BOX[0])]), 2))))
+        parts = "".join(
+            f'<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="p{n}">{wall}</bldg:BuildingPart>'
+            "</bldg:consistsOfBuildingPart>"
+            for n in (1, 2)
+        )
+        model = model_of(tmp_path, city(member(parts + solid(surface_members([polygon(BOX[0])]), 2))))
         assert len(model.polygons) == 3
         assert model.findings.counts() == {}
+        assert model.objects is not None
+        assert model.objects.types == ("Building", "BuildingPart", "BuildingPart")
+        assert model.polygons.part is not None
+        assert sorted(model.polygons.part.tolist()) == [0, 1, 2]
+
+    def test_walls_that_stand_twice_in_a_part(self, tmp_path: Path) -> None:
+        wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2])])))
+        turned = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2][::-1])])))
+        model = model_of(tmp_path, city(member(wall + turned)))
+        assert len(model.polygons) == 1
+        assert codes(model) == {"LB109": 1}
 
     def test_other_buildings_and_levels_are_apart(self, tmp_path: Path) -> None:
         wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2])])))

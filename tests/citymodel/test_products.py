@@ -12,13 +12,16 @@ from lodbench.citymodel import ReadOptions, mesh_city, mesh_model, open_scene, r
 from lodbench.citymodel.cache import open_cached_scene
 from lodbench.citymodel.check import check_city, format_report
 from lodbench.citymodel.convert import convert_city
+from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import CityModelError, ConfigError
 
 from .gml_text import (
     bounded_by,
     box_city,
+    box_rings,
     city,
+    link,
     member,
     multi_surface,
     polygon,
@@ -69,6 +72,32 @@ class TestDerivedLevel:
         mesh = mesh_model(read_city_model(path), "1", roof_height="max")
         assert (mesh.scene.extent_m[1] - mesh.scene.extent_m[0]).tolist() == [10, 8, 8]
         assert mesh.findings.counts() == {"LB408 LOD_DERIVED": 1}
+
+    def test_footprints_are_dissolved(self, tmp_path: Path) -> None:
+        floors = [[(x, 0, 10), (x, 8, 10), (x + 5, 8, 10), (x + 5, 0, 10)] for x in (0, 5)]
+        roof = [[(0, 0, 14), (10, 0, 14), (10, 8, 14), (0, 8, 14)]]
+        content = ""
+        for name, rings in (("GroundSurface", floors), ("RoofSurface", roof)):
+            rings = [[(x + E0, y + N0, float(z)) for x, y, z in ring] for ring in rings]
+            content += bounded_by(name, multi_surface(surface_members(map(polygon, rings))))
+        model = read_city_model(write(tmp_path / "a.gml", city(member(content))))
+        mesh = mesh_model(model, "1", roof_height="max")
+        assert mesh.area_m2 == pytest.approx(2 * 80 + 2 * 4 * (10 + 8))
+        assert (mesh.lost_m2, mesh.excess_m2) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+    def test_every_part_has_its_height(self, tmp_path: Path) -> None:
+        boxes = [box_rings(E0, N0, 10, 10, 6), box_rings(E0 + 10, N0, 10, 10, 20)]
+        parts = "".join(
+            f'<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="p{n}">'
+            f"{solid(surface_members(map(polygon, box)), 2)}"
+            "</bldg:BuildingPart></bldg:consistsOfBuildingPart>"
+            for n, box in enumerate(boxes)
+        )
+        model = read_city_model(write(tmp_path / "a.gml", city(member(parts))))
+        mesh = mesh_model(model, "1", roof_height="max")
+        assert mesh.area_m2 == pytest.approx(440 + 1000)
+        heights = np.unique(mesh.scene.vertices[:, 2]).tolist()
+        assert heights == [10, 16, 30]
 
     def test_a_level_that_is_there_is_taken(self, tmp_path: Path) -> None:
         path = write(tmp_path / "a.gml", box_city())
@@ -174,6 +203,66 @@ class TestConvert:
         assert (again.crs, again.lods, again.building_ids) == (model.crs, model.lods, model.building_ids)
         assert np.array_equal(again.polygons.kind, model.polygons.kind)
         assert np.allclose(again.polygons.points, model.polygons.points, atol=6e-4)
+
+    def test_cityjson_keeps_parts_attributes_solids_and_labels(self, tmp_path: Path) -> None:
+        box = box_rings(E0, N0)
+        labels = ["GroundSurface", "RoofSurface", "WallSurface", "WallSurface", "OuterCeilingSurface", "Door"]
+        surfaces = "".join(
+            f'<bldg:boundedBy><bldg:{name} gml:id="s{n}">'
+            + multi_surface(surface_members([polygon(ring, gml_id=f"g{n}")]))
+            + f"</bldg:{name}></bldg:boundedBy>"
+            for n, (name, ring) in enumerate(zip(labels, box, strict=True))
+        )
+        facts = (
+            "<bldg:function>1000</bldg:function><bldg:measuredHeight uom='m'>6.5</bldg:measuredHeight>"
+            "<gen:stringAttribute xmlns:gen='http://www.opengis.net/citygml/generics/2.0' name='Gemeinde'>"
+            "<gen:value>Köln</gen:value></gen:stringAttribute>"
+            "<bldg:address><core:Address><core:xalAddress><ThoroughfareName>Am Dom</ThoroughfareName>"
+            "</core:xalAddress></core:Address></bldg:address>"
+        )
+        part = (
+            '<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="p1">'
+            "<bldg:roofType>3100</bldg:roofType>"
+            + solid("".join(link(f"#g{n}") for n in range(6)), 2)
+            + surfaces
+            + "</bldg:BuildingPart></bldg:consistsOfBuildingPart>"
+        )
+        text = city(member(facts + part), srs="EPSG:25832+5783")
+        path = write(tmp_path / "a.gml", text)
+        for name in ("a.json", "a.jsonl"):
+            model = read_city_model(path, options=ReadOptions(has_details=True))
+            assert convert_city(model, tmp_path / name).left_out == ()
+            again = read_city_model(tmp_path / name, options=ReadOptions(has_details=True))
+            assert again.crs == "EPSG:5555"
+            assert again.objects is not None
+            assert again.objects.ids == ("b1", "p1")
+            assert again.objects.types == ("Building", "BuildingPart")
+            assert again.objects.parents.tolist() == [-1, 0]
+            assert again.objects.attributes[0] == {
+                "function": "1000",
+                "measuredHeight": 6.5,
+                "Gemeinde": "Köln",
+                "address": [{"ThoroughfareName": "Am Dom"}],
+            }
+            assert again.objects.attributes[1] == {"roofType": "3100"}
+            assert again.solids is not None
+            assert again.solids.faces.tolist() == [0, 1, 2, 3, 4, 5]
+            kinds = [SurfaceKind(kind).name for kind in again.polygons.kind.tolist()]
+            assert kinds == ["GROUND", "ROOF", "WALL", "WALL", "CEILING", "DOOR"]
+            assert again.findings.counts() == {}
+
+    def test_one_level_of_cityjson(self, tmp_path: Path) -> None:
+        model = read_city_model(write(tmp_path / "a.gml", gable()))
+        done = convert_city(model, tmp_path / "a.json", lod="1", roof_height="max")
+        again = read_city_model(tmp_path / "a.json")
+        assert (again.lods, len(again.polygons)) == (("1",), 6)
+        assert done.findings.counts() == {"LB408 LOD_DERIVED": 1}
+
+    def test_what_cityjson_cannot_say_is_told(self, tmp_path: Path) -> None:
+        text = city(member(solid(surface_members(map(polygon, box_rings())))), srs="EPSG:25832+7837")
+        model = read_city_model(write(tmp_path / "a.gml", text))
+        (line,) = convert_city(model, tmp_path / "a.json").left_out
+        assert "EPSG:25832+7837" in line
 
     def test_refusals(self, tmp_path: Path) -> None:
         model = read_city_model(write(tmp_path / "a.gml", box_city()))

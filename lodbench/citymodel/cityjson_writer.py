@@ -1,0 +1,263 @@
+"""CityJSON 2.0 and CityJSONSeq: buildings with parts, attributes, solids and semantics, to the millimetre."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.objects import CityObjects
+from lodbench.citymodel.raw import buildings_only
+
+_SURFACE_NAMES = {
+    SurfaceKind.WALL: "WallSurface",
+    SurfaceKind.ROOF: "RoofSurface",
+    SurfaceKind.GROUND: "GroundSurface",
+    SurfaceKind.CLOSURE: "ClosureSurface",
+    SurfaceKind.OPENING: "Window",
+    SurfaceKind.DOOR: "Door",
+    SurfaceKind.FLOOR: "OuterFloorSurface",
+    SurfaceKind.CEILING: "OuterCeilingSurface",
+}
+_TYPES = frozenset(
+    {
+        "Building", "BuildingPart", "BuildingInstallation", "BuildingConstructiveElement",
+        "BuildingFurniture",
+        "BuildingStorey", "BuildingRoom", "BuildingUnit",
+    }
+)  # fmt: skip
+_MILLIMETRE = 0.001
+
+Json = dict[str, Any]
+
+
+def cityjson_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
+    """Returns a city as one CityJSON 2.0 document, and a line for each thing it could not say.
+
+    Args:
+        model: The city; read with ``ReadOptions(has_details=True)`` it has attributes and solids.
+    """
+    writer = _Writer(model)
+    objects: Json = {}
+    for building in range(len(model.building_ids)):
+        objects |= writer.objects_of(building)
+    document = writer.header() | {"CityObjects": objects, "vertices": writer.vertices.tolist()}
+    return json.dumps(document, separators=(",", ":")).encode(), writer.notes()
+
+
+def cityjsonseq_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
+    """Returns a city as a sequence of CityJSON features, a building to a line; see ``cityjson_text``."""
+    writer = _Writer(model)
+    lines = [json.dumps(writer.header() | {"CityObjects": {}, "vertices": []}, separators=(",", ":"))]
+    for building, building_id in enumerate(model.building_ids):
+        objects = writer.objects_of(building)
+        used = sorted(
+            {n for item in objects.values() for shape in item.get("geometry", ()) for n in _leaves(shape)}
+        )
+        place = {number: k for k, number in enumerate(used)}
+        for item in objects.values():
+            for shape in item.get("geometry", ()):
+                shape["boundaries"] = _renumbered(shape["boundaries"], place)
+        feature = {
+            "type": "CityJSONFeature",
+            "id": building_id,
+            "CityObjects": objects,
+            "vertices": writer.vertices[used].tolist(),
+        }
+        lines.append(json.dumps(feature, separators=(",", ":")))
+    return ("\n".join(lines) + "\n").encode(), writer.notes()
+
+
+class _Writer:
+    """Turns buildings into CityJSON objects whose boundaries point into one list of vertices.
+
+    Attributes:
+        vertices: (V, 3) int64, millimetres.
+    """
+
+    def __init__(self, model: CityModel) -> None:
+        polygons = model.polygons
+        self._model = model
+        self._objects: CityObjects = model.objects or buildings_only(model.building_ids)
+        self._low = polygons.points.min(axis=0) if len(polygons.points) else np.zeros(3)
+        whole = np.rint((polygons.points - self._low) / _MILLIMETRE).astype(np.int64)
+        self.vertices, inverse = np.unique(whole, axis=0, return_inverse=True)
+        self._corners: list[int] = inverse.reshape(-1).tolist()
+        self._rings = polygons.ring_starts.tolist()
+        self._polygon_rings = polygons.polygon_starts.tolist()
+        part = polygons.building if polygons.part is None else polygons.part
+        self._kinds: list[int] = polygons.kind.tolist()
+        self._lods: list[int] = polygons.lod.tolist()
+        self._of_part = _grouped(part)
+        self._of_building = _grouped(self._objects.building)
+        self._solids_of_part: dict[int, list[int]] = {}
+        if model.solids is not None:
+            self._solids_of_part = _grouped(model.solids.part)
+        self._notes: Counter[str] = Counter()
+
+    def header(self) -> Json:
+        """Returns what comes before the objects: version, transform, reference system."""
+        translate = (self._low + self._model.origin).tolist()
+        header: Json = {
+            "type": "CityJSON",
+            "version": "2.0",
+            "transform": {"scale": [_MILLIMETRE] * 3, "translate": translate},
+        }
+        name, left_out = reference_system(self._model.crs)
+        if left_out:
+            self._notes[left_out] += 1
+        if name is not None:
+            header["metadata"] = {"referenceSystem": name}
+        return header
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns what was left out so far, a line each."""
+        return tuple(
+            f"{count} x {text}" if count > 1 else text for text, count in sorted(self._notes.items())
+        )
+
+    def objects_of(self, building: int) -> Json:
+        """Returns a building and all that belongs to it, by id."""
+        table, result = self._objects, {}
+        members = self._of_building.get(building, [])
+        for n in members:
+            item: Json = {"type": self._type(n)}
+            attributes = dict(table.attributes[n]) if table.attributes else {}
+            address = attributes.pop("address", None)
+            if address:
+                item["address"] = address if isinstance(address, list) else [address]
+            if attributes:
+                item["attributes"] = attributes
+            children = [table.ids[k] for k in members if table.parents[k] == n]
+            if children:
+                item["children"] = children
+            if table.parents[n] >= 0:
+                item["parents"] = [table.ids[table.parents[n]]]
+            geometry = list(self._geometry(n))
+            if geometry:
+                item["geometry"] = geometry
+            result[table.ids[n]] = item
+        return result
+
+    def _type(self, n: int) -> str:
+        type_ = self._objects.types[n]
+        if type_ in _TYPES:
+            return type_
+        plain = "Building" if self._objects.parents[n] < 0 else "BuildingPart"
+        self._notes[f"type {type_} of an extension written as {plain}"] += 1
+        return plain
+
+    def _geometry(self, part: int) -> Iterator[Json]:
+        """Yields the geometries of an object: per level its solids, and the surfaces that are in none."""
+        solids: dict[int, list[list[list[tuple[int, bool]]]]] = defaultdict(list)
+        enclosed: set[int] = set()
+        for solid in self._solids_of_part.get(part, ()):
+            shells = self._shells(solid)
+            if shells:
+                solids[self._lods[shells[0][0][0]]].append(shells)
+                enclosed.update(face for shell in shells for face, _ in shell)
+        for lod, volumes in sorted(solids.items()):
+            values = [[[kind for kind in shell] for shell in volume] for volume in volumes]
+            shapes = [[[self._surface(*face) for face in shell] for shell in volume] for volume in volumes]
+            if len(volumes) == 1:
+                yield self._shape("Solid", lod, shapes[0], values[0])
+            else:
+                yield self._shape("MultiSolid", lod, shapes, values)
+        loose: dict[int, list[tuple[int, bool]]] = defaultdict(list)
+        for polygon in self._of_part.get(part, ()):
+            if polygon not in enclosed:
+                loose[self._lods[polygon]].append((polygon, False))
+        for lod, faces in sorted(loose.items()):
+            yield self._shape("MultiSurface", lod, [self._surface(*face) for face in faces], faces)
+
+    def _shells(self, solid: int) -> list[list[tuple[int, bool]]]:
+        """Returns polygon and direction of each face of each shell; faces that were dropped are left out."""
+        table = self._model.solids
+        if table is None:
+            return []
+        shells = []
+        for shell in range(table.shell_starts[solid], table.shell_starts[solid + 1]):
+            span = slice(table.face_starts[shell], table.face_starts[shell + 1])
+            faces = zip(table.faces[span].tolist(), table.is_flipped[span].tolist(), strict=True)
+            shells.append([face for face in faces if face[0] >= 0])
+        return [shell for shell in shells if shell]
+
+    def _surface(self, polygon: int, is_flipped: bool) -> list[list[int]]:
+        rings = range(self._polygon_rings[polygon], self._polygon_rings[polygon + 1])
+        surface = [self._corners[self._rings[r] : self._rings[r + 1]] for r in rings]
+        return [ring[::-1] for ring in surface] if is_flipped else surface
+
+    def _shape(self, type_: str, lod: int, boundaries: list[Any], faces: list[Any]) -> Json:
+        """Returns a geometry; ``faces`` are nested as its semantic values are."""
+        surfaces: dict[str, int] = {}
+
+        def label(face: Any) -> Any:
+            if isinstance(face, list):
+                return [label(inner) for inner in face]
+            kind = self._kinds[face[0]]
+            if kind == SurfaceKind.INTERIOR:
+                self._notes["polygon of a room written without the kind of its surface"] += 1
+            name = _SURFACE_NAMES.get(SurfaceKind(kind))
+            return None if name is None else surfaces.setdefault(name, len(surfaces))
+
+        values = label(faces)
+        shape: Json = {"type": type_, "lod": self._model.lods[lod] or "1", "boundaries": boundaries}
+        if surfaces:
+            shape["semantics"] = {"surfaces": [{"type": name} for name in surfaces], "values": values}
+        return shape
+
+
+def reference_system(crs: str | None) -> tuple[str | None, str]:
+    """Returns the name in CityJSON's form, which has one code, and what of the system it cannot say.
+
+    Example:
+        >>> reference_system("EPSG:7415")
+        ('https://www.opengis.net/def/crs/EPSG/0/7415', '')
+    """
+    if crs is None:
+        return None, ""
+    from pyproj import CRS
+
+    codes = crs.removeprefix("EPSG:").split("+") if crs.startswith("EPSG:") else []
+    if len(codes) != 1:
+        code = CRS.from_user_input(crs).to_epsg()
+        codes = codes[:1] if code is None else [str(code)]
+        if not codes:
+            return None, f"reference system {crs}, which has no EPSG code"
+        if code is None:
+            left_out = (
+                f"vertical reference system of {crs}: CityJSON names one EPSG code, and the two have none"
+            )
+            return _url(codes[0]), left_out
+    return _url(codes[0]), ""
+
+
+def _url(code: str) -> str:
+    return f"https://www.opengis.net/def/crs/EPSG/0/{code}"
+
+
+def _grouped(owner: NDArray[np.integer]) -> dict[int, list[int]]:
+    """Returns the indices of each owner, ascending."""
+    groups: dict[int, list[int]] = defaultdict(list)
+    for n, number in enumerate(owner.tolist()):
+        groups[number].append(n)
+    return groups
+
+
+def _leaves(shape: Json) -> Iterator[int]:
+    stack = [shape["boundaries"]]
+    while stack:
+        for value in stack.pop():
+            if isinstance(value, list):
+                stack.append(value)
+            else:
+                yield value
+
+
+def _renumbered(values: list[Any], place: dict[int, int]) -> list[Any]:
+    return [_renumbered(v, place) if isinstance(v, list) else place[v] for v in values]

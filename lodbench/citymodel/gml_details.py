@@ -1,0 +1,171 @@
+"""What CityGML says of a building besides its surfaces: attributes, address, and the solids they close."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lodbench.citymodel.gml_context import owner_of
+from lodbench.citymodel.gml_links import MemberIndex, index_member
+from lodbench.citymodel.gml_names import (
+    GEOMETRY_PROPERTIES,
+    GML_IDS,
+    POLYGONS,
+    XLINK_HREF,
+    property_lod,
+)
+from lodbench.citymodel.gml_walk import GeometryWalk
+from lodbench.citymodel.objects import ObjectTable
+from lodbench.citymodel.xml import Element, local_name
+
+# Children that hold geometry, other objects or bookkeeping, not facts about the object.
+_NO_ATTRIBUTES = frozenset(
+    {
+        "boundedBy", "boundary", "consistsOfBuildingPart", "buildingPart", "outerBuildingInstallation",
+        "buildingInstallation", "interiorBuildingInstallation", "interiorRoom", "buildingRoom", "opening",
+        "buildingSubdivision", "buildingConstructiveElement", "appearance", "address", "generalizesTo",
+        "adeOfAbstractBuilding",
+    }
+)  # fmt: skip
+_GENERIC_KINDS = {"doubleAttribute": float, "intAttribute": int, "measureAttribute": float}
+_MAX_DEPTH = 8
+
+
+def read_attributes(element: Element) -> dict[str, Any]:
+    """Returns the attributes of an object by their names in CityGML: text, numbers, lists or nested mappings.
+
+    Generic attributes stand under the names they give themselves; an address under ``address``, as CityJSON
+    has it. Geometry, parts and surfaces are left out.
+    """
+    values: dict[str, Any] = {}
+    for child in element.iterchildren("*"):
+        name = local_name(child.tag)
+        generic = child.get("name")
+        if name == "address":
+            addresses = values.setdefault("address", [])
+            addresses += [_leaves(node) for node in child.iterchildren("*")]
+        elif generic is not None and name.lower().endswith("attribute"):
+            _put(values, generic, _generic(child, name))
+        elif name == "genericAttribute":
+            for inner in child.iterchildren("*"):
+                own = next(inner.iterchildren("{*}name"), None)
+                if own is not None and own.text:
+                    _put(values, own.text.strip(), _generic(inner, _plain_kind(inner)))
+        elif name not in _NO_ATTRIBUTES and property_lod(child.tag) is None:
+            value = _value(child, 0)
+            if value not in (None, "", {}):
+                _put(values, name, value)
+    return values
+
+
+def _plain_kind(element: Element) -> str:
+    name = local_name(element.tag)
+    return name[:1].lower() + name[1:]
+
+
+def _generic(element: Element, kind: str) -> Any:
+    value = next(element.iterchildren("{*}value"), None)
+    text = (value.text or "").strip() if value is not None else ""
+    try:
+        return _GENERIC_KINDS.get(kind, str)(text)
+    except ValueError:
+        return text
+
+
+def _put(values: dict[str, Any], name: str, value: Any) -> None:
+    """Adds a value; a name met again becomes a list."""
+    if name not in values:
+        values[name] = value
+    elif isinstance(values[name], list):
+        values[name].append(value)
+    else:
+        values[name] = [values[name], value]
+
+
+def _value(element: Element, depth: int) -> Any:
+    if len(element) == 0:
+        text = (element.text or "").strip() or str(element.get(XLINK_HREF) or "")
+        return _number(text) if element.get("uom") is not None else text
+    if depth >= _MAX_DEPTH:
+        return None
+    values: dict[str, Any] = {}
+    for child in element.iterchildren("*"):
+        value = _value(child, depth + 1)
+        if value not in (None, "", {}):
+            _put(values, local_name(child.tag), value)
+    return values
+
+
+def _number(text: str) -> Any:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _leaves(element: Element) -> dict[str, Any]:
+    """Returns the texts below an address by their innermost names."""
+    values: dict[str, Any] = {}
+    for node in element.iter("*"):
+        text = (node.text or "").strip()
+        if len(node) == 0 and text and local_name(node.tag) not in ("pos", "posList"):
+            _put(values, str(node.get("Type") or local_name(node.tag)), text)
+    return values
+
+
+class SolidReader:
+    """Finds the solids of a member and the polygons that close them.
+
+    Args:
+        member: With buildings whose geometry ``walk`` has just collected.
+        walk: Numbers of polygons and ids.
+        table: Receives solids and polygon ids.
+        first_serial: Serial number of the walk's first polygon.
+    """
+
+    def __init__(self, member: Element, walk: GeometryWalk, table: ObjectTable, first_serial: int) -> None:
+        self._index: MemberIndex = index_member(member, walk)
+        self._table = table
+        self._first = first_serial
+        for element, number in self._index.polygons.items():
+            gml_id = next((element.get(name) for name in GML_IDS if element.get(name)), None)
+            if gml_id is not None:
+                table.polygon_ids[first_serial + number] = str(gml_id)
+
+    def read(self, building: Element, part_of: dict[Element, int], own: int) -> None:
+        """Adds the solids of a building and its parts.
+
+        Args:
+            building: The element.
+            part_of: Objects inside of it, by element.
+            own: Its own object.
+        """
+        for prop in building.iter(*GEOMETRY_PROPERTIES):
+            if property_lod(prop.tag) is None:
+                continue
+            for solid in prop.iter("{*}Solid"):
+                shells = [
+                    self._faces(shell)
+                    for name in ("{*}exterior", "{*}interior")
+                    for shell in solid.iterchildren(name)
+                ]
+                if any(shells):
+                    self._table.solids.append((owner_of(prop, building, part_of, own), shells))
+
+    def _faces(self, shell: Element) -> list[tuple[int, bool]]:
+        """Returns serial number and direction of each polygon of a shell, borrowed ones included."""
+        faces: list[tuple[int, bool]] = []
+        visited: set[Element] = {shell}
+        todo = [(shell, False)]
+        for root, is_flipped in todo:  # which grows
+            for node in root.iter(*POLYGONS, "{*}surfaceMember", "{*}baseSurface"):
+                number = self._index.polygons.get(node)
+                if number is not None:
+                    faces.append((self._first + number, is_flipped))
+                href = node.get(XLINK_HREF)
+                target = None if href is None else self._index.elements.get(href.strip().removeprefix("#"))
+                if target is not None and target not in visited:
+                    visited.add(target)
+                    parent = node.getparent()
+                    is_turned = parent is not None and parent.get("orientation", "+").strip() == "-"
+                    todo.append((target, is_flipped ^ is_turned))
+        return faces
