@@ -15,6 +15,7 @@ from lodbench.cli.run_dataset import data_identity, dataset_opener, with_prior, 
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.errors import ConfigError
 from lodbench.evaluation.rows import seconds_per_query
+from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import write_overlays
@@ -39,25 +40,6 @@ class RunOptions:
     seed: int = 0
     split: list[str] = field(default_factory=list)
     limit: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class ExecutorParams:
-    """How the work is spread.
-
-    Attributes:
-        name: ``serial``.
-        threads: Threads of the engine, None for one per core.
-    """
-
-    name: str = "serial"
-    threads: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.name != "serial":
-            raise ConfigError(f"There is no executor {self.name!r}.", "Known: serial.")
-        if self.threads is not None and self.threads < 1:
-            raise ConfigError(f"executor.threads={self.threads} is not a number of threads.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,12 +109,13 @@ def run_config(values: dict[str, Any]) -> Run:
         runs_root=Path(paths.runs).expanduser(),
         config=config,
         renderer=options.renderer,
-        threads=executor.threads,
+        threads=executor.num_threads,
         tilt=options.tilt,
         seed=options.seed,
         splits=tuple(options.split),
         limit=options.limit,
         retries_failed=RETRY in _flags,
+        executor=executor,
     )
     run = run_method(configured.make(), dataset, segmenter, settings)
     write_artefacts(run, OmegaConf.to_yaml(OmegaConf.create(config), sort_keys=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -19,6 +20,8 @@ Result = TypeVar("Result")
 
 # Items handed out per worker: one at work, one waiting.
 _AHEAD = 2
+# Workers that may die one after the other with no result in between.
+_DEATHS = 3
 
 
 def fan_out(
@@ -31,7 +34,7 @@ def fan_out(
     """Yields the results of work on items, in the order they come.
 
     With one worker the work is done in this process. Otherwise every worker is a fresh process,
-    which ends when this one does, however that happens.
+    which ends when this one does, however that happens; when one dies, what was at work is done again.
 
     Args:
         work: Module-level function of one item.
@@ -41,33 +44,68 @@ def fan_out(
         prepare_with: Its arguments.
 
     Raises:
-        LodbenchError: A worker died.
+        LodbenchError: Workers keep dying.
         Exception: What the work raised; items not yet handed out are left.
     """
     if workers == 1:
         prepare(*prepare_with)
         yield from map(work, items)
         return
-    waiting = iter(items)
+    waiting, again, deaths = iter(items), list[Item](), 0
+    while True:
+        try:
+            for result in _over_processes(work, waiting, again, workers, prepare, prepare_with):
+                deaths = 0
+                yield result
+            return
+        except BrokenProcessPool as error:
+            deaths += 1
+            if deaths > _DEATHS:
+                raise LodbenchError(
+                    "Worker processes keep dying, perhaps for lack of memory.", "Fewer workers need less."
+                ) from error
+
+
+def _over_processes(
+    work: Callable[[Item], Result],
+    waiting: Iterator[Item],
+    again: list[Item],
+    workers: int,
+    prepare: Callable[..., None],
+    prepare_with: tuple[Any, ...],
+) -> Iterator[Result]:
+    """Yields results until all items are done or a worker dies; what was at work is in ``again`` then."""
     # Fresh processes, not forks: a fork would copy locks that other threads hold.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, _prepare, (prepare, prepare_with))
+    at_work: dict[Future[Result], Item] = {}
     try:
-        running: set[Future[Result]] = {pool.submit(work, item) for item in islice(waiting, _AHEAD * workers)}
-        while running:
-            done, running = wait(running, return_when=FIRST_COMPLETED)
+        while True:
+            while len(at_work) < _AHEAD * workers:
+                again += [] if again else list(islice(waiting, 1))
+                if not again:
+                    break
+                # In `again` until it is handed out: a pool that is broken takes nothing.
+                future = pool.submit(work, again[-1])
+                at_work[future] = again.pop()
+            if not at_work:
+                return
+            done, _ = wait(at_work, return_when=FIRST_COMPLETED)
             for future in done:
-                yield future.result()
-                running |= {pool.submit(work, item) for item in islice(waiting, 1)}
-    except BrokenProcessPool as error:
-        raise LodbenchError(
-            "A worker process died, perhaps for lack of memory.", "Fewer workers need less."
-        ) from error
+                result = future.result()
+                del at_work[future]
+                yield result
+    except BrokenProcessPool:
+        # Nobody knows whose worker it was.
+        again += at_work.values()
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _prepare(prepare: Callable[..., None], prepare_with: tuple[Any, ...]) -> None:
+    # Ctrl-C reaches every process of a terminal; the parent is the one to answer.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     prepare(*prepare_with)
 

@@ -11,6 +11,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.execution import ProgressCallback
 from lodbench.geometry import Pose
+from lodbench.storage import digest_of
 
 # A camera further from the city's outline than this sees none of it.
 FURTHEST_M = 2000.0
@@ -30,6 +31,11 @@ def open_city(path: Path, lod: str | None, options: ReadOptions, roof_height: st
     """
     with ProgressCallback(f"reading {path.name}", "MB", 1_000_000) as progress:
         return open_cached_city(path, lod=lod, options=options, roof_height=roof_height, progress=progress)
+
+
+def scene_digest(scene: Scene) -> str:
+    """Returns a digest of a city; the same houses elsewhere are another one."""
+    return digest_of([scene.digest(), scene.origin.tolist()])
 
 
 def distance_outside_m(pose: Pose, scene: Scene) -> float:

@@ -9,22 +9,25 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.datasets.query import Entry, Query
-from lodbench.errors import ConfigError, LodbenchError, QueryFault
+from lodbench.datasets.query import Dataset, Entry, Query
+from lodbench.errors import ConfigError, DatasetError, LodbenchError, QueryFault
 from lodbench.evaluation.predictions import Prediction, encoded_mask
 from lodbench.execution import Ledger, Progress
+from lodbench.execution.executor import SERIAL, ExecutorParams, spread
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.runs.method_inputs import keep_traceback
+from lodbench.harness.city import open_city, scene_digest
+from lodbench.harness.runs.method_inputs import keep_traceback, prepare_method
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.methods import Estimate, Method
 from lodbench.methods.asking import localize_queries, localize_query
 from lodbench.methods.protocol import Streams, SupportsBatches
-from lodbench.segmentation import binary_mask
+from lodbench.segmentation import Segmenter, binary_mask
 from lodbench.storage import random_stream
 
 PREDICTIONS_FILE = "predictions.jsonl"
@@ -38,46 +41,112 @@ def open_predictions(folder: Path, read_only: bool = False) -> Ledger:
     return Ledger(older if older.is_file() and not path.is_file() else path, read_only)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Work:
+    """What a process needs to answer queries: the city is opened there, from the cache.
+
+    Attributes:
+        method: What finds poses.
+        dataset: Where the queries come from.
+        segmenter: Makes the masks.
+        renderer: Name of the renderer.
+        threads: Threads of the renderer; None for one per core.
+        tilt: As for ``Preparation``.
+        needs_mask: As for ``Preparation``.
+        seed: Of the random streams.
+        params: The method's parameters, as JSON values.
+        inputs: Digests of the run's inputs.
+        folder: The run's.
+    """
+
+    method: Method
+    dataset: Dataset
+    segmenter: Segmenter
+    renderer: str
+    threads: int | None
+    tilt: str
+    needs_mask: bool
+    seed: int
+    params: object
+    inputs: dict[str, str]
+    folder: Path
+
+    def answers(
+        self, preparation: Preparation, city_map: CityMap, entries: Sequence[Entry]
+    ) -> list[tuple[str, dict[str, Any]]]:
+        """Returns the keys of queries and the predictions of their poses as JSON values."""
+        name = self.dataset.name
+        asked = [_Asked(entry, partial(random_stream, self.seed, name, entry.key)) for entry in entries]
+        _answer(self.method, preparation, city_map, asked, self.folder)
+        return [(each.entry.key, each.prediction(preparation).to_json()) for each in asked]
+
+
 def predict(
-    method: Method,
+    work: Work,
     preparation: Preparation,
     city_map: CityMap,
     entries: Sequence[Entry],
-    seed: int,
-    folder: Path,
+    executor: ExecutorParams,
     retries_failed: bool = False,
 ) -> dict[str, Prediction]:
     """Returns the predictions of some queries by key; those that are stored already are not made again.
 
+    Each is stored in the run's folder as it comes.
+
     Args:
-        method: What finds poses.
-        preparation: Makes the queries.
-        city_map: What they are found on.
+        work: What is done with each query; its method is prepared where the executor is serial.
+        preparation: Makes the queries in this process.
+        city_map: What they are found on in this process.
         entries: The queries.
-        seed: Of the random streams.
-        folder: The run's, where predictions are kept, each before the next query starts.
+        executor: Where the work is done; it changes no prediction.
         retries_failed: Whether queries whose stored prediction is a failure are asked again.
 
     Raises:
         ConfigError: A setting of the method or the segmenter is wrong, which only a query could tell.
+        LodbenchError: Workers keep dying, or the scheduler is not there.
     """
-    stored = open_predictions(folder)
-    dataset = preparation.dataset.name
+    stored = open_predictions(work.folder)
     waiting = [e for e in entries if e.key not in stored or (retries_failed and stored[e.key]["failure"])]
-    size = method.batch_size if isinstance(method, SupportsBatches) else 1
-    _warm_up(city_map)
-    with Progress(f"{method.name} on {dataset}", len(entries)) as progress:
+    size = work.method.batch_size if isinstance(work.method, SupportsBatches) else 1
+    batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
+    with Progress(f"{work.method.name} on {work.dataset.name}", len(entries)) as progress:
         progress.advance(len(entries) - len(waiting))
-        for start in range(0, len(waiting), size):
-            asked = [
-                _Asked(entry, partial(random_stream, seed, dataset, entry.key))
-                for entry in waiting[start : start + size]
-            ]
-            _answer(method, preparation, city_map, asked, folder)
-            for each in asked:
-                stored.record(each.entry.key, each.prediction(preparation).to_json())
+        answers: Iterator[list[tuple[str, dict[str, Any]]]]
+        if executor.name == SERIAL:
+            _warm_up(city_map)
+            answers = (work.answers(preparation, city_map, batch) for batch in batches)
+        else:
+            answers = spread(executor, _answer_here, batches, _open_here, (work,))
+        for answered in answers:
+            for key, answer in answered:
+                stored.record(key, answer)
                 progress.advance()
     return {entry.key: Prediction.from_json(stored[entry.key]) for entry in entries}
+
+
+# What this worker process has opened; set once, before its first query.
+_here: list[tuple[Work, Preparation, CityMap]] = []
+
+
+def _open_here(work: Work) -> None:
+    dataset = work.dataset
+    if dataset.city_model is None:
+        raise ConfigError("There is no city model to localise against.", dataset.city_hint)
+    city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
+    if scene_digest(city.scene) != work.inputs["scene"]:
+        reason = f"{dataset.city_model} is another city for a worker, or has changed since the start."
+        raise DatasetError(reason, "Let all workers see the same files.")
+    preparation = Preparation(dataset, city.scene, work.segmenter, work.tilt, work.needs_mask)
+    city_map = CityMap(city.scene, work.renderer, work.threads)
+    # It finds prepared what the run's own process prepared.
+    prepare_method(work.method, work.params, work.inputs, city_map, dataset.references, work.folder)
+    _warm_up(city_map)
+    _here[:] = [(work, preparation, city_map)]
+
+
+def _answer_here(entries: Sequence[Entry]) -> list[tuple[str, dict[str, Any]]]:
+    work, preparation, city_map = _here[0]
+    return work.answers(preparation, city_map, entries)
 
 
 def _warm_up(city_map: CityMap) -> None:

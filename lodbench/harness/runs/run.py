@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,12 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
 from lodbench.evaluation.evaluate import evaluate
-from lodbench.harness.city import open_city
+from lodbench.execution.executor import SERIAL, ExecutorParams
+from lodbench.execution.lock import only_one_in
+from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.code_digest import code_digest
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
-from lodbench.harness.runs.predict import open_predictions, predict
+from lodbench.harness.runs.predict import Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_tilt
 from lodbench.harness.runs.requirements import can_segment, needs_segmenter, require_run_inputs
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
@@ -29,7 +32,7 @@ from lodbench.methods import Method
 from lodbench.plugins import load_plugin
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
-from lodbench.storage import digest_of, write_text
+from lodbench.storage import digest_of, make_folder, remove_leftovers, write_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +50,7 @@ class RunSettings:
         splits: Splits to run; empty for all.
         limit: At most this many queries per split, or None.
         retries_failed: Whether queries that failed in an earlier run into the same folder are asked again.
+        executor: Where queries are answered; never changes a result.
     """
 
     runs_root: Path
@@ -58,6 +62,7 @@ class RunSettings:
     splits: tuple[str, ...] = ()
     limit: int | None = None
     retries_failed: bool = False
+    executor: ExecutorParams = field(default_factory=ExecutorParams)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,18 +108,34 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     }
     digest = digest_of({"config": settings.config, "inputs": inputs})
     folder = settings.runs_root / dataset.name / method.name / digest
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / PLAN_FILE, json.dumps({"queries": [entry.key for entry in entries]}, indent=0) + "\n")
-    stored = open_predictions(folder)
-    resumed = sum(entry.key in stored for entry in entries)
-    try:
-        prepare_method(method, settings.config.get("method"), inputs, city_map, dataset.references, folder)
-        predictions = predict(
-            method, preparation, city_map, entries, settings.seed, folder, settings.retries_failed
-        )
-    except ConfigError:
-        _remove_unused(folder)
-        raise
+    work = Work(
+        # A worker prepares its own.
+        method if settings.executor.name == SERIAL else copy(method),
+        dataset,
+        segmenter,
+        settings.renderer,
+        settings.threads,
+        settings.tilt,
+        preparation.needs_mask,
+        settings.seed,
+        settings.config.get("method"),
+        inputs,
+        make_folder(folder).absolute(),
+    )
+    with only_one_in(folder):
+        remove_leftovers(folder)
+        plan = {"queries": [entry.key for entry in entries]}
+        write_text(folder / PLAN_FILE, json.dumps(plan, indent=0) + "\n")
+        stored = open_predictions(folder)
+        resumed = sum(entry.key in stored for entry in entries)
+        try:
+            prepare_method(method, work.params, inputs, city_map, dataset.references, folder)
+            predictions = predict(
+                work, preparation, city_map, entries, settings.executor, settings.retries_failed
+            )
+        except ConfigError:
+            _remove_unused(folder)
+            raise
     priors = {entry.key: preparation.prior(entry) for entry in entries}
     return Run(
         folder=folder,
@@ -150,11 +171,6 @@ def _remove_unused(folder: Path) -> None:
     with suppress(OSError):  # folders that hold something else stay
         for place in (folder, folder.parent, folder.parent.parent):
             place.rmdir()
-
-
-def scene_digest(scene: Scene) -> str:
-    """Returns a digest of a city; the same houses elsewhere are another one."""
-    return digest_of([scene.digest(), scene.origin.tolist()])
 
 
 def _open_city(dataset: Dataset) -> tuple[Scene, Dataset]:

@@ -22,11 +22,10 @@ from lodbench.evaluation.errors import ErrorParts, PoseError
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.rows import NO_TRUTH, QueryRow, is_without_truth
 from lodbench.geometry import wrap_deg
-from lodbench.harness.city import open_city
+from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.artefacts import summary_of
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
-from lodbench.harness.runs.run import scene_digest
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.segmentation import Segmenter
