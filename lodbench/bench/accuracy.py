@@ -1,71 +1,133 @@
 """How well a method finds poses over a real model: synthetic views, masks as wrong as a network's.
 
-Seeded drone views are drawn over a city. The mask of each is rendered at the true pose at the
-working size (602 x 448) and degraded to a target IoU; its prior is drawn uniformly around the
-truth. Every method runs every view twice: with the true tilt in the prior, and with a tilt in error.
-Masks may come from another level of detail than the map that is searched.
+Seeded drone views are drawn over a city, as ``dataset=views`` draws them: the mask of each is rendered at
+the true pose at the working size (602 x 448) and degraded to a target IoU, its prior is uniform around the
+truth. Every method runs every view twice, with the true tilt in the prior and with a tilt in error, through
+the same prediction and evaluation as `lodbench run`. Masks may come from another level of detail than the
+map that is searched.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.bench.accuracy_options import AccuracyOptions
-from lodbench.bench.accuracy_report import TILTS, AccuracyReport, Outcome
+from lodbench.bench.accuracy_report import SPLIT, TILTS, AccuracyReport
 from lodbench.bench.figures import Progress, no_progress
 from lodbench.citymap import CityMap
-from lodbench.citymodel import Scene, open_scene
+from lodbench.citymodel import open_scene
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.datasets.priors import UniformPrior
-from lodbench.datasets.query import Query
-from lodbench.errors import QueryFault
-from lodbench.evaluation import pose_error
-from lodbench.evaluation.errors import FAILED
-from lodbench.geometry import Pose
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.evaluation.evaluate import evaluate
+from lodbench.evaluation.predictions import Prediction
+from lodbench.execution.executor import ExecutorParams
+from lodbench.harness.runs.predict import Work, predict
+from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods import Method
-from lodbench.methods.asking import localize_query
 from lodbench.methods.lodlocv2 import LodLocV2
-from lodbench.methods.protocol import SupportsPriorWidth
-from lodbench.rendering import Scorer
+from lodbench.methods.protocol import Streams, SupportsPriorWidth
 from lodbench.storage import random_stream
 from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.view_sampling import RGB_CAMERA
 from lodbench.synthesis.views_dataset import draw_queries
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(slots=True, eq=False)
+class DrawnMasks:
+    """Segmenter of views: the masks that were drawn with them, by ``Entry.key``."""
+
+    masks: dict[str, NDArray[np.bool_]]
+    name: str = "views"
+    requires: tuple[str, ...] = ()
+    provides: tuple[str, ...] = ("mask",)
+
+    def segment(self, entry: Entry) -> NDArray[np.float32]:
+        """Returns the (448, 602) mask of a view."""
+        return self.masks[entry.key].astype(np.float32)
+
+    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
+        """Returns "": nothing of a bench is stored."""
+        return ""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Case:
-    """One view to be found: what the method sees, and what only the evaluator may see.
+class Views:
+    """Seeded views of a city.
 
     Attributes:
-        query: The query; its prior has a tilt in error.
-        truth: The true pose.
-        achieved_iou: IoU of the mask with the silhouette at the truth.
+        seed: Which draw.
+        dataset: The views, in the local frame of the map that is searched.
+        segmenter: Their masks.
+        rejections: Draws thrown away.
     """
 
-    query: Query
-    truth: Pose
-    achieved_iou: float
+    seed: int
+    dataset: Dataset
+    segmenter: DrawnMasks
+    rejections: int
 
-    def query_with_tilt(self, tilt: str) -> Query:
-        """Returns the query with the tilt of its prior as drawn (``prior``) or true (``truth``)."""
-        q = self.query
-        prior = q.prior.with_tilt_of(self.truth) if tilt == "truth" else q.prior
-        return Query(q.name, q.split, q.camera, prior, q.building_probability)
+    def find(
+        self, method: Method, tilt: str, city_map: CityMap, progress: Progress = no_progress
+    ) -> tuple[pd.DataFrame, dict[str, Prediction]]:
+        """Returns what a method makes of the views: the evaluated queries, and the predictions."""
+        entries = self.dataset.entries
+        needs_mask = needs_segmenter(method)
+        preparation = Preparation(self.dataset, city_map.scene, self.segmenter, tilt, needs_mask)
+        with tempfile.TemporaryDirectory() as scratch:
+            work = _ViewsWork(
+                method=method,
+                dataset=self.dataset,
+                segmenter=self.segmenter,
+                renderer="silhouette",
+                threads=None,
+                tilt=tilt,
+                needs_mask=needs_mask,
+                seed=self.seed,
+                params=None,
+                inputs={},
+                folder=Path(scratch),
+                progress=progress,
+            )
+            predictions = predict(work, preparation, city_map, entries, ExecutorParams())
+        priors = {entry.key: preparation.prior(entry) for entry in entries}
+        queries = evaluate(entries, predictions, self.dataset.truth, priors, city_map, tilt)
+        seconds = [sum(predictions[key].seconds.values()) for key in queries.index]
+        return queries.assign(method=method.name, seed=self.seed, seconds=seconds), predictions
 
-    def shifted(self, offset_m: NDArray[np.float64]) -> Case:
-        """Returns the case in a frame whose origin lies elsewhere, (3,) metres."""
-        q = self.query
-        query = Query(q.name, q.split, q.camera, q.prior.shifted(offset_m), q.building_probability)
-        return Case(query, self.truth.shifted(offset_m), self.achieved_iou)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ViewsWork(Work):
+    """As in a run, but for the streams, which know nothing of the tilt: both blocks try the same moves."""
+
+    progress: Progress = no_progress
+    done: list[Entry] = field(default_factory=list)
+
+    def streams_of(self, entry: Entry) -> Streams:
+        return partial(random_stream, self.seed, "accuracy", entry.name)
+
+    def answers(
+        self, preparation: Preparation, city_map: CityMap, entries: Sequence[Entry]
+    ) -> list[tuple[str, dict[str, Any]]]:
+        # Not super(): a dataclass with slots is another class than the one named here.
+        found = Work.answers(self, preparation, city_map, entries)
+        for entry in entries:
+            self.done.append(entry)
+            self.progress(len(self.done), len(self.dataset.entries))
+        return found
 
 
 def measure_accuracy(
@@ -88,37 +150,41 @@ def measure_accuracy(
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
+    import pandas as pd
+
     options = options or AccuracyOptions()
     scorer, seen = open_scenes(city, options)
-    scene = scorer.scene
-    told = {
-        tilt: [reaching(method, options.prior(tilt)) for method in methods or (LodLocV2(),)] for tilt in TILTS
-    }
-    outcomes: list[Outcome] = []
-    rejections = 0
-    for seed in options.seeds:
-        cases, rejected = make_cases(seen.scene, seen, options, seed)
-        cases = [case.shifted(seen.scene.origin - scene.origin) for case in cases]
-        rejections += rejected
-        for number, tilt, case in product(range(len(told["prior"])), TILTS, cases):
-            outcomes.append(run_case(case, tilt, told[tilt][number], scorer, seed))
-            progress(len(outcomes), len(options.seeds) * len(told["prior"]) * len(TILTS) * len(cases))
+    drawn = [draw_views(scorer, seen, options, seed) for seed in options.seeds]
+    methods = methods or (LodLocV2(),)
+    jobs = list(product(drawn, methods, TILTS))
+    tables = []
+    for number, (views, method, tilt) in enumerate(jobs):
+        told = told_width(method, options.prior(tilt))
+        tables.append(views.find(told, tilt, scorer, part_of(progress, number, len(jobs)))[0])
     name = Path(city).name
     if options.mask_lod is not None or options.map_lod is not None:
-        name += f" (masks {lod_in_words(seen.scene.lod)}, map {lod_in_words(scene.lod)})"
-    names = tuple(method.name for method in told["prior"])
-    return AccuracyReport(name, names, options.protocol(), rejections, tuple(outcomes))
+        name += f" (masks {lod_in_words(seen.scene.lod)}, map {lod_in_words(scorer.scene.lod)})"
+    names = tuple(method.name for method in methods)
+    return AccuracyReport(
+        name, names, options.protocol(), sum(views.rejections for views in drawn), pd.concat(tables)
+    )
 
 
 def open_scenes(city: Path, options: AccuracyOptions) -> tuple[CityMap, CityMap]:
-    """Returns the renderer of the map that is searched, and that of the city that masks are drawn from."""
-    scorer = CityMap(open_scene(city, lod=options.map_lod), threads=options.threads)
+    """Returns the renderer of the map that is searched, and that of the city that masks are drawn from.
+
+    Their origins count from the map's: coordinates of a whole country would cost digits.
+    """
+    searched = open_scene(city, lod=options.map_lod)
+    scorer = CityMap(replace(searched, origin=np.zeros(3)), threads=options.threads)
     if options.mask_lod is None or options.mask_lod == options.map_lod:
         return scorer, scorer
-    return scorer, CityMap(open_scene(city, lod=options.mask_lod), threads=options.threads)
+    seen = open_scene(city, lod=options.mask_lod)
+    moved = replace(seen, origin=seen.origin - searched.origin)
+    return scorer, CityMap(moved, threads=options.threads)
 
 
-def reaching(method: Method, prior: UniformPrior) -> Method:
+def told_width(method: Method, prior: UniformPrior) -> Method:
     """Returns a method told how far off priors may be, if it is one that can be."""
     if not isinstance(method, SupportsPriorWidth):
         return method
@@ -126,68 +192,35 @@ def reaching(method: Method, prior: UniformPrior) -> Method:
     return made
 
 
-def make_cases(
-    scene: Scene, scorer: Scorer, options: AccuracyOptions, seed: int | None = None
-) -> tuple[list[Case], int]:
-    """Returns the cases of a city and how many draws of views were rejected.
-
-    Case i depends on the seed and i only: asking for more views keeps the first ones.
+def draw_views(city_map: CityMap, seen: CityMap, options: AccuracyOptions, seed: int) -> Views:
+    """Returns the views of a city; view i depends on the seed and i only.
 
     Args:
-        scene: What masks are drawn from.
-        scorer: Renders it.
+        city_map: The map that is searched.
+        seen: Renders what masks are drawn from.
         options: What to draw.
-        seed: Which; the first of the options' if None.
+        seed: Which draw.
     """
-    seed = options.seeds[0] if seed is None else seed
     drawn, rejections = draw_queries(
-        scene, scorer, options.num_views, options.mask_iou, options.prior(), seed, options.area_m(scene)
+        seen.scene,
+        seen,
+        options.num_views,
+        options.mask_iou,
+        options.prior(),
+        seed,
+        options.area_m(seen.scene),
     )
-    return [_case(query) for query in drawn], rejections
+    entries = tuple(_entry(query, seen.scene.origin) for query in drawn)
+    truth = {entry.key: q.truth.shifted(seen.scene.origin) for entry, q in zip(entries, drawn, strict=True)}
+    masks = {entry.key: query.mask for entry, query in zip(entries, drawn, strict=True)}
+    dataset = Dataset("views", "", Path(), None, None, (SPLIT,), entries, truth)
+    return Views(seed, dataset, DrawnMasks(masks), rejections)
 
 
-def seeded_cases(scorer: Scorer, seen: Scorer, options: AccuracyOptions) -> list[tuple[int, Case]]:
-    """Returns the cases of all seeds, each with its seed, in the frame of the map that is searched."""
-    return [
-        (seed, case.shifted(seen.scene.origin - scorer.scene.origin))
-        for seed in options.seeds
-        for case in make_cases(seen.scene, seen, options, seed)[0]
-    ]
+def part_of(progress: Progress, number: int, parts: int) -> Progress:
+    """Returns the progress of one of several parts of equal length."""
+    return lambda done, total: progress(number * total + done, parts * total)
 
 
-def run_case(case: Case, tilt: str, method: Method, city_map: CityMap, seed: int) -> Outcome:
-    """Returns what a method makes of a case; a fault of the query is a failure, not an error."""
-    query = case.query_with_tilt(tilt)
-    started = time.perf_counter()
-    error, score, hypotheses, probability = FAILED, 0.0, 0, None
-    try:
-        # The streams know nothing of the tilt: both blocks try the same moves.
-        estimate = localize_query(method, query, city_map, streams_of(seed, query.name))
-        error = pose_error(estimate.pose, case.truth)
-        score, hypotheses, probability = estimate.score, estimate.hypotheses, estimate.probability
-    except QueryFault:
-        pass
-    return Outcome(
-        name=query.name,
-        tilt=tilt,
-        error=error,
-        prior_error=pose_error(query.prior, case.truth),
-        score=score,
-        truth_score=case.achieved_iou,
-        hypotheses=hypotheses,
-        seconds=time.perf_counter() - started,
-        method=method.name,
-        seed=seed,
-        probability=probability,
-    )
-
-
-def streams_of(seed: int, name: str) -> Callable[[str, int], np.random.Generator]:
-    """Returns the random numbers of a view's search."""
-    return partial(random_stream, seed, "accuracy", name)
-
-
-def _case(drawn: SyntheticQuery) -> Case:
-    probability = drawn.mask.astype(np.float32)
-    query = Query(drawn.name, "all", RGB_CAMERA, drawn.prior, probability)
-    return Case(query, drawn.truth, drawn.achieved_iou)
+def _entry(drawn: SyntheticQuery, origin: NDArray[np.float64]) -> Entry:
+    return Entry(drawn.name, SPLIT, RGB_CAMERA, drawn.prior.shifted(origin), None, None)

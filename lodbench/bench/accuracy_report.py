@@ -4,102 +4,75 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure
-from lodbench.evaluation import DEFAULT_THRESHOLDS, PoseError, SplitSummary, summarize
+from lodbench.evaluation import DEFAULT_THRESHOLDS, SplitSummary
 from lodbench.evaluation.calibration import Calibration, calibrate
+from lodbench.evaluation.queries import ERROR, summarize_queries
+from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.reporting.columns import format_columns
+from lodbench.reporting.table_columns import finite_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SPLIT = "all"
 
 # The two blocks: pitch and roll of the prior true, or drawn with an error.
 TILTS = ("truth", "prior")
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of one case.
-
-    Attributes:
-        name: The view.
-        tilt: ``truth`` or ``prior``.
-        error: Error of the estimate.
-        prior_error: Error of the prior.
-        score: The method's score of its estimate; 0 without one.
-        truth_score: IoU of the mask with the silhouette at the truth: a lower score than this is a
-            failure of the search, a higher one says that the mask fits a wrong pose better.
-        hypotheses: Poses scored.
-        seconds: Wall time.
-        method: Name of the method.
-        seed: Which draw of views the case belongs to.
-        probability: What the method said of its being within (2 m, 2 deg); None if it does not say.
-    """
-
-    name: str
-    tilt: str
-    error: PoseError
-    prior_error: PoseError
-    score: float
-    truth_score: float
-    hypotheses: int
-    seconds: float
-    method: str = "lodlocv2"
-    seed: int = 0
-    probability: float | None = None
-
-    @property
-    def is_found(self) -> bool:
-        """Tells whether the estimate lies within (2 m, 2 deg)."""
-        return self.error.translation_m < 2 and self.error.rotation_deg < 2
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class AccuracyReport:
-    """Outcomes of every method and view under both tilts.
+    """What every method made of every view under both tilts.
 
     Attributes:
         city: File name of the city model.
         methods: Names of the methods.
         protocol: What was drawn, in words.
         rejections: Draws of a view thrown away: too few or too many buildings, or among them.
-        outcomes: One per seed, method, tilt and view, in that order.
+        queries: One row per seed, method, tilt and view, as ``lodbench.evaluation.queries`` has them, with
+            the columns ``method``, ``seed`` and ``seconds``. A ``score`` below ``mask_iou``, what the true
+            pose would score, is a failure of the search; a higher one says that the mask fits a wrong pose
+            better.
     """
 
     city: str
     methods: tuple[str, ...]
     protocol: str
     rejections: int
-    outcomes: tuple[Outcome, ...]
+    queries: pd.DataFrame
 
-    def of_tilt(self, tilt: str, method: str | None = None) -> tuple[Outcome, ...]:
-        """Returns the outcomes of ``truth`` or ``prior``, of a method; the first if None."""
-        method = method or self.methods[0]
-        return tuple(o for o in self.outcomes if o.tilt == tilt and o.method == method)
+    def of_tilt(self, tilt: str, method: str | None = None) -> pd.DataFrame:
+        """Returns the rows of ``truth`` or ``prior``, of a method; the first if None."""
+        is_of = (self.queries["tilt"] == tilt) & (self.queries["method"] == (method or self.methods[0]))
+        return self.queries[is_of]
 
     def summary(self, tilt: str, method: str | None = None) -> SplitSummary:
         """Returns a method's recalls and medians under a tilt."""
-        outcomes = self.of_tilt(tilt, method)
-        return summarize([o.error for o in outcomes], [o.hypotheses for o in outcomes if o.hypotheses])
+        return summarize_queries(self.of_tilt(tilt, method), SPLIT)[0]
 
     def prior_summary(self, tilt: str) -> SplitSummary:
         """Returns the same of the priors themselves."""
-        return summarize([o.prior_error for o in self.of_tilt(tilt)])
+        return summarize_queries(self.of_tilt(tilt), SPLIT)[1]
 
     def seconds_per_query(self, tilt: str, method: str | None = None) -> float:
         """Returns the mean wall time of a query."""
-        return float(np.mean([o.seconds for o in self.of_tilt(tilt, method)]))
-
-    def calibration(self, tilt: str, method: str) -> Calibration | None:
-        """Returns how well a method knows what it found; None if it does not say."""
-        outcomes = self.of_tilt(tilt, method)
-        if all(o.probability is None for o in outcomes):
-            return None
-        return calibrate([o.probability or 0.0 for o in outcomes], [o.is_found for o in outcomes])
+        return float(self.of_tilt(tilt, method)["seconds"].mean())
 
     def calibrations(self) -> dict[str, Calibration]:
         """Returns the calibrations there are, by method and tilt in words."""
-        asked = {f"{method}, tilt={tilt}": self.calibration(tilt, method) for method, tilt in self._blocks()}
-        return {name: calibration for name, calibration in asked.items() if calibration is not None}
+        found = {}
+        for method, tilt in self._blocks():
+            rows = self.of_tilt(tilt, method)
+            if rows["probability"].notna().any():
+                confidence = rows["probability"].fillna(0.0).to_numpy()
+                found[f"{method}, tilt={tilt}"] = calibrate(confidence, _is_found(rows))
+        return found
 
     def figures(self) -> list[Figure]:
         """Returns one figure per number; the peer of each is the prior."""
@@ -116,8 +89,8 @@ class AccuracyReport:
             "median deg",
             "hypotheses",
             "s/query",
-            "said-found %",
-            "risk area %",
+            "ece %",
+            "aurc %",
         ]
         rows = [head]
         for tilt in TILTS:
@@ -125,7 +98,7 @@ class AccuracyReport:
             for method in self.methods:
                 seconds = f"{self.seconds_per_query(tilt, method):.2f}"
                 cells = _cells(f"tilt={tilt}  {method}", self.summary(tilt, method), seconds)
-                rows.append([*cells, *_knowing(self.calibration(tilt, method))])
+                rows.append([*cells, *_knowing(self.summary(tilt, method))])
         return format_columns(rows) + "\n" + self._small_print()
 
     def _blocks(self) -> list[tuple[str, str]]:
@@ -145,10 +118,9 @@ class AccuracyReport:
             yield Figure(f"{name} {block}", value, unit, "prior", beside, ratio)
         yield Figure(f"hypotheses per query {block}", ours.hypotheses_per_query, "")
         yield Figure(f"seconds per query {block}", self.seconds_per_query(tilt, method), "s")
-        calibration = self.calibration(tilt, method)
-        if calibration is not None:
-            yield Figure(f"calibration error {block}", 100 * calibration.calibration_error, "%")
-            yield Figure(f"area under risk over coverage {block}", 100 * calibration.risk_area, "%")
+        if "ece_percent" in ours.to_json()["metrics"]:
+            yield Figure(f"calibration error {block}", ours.metrics["ece_percent"], "%")
+            yield Figure(f"area under risk over coverage {block}", ours.metrics["aurc_percent"], "%")
 
     def _small_print(self) -> str:
         views = len(self.of_tilt(TILTS[0]))
@@ -157,8 +129,9 @@ class AccuracyReport:
             f"{self.protocol}; in brackets the 95 % interval."
         ]
         for method, tilt in self._blocks():
-            missed = [o for o in self.of_tilt(tilt, method) if not o.is_found]
-            unfound = sum(o.score < o.truth_score for o in missed)
+            rows = self.of_tilt(tilt, method)
+            missed = rows[~_is_found(rows)]
+            unfound = int((missed["score"].fillna(0.0) < missed["mask_iou"]).sum())
             whose = f"tilt={tilt}" if len(self.methods) == 1 else f"tilt={tilt} {method}"
             lines.append(
                 f"{whose}: {len(missed)} not within (2 m, 2 deg); in {unfound} of them the truth fits "
@@ -166,17 +139,20 @@ class AccuracyReport:
             )
         if self.calibrations():
             lines.append(
-                "said-found: mean distance of the probability a method gives of being within (2 m, 2 deg) "
-                "from the share it found; risk area: share not found as the surest 0 to 100 % are answered, "
-                "averaged."
+                "ece: expected calibration error, mean distance of the probability a method gives of being "
+                "within (2 m, 2 deg) from the share it found; aurc: area under the risk-coverage curve, the "
+                "share not found as the surest 0 to 100 % are answered, averaged."
             )
         return "\n".join(lines)
 
 
-def _knowing(calibration: Calibration | None) -> list[str]:
-    if calibration is None:
-        return ["-", "-"]
-    return [f"{100 * calibration.calibration_error:.1f}", f"{100 * calibration.risk_area:.2f}"]
+def _is_found(rows: pd.DataFrame) -> NDArray[np.bool_]:
+    return hits_of(rows[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
+
+
+def _knowing(summary: SplitSummary) -> list[str]:
+    numbers = (("ece_percent", ".1f"), ("aurc_percent", ".2f"))
+    return [finite_text(summary.metrics[name], spec) for name, spec in numbers]
 
 
 def _cells(name: str, summary: SplitSummary, seconds: str) -> list[str]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from lodbench.bench.accuracy import open_scenes, reaching, run_case, seeded_cases
+from lodbench.bench.accuracy import draw_views, open_scenes, part_of, told_width
 from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.bench.figures import Figure, Progress, no_progress
-from lodbench.evaluation.statistics import wilson_interval
+from lodbench.evaluation.queries import ERROR
+from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, summarize
 from lodbench.methods import Method
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2
@@ -79,21 +78,26 @@ def measure_budget(city: Path, options: AccuracyOptions, progress: Progress = no
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
+    import pandas as pd
+
     scorer, seen = open_scenes(city, options)
-    cases = seeded_cases(scorer, seen, options)
+    drawn = [draw_views(scorer, seen, options, seed) for seed in options.seeds]
     curves: dict[str, list[BudgetPoint]] = {}
-    ladder = [reaching(method, options.prior()) for method in _ladder()]
-    for k, method in enumerate(ladder):
-        outcomes = []
-        for n, (seed, case) in enumerate(cases, start=1):
-            outcomes.append(run_case(case, "prior", method, scorer, seed))
-            progress(k * len(cases) + n, len(ladder) * len(cases))
-        found = np.array([outcome.is_found for outcome in outcomes])
-        hypotheses = float(np.mean([outcome.hypotheses for outcome in outcomes]))
-        point = BudgetPoint(hypotheses, 100.0 * float(found.mean()), *wilson_interval(found))
-        curves.setdefault(method.name, []).append(point)
-    views = f"{len(cases)} views"
-    title = f"{Path(city).name}: {views} with tilt=prior, {options.protocol()}"
+    jobs = [(told_width(method, options.prior()), views) for method in _ladder() for views in drawn]
+    tables = [
+        views.find(method, "prior", scorer, part_of(progress, number, len(jobs)))[0]
+        for number, (method, views) in enumerate(jobs)
+    ]
+    for start in range(0, len(jobs), len(drawn)):
+        found = pd.concat(tables[start : start + len(drawn)])
+        summary = summarize(found[list(ERROR)].to_numpy())
+        label = DEFAULT_THRESHOLDS[0].label
+        point = BudgetPoint(
+            float(found["hypotheses"].mean()), summary.recall[label], *summary.interval[label]
+        )
+        curves.setdefault(jobs[start][0].name, []).append(point)
+    count = options.num_views * len(drawn)
+    title = f"{Path(city).name}: {count} views with tilt=prior, {options.protocol()}"
     return BudgetReport(title, {name: tuple(points) for name, points in curves.items()})
 
 

@@ -148,7 +148,7 @@ def _scored(
         for entry, pose in zip(dataset.entries, poses, strict=True)
     }
     priors = {entry.key: entry.prior for entry in dataset.entries}
-    rows = evaluate(dataset.entries, predictions, dataset.truth, priors)
+    queries = evaluate(dataset.entries, predictions, dataset.truth, priors)
     config = {
         "method": {"name": f"method_{number:03d}"},
         "segmenter": {"name": "unstated"},
@@ -156,4 +156,4 @@ def _scored(
         "seed": "unstated",
         "renderer": "unstated",
     }
-    return Result(scratch / f"{number:03d}", config, dataset, (_SPLIT,), predictions, rows, inputs, None)
+    return Result(scratch / f"{number:03d}", config, dataset, (_SPLIT,), predictions, queries, inputs, None)

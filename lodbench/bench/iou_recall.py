@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lodbench.bench.accuracy import measure_accuracy
+from lodbench.bench.accuracy import measure_accuracy, part_of
 from lodbench.bench.accuracy_options import AccuracyOptions
-from lodbench.bench.accuracy_report import TILTS, Outcome
+from lodbench.bench.accuracy_report import TILTS, AccuracyReport
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.errors import ConfigError
-from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, hits_of
-from lodbench.evaluation.statistics import wilson_interval
+from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
 from lodbench.methods import Method
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.storage import write_bytes
@@ -94,28 +93,24 @@ class IouRecallReport:
         city: Name of the city model.
         methods: Names of the methods.
         ious: IoUs of the masks.
-        outcomes: Per IoU, the outcomes of all methods and views with both tilts.
+        reports: What was found at each IoU.
     """
 
     city: str
     methods: tuple[str, ...]
     ious: tuple[float, ...]
-    outcomes: tuple[tuple[Outcome, ...], ...]
+    reports: tuple[AccuracyReport, ...]
 
     @property
     def num_views(self) -> int:
         """Returns the number of views behind each point."""
-        return len(self.outcomes[0]) // (len(TILTS) * len(self.methods))
+        return len(self.reports[0].of_tilt(TILTS[0]))
 
     def recall(self, tilt: str, method: str | None = None) -> list[Point]:
         """Returns per IoU the recall of a method within 2 m and 2 deg; of the first method if None."""
-        method = method or self.methods[0]
-        points = []
-        for outcomes in self.outcomes:
-            errors = [o.error for o in outcomes if o.tilt == tilt and o.method == method]
-            hits = hits_of(np.array(errors, dtype=np.float64), _THRESHOLD)
-            points.append(Point(100.0 * float(hits.mean()), *wilson_interval(hits)))
-        return points
+        found = [report.summary(tilt, method) for report in self.reports]
+        label = _THRESHOLD.label
+        return [Point(summary.recall[label], *summary.interval[label]) for summary in found]
 
     def figures(self) -> list[Figure]:
         """Returns the recalls, one figure per method, tilt and IoU."""
@@ -208,16 +203,11 @@ def measure_iou_recall(
     """
     options, methods = options or IouRecallOptions(), methods or (LodLocV2(),)
     base = AccuracyOptions(num_views=options.num_views, seeds=(options.seed,), threads=options.threads)
-    outcomes = []
-    for number, iou in enumerate(options.ious):
-        told = _part(progress, number, len(options.ious))
-        outcomes.append(measure_accuracy(city, replace(base, mask_iou=iou), told, methods).outcomes)
+    reports = [
+        measure_accuracy(
+            city, replace(base, mask_iou=iou), part_of(progress, number, len(options.ious)), methods
+        )
+        for number, iou in enumerate(options.ious)
+    ]
     names = tuple(method.name for method in methods)
-    return IouRecallReport(Path(city).name, names, options.ious, tuple(outcomes))
-
-
-def _part(progress: Progress, number: int, parts: int) -> Progress:
-    def told(done: int, total: int) -> None:
-        progress(number * total + done, parts * total)
-
-    return told
+    return IouRecallReport(Path(city).name, names, options.ious, tuple(reports))

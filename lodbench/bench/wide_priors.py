@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lodbench.bench.accuracy import Case, open_scenes, reaching, seeded_cases, streams_of
+from lodbench.bench.accuracy import draw_views, open_scenes, part_of, told_width
 from lodbench.bench.accuracy_options import AccuracyOptions
+from lodbench.bench.accuracy_report import SPLIT
 from lodbench.bench.figures import Figure, Progress, no_progress
-from lodbench.citymap import CityMap
-from lodbench.errors import QueryFault
 from lodbench.evaluation import PoseError, pose_error
 from lodbench.evaluation.errors import FAILED
-from lodbench.geometry import Pose
-from lodbench.methods.asking import localize_query
+from lodbench.evaluation.predictions import Prediction
+from lodbench.evaluation.queries import ERROR
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.protocol import Method
 from lodbench.reporting.columns import format_columns
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SEARCHES = ("grid", "basins")
 # Ends nearer than this are one optimum: a twentieth of what counts as found.
@@ -108,38 +110,29 @@ def measure_wide_priors(
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
     scorer, seen = open_scenes(city, options)
-    cases = seeded_cases(scorer, seen, options)
-    methods = {
-        s: reaching(ContourAlignment(replace(ContourAlignment().params, search=s)), options.prior())
+    drawn = [draw_views(scorer, seen, options, seed) for seed in options.seeds]
+    methods = [
+        told_width(ContourAlignment(replace(ContourAlignment().params, search=s)), options.prior())
         for s in SEARCHES
-    }
+    ]
     pairs: list[SearchPair] = []
-    for seed, case in cases:
-        found = {}
-        for search, method in methods.items():
-            found[search] = _search(case, method, scorer, seed)
-            progress(2 * len(pairs) + len(found), 2 * len(cases))
-        pairs.append(_pair(case, found))
-    title = f"{Path(city).name}, {len(cases)} views with tilt=prior, {options.protocol()}."
+    for number, views in enumerate(drawn):
+        found = [
+            views.find(method, "prior", scorer, part_of(progress, 2 * number + k, 2 * len(drawn)))
+            for k, method in enumerate(methods)
+        ]
+        pairs += [_pair(key, found) for key in found[0][1]]
+    title = f"{Path(city).name}, {len(pairs)} views with tilt=prior, {options.protocol()}."
     return WidePriorReport(title, tuple(pairs))
 
 
-def _search(case: Case, method: Method, city_map: CityMap, seed: int) -> tuple[Pose | None, int]:
-    try:
-        estimate = localize_query(method, case.query, city_map, streams_of(seed, case.query.name))
-    except QueryFault:
-        return None, 0
-    return estimate.pose, estimate.hypotheses
-
-
-def _pair(case: Case, found: dict[str, tuple[Pose | None, int]]) -> SearchPair:
-    poses = [pose for pose, _ in found.values()]
-    first, second = poses
+def _pair(key: str, found: list[tuple[pd.DataFrame, dict[str, Prediction]]]) -> SearchPair:
+    errors = {s: queries.loc[key, list(ERROR)] for s, (queries, _) in zip(SEARCHES, found, strict=True)}
+    answers = {s: predictions[key] for s, (_, predictions) in zip(SEARCHES, found, strict=True)}
+    first, second = (answer.pose for answer in answers.values())
     return SearchPair(
-        name=case.query.name,
-        hypotheses={search: count for search, (_, count) in found.items()},
-        errors={
-            s: FAILED if pose is None else pose_error(pose, case.truth) for s, (pose, _) in found.items()
-        },
+        name=key.removeprefix(f"{SPLIT}/"),
+        hypotheses={search: answer.hypotheses or 0 for search, answer in answers.items()},
+        errors={search: PoseError(*error.astype(float)) for search, error in errors.items()},
         apart=FAILED if first is None or second is None else pose_error(first, second),
     )

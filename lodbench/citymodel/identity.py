@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -75,28 +74,10 @@ def connected_components(
         first: (E,) one end of every edge.
         second: (E,) the other end.
     """
-    parent = np.arange(num_nodes)
-    _unite(parent, first, second)
-    return parent
+    from scipy.sparse import coo_array, csgraph
 
-
-@numba.njit(cache=True, nogil=True)
-def _unite(
-    parent: NDArray[np.int64], first: NDArray[np.int64], second: NDArray[np.int64]
-) -> None:  # pragma: no cover - compiled
-    """Union-find with path halving; the smaller root wins."""
-    for edge in range(len(first)):
-        a, b = first[edge], second[edge]
-        while parent[a] != a:
-            parent[a] = parent[parent[a]]
-            a = parent[a]
-        while parent[b] != b:
-            parent[b] = parent[parent[b]]
-            b = parent[b]
-        if a < b:
-            parent[b] = a
-        else:
-            parent[a] = b
-    for node in range(len(parent)):
-        # Roots are smaller than their members, so parents are final when reached in order.
-        parent[node] = parent[parent[node]]
+    edges = coo_array((np.ones(len(first), np.bool_), (first, second)), shape=(num_nodes, num_nodes))
+    count, labels = csgraph.connected_components(edges, directed=False)
+    smallest: NDArray[np.int64] = np.full(count, num_nodes, np.int64)
+    np.minimum.at(smallest, labels, np.arange(num_nodes))
+    return np.asarray(smallest[labels])

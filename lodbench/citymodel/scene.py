@@ -19,7 +19,7 @@ from lodbench.errors import CityModelError
 _CHUNK_TRIANGLES = 1 << 16
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Scene:
     """Triangles of a city in its local metric frame (x east, y north, z up), grouped by building.
 
@@ -47,6 +47,10 @@ class Scene:
     crs: str | None
     origin: NDArray[np.float64]
     stored_digest: str = ""
+
+    def __repr__(self) -> str:
+        counts = f"{self.num_buildings} buildings, {len(self.triangles)} triangles"
+        return f"Scene({counts}, LoD {self.lod or 'unnamed'}, {self.crs or 'local frame'})"
 
     @property
     def num_buildings(self) -> int:

@@ -14,7 +14,6 @@ from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.run import run_config
 from lodbench.errors import ConfigError
 from lodbench.evaluation.basin import BasinStep, basin_steps, protocol_lines
-from lodbench.evaluation.rows import seconds_per_query
 from lodbench.harness.runs.basin import Basin, write_basin
 from lodbench.harness.runs.cost_maps import CostGrid
 from lodbench.methods.registry import configure_method
@@ -75,7 +74,7 @@ def _cost(basin: Basin, step: BasinStep) -> str:
     words = []
     for split in run.splits:
         hypotheses = basin.summary(step, split).hypotheses_per_query
-        seconds = seconds_per_query(run.rows, split)
+        seconds = run.seconds_per_query(split)
         words.append(f"{split}: {hypotheses:.0f} hypotheses and {seconds:.2f} s per query")
     return "; ".join(words)
 

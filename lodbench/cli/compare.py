@@ -5,35 +5,19 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from lodbench.errors import ConfigError
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
-from lodbench.evaluation.rows import summarize_rows
+from lodbench.harness.results import summary_at
 from lodbench.harness.runs.compare import paired_comparison, require_same_queries
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.harness.runs.verify import changed_files
 from lodbench.reporting.comparison import format_comparison
-from lodbench.reporting.summaries import with_seconds
-from lodbench.reporting.table_columns import (
-    calibration_columns,
-    detail_columns,
-    interval_columns,
-    paper_columns,
-    segmenter_columns,
-)
+from lodbench.reporting.table_columns import COLUMNS
 from lodbench.reporting.table_formats import FORMATS
-from lodbench.reporting.tables import RecallTable, tables_of
+from lodbench.reporting.tables import tables_of
 
-_COLUMNS = {
-    "calibration": calibration_columns,
-    "paper": paper_columns,
-    "details": detail_columns,
-    "intervals": interval_columns,
-    "segmenter": segmenter_columns,
-}
 _FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
 _EPILOG = """\
 Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed agree; --free lets some of
@@ -52,9 +36,9 @@ def main(argv: Sequence[str]) -> int:
         for line in changed_files(run):
             sys.stderr.write(f"lodbench: {run.folder}: {line}: edited by hand?\n")
     thresholds = parse_thresholds(options.thresholds)
-    summaries = [_summary(run, thresholds) for run in runs]
+    summaries = [summary_at(run, thresholds) for run in runs]
     tables = tables_of(summaries, options.free, options.over_seeds)
-    shown = [_with_columns(table, columns) for table in tables for columns in options.columns]
+    shown = [table.with_columns(columns) for table in tables for columns in options.columns]
     sys.stdout.write("\n".join(FORMATS[options.format](table) for table in shown))
     if options.format == "text" and len(runs) > 1 and not options.over_seeds:
         sys.stdout.write(_tests(runs, options.runs, thresholds))
@@ -89,7 +73,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
     parser.add_argument("--format", choices=sorted(FORMATS), default="text")
     parser.add_argument(
-        "--columns", nargs="+", choices=sorted(_COLUMNS), default=["paper"], help="what to show (paper)"
+        "--columns",
+        nargs="+",
+        default=["paper"],
+        metavar="COLUMNS",
+        help=f"what to show (paper): {', '.join(sorted(COLUMNS))}, or any number by its name in CSV",
     )
     parser.add_argument(
         "--thresholds", nargs="+", default=[], metavar="M/DEG", help="where to measure recall (2/2 3/3 5/5)"
@@ -99,20 +87,6 @@ def _parser() -> argparse.ArgumentParser:
         "--over-seeds", action="store_true", help="one row for runs that differ in their seed: mean +- spread"
     )
     return parser
-
-
-def _summary(run: StoredRun, thresholds: tuple[Threshold, ...]) -> dict[str, Any]:
-    """Returns a run's summary at some thresholds, computed from its rows, with its times."""
-    splits, priors = {}, {}
-    for split in run.summary["splits"]:
-        estimates, prior = summarize_rows(run.rows, split, thresholds)
-        splits[split], priors[split] = estimates.to_json(), prior.to_json()
-    seconds = run.provenance.get("seconds_per_query", {})
-    return with_seconds({**run.summary, "splits": splits, "prior": priors}, seconds)
-
-
-def _with_columns(table: RecallTable, columns: str) -> RecallTable:
-    return replace(table, columns=_COLUMNS[columns](table.labels()))
 
 
 def _tests(runs: Sequence[StoredRun], folders: Sequence[Path], thresholds: tuple[Threshold, ...]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -47,7 +48,7 @@ def _add(options: argparse.Namespace) -> int:
         sys.stdout.write(describe(verdict))
         sys.stderr.write("lodbench: the run was not added: its numbers do not follow from its poses.\n")
         return 1
-    reasons = [*reasons_against(read_config(options.run)), *_doubts(verdict)]
+    reasons = [*reasons_against(read_config(options.run), _sizes(verdict)), *_doubts(verdict)]
     entry = measured_entry(
         verdict.stored.summary,
         verdict.stored.provenance,
@@ -61,6 +62,14 @@ def _add(options: argparse.Namespace) -> int:
     write_text(path, text)
     sys.stdout.write(f"{path}\n" + "".join(f"  kept out of the ranking: {reason}\n" for reason in reasons))
     return 0
+
+
+def _sizes(verdict: Verdict) -> dict[str, int] | None:
+    """Returns how many queries the dataset has by split; None where it is not there."""
+    if verdict.dataset is None:
+        return None
+    counts = Counter(entry.split for entry in verdict.dataset.entries)
+    return {split: counts[split] for split in verdict.dataset.splits}
 
 
 def _doubts(verdict: Verdict) -> list[str]:

@@ -14,7 +14,6 @@ from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.run_dataset import data_identity, dataset_opener, with_prior, with_source
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.errors import ConfigError
-from lodbench.evaluation.rows import seconds_per_query
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
@@ -23,7 +22,6 @@ from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
 from lodbench.reporting.safe_text import plain_text
-from lodbench.reporting.table_columns import calibration_columns
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import RecallTable, tables_of
 from lodbench.segmentation import notes_of
@@ -125,7 +123,7 @@ def run_config(values: dict[str, Any]) -> Run:
 
 def _is_fruitless(run: Run) -> bool:
     """Tells whether every query of a run failed."""
-    return bool(run.rows) and all(not row.is_answered for row in run.rows)
+    return bool(run.predictions) and all(found.pose is None for found in run.predictions.values())
 
 
 def _options_of(values: dict[str, Any]) -> RunOptions:
@@ -141,7 +139,7 @@ def report(runs: Sequence[Run]) -> str:
     valid = [summary for summary in summaries if "invalid" not in summary]
     tables = tables_of(valid)
     parts = [format_text(table) for table in tables]
-    parts += [_calibration_text(table) for table in tables if table.says_how_sure()]
+    parts += [_calibration_text(table) for table in tables if "ece_percent" in table.numbers()]
     lines = []
     for run, summary in zip(runs, summaries, strict=True):
         if "invalid" in summary:
@@ -150,7 +148,7 @@ def report(runs: Sequence[Run]) -> str:
         name = f"{summary['method']['name']} {variant}".strip()
         for split in run.splits:
             cells = summary["splits"][split]
-            seconds, hypotheses = seconds_per_query(run.rows, split), cells["hypotheses_per_query"]
+            seconds, hypotheses = run.seconds_per_query(split), cells["hypotheses_per_query"]
             if hypotheses is not None:
                 cost = f"{hypotheses:.0f} hypotheses and {seconds:.2f} s per query"
                 lines.append(f"{name}, tilt={run.config['tilt']}, {split}: {cost}")
@@ -163,21 +161,20 @@ def report(runs: Sequence[Run]) -> str:
 
 
 def _calibration_text(table: RecallTable) -> str:
-    columns = calibration_columns(table.labels())
-    shown = replace(table, title=f"How sure methods were: {table.title}", columns=columns)
+    shown = replace(table.with_columns("calibration"), title=f"How sure methods were: {table.title}")
     return (
-        format_text(shown) + "said: mean probability of being within (2 m, 2 deg); said-found: its distance "
-        "from what was found; risk area: not found as the surest 0 to 100 % are answered; all in percent.\n"
+        format_text(shown) + "mean_confidence: mean probability of being within (2 m, 2 deg); ece: expected "
+        "calibration error, its distance from what was found; aurc: area under the risk-coverage curve, not "
+        "found as the surest 0 to 100 % are answered; all in percent.\n"
     )
 
 
 def _failure_lines(run: Run) -> list[str]:
     """Returns a line per reason of failure: how many queries, and the first of their names."""
-    names: dict[str, list[str]] = {}
-    for row in run.rows:
-        if row.failure:
-            names.setdefault(plain_text(row.failure), []).append(plain_text(row.key))
+    failed = run.queries["failure"][run.queries["failure"] != ""].map(plain_text)
+    reasons = {reason: list(failed.index[failed == reason]) for reason in sorted(failed.unique())}
     return [
-        f"  {len(keys)} x {reason}: {', '.join(keys[:3])}{', ... (all in queries.csv)' if keys[3:] else ''}"
-        for reason, keys in sorted(names.items())
+        f"  {len(keys)} x {reason}: {', '.join(map(plain_text, keys[:3]))}"
+        f"{', ... (all in queries.csv)' if len(keys) > 3 else ''}"
+        for reason, keys in reasons.items()
     ]

@@ -118,7 +118,7 @@ def describe(verdict: Verdict) -> str:
         )
     lines += [f"note: {note}" for note in verdict.notes]
     count = len(verdict.differences)
-    queries = len(verdict.stored.rows)
+    queries = len(verdict.stored.queries)
     if count:
         lines.append(f"{verdict.stored.folder}: {count} difference{'s' * (count > 1)}")
     else:

@@ -94,7 +94,7 @@ class Reference:
     pose: Pose
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Dataset:
     """Queries, their truth, and the city they were taken in.
 
@@ -139,6 +139,10 @@ class Dataset:
     segmenter: str | None = None
     references: tuple[Reference, ...] = ()
     assumed: frozenset[str] = frozenset()
+
+    def __repr__(self) -> str:
+        splits = ", ".join(self.splits)
+        return f"Dataset({self.name}, {len(self.entries)} queries in {splits}, {self.root})"
 
 
 def notes_of(findings: Findings) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ class ReliabilityBin:
         low: Lower end of the range, inside it.
         high: Upper end, outside it unless it is 1.
         count: Queries.
-        mean_probability: What was said, in [0, 1].
+        confidence: Their mean probability, in [0, 1].
         found: Share that was found, in [0, 1].
         interval: 95 % interval of that share, in [0, 1].
     """
@@ -31,7 +31,7 @@ class ReliabilityBin:
     low: float
     high: float
     count: int
-    mean_probability: float
+    confidence: float
     found: float
     interval: Interval
 
@@ -42,23 +42,25 @@ class Calibration:
 
     Attributes:
         bins: Of equal width from 0 to 1, empty ones left out.
-        calibration_error: Mean distance of what was said from what was found, over the bins, weighted
-            by their queries, in [0, 1]; NaN without queries.
+        ece: Expected calibration error: mean distance of confidence and share found, over the bins,
+            weighted by their queries, in [0, 1]; NaN without queries.
         brier: Mean squared distance of probability and outcome; NaN without queries.
         coverage: (N + 1,) share of queries answered as less and less sure ones are let in, 0 to 1.
         risk: (N + 1,) share of those answered that were not found.
-        risk_area: Area under the risk over the coverage, in [0, 1].
+        aurc: Area under the risk-coverage curve, in [0, 1].
     """
 
     bins: tuple[ReliabilityBin, ...]
-    calibration_error: float
+    ece: float
     brier: float
     coverage: Floats
     risk: Floats
-    risk_area: float
+    aurc: float
 
 
-def calibrate(probabilities: Sequence[float], hits: Sequence[bool], num_bins: int = 10) -> Calibration:
+def calibrate(
+    probabilities: Sequence[float] | Floats, hits: Sequence[bool] | Hits, num_bins: int = 10
+) -> Calibration:
     """Returns how well probabilities of being found agree with what was found.
 
     Args:
@@ -66,18 +68,18 @@ def calibrate(probabilities: Sequence[float], hits: Sequence[bool], num_bins: in
         hits: (N,) whether each was found.
         num_bins: Bins of the reliability diagram.
     """
-    said, found = np.asarray(probabilities, dtype=np.float64), np.asarray(hits, dtype=np.bool_)
-    bins = _bins(said, found, num_bins)
-    coverage, risk = risk_coverage(said, found)
-    count = len(said)
-    error = sum(b.count * abs(b.found - b.mean_probability) for b in bins) / count if count else math.nan
+    confidence, found = np.asarray(probabilities, dtype=np.float64), np.asarray(hits, dtype=np.bool_)
+    bins = _bins(confidence, found, num_bins)
+    coverage, risk = risk_coverage(confidence, found)
+    count = len(confidence)
+    error = sum(b.count * abs(b.found - b.confidence) for b in bins) / count if count else math.nan
     return Calibration(
         bins=bins,
-        calibration_error=error,
-        brier=float(np.mean((said - found) ** 2)) if count else math.nan,
+        ece=error,
+        brier=float(np.mean((confidence - found) ** 2)) if count else math.nan,
         coverage=coverage,
         risk=risk,
-        risk_area=float(risk[1:].mean()) if count else math.nan,
+        aurc=float(risk[1:].mean()) if count else math.nan,
     )
 
 
@@ -95,8 +97,8 @@ def risk_coverage(probabilities: Floats, hits: Hits) -> tuple[Floats, Floats]:
     return np.concatenate([[0.0], share / max(1, len(hits))]), np.concatenate([first, risk])
 
 
-def _bins(said: Floats, found: Hits, num_bins: int) -> tuple[ReliabilityBin, ...]:
-    index = np.minimum((said * num_bins).astype(np.int64), num_bins - 1)
+def _bins(confidence: Floats, found: Hits, num_bins: int) -> tuple[ReliabilityBin, ...]:
+    index = np.minimum((confidence * num_bins).astype(np.int64), num_bins - 1)
     bins = []
     for b in np.unique(index):
         mine = index == b
@@ -106,7 +108,7 @@ def _bins(said: Floats, found: Hits, num_bins: int) -> tuple[ReliabilityBin, ...
                 low=float(b) / num_bins,
                 high=float(b + 1) / num_bins,
                 count=int(mine.sum()),
-                mean_probability=float(said[mine].mean()),
+                confidence=float(confidence[mine].mean()),
                 found=float(found[mine].mean()),
                 interval=(low / 100.0, high / 100.0),
             )

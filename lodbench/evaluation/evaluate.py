@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from lodbench.datasets.query import Entry
-from lodbench.evaluation.errors import FAILED, FAILED_PARTS, PoseError, error_parts, pose_error
+from lodbench.evaluation.errors import FAILED, FAILED_PARTS, error_parts, pose_error
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.rows import NO_TRUTH, QueryRow, is_without_truth
+from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, is_without_truth, queries_frame
 from lodbench.geometry import Pose
 from lodbench.rendering import Scorer
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def evaluate(
@@ -18,8 +22,9 @@ def evaluate(
     truth: Mapping[str, Pose],
     priors: Mapping[str, Pose | None],
     scorer: Scorer | None = None,
-) -> tuple[QueryRow, ...]:
-    """Returns one row per query; poses are in the dataset's frame.
+    tilt: str = "prior",
+) -> pd.DataFrame:
+    """Returns the table of queries (``lodbench.evaluation.queries``); poses are in the dataset's frame.
 
     Args:
         entries: The queries.
@@ -28,11 +33,13 @@ def evaluate(
         priors: Where the method started, by key.
         scorer: Renders the city, for the IoU of the masks with its silhouette at the truth; None leaves
             it out.
+        tilt: ``prior`` or ``truth``: what the priors have, to be written down.
     """
-    return tuple(
+    rows = (
         _row(entry, predictions[entry.key], truth.get(entry.key), priors.get(entry.key), scorer)
         for entry in entries
     )
+    return queries_frame({**row, "tilt": tilt} for row in rows)
 
 
 def mask_iou_at_truth(
@@ -50,30 +57,23 @@ def mask_iou_at_truth(
 
 def _row(
     entry: Entry, prediction: Prediction, truth: Pose | None, prior: Pose | None, scorer: Scorer | None
-) -> QueryRow:
+) -> dict[str, Any]:
     pose = prediction.pose
-    known = truth is not None
-    return QueryRow(
-        name=entry.name,
-        split=entry.split,
-        pose=pose,
-        score=prediction.score,
-        hypotheses=prediction.hypotheses,
-        failure=_reason(prediction.failure, known),
-        error=_error(pose, truth),
-        prior_error=_error(prior, truth),
-        seconds=prediction.seconds,
-        parts=None if truth is None else FAILED_PARTS if pose is None else error_parts(pose, truth),
-        mask_iou=mask_iou_at_truth(entry, prediction, truth, scorer),
-        probability=prediction.probability,
-        covariance=prediction.covariance,
-    )
-
-
-def _error(pose: Pose | None, truth: Pose | None) -> PoseError | None:
-    if truth is None:
-        return None
-    return FAILED if pose is None else pose_error(pose, truth)
+    row: dict[str, Any] = {
+        "query": entry.name,
+        "split": entry.split,
+        "score": prediction.score,
+        "hypotheses": prediction.hypotheses,
+        "failure": _reason(prediction.failure, truth is not None),
+        "mask_iou": mask_iou_at_truth(entry, prediction, truth, scorer),
+        "probability": prediction.probability,
+        "covariance": " ".join(map(repr, prediction.covariance)),
+    }
+    if truth is not None:
+        row |= zip(ERROR, FAILED if pose is None else pose_error(pose, truth), strict=True)
+        row |= zip(PRIOR_ERROR, FAILED if prior is None else pose_error(prior, truth), strict=True)
+        row |= zip(PARTS, FAILED_PARTS if pose is None else error_parts(pose, truth), strict=True)
+    return row
 
 
 def _reason(failure: str, has_truth: bool) -> str:

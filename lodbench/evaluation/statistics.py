@@ -69,15 +69,14 @@ def wilson_interval(hits: NDArray[np.bool_]) -> Interval:
     Unlike a bootstrap it does not collapse to a point when all queries, or none, are found.
     """
     n = len(hits)
+    from scipy import stats
+
     if n == 0:
         return math.nan, math.nan
-    share = float(hits.mean())
-    middle = share + _Z * _Z / (2 * n)
-    spread = _Z * math.sqrt(share * (1 - share) / n + _Z * _Z / (4 * n * n))
-    scale = 100.0 / (1 + _Z * _Z / n)
+    found, share = int(hits.sum()), 100.0 * float(hits.mean())
+    bounds = stats.binomtest(found, n).proportion_ci(method="wilson")
     # At 0 and 100 % an end of the interval is the share itself, but for rounding.
-    low = min(max(0.0, scale * (middle - spread)), 100.0 * share)
-    return low, max(min(100.0, scale * (middle + spread)), 100.0 * share)
+    return min(100.0 * float(bounds.low), share), max(100.0 * float(bounds.high), share)
 
 
 def bootstrap_means(values: Floats) -> list[Interval]:
@@ -111,12 +110,13 @@ def mcnemar(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> PairedTest:
     Only queries that one run finds and the other does not tell anything; under the null hypothesis
     either run is as likely to be the one.
     """
+    from scipy import stats
+
     gained, lost = int((second & ~first).sum()), int((first & ~second).sum())
     n = len(first)
     difference = 100.0 * (gained - lost) / n if n else math.nan
-    return PairedTest(
-        difference, _paired_interval(gained, lost, n), _binomial_p(min(gained, lost), gained + lost)
-    )
+    p = stats.binomtest(gained, gained + lost).pvalue if gained + lost else 1.0
+    return PairedTest(difference, _paired_interval(gained, lost, n), float(p))
 
 
 def _paired_interval(gained: int, lost: int, n: int) -> Interval:
@@ -139,6 +139,8 @@ def paired_medians(first: Floats, second: Floats) -> PairedTest:
     """
     if len(first) == 0:
         return PairedTest(math.nan, (math.nan, math.nan), math.nan)
+    from scipy import stats
+
     observed = _difference(np.median(first), np.median(second))
     weights = _weights(len(first))
     orders = np.argsort(first, kind="stable"), np.argsort(second, kind="stable")
@@ -147,13 +149,24 @@ def paired_medians(first: Floats, second: Floats) -> PairedTest:
         low, high = _ranks_of_median(weights[:, order])
         medians.append(_middle(values[order][low], values[order][high]))
     resampled = np.array([_difference(a, b) for a, b in zip(*medians, strict=True)])
-    swaps = random_stream(0, "permutation", len(first)).random((_PERMUTATIONS, len(first))) < 0.5
-    one = np.median(np.where(swaps, second, first), axis=1)
-    two = np.median(np.where(swaps, first, second), axis=1)
+    swapped = stats.permutation_test(
+        (first, second),
+        _median_distance,
+        permutation_type="samples",
+        n_resamples=_PERMUTATIONS,
+        vectorized=True,
+        alternative="greater",
+        rng=random_stream(0, "permutation", len(first)),
+    )
+    p = float(swapped.pvalue) if math.isfinite(observed) else math.nan
+    return PairedTest(observed, _ends(resampled), p)
+
+
+def _median_distance(first: Floats, second: Floats, axis: int = -1) -> Floats:
     with np.errstate(invalid="ignore"):
-        as_far = np.abs(np.nan_to_num(two - one, nan=0.0, posinf=np.inf)) >= abs(observed) - 1e-12
-    p = (1 + int(as_far.sum())) / (1 + _PERMUTATIONS)
-    return PairedTest(observed, _ends(resampled), p if math.isfinite(observed) else math.nan)
+        apart = np.abs(np.median(second, axis=axis) - np.median(first, axis=axis))
+    # Both medians infinite: no difference that can be told; one of them: further than anything.
+    return np.nan_to_num(apart, nan=0.0, posinf=1e12)
 
 
 def mean_and_spread(values: Sequence[float]) -> tuple[float, float]:
@@ -201,11 +214,3 @@ def _ends(values: Floats) -> Interval:
     # By rank, not between ranks: between a number and infinity lies nothing.
     low, high = np.percentile(values, _ENDS, method="nearest")
     return float(low), float(high)
-
-
-def _binomial_p(fewer: int, total: int) -> float:
-    """Returns the two-sided p value of ``fewer`` heads in ``total`` throws of a fair coin."""
-    if total == 0:
-        return 1.0
-    tail = sum(math.comb(total, k) for k in range(fewer + 1))
-    return float(min(1.0, 2 * tail / 2**total))

@@ -1,14 +1,14 @@
-"""Progress on one line of a terminal, with the time left; silent in a log."""
+"""Progress of long work: a bar on a terminal or in a notebook, now and then a line in a log."""
 
 from __future__ import annotations
 
 import sys
 import time
 from types import TracebackType
-from typing import TextIO
+from typing import Any, TextIO
 
-# Redrawing more often than this only flickers, seconds.
-_REDRAW_S = 0.1
+# A log that is no terminal gets a line as often as this, seconds: short work leaves it clean.
+_LOG_EVERY_S = 60.0
 
 
 class Progress:
@@ -17,16 +17,16 @@ class Progress:
     Args:
         label: What is being done.
         total: Number of items; None where nobody knows it.
-        stream: Where to draw, standard error by default; nothing is drawn unless it is a terminal.
+        stream: Where to draw, standard error by default.
         unit: What the items are, where the label does not say it: ``MB``.
     """
 
     def __init__(self, label: str, total: int | None, stream: TextIO | None = None, unit: str = "") -> None:
         self._label, self._total, self._unit = label, total, f" {unit}" if unit else ""
         self._stream = stream if stream is not None else sys.stderr
-        self._is_shown = self._stream.isatty() and total != 0
         self._done = 0
-        self._started = self._drawn = time.monotonic()
+        self._started = self._logged = time.monotonic()
+        self._bar = _bar(label, total, self._stream, self._unit)
 
     def __enter__(self) -> Progress:
         return self
@@ -34,25 +34,41 @@ class Progress:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self._is_shown:
-            self._stream.write("\r\x1b[K")
-            self._stream.flush()
+        if self._bar is not None:
+            self._bar.close()
 
     def advance(self, count: int = 1) -> None:
         """Marks ``count`` more items as finished."""
         self._done += count
-        now = time.monotonic()
-        if self._is_shown and (now - self._drawn >= _REDRAW_S or self._done == self._total):
-            self._drawn = now
-            self._stream.write(f"\r\x1b[K{self.line(now - self._started)}")
+        if self._bar is not None:
+            self._bar.update(count)
+        elif (now := time.monotonic()) - self._logged >= _LOG_EVERY_S:
+            self._logged = now
+            self._stream.write(f"{self.line(now - self._started)}\n")
             self._stream.flush()
 
     def line(self, elapsed_s: float) -> str:
-        """Returns the line to draw after ``elapsed_s`` seconds of work."""
+        """Returns the line of a log after ``elapsed_s`` seconds of work."""
         if self._total is None:
             return f"{self._label}: {self._done}{self._unit}"
         left_s = elapsed_s / self._done * (self._total - self._done) if self._done else 0.0
         return f"{self._label}: {self._done} of {self._total}{self._unit}, {format_seconds(left_s)} left"
+
+
+def _bar(label: str, total: int | None, stream: TextIO, unit: str) -> Any:
+    """Returns tqdm's bar for a notebook or a terminal; None for a log, and where there is nothing to do."""
+    is_notebook = "ipykernel" in sys.modules and stream is sys.stderr
+    if total == 0 or not (is_notebook or stream.isatty()):
+        return None
+    if is_notebook:
+        from tqdm.notebook import tqdm
+    else:
+        from tqdm import tqdm
+    shape = "{desc}: {n_fmt}" if total is None else "{desc}: {n_fmt} of {total_fmt}"
+    ending = f"{unit}, {{elapsed}}" if total is None else f"{unit} |{{bar}}| {{remaining}} left"
+    return tqdm(
+        total=total, desc=label, file=stream, leave=False, dynamic_ncols=True, bar_format=shape + ending
+    )
 
 
 class ProgressCallback:

@@ -34,10 +34,14 @@ def draw_calibration(curves: Mapping[str, Calibration]) -> dict[str, bytes]:
         for colour, (name, calibration) in zip(SERIES * len(curves), curves.items(), strict=False):
             # Numbers of the first method stand below its marks, of the next above theirs.
             _reliability(left, calibration, colour, 5 if list(curves).index(name) % 2 else -9)
-            label = f"{name}, area {100 * calibration.risk_area:.1f} %"
+            label = f"{name}, AURC {100 * calibration.aurc:.1f} %"
             right.plot(100 * calibration.coverage, 100 * calibration.risk, color=colour, label=label)
         left.plot([0, 100], [0, 100], color="0.6", linewidth=0.8, zorder=0)
-        left.set(xlabel="said: within 2 m, 2 deg (%)", ylabel="found within 2 m, 2 deg (%)", xlim=(0, 106))
+        left.set(
+            xlabel="confidence: probability of being within 2 m, 2 deg (%)",
+            ylabel="found within 2 m, 2 deg (%)",
+            xlim=(0, 106),
+        )
         left.set(ylim=(0, 106), title="Reliability: queries per mark beside it")
         right.set(xlabel="queries answered, surest first (%)", ylabel="answers not within 2 m, 2 deg (%)")
         right.set(xlim=(0, 100), title="Risk when unsure queries are declined")
@@ -76,12 +80,12 @@ def draw_budget(curves: Mapping[str, Sequence[BudgetPoint]], title: str) -> dict
 
 
 def _reliability(axes: Axes, calibration: Calibration, colour: str, number_offset: int) -> None:
-    said = [100 * b.mean_probability for b in calibration.bins]
+    confidence = [100 * b.confidence for b in calibration.bins]
     found = [100 * b.found for b in calibration.bins]
     below = [100 * (b.found - b.interval[0]) for b in calibration.bins]
     above = [100 * (b.interval[1] - b.found) for b in calibration.bins]
-    axes.errorbar(said, found, yerr=[below, above], color=colour, fmt="o", markersize=4, linewidth=1)
-    for x, y, b in zip(said, found, calibration.bins, strict=True):
+    axes.errorbar(confidence, found, yerr=[below, above], color=colour, fmt="o", markersize=4, linewidth=1)
+    for x, y, b in zip(confidence, found, calibration.bins, strict=True):
         axes.annotate(
             str(b.count), (x, y), (4, number_offset), textcoords="offset points", fontsize=7, color=colour
         )

@@ -6,25 +6,25 @@ reason, stand in blocks of their own and have no rank.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lodbench.reporting.cells import SplitCells, cells_of
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
-from lodbench.reporting.leaderboard_page import INDEX, dataset_page, index_page
+from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
 from lodbench.reporting.table_columns import Column, paper_columns, segmenter_columns
-from lodbench.reporting.table_formats import format_markdown
-from lodbench.reporting.table_latex import format_latex
-from lodbench.reporting.tables import RecallTable, TableRow
+from lodbench.reporting.table_formats import format_html, format_latex, format_markdown
+from lodbench.reporting.tables import Line, RecallTable, numbers_of
 from lodbench.storage import digest_of
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+INDEX = "index.html"
 # What must agree for two rows to rank together. Renderer and seed may differ: they are the method's own.
 _SHARED = ("prior", "split", "queries", "scene", "masks", "lod", "tilt", "segmenter", "evaluator")
 LABELS = ("2m-2deg", "3m-3deg", "5m-5deg")
@@ -57,7 +57,8 @@ def build_leaderboard(root: Path) -> dict[Path, str]:
         datasets.setdefault(slug(entry["dataset"]["name"]), []).append(entry)
     if not datasets:
         return {}
-    texts = {root / INDEX: index_page({name: _sources(entries) for name, entries in datasets.items()})}
+    counts = {name: facts(Counter(entry["source"] for entry in found)) for name, found in datasets.items()}
+    texts = {root / INDEX: rendered("leaderboard_index.html.jinja", counts=counts)}
     for name, entries in datasets.items():
         blocks = blocks_of(entries)
         tables = [_table(block) for block in blocks]
@@ -67,12 +68,11 @@ def build_leaderboard(root: Path) -> dict[Path, str]:
         files = [
             path.relative_to(root).as_posix() for path in sorted((root / "entries" / name).glob("*.json"))
         ]
-        texts[root / f"{name}.html"] = dataset_page(name, tables, files)
+        pieces = [markup(format_html(table)) for table in tables]
+        texts[root / f"{name}.html"] = rendered(
+            "leaderboard.html.jinja", name=name, tables=pieces, files=files, index=INDEX
+        )
     return texts
-
-
-def _sources(entries: Sequence[Entry]) -> dict[str, int]:
-    return dict(Counter(entry["source"] for entry in entries))
 
 
 def blocks_of(entries: Sequence[Entry]) -> list[Block]:
@@ -89,59 +89,59 @@ def protocol_digest(entry: Entry) -> str:
     return digest_of([entry["dataset"], *(protocol.get(name) for name in _SHARED)])
 
 
+def leaderboard_frame(blocks: Sequence[Block]) -> pd.DataFrame:
+    """Returns one row per entry and split, with values, intervals, and cells as printed."""
+    import pandas as pd
+
+    rows = [
+        _row_of(entry, rank, name, split)
+        for block in blocks
+        for entry, rank in zip(block.entries, block.ranks, strict=True)
+        for name, split in entry["splits"].items()
+    ]
+    # Recalls, medians and counts first; then whatever metrics there are; then where it comes from.
+    known = set(_NUMBERS) | {*_PROTOCOL, *_ORIGIN}
+    metrics = dict.fromkeys(name for row in rows for name in row if name not in known)
+    return pd.DataFrame(rows, columns=[*_NUMBERS, *metrics, *_PROTOCOL, *_ORIGIN], dtype=object)
+
+
 def format_leaderboard_csv(blocks: Sequence[Block]) -> str:
-    """Returns one line per entry and split, with values, intervals, and cells as printed."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_HEADER)
-    for block in blocks:
-        for entry, rank in zip(block.entries, block.ranks, strict=True):
-            for name, split in entry["splits"].items():
-                writer.writerow([csv_cell(value) for value in _line(entry, rank, name, split)])
-    return stream.getvalue()
+    """Returns ``leaderboard_frame`` as CSV that no spreadsheet takes for formulas."""
+    frame = leaderboard_frame(blocks)
+    cells = frame.where(frame.notna(), None).map(csv_cell)
+    return str(cells.to_csv(index=False, lineterminator="\n"))
 
 
-_HEADER = (
+_NUMBERS = (
     "source", "rank", "method", "variant", "map", "condition", "split",
     *LABELS, *(f"{label} {end}" for label in LABELS for end in ("low", "high")),
     "median_translation_m", "median_rotation_deg", "mask_iou", "queries", "failed", "hypotheses_per_query",
-    "seconds_per_query", "tilt", "segmenter", "renderer", "lod", "seeds", "evaluator", "code", "protocol",
-    *(f"{name} printed" for name in _PRINTED), "table", "row", "run", "kept apart because", "notes",
+    "seconds_per_query",
 )  # fmt: skip
+_PROTOCOL = ("tilt", "segmenter", "renderer", "lod", "seeds", "evaluator", "code", "protocol")
+_ORIGIN = (*(f"{name} printed" for name in _PRINTED), "table", "row", "run", "kept apart because", "notes")
 
 
-def _line(entry: Entry, rank: int | None, name: str, split: dict[str, Any]) -> list[Any]:
+def _row_of(entry: Entry, rank: int | None, name: str, split: dict[str, Any]) -> dict[str, Any]:
     method, protocol, origin = entry["method"], entry["protocol"], entry["provenance"]
-    is_reported = entry["source"] == "reported"
-    intervals, printed = split.get("recall_interval_95", {}), split.get("printed", {})
-    return [
-        entry["source"],
-        rank,
-        method["name"],
-        method["variant"],
-        method["map"],
-        protocol["condition"],
-        name,
-        *(split["recall"].get(label) for label in LABELS),
-        *(end for label in LABELS for end in intervals.get(label, (None, None))),
-        *(split[key] for key in ("median_translation_m", "median_rotation_deg")),
-        split.get("mask_iou"),
-        split["num_queries"],
-        split["num_failed"],
-        split.get("hypotheses_per_query"),
-        split.get("seconds_per_query"),
-        *(protocol[key] for key in ("tilt", "segmenter", "renderer", "lod")),
-        " ".join(map(str, protocol["seeds"])),
-        protocol["evaluator"],
-        protocol.get("code"),
-        "" if is_reported else protocol_digest(entry),
-        *(printed.get(key) for key in _PRINTED),
-        origin.get("table"),
-        origin.get("row"),
-        origin.get("run"),
-        "; ".join(entry["ranking"]["reasons"]),
-        "; ".join(origin.get("notes", ())),
-    ]
+    bounds, printed = split.get("recall_interval_95", {}), split.get("printed", {})
+    names = ("median_translation_m", "median_rotation_deg", "hypotheses_per_query", "seconds_per_query")
+    return {
+        **{"source": entry["source"], "rank": rank, "condition": protocol["condition"], "split": name},
+        **{"method": method["name"], "variant": method["variant"], "map": method["map"]},
+        **{label: split["recall"].get(label) for label in LABELS},
+        **{f"{label} {end}": bounds[label][i] for label in bounds for i, end in enumerate(("low", "high"))},
+        **{key: split.get(key) for key in names},
+        **split.get("metrics", {}),
+        **{"queries": split["num_queries"], "failed": split["num_failed"]},
+        **{key: protocol.get(key) for key in ("tilt", "segmenter", "renderer", "lod", "evaluator", "code")},
+        "seeds": " ".join(map(str, protocol["seeds"])),
+        "protocol": "" if entry["source"] == "reported" else protocol_digest(entry),
+        **{f"{key} printed": printed.get(key) for key in _PRINTED},
+        **{key: origin.get(key) for key in ("table", "row", "run")},
+        "kept apart because": "; ".join(entry["ranking"]["reasons"]),
+        "notes": "; ".join(origin.get("notes", ())),
+    }
 
 
 def _group(entry: Entry) -> tuple[int, str, str]:
@@ -191,12 +191,8 @@ def _standing(entry: Entry) -> tuple[float | str, ...]:
 
 
 def _table(block: Block) -> RecallTable:
-    splits = tuple(dict.fromkeys(name for entry in block.entries for name in entry["splits"]))
-    rows = [
-        _row(entry, rank, {name: _cells(split) for name, split in entry["splits"].items()})
-        for entry, rank in zip(block.entries, block.ranks, strict=True)
-    ]
-    return RecallTable(plain_text(block.title), splits, tuple(rows), _columns(block))
+    lines = [_line(entry, rank) for entry, rank in zip(block.entries, block.ranks, strict=True)]
+    return RecallTable(plain_text(block.title), tuple(lines), _columns(block))
 
 
 def _columns(block: Block) -> tuple[Column, ...]:
@@ -209,17 +205,14 @@ def _columns(block: Block) -> tuple[Column, ...]:
     return tuple(column for head, column in columns.items() if head in printed)
 
 
-def _row(entry: Entry, rank: int | None, cells: dict[str, SplitCells]) -> TableRow:
+def _line(entry: Entry, rank: int | None) -> Line:
     """Returns an entry's line; reported ones stand in groups of one method and map, as in the paper."""
+    splits = {name: numbers_of(split) for name, split in entry["splits"].items()}
     method, condition = entry["method"], entry["protocol"]["condition"]
     variant = method["variant"].replace("_", " ")
     if entry["source"] == "reported" and method["map"]:
         label = " ".join(filter(None, [variant, condition])) or "-"
-        return TableRow(plain_text(label), cells, f"{plain_text(method['name'])} | {method['map']}")
+        return Line(plain_text(label), splits, f"{plain_text(method['name'])} | {method['map']}")
     words = [f"{rank}." if rank else "", method["name"], variant]
     words += [f"({method['map']})" if method["map"] else "", condition]
-    return TableRow(plain_text(" ".join(filter(None, words))), cells)
-
-
-def _cells(split: dict[str, Any]) -> SplitCells:
-    return replace(cells_of(split), printed=split.get("printed", {}))
+    return Line(plain_text(" ".join(filter(None, words))), splits)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from lodbench.errors import DatasetError
 from lodbench.evaluation.recall import EVALUATOR_VERSION
-from lodbench.reporting.json_schema import schema_faults
+from lodbench.reporting.summaries import upgraded_split
 
 Entry = dict[str, Any]
 
@@ -27,25 +27,35 @@ def entry_schema() -> dict[str, Any]:
     return schema
 
 
+def schema_faults(entry: Any) -> list[str]:
+    """Returns a line for each place where a JSON value is no entry; the empty list if it is one."""
+    import jsonschema
+
+    # NaN is no number of JSON, and would be within any bounds.
+    finite = json.loads(json.dumps(entry), parse_constant=lambda name: name)
+    errors = jsonschema.Draft202012Validator(entry_schema()).iter_errors(finite)
+    return [f"{'.'.join(map(str, ['entry', *error.absolute_path]))}: {error.message}" for error in errors]
+
+
 def read_entries(root: Path) -> list[Entry]:
     """Returns the entries below ``root/entries``, in order of their files.
 
     Raises:
         DatasetError: A file is no JSON, breaks the schema, or stands under another dataset's name.
     """
-    schema = entry_schema()
     entries = []
     for path in sorted((root / "entries").glob("*/*.json")):
         try:
             entry = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise DatasetError(f"{path} is not readable as JSON: {error}.") from error
-        faults = schema_faults(entry, schema)
+        faults = schema_faults(entry)
         if faults:
             raise DatasetError(f"{path}: {faults[0]}.", "The schema is lodbench/reporting/*.schema.json.")
         if slug(entry["dataset"]["name"]) != path.parent.name:
             raise DatasetError(f"{path} is of dataset {entry['dataset']['name']}, not {path.parent.name}.")
-        entries.append(entry)
+        splits = {name: upgraded_split(split) for name, split in entry["splits"].items()}
+        entries.append({**entry, "splits": splits})
     return entries
 
 
@@ -63,7 +73,7 @@ def entry_text(entry: Entry) -> str:
     Raises:
         DatasetError: It breaks the schema.
     """
-    faults = schema_faults(entry, entry_schema())
+    faults = schema_faults(entry)
     if faults:
         raise DatasetError(f"The run makes no leaderboard entry: {faults[0]}.")
     return json.dumps(entry, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -122,8 +132,13 @@ def measured_entry(
     }
 
 
-def reasons_against(config: dict[str, Any]) -> list[str]:
-    """Returns why a configuration's run must not rank beside others; empty if it may."""
+def reasons_against(config: dict[str, Any], sizes: Mapping[str, int] | None = None) -> list[str]:
+    """Returns why a configuration's run must not rank beside others; empty if it may.
+
+    Args:
+        config: Of the run.
+        sizes: Queries of the dataset by split: a limit above them all leaves nothing out. None if unknown.
+    """
     reasons = []
     if config["tilt"] == "truth":
         reasons.append("oracle: the true pitch and roll were given (tilt=truth)")
@@ -131,9 +146,10 @@ def reasons_against(config: dict[str, Any]) -> list[str]:
         reasons.append(f"oracle: masks made from the truth (segmenter={config['segmenter']['name']})")
     if config["segmenter"]["name"] == "unstated":
         reasons.append("a pose file made elsewhere: its protocol is its author's word")
-    if config.get("limit") is not None:
-        reasons.append(f"only the first {config['limit']} queries of each split")
-    if config.get("split"):
+    limit = config.get("limit")
+    if limit is not None and (sizes is None or max(sizes.values(), default=0) > limit):
+        reasons.append(f"only the first {limit} queries of each split")
+    if config.get("split") and set(config["split"]) != set(sizes or ()):
         reasons.append(f"only some splits: {', '.join(config['split'])}")
     if has_random_weights(config):
         reasons.append("random weights")

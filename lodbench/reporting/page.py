@@ -1,67 +1,93 @@
-"""One self-contained HTML page: style, script and pictures inside, no network, light and dark."""
+"""Templates filled in: self-contained HTML pages (no network, light and dark), and LaTeX."""
 
 from __future__ import annotations
 
 import base64
-import html
+import urllib.parse
 from collections.abc import Mapping
+from functools import cache
 from importlib.resources import files
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lodbench.reporting.safe_text import plain_text
 
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
 # Nothing is fetched from anywhere: a browser refuses what a page should not even ask for.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+# LaTeX is full of braces.
+_TEX = {
+    "block_start_string": "<%", "block_end_string": "%>",
+    "variable_start_string": "<<", "variable_end_string": ">>",
+}  # fmt: skip
 
 
-def html_page(title: str, body: str) -> str:
-    """Returns a whole page.
+class Picture(NamedTuple):
+    """A picture inside a page.
 
-    Args:
-        title: Plain text.
-        body: HTML; whatever came from outside must be escaped already (``text``).
-    """
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{text(title)}</title>\n<style>\n{_resource('page.css')}</style>\n</head>\n<body>\n"
-        f"<main>\n{body}</main>\n<script>\n{_resource('page.js')}</script>\n</body>\n</html>\n"
-    )
-
-
-def text(value: object) -> str:
-    """Returns a value as HTML text: escaped, without control characters."""
-    return html.escape(plain_text(str(value)))
-
-
-def picture(content: bytes, kind: str, caption: str, classes: str = "") -> str:
-    """Returns a figure whose picture is in the page itself.
-
-    Args:
+    Attributes:
         content: The picture's file.
         kind: ``png``, ``jpeg`` or ``svg+xml``.
-        caption: Plain text; what stands below, and what is read out.
+        caption: What stands below, and what is read out.
         classes: CSS classes of the figure.
     """
-    data = base64.b64encode(content).decode("ascii")
-    return (
-        f'<figure class="{classes}"><img alt="{text(caption)}" '
-        f'src="data:image/{kind};base64,{data}"><figcaption>{text(caption)}</figcaption></figure>\n'
+
+    content: bytes
+    kind: str
+    caption: str
+    classes: str = ""
+
+    @property
+    def url(self) -> str:
+        """Returns the picture as a ``data:`` URL."""
+        return f"data:image/{self.kind};base64,{base64.b64encode(self.content).decode('ascii')}"
+
+
+def rendered(template: str, **values: Any) -> str:
+    """Returns a template of ``lodbench/reporting/templates``, filled in.
+
+    In HTML every text is escaped and cleared of control characters.
+    """
+    return _environment(template.endswith(".html.jinja")).get_template(template).render(**values)
+
+
+@cache
+def _environment(is_html: bool) -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def plain(value: Any) -> Any:
+        return value if isinstance(value, Markup) or not is_html else plain_text(str(value))
+
+    environment = Environment(
+        loader=PackageLoader("lodbench.reporting"),
+        autoescape=is_html,  # noqa: S701 - LaTeX is escaped by its own rules
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+        finalize=plain,
+        **({} if is_html else _TEX),  # type: ignore[arg-type]
     )
+    environment.globals |= {"policy": _POLICY, "resource": _resource}
+    environment.filters["path"] = urllib.parse.quote
+    return environment
 
 
-def section(name: str, title: str, body: str) -> str:
-    """Returns a section with a heading that can be linked to."""
-    return f'<section id="{name}"><h2><a href="#{name}">{text(title)}</a></h2>\n{body}</section>\n'
+def _resource(name: str) -> Any:
+    from markupsafe import Markup
+
+    return Markup((files("lodbench.reporting") / name).read_text(encoding="utf-8"))  # noqa: S704 - our own
 
 
-def definition_list(pairs: Mapping[str, object]) -> str:
-    """Returns names and values as a list."""
-    items = "".join(
-        f"<div><dt>{text(name)}</dt><dd>{text(value)}</dd></div>" for name, value in pairs.items()
-    )
-    return f'<dl class="facts">{items}</dl>\n'
+def markup(html: str) -> Any:
+    """Returns HTML that a template must not escape again: another template's."""
+    from markupsafe import Markup
+
+    return Markup(html)  # noqa: S704 - made by a template
 
 
-def _resource(name: str) -> str:
-    return (files("lodbench.reporting") / name).read_text(encoding="utf-8")
+def facts(pairs: Mapping[str, object]) -> Any:
+    """Returns names and values as a list in HTML."""
+    return markup(rendered("facts.html.jinja", pairs=pairs))

@@ -9,7 +9,12 @@ from typing import Any
 from lodbench.errors import DatasetError
 
 # Raised whenever a number of a summary gets another meaning, or a new one must be there.
-SUMMARY_SCHEMA = 2
+SUMMARY_SCHEMA = 3
+# What stood beside the recalls of a split before metrics had a place, and under which names.
+_MOVED = ("median_horizontal_m", "median_vertical_m", "median_yaw_deg", "mask_iou")
+_RENAMED = {
+    "said": "mean_confidence_percent", "said_found": "ece_percent", "risk_area": "aurc_percent",
+}  # fmt: skip
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
@@ -20,16 +25,18 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """
     path = folder / "summary.json"
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
+        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise DatasetError(
             f"{path} is not a readable run summary.", "Name a folder that `lodbench run` made."
         ) from error
     if not isinstance(summary, dict) or "splits" not in summary or "protocol" not in summary:
         raise DatasetError(f"{path} is not a run summary.")
+    if summary.get("schema") == 2:
+        summary = _upgraded(summary)
     if summary.get("schema") != SUMMARY_SCHEMA:
         raise DatasetError(
-            f"{path} has schema {summary.get('schema')}, this lodbench writes and reads {SUMMARY_SCHEMA}.",
+            f"{path} has schema {summary.get('schema')}, this lodbench reads 2 and {SUMMARY_SCHEMA}.",
             "Run again: the same command resumes nothing of another version, and ranks with nothing of it.",
         )
     if summary.get("invalid"):
@@ -43,3 +50,19 @@ def with_seconds(summary: dict[str, Any], seconds: dict[str, float | None]) -> d
         name: {**split, "seconds_per_query": seconds.get(name)} for name, split in summary["splits"].items()
     }
     return {**summary, "splits": splits}
+
+
+def upgraded_split(split: dict[str, Any]) -> dict[str, Any]:
+    """Returns the numbers of a split; those of older summaries and entries are put under ``metrics``."""
+    known = {_RENAMED.get(name, name): value for name, value in split.get("calibration", {}).items()}
+    known |= {name: split[name] for name in _MOVED if split.get(name) is not None}
+    rest = {name: value for name, value in split.items() if name not in ("calibration", *_MOVED)}
+    return {**rest, "metrics": {**known, **split.get("metrics", {})}}
+
+
+def _upgraded(summary: dict[str, Any]) -> dict[str, Any]:
+    parts = {
+        part: {name: upgraded_split(split) for name, split in summary.get(part, {}).items()}
+        for part in ("splits", "prior")
+    }
+    return {**summary, **parts, "schema": SUMMARY_SCHEMA}

@@ -1,137 +1,119 @@
-"""What is shown of a split: columns of recalls, errors and costs."""
+"""What is shown of a split: columns of recalls, errors, costs and metrics."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
-from lodbench.reporting.cells import SplitCells
+from lodbench.errors import ConfigError, nearest_names
 from lodbench.reporting.safe_text import plain_text
 
 
 class Column(NamedTuple):
-    """What is shown of a split: the head, the text of a cell, the number behind it, and which is better.
+    """What is shown of a split.
 
     Attributes:
         head: Name of the column.
-        text: Makes the cell's text.
-        value: The number it shows, NaN if there is none or more than one.
+        numbers: Names of the numbers in a cell; more than one are parted by a slash.
+        spec: How they are written.
         better: 1 if more is better, -1 if less is, 0 if neither.
+        has_bounds: Whether the 95 % interval stands behind the number.
     """
 
     head: str
-    text: Callable[[SplitCells], str]
-    value: Callable[[SplitCells], float]
+    numbers: tuple[str, ...]
+    spec: str = ".2f"
     better: int = 0
+    has_bounds: bool = False
 
-    def shown(self, cells: SplitCells | None) -> str:
-        """Returns the text of a cell: what a paper printed where it did, a dash where there is nothing."""
-        if cells is None:
+    def value(self, row: Mapping[str, Any]) -> float:
+        """Returns the first number, NaN where there is none: what rows are sorted and compared by."""
+        value = row.get(self.numbers[0])
+        return math.nan if value is None else float(value)
+
+    def text(self, row: Mapping[str, Any] | None) -> str:
+        """Returns a cell: what a paper printed where it did, a dash where there is nothing."""
+        if row is None:
             return "-"
-        if cells.printed:
-            return plain_text(cells.printed.get(self.head, "-"))
-        return self.text(cells)
+        if row.get("is_printed") is True:
+            printed = row.get(f"{self.head} printed")
+            return plain_text(printed) if isinstance(printed, str) else "-"
+        text = "/".join(self._number(row, name) for name in self.numbers)
+        low, high = (row.get(f"{self.numbers[0]} {end}", math.nan) for end in ("low", "high"))
+        return f"{text} [{low:.1f}, {high:.1f}]" if self.has_bounds and math.isfinite(low) else text
+
+    def _number(self, row: Mapping[str, Any], name: str) -> str:
+        text = finite_text(row.get(name, math.nan), self.spec)
+        spread = row.get(f"{name} spread", math.nan)
+        return f"{text} ±{spread:{self.spec}}" if math.isfinite(spread) and text != "-" else text
+
+
+def finite_text(value: float | None, spec: str) -> str:
+    """Returns a number as text, a dash where it is not finite."""
+    return format(value, spec) if value is not None and math.isfinite(value) else "-"
 
 
 def paper_columns(labels: Sequence[str]) -> tuple[Column, ...]:
     """Returns recalls, both medians in one cell, and the number of failures."""
-    return (
-        *(_recall_column(label) for label in labels),
-        Column("T.e./R.e.", _medians_text, lambda cells: cells.translation_m, -1),
-        Column("failed", lambda cells: str(cells.num_failed), lambda cells: float(cells.num_failed), -1),
-    )
+    medians = Column("T.e./R.e.", ("median_translation_m", "median_rotation_deg"), better=-1)
+    return *_recalls(labels), medians, Column("failed", ("failed",), ".0f", -1)
 
 
 def segmenter_columns(labels: Sequence[str]) -> tuple[Column, ...]:
     """Returns recalls and the masks' IoU, as in the paper's Table 4."""
-    return *(_recall_column(label) for label in labels), _more_column("IoU", "mask_iou", ".2f", 1)
+    return *_recalls(labels), Column("IoU", ("mask_iou",), better=1)
 
 
 def detail_columns(labels: Sequence[str]) -> tuple[Column, ...]:
     """Returns what the paper's layout leaves out: areas, parts of the error, cost, answered queries."""
     return (
-        *(_auc_column(label) for label in labels),
-        *(_answered_column(label) for label in labels[:1]),
-        _more_column("horizontal m", "median_horizontal_m", ".2f", -1),
-        _more_column("vertical m", "median_vertical_m", ".2f", -1),
-        _more_column("yaw deg", "median_yaw_deg", ".2f", -1),
-        _of("hypotheses", lambda cells: cells.hypotheses, 0, ".0f"),
-        _more_column("s/query", "seconds_per_query", ".2f", -1),
+        *(Column(f"AUC {label}", (f"AUC {label}",), better=1) for label in labels),
+        *(Column(f"{label} of answered", (f"{label} of answered",), better=1) for label in labels[:1]),
+        Column("horizontal m", ("median_horizontal_m",), better=-1),
+        Column("vertical m", ("median_vertical_m",), better=-1),
+        Column("yaw deg", ("median_yaw_deg",), better=-1),
+        Column("hypotheses", ("hypotheses_per_query",), ".0f"),
+        Column("s/query", ("seconds_per_query",), better=-1),
     )
 
 
 def interval_columns(labels: Sequence[str]) -> tuple[Column, ...]:
     """Returns recalls with their 95 % intervals."""
-    return tuple(_interval_column(label) for label in labels)
+    return tuple(column._replace(has_bounds=True) for column in _recalls(labels))
 
 
 def calibration_columns(labels: Sequence[str]) -> tuple[Column, ...]:
-    """Returns the first recall beside what methods said of it, and the risk of answering all to none."""
+    """Returns the first recall beside the method's own confidence, ECE and AURC, percent."""
     return (
-        *(_recall_column(label) for label in labels[:1]),
-        _more_column("said", "said", ".2f", 0),
-        _more_column("said-found", "said_found", ".2f", -1),
-        _more_column("risk area", "risk_area", ".2f", -1),
+        *_recalls(labels[:1]),
+        Column("mean_confidence", ("mean_confidence_percent",)),
+        Column("ece", ("ece_percent",), better=-1),
+        Column("aurc", ("aurc_percent",), better=-1),
     )
 
 
-def finite_text(value: float, spec: str) -> str:
-    """Returns a number as text, a dash where it is not finite."""
-    return format(value, spec) if math.isfinite(value) else "-"
+COLUMNS: dict[str, Callable[[Sequence[str]], tuple[Column, ...]]] = {
+    "calibration": calibration_columns,
+    "paper": paper_columns,
+    "details": detail_columns,
+    "intervals": interval_columns,
+    "segmenter": segmenter_columns,
+}
 
 
-def _recall_column(label: str) -> Column:
-    return Column(
-        label,
-        lambda cells: _recall_text(cells, label),
-        lambda cells: cells.recall.get(label, math.nan),
-        1,
-    )
+def columns_named(name: str, labels: Sequence[str], numbers: Sequence[str]) -> tuple[Column, ...]:
+    """Returns the columns of a group in ``COLUMNS``, or the one of a number by its name, a metric's perhaps.
+
+    Raises:
+        ConfigError: There is neither.
+    """
+    if name in COLUMNS:
+        return COLUMNS[name](labels)
+    if name in numbers:
+        return (Column(name, (name,)),)
+    raise ConfigError(f"There are no columns {name!r}.", nearest_names(name, [*COLUMNS, *numbers]))
 
 
-def _interval_column(label: str) -> Column:
-    return _recall_column(label)._replace(
-        text=lambda cells: f"{_recall_text(cells, label)} {_bounds_text(cells, label)}".strip()
-    )
-
-
-def _auc_column(label: str) -> Column:
-    return _of(f"AUC {label}", lambda cells: cells.auc.get(label, math.nan), 1)
-
-
-def _answered_column(label: str) -> Column:
-    return _of(f"{label} of answered", lambda cells: cells.answered.get(label, math.nan), 1)
-
-
-def _more_column(head: str, name: str, spec: str, better: int) -> Column:
-    return Column(
-        head,
-        lambda cells: _with_spread(cells, name, cells.more.get(name, math.nan), spec),
-        lambda cells: cells.more.get(name, math.nan),
-        better,
-    )
-
-
-def _of(head: str, value: Callable[[SplitCells], float], better: int, spec: str = ".2f") -> Column:
-    return Column(head, lambda cells: _with_spread(cells, head, value(cells), spec), value, better)
-
-
-def _recall_text(cells: SplitCells, label: str) -> str:
-    return _with_spread(cells, label, cells.recall.get(label, math.nan))
-
-
-def _bounds_text(cells: SplitCells, label: str) -> str:
-    bounds = cells.interval.get(label)
-    return f"[{bounds[0]:.1f}, {bounds[1]:.1f}]" if bounds else ""
-
-
-def _medians_text(cells: SplitCells) -> str:
-    medians = zip(("T.e.", "R.e."), (cells.translation_m, cells.rotation_deg), strict=True)
-    return "/".join(_with_spread(cells, name, value) for name, value in medians)
-
-
-def _with_spread(cells: SplitCells, name: str, value: float, spec: str = ".2f") -> str:
-    spread = cells.spread.get(name, math.nan)
-    text = finite_text(value, spec)
-    return f"{text} ±{spread:{spec}}" if math.isfinite(spread) and text != "-" else text
+def _recalls(labels: Sequence[str]) -> list[Column]:
+    return [Column(label, (label,), better=1) for label in labels]

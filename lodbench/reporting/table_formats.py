@@ -1,62 +1,97 @@
-"""Recall tables as text, Markdown and CSV, and the list of all formats: one model behind them."""
+"""Recall tables as text, Markdown, CSV, LaTeX and HTML: one model behind them."""
 
 from __future__ import annotations
 
-import csv
 import html
-import io
 import math
+import re
 from collections.abc import Callable, Sequence
 
-from lodbench.reporting.cells import SplitCells
+from lodbench.reporting.page import rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
-from lodbench.reporting.table_columns import finite_text
-from lodbench.reporting.table_html import format_html
-from lodbench.reporting.table_latex import format_latex
-from lodbench.reporting.tables import RecallTable, TableRow
+from lodbench.reporting.table_columns import Column
+from lodbench.reporting.tables import Line, RecallTable
 
 
 def format_text(table: RecallTable) -> str:
     """Returns the table for a terminal."""
-    columns = table.shown()
+    width = len(table.shown())
     head = [["", ""], ["", "method"]]
     for split in table.splits:
         count = table.denominators(split)
-        head[0] += [plain_text(split) + (f" ({count} queries)" if count else ""), *[""] * (len(columns) - 1)]
-        head[1] += [column.head for column in columns]
-    body = [[row.group_text(), plain_text(row.label), *table.row_texts(row)] for row in _ungrouped(table)]
+        head[0] += [plain_text(split) + (f" ({count} queries)" if count else ""), *[""] * (width - 1)]
+        head[1] += [column.head for column in table.shown()]
+    body = [[group, plain_text(line.label), *table.texts(line)] for group, line in _grouped(table)]
     if not any(row[0] for row in body):
         head, body = [row[1:] for row in head], [row[1:] for row in body]
-    firsts = 2 if len(head[0]) > 1 + len(columns) * len(table.splits) else 1
-    return f"{plain_text(table.title)}\n\n{_align(head, body, len(columns), firsts)}\n"
+    firsts = 2 if len(head[0]) > 1 + width * len(table.splits) else 1
+    return f"{plain_text(table.title)}\n\n{_align(head, body, width, firsts)}\n"
 
 
 def format_markdown(table: RecallTable) -> str:
     """Returns the table in Markdown."""
-    grouped = any(row.group for row in table.rows)
+    is_grouped = any(line.group for line in table.lines)
     names = [f"{split} {column.head}" for split in table.splits for column in table.shown()]
-    first = ["Method", "Variant"] if grouped else ["Method"]
+    first = ["Method", "Variant"] if is_grouped else ["Method"]
     counts = [f"{split} {table.denominators(split)}" for split in table.splits if table.denominators(split)]
     queries = f" (queries: {_md(', '.join(counts))})" if counts else ""
     lines = [f"**{_md(table.title)}**{queries}", ""]
     lines += [_pipes([*first, *names]), _pipes([*["---"] * len(first), *["--:"] * len(names)])]
-    for row in _ungrouped(table):
-        label = [row.group_text(), row.label] if grouped else [row.label]
-        lines.append(_pipes([*label, *table.row_texts(row)]))
+    for group, line in _grouped(table):
+        lines.append(_pipes([*([group] if is_grouped else []), line.label, *table.texts(line)]))
     return "\n".join(lines) + "\n"
 
 
 def format_csv(table: RecallTable) -> str:
-    """Returns the table as CSV, one line per method and split, every number in full."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    labels = table.labels()
-    writer.writerow(["protocol", "group", "method", "split", *_csv_heads(labels)])
-    for row in table.rows:
-        for split, cells in row.cells.items():
-            words = [csv_cell(text) for text in (table.title, row.group, row.label, split)]
-            writer.writerow([*words, *_csv_numbers(cells, labels)])
-    return stream.getvalue()
+    """Returns the table as CSV, one line per method and split, every number to ten digits."""
+    frame = table.frame()
+    frame.insert(0, "protocol", table.title)
+    words = ["protocol", "group", "method", "split"]
+    frame[words] = frame[words].map(csv_cell)
+    frame = frame.replace([math.inf, -math.inf], math.nan)
+    return str(frame.to_csv(index=False, float_format="%.10g", lineterminator="\n"))
+
+
+def format_latex(table: RecallTable) -> str:
+    """Returns the table as a LaTeX tabular in the paper's layout (needs booktabs, multirow, makecell)."""
+    columns = tuple(column for column in table.shown() if column.head != "failed")
+    shown = RecallTable(table.title, table.lines, columns)
+    is_grouped = any(line.group for line in table.lines)
+    firsts, width = (2 if is_grouped else 1), len(columns)
+    best = _best(shown)
+    rows = []
+    for number, (line, follows) in enumerate(zip(table.lines, (None, *table.lines), strict=False)):
+        starts = follows is None or follows.group != line.group or not line.group
+        cells = [
+            rf"\textbf{{{tex(text)}}}" if (number, i) in best and text != "-" else tex(text)
+            for i, text in enumerate(shown.texts(line))
+        ]
+        first = (
+            [_tex_group(table, number) if starts else "", tex(line.label)]
+            if is_grouped
+            else [tex(line.label)]
+        )
+        if is_grouped and not line.group:
+            first = [rf"\multicolumn{{2}}{{l}}{{{tex(line.label)}}}"]
+        text = " & ".join([*first, *cells])
+        # The end of the row above would take these for its own.
+        text = "{}" + text if text.startswith(("[", "*")) else text
+        rows.append((text, bool(number) and is_grouped and starts))
+    return rendered(
+        "table.tex.jinja",
+        title=plain_text(table.title),
+        layout="l" * firsts + "c" * (width * len(table.splits)),
+        spans=[rf"\multicolumn{{{width}}}{{c}}{{\textit{{{tex(split)}}}}}" for split in table.splits],
+        ends=[(firsts + 1 + i * width, firsts + (i + 1) * width) for i in range(len(table.splits))],
+        heads=[tex(column.head).replace("deg", r"$^\circ$") for column in columns] * len(table.splits),
+        blank="& " * (firsts - 1),
+        rows=rows,
+    )
+
+
+def format_html(table: RecallTable) -> str:
+    """Returns the table as an HTML table whose columns a script may sort by ``data-value``."""
+    return rendered("table.html.jinja", table=table, isfinite=math.isfinite)
 
 
 FORMATS: dict[str, Callable[[RecallTable], str]] = {
@@ -68,55 +103,44 @@ FORMATS: dict[str, Callable[[RecallTable], str]] = {
 }
 
 
-def _ungrouped(table: RecallTable) -> list[TableRow]:
-    """Returns the rows with each group named once, at its first row."""
-    rows = []
-    for number, row in enumerate(table.rows):
-        repeats = number > 0 and table.rows[number - 1].group == row.group
-        rows.append(row._replace(group="" if repeats else row.group))
-    return rows
+def tex(text: str) -> str:
+    """Returns plain text with every character that LaTeX gives a meaning made harmless."""
+    plain = plain_text(text).replace("\\", "/").replace("~", "-").replace("^", "")
+    return re.sub(r"[&%$#_{}]", r"\\\g<0>", plain).replace("±", r"$\pm$").replace("·", r"$\cdot$")
 
 
-def _csv_heads(labels: Sequence[str]) -> list[str]:
+def _best(table: RecallTable) -> set[tuple[int, int]]:
+    """Returns the line and place of the best numbers of each column, where there is anything to compare."""
+    places = [list(table.cells(line)) for line in table.lines]
+    found: set[tuple[int, int]] = set()
+    for i in range(len(places[0]) if places else 0):
+        column: Column = places[0][i][0]
+        known = {number: cells[i][1] for number, cells in enumerate(places)}
+        values = {n: column.better * column.value(row) for n, row in known.items() if row is not None}
+        values = {number: value for number, value in values.items() if math.isfinite(value)}
+        if column.better and len(values) > 1:
+            most = max(values.values())
+            found |= {(number, i) for number, value in values.items() if value == most}
+    return found
+
+
+def _tex_group(table: RecallTable, start: int) -> str:
+    """Returns the cell that names a group and spans its lines; ``name | map`` on two lines."""
+    group, count = table.lines[start].group, 0
+    while start + count < len(table.lines) and table.lines[start + count].group == group:
+        count += 1
+    name, _, map_name = group.partition(" | ")
+    cell = rf"\makecell[c]{{{tex(name)}\\\textit{{{tex(map_name)}}}}}" if map_name else tex(name)
+    return rf"\multirow{{{count}}}{{*}}{{{cell}}}" if count > 1 else cell
+
+
+def _grouped(table: RecallTable) -> list[tuple[str, Line]]:
+    """Returns the lines with each group named once, at its first line."""
+    befores = (None, *table.lines)
     return [
-        *labels,
-        *(f"{label} {end}" for label in labels for end in ("low", "high")),
-        *(f"{label} of answered" for label in labels),
-        *(f"AUC {label}" for label in labels),
-        "median_translation_m",
-        "median_rotation_deg",
-        "median_horizontal_m",
-        "median_vertical_m",
-        "median_yaw_deg",
-        "mask_iou",
-        "queries",
-        "failed",
-        "hypotheses_per_query",
-        "seconds_per_query",
+        ("" if before is not None and before.group == line.group else line.group_text(), line)
+        for before, line in zip(befores, table.lines, strict=False)
     ]
-
-
-def _csv_numbers(cells: SplitCells, labels: Sequence[str]) -> list[str]:
-    nan = math.nan
-    more = [
-        cells.more.get(name, nan) for name in ("median_horizontal_m", "median_vertical_m", "median_yaw_deg")
-    ]
-    return [
-        *(_digits(cells.recall.get(label, nan)) for label in labels),
-        *(_digits(end) for label in labels for end in cells.interval.get(label, (nan, nan))),
-        *(_digits(cells.answered.get(label, nan)) for label in labels),
-        *(_digits(cells.auc.get(label, nan)) for label in labels),
-        *(_digits(value) for value in (cells.translation_m, cells.rotation_deg, *more)),
-        _digits(cells.more.get("mask_iou", nan)),
-        str(cells.num_queries),
-        str(cells.num_failed),
-        _digits(cells.hypotheses),
-        _digits(cells.more.get("seconds_per_query", nan)),
-    ]
-
-
-def _digits(value: float) -> str:
-    return "" if not math.isfinite(value) else finite_text(value, ".10g")
 
 
 def _md(text: str) -> str:
@@ -129,7 +153,7 @@ def _pipes(cells: Sequence[str]) -> str:
 
 def _align(head: list[list[str]], body: list[list[str]], group: int, firsts: int) -> str:
     """Returns rows in columns: ``firsts`` flush left, others right; the first head row spans ``group``."""
-    widths = [max(len(row[i]) for row in [head[1], *body]) for i in range(len(head[1]))]
+    widths = [max(map(len, column)) for column in zip(head[1], *body, strict=True)]
     for start in range(firsts, len(widths), group):
         missing = len(head[0][start]) - (sum(widths[start : start + group]) + 2 * (group - 1))
         widths[start + group - 1] += max(0, missing)

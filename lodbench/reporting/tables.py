@@ -1,30 +1,36 @@
-"""The model of a recall table: methods by splits, from summaries of runs; formats are elsewhere."""
+"""Recall tables: methods by splits, from summaries of runs; formats are elsewhere."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lodbench.citymodel.lods import lod_in_words
-from lodbench.reporting.cells import SplitCells, cells_of, mean_cells
 from lodbench.reporting.safe_text import plain_text
-from lodbench.reporting.table_columns import Column, paper_columns
+from lodbench.reporting.table_columns import Column, columns_named, paper_columns
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LABEL = re.compile(r"[\d.e+-]+m-[\d.e+-]+deg")
+# What is no number in the rows of a table.
+_WORDS = ("group", "method", "split", "is_printed")
 
 
-class TableRow(NamedTuple):
-    """A line of a table.
+class Line(NamedTuple):
+    """A method in a table.
 
     Attributes:
         label: The method, or its variant where ``group`` names the method.
-        cells: By split.
+        splits: Numbers by split, in the format of ``numbers_of``.
         group: What lines next to each other have in common: ``method | map``, or "".
     """
 
     label: str
-    cells: dict[str, SplitCells]
+    splits: dict[str, dict[str, Any]]
     group: str = ""
 
     def group_text(self) -> str:
@@ -33,43 +39,113 @@ class TableRow(NamedTuple):
         return f"{name} ({map_name})" if map_name else name
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class RecallTable:
-    """Rows of methods over columns of splits.
+    """Methods over columns of splits.
 
     Attributes:
-        title: What the rows have in common: dataset, tilt, segmenter, seed.
-        splits: Names, left to right.
-        rows: Top to bottom; the priors' first, where there is one.
+        title: What the lines have in common: dataset, tilt, segmenter, seed.
+        lines: Top to bottom; the priors' first, where there is one.
         columns: Columns of each split; empty for the paper's.
     """
 
     title: str
-    splits: tuple[str, ...]
-    rows: tuple[TableRow, ...]
+    lines: tuple[Line, ...]
     columns: tuple[Column, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"RecallTable({self.title}, {len(self.lines)} lines)"
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Returns the names of the splits, left to right."""
+        return tuple(dict.fromkeys(split for line in self.lines for split in line.splits))
+
+    def frame(self) -> pd.DataFrame:
+        """Returns every number: a row per method and split, columns group, method, split and the numbers."""
+        import pandas as pd
+
+        rows = [
+            {"group": line.group, "method": line.label, "split": split, **numbers}
+            for line in self.lines
+            for split, numbers in line.splits.items()
+        ]
+        return pd.DataFrame(rows)
+
+    def numbers(self) -> list[str]:
+        """Returns the names of all numbers of the table."""
+        every = (numbers for line in self.lines for numbers in line.splits.values())
+        return list(dict.fromkeys(name for numbers in every for name in numbers if name not in _WORDS))
+
     def labels(self) -> list[str]:
-        """Returns the threshold labels of the first row that has any."""
-        return next((list(cells.recall) for row in self.rows for cells in row.cells.values()), [])
+        """Returns the labels of the thresholds."""
+        return [name for name in self.numbers() if _LABEL.fullmatch(name)]
+
+    def with_columns(self, name: str) -> RecallTable:
+        """Returns the table with other columns: a group's name, or a number's.
+
+        Raises:
+            ConfigError: There is neither.
+        """
+        return RecallTable(self.title, self.lines, columns_named(name, self.labels(), self.numbers()))
 
     def shown(self) -> tuple[Column, ...]:
         """Returns the columns of each split."""
         return self.columns or paper_columns(self.labels())
 
-    def says_how_sure(self) -> bool:
-        """Tells whether any method gave a probability."""
-        every = [cells for row in self.rows for cells in row.cells.values()]
-        return any(math.isfinite(cells.more.get("said", math.nan)) for cells in every)
+    def cells(self, line: Line) -> Iterator[tuple[Column, Mapping[str, Any] | None]]:
+        """Yields the columns of a line with the numbers behind them, all columns of the first split first."""
+        for split in self.splits:
+            for column in self.shown():
+                yield column, line.splits.get(split)
 
-    def row_texts(self, row: TableRow) -> list[str]:
-        """Returns the cells of a row, all columns of the first split first."""
-        return [column.shown(row.cells.get(split)) for split in self.splits for column in self.shown()]
+    def texts(self, line: Line) -> list[str]:
+        """Returns the cells of a line as text."""
+        return [column.text(numbers) for column, numbers in self.cells(line)]
 
     def denominators(self, split: str) -> str:
         """Returns the numbers of queries of a split: one, or all there are; "" where none is known."""
-        counts = dict.fromkeys(row.cells[split].num_queries for row in self.rows if split in row.cells)
+        counts = dict.fromkeys(line.splits[split]["queries"] for line in self.lines if split in line.splits)
         return "/".join(str(count) for count in counts if count)
+
+
+def numbers_of(split: dict[str, Any]) -> dict[str, Any]:
+    """Returns the numbers of one split of a ``summary.json`` by flat names, as CSV has them."""
+    bounds = split.get("recall_interval_95", {}).items()
+    counts = {"queries": split["num_queries"] or 0, "failed": split["num_failed"] or 0}
+    printed = {f"{head} printed": text for head, text in split.get("printed", {}).items()}
+    costs = ("hypotheses_per_query", "seconds_per_query")
+    numbers = {
+        **split["recall"],
+        **{
+            f"{label} {end}": value
+            for label, ends in bounds
+            for end, value in zip(("low", "high"), ends, strict=True)
+        },
+        **{f"{label} of answered": value for label, value in split.get("recall_of_answered", {}).items()},
+        **{f"AUC {label}": value for label, value in split.get("auc", {}).items()},
+        **{name: split.get(name) for name in ("median_translation_m", "median_rotation_deg")},
+        **split.get("metrics", {}),
+    }
+    known = {name: math.nan if value is None else float(value) for name, value in numbers.items()}
+    known |= {name: math.nan if split.get(name) is None else float(split[name]) for name in costs}
+    return {**known, **counts, **printed, **({"is_printed": True} if printed else {})}
+
+
+def mean_numbers(runs: Sequence[dict[str, Any]], split: str) -> dict[str, Any]:
+    """Returns the numbers of one run, or the means of several with their standard deviations (``spread``)."""
+    import pandas as pd
+
+    known = [numbers_of(run["splits"][split]) for run in runs if split in run["splits"]]
+    if len(known) == 1:
+        return known[0]
+    frame = pd.DataFrame(known)
+    bounds = [name for name in frame if str(name).endswith((" low", " high"))]
+    numbers = frame.drop(columns=[*bounds, "queries", "failed"])
+    spread = numbers.std(ddof=1, skipna=False).add_suffix(" spread")
+    counts = {"queries": int(frame["queries"].iloc[0]), "failed": int(frame["failed"].max())}
+    means = {str(name): value for name, value in [*numbers.mean(skipna=False).items(), *spread.items()]}
+    return {**means, **counts}
 
 
 def tables_of(
@@ -113,11 +189,10 @@ def _fixed_inputs(free: Collection[str]) -> list[str]:
 
 
 def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds: bool) -> RecallTable:
-    splits = tuple(dict.fromkeys(split for member in members for split in member["splits"]))
     rows = []
     priors = [member["prior"] for member in members]
     if all(prior == priors[0] for prior in priors):
-        rows.append(TableRow("Prior", {split: cells_of(value) for split, value in priors[0].items()}))
+        rows.append(Line("Prior", {split: numbers_of(value) for split, value in priors[0].items()}))
     labelled: dict[str, list[dict[str, Any]]] = {}
     labels = _labels(members, free - {"seed"} if over_seeds else free)
     for label, member in zip(labels, members, strict=True):
@@ -125,11 +200,11 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
     found = []
     for label, runs in labelled.items():
         shown = label.split("\0")[0] + (f" ({len(runs)} seeds)" if over_seeds else "")
-        found.append(TableRow(shown, {name: mean_cells(runs, name) for name in runs[0]["splits"]}))
+        found.append(Line(shown, {name: mean_numbers(runs, name) for name in runs[0]["splits"]}))
     if len({_name(member) for member in members}) == 1:
         # One method under several settings: in their order, whatever the order of the folders.
         found.sort(key=lambda row: _natural(row.label))
-    return RecallTable(title, splits, tuple([*rows, *found]))
+    return RecallTable(title, tuple([*rows, *found]))
 
 
 def _natural(text: str) -> list[tuple[float, str]]:

@@ -53,10 +53,6 @@ class PhotoSegmenter(ABC):
         """Returns what a reader of the results must know about the network."""
         return ()
 
-    def invalid_reason(self) -> str:
-        """Returns why results with it belong in no table; empty where they do."""
-        return ""
-
     def segment(self, entry: Entry) -> NDArray[np.float32]:
         """Returns the (h, w) float32 probability of building, in [0, 1], at the working size.
 

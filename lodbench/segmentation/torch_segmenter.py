@@ -66,10 +66,6 @@ class TorchSegmenter(PhotoSegmenter):
             f"segmenter {self.name} has random weights: nothing it says counts. Set segmenter.weights=FILE",
         )
 
-    def invalid_reason(self) -> str:
-        """Returns ``random weights`` where they are."""
-        return "random weights" if self.params.weights == RANDOM else ""
-
     @cached_property
     def _net(self) -> Any:
         import torch

@@ -6,14 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from lodbench.bench.accuracy import make_cases, measure_accuracy, reaching
+from lodbench.bench.accuracy import draw_views, measure_accuracy, open_scenes, told_width
 from lodbench.bench.accuracy_options import AccuracyOptions
-from lodbench.bench.accuracy_report import AccuracyReport, Outcome
-from lodbench.citymap import CityMap
-from lodbench.citymodel import open_scene
+from lodbench.bench.accuracy_report import AccuracyReport
 from lodbench.errors import ConfigError
-from lodbench.evaluation import PoseError, pose_error
+from lodbench.evaluation import PoseError
 from lodbench.evaluation.errors import FAILED
+from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, queries_frame
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.lodlocv2 import Params as LodLocV2Params
@@ -22,54 +21,44 @@ from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 
 
 @pytest.fixture(scope="module")
-def cases(city):
-    scene = open_scene(city)
-    scorer = CityMap(scene, threads=1)
-    return make_cases(scene, scorer, AccuracyOptions(num_views=3, threads=1))[0], scorer
+def drawn(city):
+    options = AccuracyOptions(num_views=3, threads=1)
+    scorer, seen = open_scenes(city, options)
+    return draw_views(scorer, seen, options, 0), scorer
 
 
-class TestCases:
-    def test_masks_are_as_wrong_as_asked(self, cases):
-        for case in cases[0]:
-            clean = cases[1].render(RGB_CAMERA.scaled(*FINE_SIZE), case.truth)
-            mask = case.query.building_probability >= 0.5
+class TestViews:
+    def test_masks_are_as_wrong_as_asked(self, drawn):
+        views, scorer = drawn
+        for entry in views.dataset.entries:
+            clean = scorer.render(RGB_CAMERA.scaled(*FINE_SIZE), views.dataset.truth[entry.key])
+            mask = views.segmenter.segment(entry) >= 0.5
             assert mask.shape == (448, 602)
-            assert case.achieved_iou == mask_iou(mask, clean)
-            assert case.achieved_iou == pytest.approx(0.88, abs=0.005)
+            assert mask_iou(mask, clean) == pytest.approx(0.88, abs=0.005)
 
-    def test_priors_lie_in_the_asked_ranges(self, cases):
-        for case in cases[0]:
-            offset = np.abs(case.query.prior.center - case.truth.center)
-            assert (offset <= np.array([10, 10, 30]) + 1e-9).all()
-            turns = np.abs(np.subtract(case.query.prior.euler, case.truth.euler))
+    def test_priors_lie_in_the_asked_ranges(self, drawn):
+        for entry in drawn[0].dataset.entries:
+            truth = drawn[0].dataset.truth[entry.key]
+            assert (np.abs(entry.prior.center - truth.center) <= np.array([10, 10, 30]) + 1e-9).all()
+            turns = np.abs(np.subtract(entry.prior.euler, truth.euler))
             assert turns[0] <= 1 + 1e-6
             assert turns[1] <= 1 + 1e-6
 
-    def test_true_tilt_changes_nothing_else(self, cases):
-        case = cases[0][0]
-        drawn, true = (case.query_with_tilt(tilt) for tilt in ("prior", "truth"))
-        np.testing.assert_array_equal(drawn.prior.center, case.query.prior.center)
-        np.testing.assert_allclose(true.prior.center, drawn.prior.center, atol=1e-9)
-        np.testing.assert_allclose(true.prior.euler[:2], case.truth.euler[:2], atol=1e-9)
-        assert true.prior.euler.yaw_deg == pytest.approx(drawn.prior.euler.yaw_deg)
-        assert pose_error(drawn.prior, true.prior).rotation_deg > 0.01
+    def test_more_views_keep_the_first_ones(self, drawn):
+        views, scorer = drawn
+        fewer = draw_views(scorer, scorer, AccuracyOptions(num_views=1, threads=1), 0)
+        (entry,), first = fewer.dataset.entries, views.dataset.entries[0]
+        np.testing.assert_array_equal(entry.prior.cam_from_world, first.prior.cam_from_world)
+        np.testing.assert_array_equal(fewer.segmenter.segment(entry), views.segmenter.segment(first))
 
-    def test_more_views_keep_the_first_ones(self, city, cases):
-        fewer, _ = make_cases(open_scene(city), cases[1], AccuracyOptions(num_views=1, threads=1))
-        np.testing.assert_array_equal(fewer[0].truth.cam_from_world, cases[0][0].truth.cam_from_world)
-        np.testing.assert_array_equal(
-            fewer[0].query.building_probability, cases[0][0].query.building_probability
-        )
-
-    def test_an_area_holds_what_its_views_look_at(self, city):
-        scene = open_scene(city)
-        middle_x = 0.5 * (scene.vertices[:, 0].min() + scene.vertices[:, 0].max())
-        scorer = CityMap(scene, threads=1)
+    def test_an_area_holds_what_its_views_look_at(self, drawn):
+        scorer = drawn[1]
+        middle_x = 0.5 * (scorer.scene.vertices[:, 0].min() + scorer.scene.vertices[:, 0].max())
         for area, sign in (("west", -1), ("east", 1)):
-            drawn, _ = make_cases(scene, scorer, AccuracyOptions(num_views=6, area=area, threads=1))
-            for case in drawn:
-                ray = case.truth.rotation[2]
-                looked_at = case.truth.center + ray * (case.truth.center[2] / -ray[2])
+            options = AccuracyOptions(num_views=6, area=area, threads=1)
+            for truth in draw_views(scorer, scorer, options, 0).dataset.truth.values():
+                ray = truth.rotation[2]
+                looked_at = truth.center + ray * (truth.center[2] / -ray[2])
                 assert sign * (looked_at[0] - middle_x) > -15.0
 
     def test_a_true_tilt_has_no_width(self):
@@ -88,14 +77,16 @@ def report(city):
 
 class TestMeasure:
     def test_two_blocks_of_every_view(self, report):
-        assert [o.name for o in report.of_tilt("truth")] == ["view_0000", "view_0001"]
-        assert [o.name for o in report.of_tilt("prior")] == ["view_0000", "view_0001"]
-        assert all(o.hypotheses == 2425 and o.score > 0.5 for o in report.outcomes)
+        assert list(report.of_tilt("truth")["query"]) == ["view_0000", "view_0001"]
+        assert list(report.of_tilt("prior")["query"]) == ["view_0000", "view_0001"]
+        assert (report.queries["hypotheses"] == 2425).all()
+        assert (report.queries["score"] > 0.5).all()
 
     def test_does_not_depend_on_threads(self, city, report):
         one = measure_accuracy(city, AccuracyOptions(num_views=1, threads=1))
         for tilt in ("truth", "prior"):
-            assert one.of_tilt(tilt)[0].error == report.of_tilt(tilt)[0].error
+            errors = [run.of_tilt(tilt).iloc[0][list(ERROR)].tolist() for run in (one, report)]
+            assert errors[0] == errors[1]
 
     def test_text_says_what_was_drawn(self, report):
         text = report.to_text()
@@ -110,10 +101,6 @@ class TestMeasure:
             assert part in text
 
 
-def outcome(tilt, error, score=0.9, truth_score=0.88, hypotheses=2425):
-    return Outcome("v", tilt, error, PoseError(15.0, 4.0), score, truth_score, hypotheses, 0.5)
-
-
 @pytest.fixture(scope="module")
 def several(city):
     options = AccuracyOptions(num_views=1, seeds=(0, 1), tilt_deg=0.5, threads=1)
@@ -122,14 +109,14 @@ def several(city):
 
 class TestSeveral:
     def test_every_method_runs_every_view_of_every_seed_under_both_tilts(self, several):
-        assert len(several.outcomes) == 8
+        assert len(several.queries) == 8
         for method in ("lodlocv2", "contour_alignment"):
             for tilt in ("truth", "prior"):
-                assert [o.seed for o in several.of_tilt(tilt, method)] == [0, 1]
+                assert list(several.of_tilt(tilt, method)["seed"]) == [0, 1]
 
     def test_seeds_draw_views_of_their_own(self, several):
-        first, second = several.of_tilt("prior", "lodlocv2")
-        assert first.prior_error != second.prior_error
+        errors = several.of_tilt("prior", "lodlocv2")["prior_translation_error_m"]
+        assert errors.nunique() == 2
 
     def test_only_who_says_a_probability_is_judged_by_it(self, several):
         assert list(several.calibrations()) == [
@@ -141,9 +128,9 @@ class TestSeveral:
         assert len(set(names)) == len(names)
 
     def test_methods_are_told_the_width_of_the_tilt(self):
-        told = reaching(ContourAlignment(), AccuracyOptions(tilt_deg=0.3).prior())
+        told = told_width(ContourAlignment(), AccuracyOptions(tilt_deg=0.3).prior())
         assert told.params.range_tilt_deg == pytest.approx(0.6)
-        assert reaching(told, AccuracyOptions(range_m=50.0).prior()).params.range_z_m == 100
+        assert told_width(told, AccuracyOptions(range_m=50.0).prior()).params.range_z_m == 100
 
 
 def test_masks_of_one_level_are_found_in_the_map_of_another(tmp_path):
@@ -154,7 +141,7 @@ def test_masks_of_one_level_are_found_in_the_map_of_another(tmp_path):
     report = measure_accuracy(city, options, methods=[ContourAlignment()])
     assert "(masks LoD2, map LoD1)" in report.city
     # The map's roofs are 3 m too low: with masks of its own level the fit would be perfect.
-    assert 0.5 < report.of_tilt("truth")[0].score < 0.99
+    assert 0.5 < report.of_tilt("truth")["score"].iloc[0] < 0.99
 
 
 def two_levels(boxes):
@@ -180,18 +167,33 @@ def two_levels(boxes):
     }
 
 
+def outcome(tilt, error, score=0.9, hypotheses=2425):
+    rows = {
+        "query": "v",
+        "split": "all",
+        "tilt": tilt,
+        "score": score,
+        "hypotheses": hypotheses,
+        "mask_iou": 0.88,
+    }
+    pairs = [*zip(ERROR, error, strict=True), *zip(PRIOR_ERROR, (15.0, 4.0), strict=True)]
+    return {**rows, **dict(pairs), "failure": "" if error != FAILED else "lost"}
+
+
 class TestReport:
     REPORT = AccuracyReport(
         "city.obj",
         ("lodlocv2",),
         "protocol",
         3,
-        (
-            outcome("truth", PoseError(0.5, 0.1)),
-            outcome("truth", PoseError(9.0, 0.1), score=0.5),
-            outcome("prior", PoseError(2.5, 0.1)),
-            outcome("prior", FAILED, score=0.0, hypotheses=0),
-        ),
+        queries_frame(
+            (
+                outcome("truth", PoseError(0.5, 0.1)),
+                outcome("truth", PoseError(9.0, 0.1), score=0.5),
+                outcome("prior", PoseError(2.5, 0.1)),
+                outcome("prior", FAILED, score=None, hypotheses=0),
+            )
+        ).assign(method="lodlocv2", seed=0, seconds=0.5),
     )
 
     def test_failures_count(self):

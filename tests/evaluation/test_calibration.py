@@ -20,26 +20,26 @@ def honest():
 
 def test_honest_probabilities_are_calibrated(honest):
     calibration = calibrate(*honest)
-    assert calibration.calibration_error < 0.015
+    assert calibration.ece < 0.015
     assert len(calibration.bins) == 10
     assert sum(b.count for b in calibration.bins) == 20_000
     # The mean of p (1 - p) over uniform p.
     assert calibration.brier == pytest.approx(1 / 6, abs=0.005)
     # Answering down to the share c has risk c / 2, the area of which is 1 / 4.
-    assert calibration.risk_area == pytest.approx(0.25, abs=0.01)
+    assert calibration.aurc == pytest.approx(0.25, abs=0.01)
     for b in calibration.bins:
-        assert b.low <= b.mean_probability <= b.high
-        assert b.interval[0] - 0.02 <= b.mean_probability <= b.interval[1] + 0.02
+        assert b.low <= b.confidence <= b.high
+        assert b.interval[0] - 0.02 <= b.confidence <= b.interval[1] + 0.02
 
 
 def test_overconfidence_shows(honest):
     said, found = honest
-    assert calibrate(np.sqrt(said), found).calibration_error == pytest.approx(2 / 3 - 1 / 2, abs=0.01)
+    assert calibrate(np.sqrt(said), found).ece == pytest.approx(2 / 3 - 1 / 2, abs=0.01)
 
 
 def test_a_wrong_order_costs_area(honest):
     said, found = honest
-    assert calibrate(1 - said, found).risk_area > 0.7
+    assert calibrate(1 - said, found).aurc > 0.7
 
 
 def test_equal_probabilities_have_no_order():
@@ -63,5 +63,5 @@ def test_certainty_falls_into_the_last_bin():
 def test_nothing_to_judge():
     calibration = calibrate([], [])
     assert calibration.bins == ()
-    assert math.isnan(calibration.calibration_error)
-    assert math.isnan(calibration.risk_area)
+    assert math.isnan(calibration.ece)
+    assert math.isnan(calibration.aurc)

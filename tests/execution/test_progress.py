@@ -11,18 +11,30 @@ class Terminal(io.StringIO):
 
 
 class TestProgress:
-    def test_is_silent_in_a_log(self):
+    def test_short_work_leaves_a_log_clean(self):
         log = io.StringIO()
         with Progress("views", 3, log) as progress:
             progress.advance(3)
         assert log.getvalue() == ""
 
-    def test_shows_the_last_item_on_a_terminal_and_leaves_no_trace(self):
+    def test_long_work_leaves_a_line_now_and_then(self, monkeypatch):
+        log = io.StringIO()
+        clock = iter([0.0, 59.0, 61.0, 90.0, 122.0])
+        monkeypatch.setattr("lodbench.execution.progress.time.monotonic", lambda: next(clock))
+        with Progress("views", 8, log) as progress:
+            for _ in range(4):
+                progress.advance()
+        assert log.getvalue().splitlines() == [
+            "views: 2 of 8, 3 min 03 s left",
+            "views: 4 of 8, 2 min 02 s left",
+        ]
+
+    def test_a_bar_on_a_terminal_leaves_no_trace(self):
         screen = Terminal()
         with Progress("views", 3, screen) as progress:
             progress.advance(3)
-        assert "views: 3 of 3" in screen.getvalue()
-        assert screen.getvalue().endswith("\r\x1b[K")
+        assert "views: 0 of 3" in screen.getvalue()
+        assert screen.getvalue().endswith(" \r")
 
     def test_time_left_follows_from_the_pace(self):
         progress = Progress("views", 10, io.StringIO())
@@ -42,7 +54,7 @@ class TestProgressCallback:
             for done in (4, 9, 25):
                 progress(done, 25)
             progress(30, 25)
-        assert "city.gml: 3 of 3 MB" in screen.getvalue()
+        assert "city.gml: 0 of 3 MB" in screen.getvalue()
 
     def test_draws_nothing_without_a_call(self):
         screen = Terminal()

@@ -6,20 +6,23 @@ import warnings
 from types import SimpleNamespace
 
 from lodbench.evaluation.errors import FAILED, PoseError
+from lodbench.evaluation.queries import ERROR, NO_TRUTH, queries_frame
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
-from lodbench.evaluation.rows import NO_TRUTH, QueryRow
 from lodbench.harness.runs.compare import paired_comparison
 
 
 def run(*errors: PoseError) -> SimpleNamespace:
-    rows = [QueryRow(f"{i}", "a", None, None, 0, "", error, None, {}) for i, error in enumerate(errors)]
-    rows.append(QueryRow("0", "without_truth", None, None, 0, NO_TRUTH, None, None, {}))
-    return SimpleNamespace(rows=tuple(rows), summary={"splits": {"a": {}, "without_truth": {}}})
+    rows = [
+        {"query": f"{i}", "split": "a", **dict(zip(ERROR, error, strict=True))}
+        for i, error in enumerate(errors)
+    ]
+    rows.append({"query": "0", "split": "without_truth", "failure": NO_TRUTH})
+    return SimpleNamespace(queries=queries_frame(rows), summary={"splits": {"a": {}, "without_truth": {}}})
 
 
 def test_rows_are_paired_by_name_and_a_split_without_a_truth_is_left_out():
     first, second = run(PoseError(1.0, 0.5), FAILED), run(PoseError(4.0, 0.5), PoseError(1.0, 1.0))
-    second.rows = second.rows[::-1]
+    second.queries = second.queries[::-1]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         tests = paired_comparison(first, second, DEFAULT_THRESHOLDS)

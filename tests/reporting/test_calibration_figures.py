@@ -11,7 +11,7 @@ def test_calibration_names_methods_areas_and_counts():
     }
     pictures = draw_calibration(curves)
     svg = pictures["svg"].decode()
-    for text in ("one, area 11.1 %", "two, area 0.0 %", ">7<", "within 2 m, 2 deg"):
+    for text in ("one, AURC 11.1 %", "two, AURC 0.0 %", ">7<", "within 2 m, 2 deg"):
         assert text in svg
     assert pictures["png"].startswith(b"\x89PNG")
 

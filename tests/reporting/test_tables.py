@@ -1,13 +1,11 @@
 import csv
 import io
 import json
-from dataclasses import replace
 
 import pytest
 
-from lodbench.errors import DatasetError
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.summaries import read_summary, with_seconds
-from lodbench.reporting.table_columns import calibration_columns, detail_columns, segmenter_columns
 from lodbench.reporting.table_formats import FORMATS, format_csv, format_text
 from lodbench.reporting.tables import tables_of
 
@@ -34,7 +32,7 @@ def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q"
 
 def test_runs_of_one_protocol_share_a_table_under_the_prior():
     (table,) = tables_of([summary("no_refine", 11.68), summary("full", 97.9)])
-    assert [row.label for row in table.rows] == ["Prior", "lodlocv2 no refine", "lodlocv2 full"]
+    assert [line.label for line in table.lines] == ["Prior", "lodlocv2 no refine", "lodlocv2 full"]
     assert table.splits == ("in_place", "out_of_place")
 
 
@@ -82,7 +80,11 @@ def test_runs_of_one_method_are_told_apart_by_what_differs():
     for run, steps in zip(runs, (40, 5), strict=True):
         run["method"]["params"] = {"steps": steps, "beams": 2}
     (table,) = tables_of(runs)
-    assert [row.label for row in table.rows] == ["Prior", "lodlocv2 full steps=5", "lodlocv2 full steps=40"]
+    assert [line.label for line in table.lines] == [
+        "Prior",
+        "lodlocv2 full steps=5",
+        "lodlocv2 full steps=40",
+    ]
 
 
 def test_seeds_become_one_row_with_mean_and_spread():
@@ -91,7 +93,7 @@ def test_seeds_become_one_row_with_mean_and_spread():
         run["protocol"]["seed"] = seed
     assert len(tables_of(runs)) == 3
     (table,) = tables_of(runs, over_seeds=True)
-    assert [row.label for row in table.rows] == ["Prior", "lodlocv2 full (3 seeds)"]
+    assert [line.label for line in table.lines] == ["Prior", "lodlocv2 full (3 seeds)"]
     assert "94.00 ±4.00" in format_text(table)
     assert r"94.00 $\pm$4.00" in FORMATS["latex"](table)
 
@@ -102,7 +104,7 @@ def test_what_is_freed_stands_in_the_row():
     runs[1]["dataset"]["scene"] = "other"
     assert len(tables_of(runs)) == 2
     (table,) = tables_of(runs, free=["lod"])
-    assert [row.label for row in table.rows[1:]] == ["lodlocv2 full lod=1", "lodlocv2 full lod=2"]
+    assert [line.label for line in table.lines[1:]] == ["lodlocv2 full lod=1", "lodlocv2 full lod=2"]
 
 
 def test_detail_columns_show_areas_parts_and_cost():
@@ -110,12 +112,10 @@ def test_detail_columns_show_areas_parts_and_cost():
     run["splits"]["in_place"] |= {
         "auc": {"2m-2deg": 61.5, "5m-5deg": 80.0},
         "recall_of_answered": {"2m-2deg": 99.1, "5m-5deg": 100.0},
-        "median_horizontal_m": 0.31,
-        "median_vertical_m": 0.62,
-        "median_yaw_deg": 0.04,
+        "metrics": {"median_horizontal_m": 0.31, "median_vertical_m": 0.62, "median_yaw_deg": 0.04},
     }
     (table,) = tables_of([with_seconds(run, {"in_place": 0.51})])
-    text = format_text(replace(table, columns=detail_columns(table.labels())))
+    text = format_text(table.with_columns("details"))
     for cell in ("61.50", "99.10", "0.31", "0.62", "0.04", "2425", "0.51"):
         assert cell in text
 
@@ -153,9 +153,9 @@ def test_runs_of_another_schema_are_refused(tmp_path):
 
 def test_the_segmenter_table_shows_the_masks_iou_beside_recall():
     run = summary("full", 97.9)
-    run["splits"]["in_place"]["mask_iou"] = 0.8765
+    run["splits"]["in_place"]["metrics"] = {"mask_iou": 0.8765}
     (table,) = tables_of([run])
-    text = format_text(replace(table, columns=segmenter_columns(table.labels())))
+    text = format_text(table.with_columns("segmenter"))
     assert "IoU" in text
     assert "0.88" in text
     assert "T.e./R.e." not in text
@@ -163,11 +163,30 @@ def test_the_segmenter_table_shows_the_masks_iou_beside_recall():
 
 def test_calibration_columns_stand_where_a_method_gave_a_probability():
     run = summary("full", 97.9)
-    (silent,) = tables_of([run])
-    assert not silent.says_how_sure()
-    run["splits"]["in_place"]["calibration"] = {"said": 91.25, "said_found": 3.5, "risk_area": 0.75}
+    names = ("mean_confidence_percent", "ece_percent", "aurc_percent")
+    run["splits"]["in_place"]["metrics"] = dict(zip(names, (91.25, 3.5, 0.75), strict=True))
     (table,) = tables_of([run])
-    assert table.says_how_sure()
-    text = format_text(replace(table, columns=calibration_columns(table.labels())))
+    text = format_text(table.with_columns("calibration"))
     for cell in ("91.25", "3.50", "0.75"):
         assert cell in text
+
+
+def test_a_number_of_any_metric_is_a_column_by_its_name():
+    run = summary("full", 97.9)
+    run["splits"]["in_place"]["metrics"] = {"worst_m": 12.3456}
+    (table,) = tables_of([run])
+    assert "12.35" in format_text(table.with_columns("worst_m"))
+    assert "12.3456" in format_csv(table)
+    with pytest.raises(ConfigError, match="no columns 'wurst_m'"):
+        table.with_columns("wurst_m")
+
+
+def test_summaries_of_the_last_version_are_read_under_todays_names(tmp_path):
+    old = {**summary("full", 97.9), "schema": 2}
+    calibration = {"said": 91.25, "said_found": 3.5, "risk_area": 0.75}
+    old["splits"]["in_place"] |= {"mask_iou": 0.9, "calibration": calibration}
+    (tmp_path / "summary.json").write_text(json.dumps(old))
+    found = read_summary(tmp_path)["splits"]["in_place"]
+    numbers = {"mean_confidence_percent": 91.25, "ece_percent": 3.5, "aurc_percent": 0.75, "mask_iou": 0.9}
+    assert found["metrics"] == numbers
+    assert found["recall"] == old["splits"]["in_place"]["recall"]

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.bench.accuracy import make_cases
+from lodbench.bench.accuracy import draw_views, open_scenes
 from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.rendering import make_renderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.synthesis.views_dataset import ViewsParams, open_views
 from tests.town import box_obj
@@ -34,13 +33,16 @@ def cache(tmp_path_factory, monkeypatch) -> Path:
 def test_views_are_those_of_bench_accuracy(city):
     dataset = open_views(ViewsParams(str(city), num_views=2))
     scene = open_scene(city)
-    cases, _ = make_cases(scene, make_renderer("silhouette", scene, 1), AccuracyOptions(num_views=2))
-    for entry, case in zip(dataset.entries, cases, strict=True):
+    options = AccuracyOptions(num_views=2, threads=1)
+    views = draw_views(*open_scenes(city, options), options, 0)
+    for entry, drawn in zip(dataset.entries, views.dataset.entries, strict=True):
         truth = dataset.truth[entry.key].shifted(-scene.origin)
-        np.testing.assert_allclose(truth.cam_from_world, case.truth.cam_from_world, atol=1e-9)
+        np.testing.assert_allclose(
+            truth.cam_from_world, views.dataset.truth[drawn.key].cam_from_world, atol=1e-9
+        )
         prior = entry.prior.shifted(-scene.origin)
-        np.testing.assert_allclose(prior.cam_from_world, case.query.prior.cam_from_world, atol=1e-9)
-        np.testing.assert_array_equal(read_mask(entry.mask), case.query.building_probability)
+        np.testing.assert_allclose(prior.cam_from_world, drawn.prior.cam_from_world, atol=1e-9)
+        np.testing.assert_array_equal(read_mask(entry.mask), views.segmenter.segment(drawn))
 
 
 def test_asking_for_more_keeps_the_first(city):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, write_geojson
@@ -16,9 +17,13 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.exchange.tum import write_tum
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import ConfigError, DatasetError, nearest_names
-from lodbench.evaluation.rows import QueryRow
+from lodbench.evaluation.queries import queries_csv
 from lodbench.geometry import Camera
 from lodbench.harness.runs.stored import StoredRun
+from lodbench.storage import write_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +42,10 @@ _WRITERS = {
     "tum": _Format(write_tum, "poses.tum", needs_cameras=False),
     "visuallocalization": _Format(write_lines, "visuallocalization.txt", needs_cameras=False),
 }
-FORMATS = (*_WRITERS, "geojson", "rerun")
+# The table of queries, with the poses as columns.
+_TABLES = {"csv": "queries.csv", "parquet": "queries.parquet"}
+FORMATS = (*_WRITERS, *_TABLES, "geojson", "rerun")
+_POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,18 +96,25 @@ def export_run(
             that it cannot hold.
     """
     wants_cameras = needs_cameras(format_name)
-    answered = [row for row in run.rows if row.pose is not None]
-    without = tuple(row.name for row in run.rows if row.pose is None)
-    if not answered:
+    without = names_without_pose(run)
+    if not run.poses:
         raise DatasetError(f"{run.folder} holds no poses.", "queries.csv says why each query failed.")
     if format_name == "geojson":
         path = out or run.folder / "export" / "poses.geojson"
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_geojson(_features(run.rows, crs), path)
-        return Exported(path, len(answered), without)
-    with_split = len({row.split for row in run.rows}) > 1
+        write_geojson(_features(run, crs), path)
+        return Exported(path, len(run.poses), without)
+    if format_name in _TABLES:
+        path = out or run.folder / "export" / _TABLES[format_name]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_table(run, path, format_name)
+        return Exported(path, len(run.poses), without)
+    names = run.queries["query"]
+    if run.queries["split"].nunique() > 1:
+        names = run.queries.index.to_series()
+    known = cameras if wants_cameras and cameras else {}
     images = [
-        _image(row, with_split, (cameras or {}).get(row.key) if wants_cameras else None) for row in answered
+        FoundPose(name, "", run.poses[key], known.get(key)) for key, name in names.items() if key in run.poses
     ]
     path = out or run.folder / "export" / _WRITERS[format_name].file
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -107,12 +122,32 @@ def export_run(
     return Exported(path, len(images), without)
 
 
-def _image(row: QueryRow, with_split: bool, camera: Camera | None) -> FoundPose:
-    assert row.pose is not None  # noqa: S101 - the caller has looked
-    return FoundPose(row.key if with_split else row.name, "", row.pose, camera)
+def queries_with_poses(run: StoredRun) -> pd.DataFrame:
+    """Returns the table of queries with the poses, world to camera, as ``qw qx qy qz tx ty tz``."""
+    import pandas as pd
+
+    numbers = {key: (*pose.quat_wxyz, *pose.translation) for key, pose in run.poses.items()}
+    poses = pd.DataFrame.from_dict(numbers, orient="index", columns=list(_POSE_COLUMNS))
+    return run.queries.join(poses)
 
 
-def _features(rows: Sequence[QueryRow], crs: str | None) -> list[dict[str, Any]]:
+def _write_table(run: StoredRun, path: Path, format_name: str) -> None:
+    frame = queries_with_poses(run)
+    if format_name == "csv":
+        write_text(path, queries_csv(frame))
+        return
+    try:
+        frame.to_parquet(path, index=False)
+    except ImportError as error:
+        raise ConfigError("Parquet needs pyarrow.", "pip install 'lodbench[parquet]'") from error
+
+
+def names_without_pose(run: StoredRun) -> tuple[str, ...]:
+    """Returns the names of the queries that have no estimate."""
+    return tuple(run.queries["query"][~run.queries.index.isin(run.poses)])
+
+
+def _features(run: StoredRun, crs: str | None) -> list[dict[str, Any]]:
     """Returns a point for each pose, and a feature without a place for each query that has none."""
     if crs is None:
         raise DatasetError(
@@ -121,17 +156,12 @@ def _features(rows: Sequence[QueryRow], crs: str | None) -> list[dict[str, Any]]
         )
     frame = MapFrame(crs)
     features = []
-    for row in rows:
-        stated: dict[str, Any] = {"name": row.name, "split": row.split}
-        if row.score is not None:
-            stated["score"] = round(row.score, 4)
-        if row.failure:
-            stated["failure"] = row.failure
-        if row.pose is None:
-            features.append(nowhere_feature(stated))
-            continue
-        if row.error is not None:
-            stated["translation_error_m"] = round(row.error.translation_m, 4)
-            stated["rotation_error_deg"] = round(row.error.rotation_deg, 4)
-        features.append(camera_feature(frame, row.pose, stated))
+    for key, row in run.queries.iterrows():
+        stated: dict[str, Any] = {"name": row["query"], "split": row["split"]}
+        numbers = ("score", "translation_error_m", "rotation_error_deg") if key in run.poses else ("score",)
+        stated |= {name: round(row[name], 4) for name in numbers if math.isfinite(row[name])}
+        if row["failure"]:
+            stated["failure"] = row["failure"]
+        pose = run.poses.get(str(key))
+        features.append(nowhere_feature(stated) if pose is None else camera_feature(frame, pose, stated))
     return features

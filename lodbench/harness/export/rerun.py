@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,16 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
-from lodbench.evaluation.rows import QueryRow
+from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.export.export import Exported
+from lodbench.harness.export.export import Exported, names_without_pose
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR
 from lodbench.storage import write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # BGR of each kind of pose, as in the overlays; but white would be lost on the viewer's light ground.
 _COLOURS = {"prior": PRIOR_COLOUR, "truth": (80, 170, 60), "estimate": ESTIMATE_COLOUR}
@@ -64,23 +67,22 @@ def export_rerun(run: StoredRun, dataset: Dataset, scene: Scene, out: Path | Non
     record.send_blueprint(_layout())
     record.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     record.log("city", _mesh(scene), static=True)
-    tilt = "truth" if "truth" in run.tilts else "prior"
+    tilt = "truth" if "truth" in set(run.queries["tilt"]) else "prior"
     entries = {entry.key: entry for entry in dataset.entries}
-    for number, row in enumerate(run.rows):
+    for number, (key, row) in enumerate(run.queries.iterrows()):
         record.set_time(_TIMELINE, sequence=number)
         record.log("about", rr.TextDocument(_about(row), media_type="text/markdown"))
-        entry = entries[row.key]
+        entry = entries[str(key)]
         poses = {
             "prior": prior_of(entry, dataset, tilt),
-            "truth": dataset.truth.get(row.key),
-            "estimate": row.pose,
+            "truth": dataset.truth.get(entry.key),
+            "estimate": run.poses.get(entry.key),
         }
         _log_query(record, entry, poses, scene.origin)
     path = out or run.folder / "export" / "run.rrd"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, memory.drain_as_bytes())
-    without = tuple(row.name for row in run.rows if row.pose is None)
-    return Exported(path, len(run.rows) - len(without), without)
+    return Exported(path, len(run.poses), names_without_pose(run))
 
 
 def _log_query(record: Any, entry: Entry, poses: dict[str, Pose | None], origin: NDArray[np.float64]) -> None:
@@ -150,14 +152,13 @@ def _mesh(scene: Scene) -> Any:
     )
 
 
-def _about(row: QueryRow) -> str:
+def _about(row: pd.Series[Any]) -> str:
     """Returns what is known of a query's answer, in Markdown."""
-    lines = [f"### {row.key}", row.failure or f"score {row.score}, {row.hypotheses} hypotheses"]
-    for what, error in (("estimate", row.error), ("prior", row.prior_error)):
-        if error is not None and np.isfinite(error.translation_m):
-            lines.append(
-                f"- {what}: {error.translation_m:.2f} m, {error.rotation_deg:.2f} deg from the truth"
-            )
+    found = f"score {row['score']}, {row['hypotheses']:.0f} hypotheses"
+    lines = [f"### {row.name}", row["failure"] or found]
+    for what, (metres, degrees) in (("estimate", ERROR), ("prior", PRIOR_ERROR)):
+        if np.isfinite(row[metres]):
+            lines.append(f"- {what}: {row[metres]:.2f} m, {row[degrees]:.2f} deg from the truth")
     return "\n\n".join(lines)
 
 

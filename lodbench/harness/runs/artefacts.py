@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import platform
@@ -15,8 +13,7 @@ from typing import Any
 from lodbench import __version__
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
-from lodbench.evaluation.errors import ErrorParts, PoseError
-from lodbench.evaluation.rows import seconds_per_query, summarize_rows
+from lodbench.evaluation.queries import queries_csv, summarize_queries
 from lodbench.harness.runs.result import Result
 from lodbench.harness.runs.run import Run
 from lodbench.plugins import load_plugin
@@ -34,12 +31,11 @@ def write_artefacts(run: Result, config_yaml: str) -> None:
     contents = {
         "config.yaml": config_yaml,
         "poses.txt": lines_to_text(_pose_lines(run)),
-        "queries.csv": _queries_csv(run),
+        "queries.csv": queries_csv(run.queries),
         "summary.json": _json(summary_of(run)),
     }
     if isinstance(run, Run):
-        scored = {row.key for row in run.rows}
-        entries = [entry for entry in run.dataset.entries if entry.key in scored]
+        entries = [entry for entry in run.dataset.entries if entry.key in run.queries.index]
         words = _prior_in_words(run.config.get("prior", {"name": "file"}))
         contents["priors.txt"] = prior_text(entries, words, run.config["seed"])
     for name, content in contents.items():
@@ -54,12 +50,9 @@ def summary_of(run: Result) -> dict[str, Any]:
     """Returns the summary: protocol, recalls by split, the priors' own, failures by reason."""
     splits, priors = {}, {}
     for split in run.splits:
-        estimates, prior = summarize_rows(run.rows, split)
+        estimates, prior = summarize_queries(run.queries, split)
         splits[split], priors[split] = estimates.to_json(), prior.to_json()
-    failures: dict[str, int] = {}
-    for row in run.rows:
-        if row.failure:
-            failures[row.failure] = failures.get(row.failure, 0) + 1
+    failures = run.queries["failure"][run.queries["failure"] != ""].value_counts()
     config = run.config
     return {
         "schema": SUMMARY_SCHEMA,
@@ -79,7 +72,7 @@ def summary_of(run: Result) -> dict[str, Any]:
         },
         "splits": splits,
         "prior": priors,
-        "failures": dict(sorted(failures.items())),
+        "failures": {str(reason): int(count) for reason, count in sorted(failures.items())},
         "notes": list(run.dataset.notes),
         **({"invalid": "random weights"} if has_random_weights(config) else {}),
     }
@@ -93,81 +86,20 @@ def _prior_in_words(prior: dict[str, Any]) -> str:
 
 
 def _pose_lines(run: Result) -> list[str]:
-    return [
-        format_pose(row.key if len(run.splits) > 1 else row.name, row.pose)
-        for row in run.rows
-        if row.pose is not None
-    ]
-
-
-def _queries_csv(run: Result) -> str:
-    header = [
-        "query",
-        "split",
-        "translation_error_m",
-        "rotation_error_deg",
-        "score",
-        "hypotheses",
-        "failure",
-        "prior_translation_error_m",
-        "prior_rotation_error_deg",
-        "tilt",
-        "horizontal_error_m",
-        "vertical_error_m",
-        "yaw_error_deg",
-        "mask_iou",
-        "probability",
-        "covariance",
-    ]
-    rows = [
-        [
-            hide_formula(row.name),
-            hide_formula(row.split),
-            *_error_cells(row.error),
-            "" if row.score is None else repr(row.score),
-            "" if row.hypotheses is None else row.hypotheses,
-            hide_formula(row.failure),
-            *_error_cells(row.prior_error),
-            run.config["tilt"],
-            *_part_cells(row.parts),
-            "" if row.mask_iou is None else repr(row.mask_iou),
-            "" if row.probability is None else repr(row.probability),
-            " ".join(repr(value) for value in row.covariance),
-        ]
-        for row in run.rows
-    ]
-    return csv_text(header, rows)
-
-
-def _error_cells(error: PoseError | None) -> list[str]:
-    """Returns two cells, empty where there is no finite number."""
-    if error is None or math.isinf(error.translation_m):
-        return ["", ""]
-    return [repr(error.translation_m), repr(error.rotation_deg)]
-
-
-def _part_cells(parts: ErrorParts | None) -> list[str]:
-    if parts is None or math.isinf(parts.horizontal_m):
-        return ["", "", ""]
-    return [repr(value) for value in parts]
+    names = run.queries.index if len(run.splits) > 1 else run.queries["query"]
+    poses = [run.predictions[key].pose for key in run.queries.index]
+    return [format_pose(name, pose) for name, pose in zip(names, poses, strict=True) if pose is not None]
 
 
 def _timings_csv(run: Result) -> str:
-    stages = list(dict.fromkeys(stage for row in run.rows for stage in row.seconds))
-    rows = [
-        [hide_formula(row.name), hide_formula(row.split), *(row.seconds.get(stage, "") for stage in stages)]
-        for row in run.rows
-    ]
-    return csv_text(["query", "split", *(f"{stage}_s" for stage in stages)], rows)
+    import pandas as pd
 
-
-def csv_text(header: list[str], rows: list[list[Any]]) -> str:
-    """Returns a CSV file: a header and lines."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return stream.getvalue()
+    seconds = {key: prediction.seconds for key, prediction in run.predictions.items()}
+    stages = dict.fromkeys(stage for times in seconds.values() for stage in times)
+    names = run.queries[["query", "split"]].map(hide_formula)
+    times = pd.DataFrame([seconds[key] for key in run.queries.index], run.queries.index, list(stages))
+    frame = pd.concat([names, times.add_suffix("_s")], axis=1)
+    return str(frame.to_csv(index=False, lineterminator="\n"))
 
 
 def _provenance(run: Result) -> dict[str, Any]:
@@ -186,8 +118,7 @@ def _provenance(run: Result) -> dict[str, Any]:
         "dataset_root": str(Path(run.dataset.root).resolve()),
         **(_work(run) if isinstance(run, Run) else {}),
         "seconds_per_query": {
-            split: (None if math.isnan(s := seconds_per_query(run.rows, split)) else s)
-            for split in run.splits
+            split: (None if math.isnan(s := run.seconds_per_query(split)) else s) for split in run.splits
         },
     }
 

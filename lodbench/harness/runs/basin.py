@@ -8,17 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.evaluation.basin import ORIENTATION, TRANSLATION, BasinStep
+from lodbench.evaluation.queries import summarize_queries
 from lodbench.evaluation.recall import SplitSummary
-from lodbench.evaluation.rows import seconds_per_query, summarize_rows
-from lodbench.harness.runs.artefacts import csv_text, summary_of
-from lodbench.harness.runs.cost_maps import CostGrid, cost_csv_rows, measure_cost_maps
+from lodbench.harness.runs.artefacts import summary_of
+from lodbench.harness.runs.cost_maps import CostGrid, cost_csv, measure_cost_maps
 from lodbench.harness.runs.result import chosen_entries
 from lodbench.harness.runs.run import Run
 from lodbench.reporting.basin_figures import RecallCurve, draw_cost_maps, draw_recall_curves
-from lodbench.reporting.cells import cells_of
-from lodbench.reporting.table_formats import format_markdown
-from lodbench.reporting.table_latex import format_latex
-from lodbench.reporting.tables import RecallTable, TableRow, title_of
+from lodbench.reporting.table_formats import format_latex, format_markdown
+from lodbench.reporting.tables import Line, RecallTable, numbers_of, title_of
 from lodbench.storage import digest_of, write_bytes, write_text
 
 _AXES = {
@@ -49,7 +47,7 @@ class Basin:
 
     def summary(self, step: BasinStep, split: str) -> SplitSummary:
         """Returns the recalls of a row."""
-        return summarize_rows(self.run_of(step).rows, split)[0]
+        return summarize_queries(self.run_of(step).queries, split)[0]
 
     def of_kind(self, kind: str) -> list[tuple[BasinStep, Run]]:
         """Returns the rows of one of the two tables."""
@@ -72,7 +70,7 @@ def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
     folder = first.folder.parent.parent / "basin" / f"{first.folder.parent.name}-{name}"
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "protocol.txt", "\n".join(basin.protocol) + "\n")
-    write_text(folder / "basin.csv", csv_text(*_csv_rows(basin)))
+    write_text(folder / "basin.csv", _basin_csv(basin))
     write_text(folder / "basin.md", "\n".join(map(format_markdown, basin.tables())))
     write_text(folder / "basin.tex", "\n".join(map(format_latex, basin.tables())))
     runs = [{"kind": s.kind, "half_width": s.half_width, "run": str(r.folder)} for s, r in basin.steps]
@@ -82,7 +80,7 @@ def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
     ]
     _write_figure(folder / "recall", draw_recall_curves(panels))
     if grid is not None:
-        _write_maps(folder, max((run for _, run in basin.steps), key=lambda run: len(run.rows)), grid)
+        _write_maps(folder, max((run for _, run in basin.steps), key=lambda run: len(run.queries)), grid)
     return folder
 
 
@@ -93,8 +91,7 @@ def _write_maps(folder: Path, run: Run, grid: CostGrid) -> None:
     maps = measure_cost_maps(run.preparation, run.scorer, entries, ledger, grid)
     if maps is None:
         return
-    header, *rows = cost_csv_rows(maps)
-    write_text(folder / "cost_maps.csv", csv_text([str(name) for name in header], rows))
+    write_text(folder / "cost_maps.csv", cost_csv(maps))
     pictures = draw_cost_maps(
         maps.num_queries,
         grid.xy(),
@@ -113,16 +110,15 @@ def _write_figure(stem: Path, pictures: dict[str, bytes]) -> None:
 def _table(basin: Basin, kind: str) -> RecallTable:
     rows = basin.of_kind(kind)
     summary = summary_of(rows[0][1])
-    splits = tuple(dict.fromkeys(split for _, run in rows for split in run.splits))
     body = []
     for step, run in rows:
-        cells = {split: cells_of(basin.summary(step, split).to_json()) for split in run.splits}
-        counts = {cell.num_queries for cell in cells.values()}
+        cells = {split: numbers_of(basin.summary(step, split).to_json()) for split in run.splits}
+        counts = {numbers["queries"] for numbers in cells.values()}
         queries = "" if len(rows) == 1 else f" ({'/'.join(map(str, sorted(counts)))} queries)"
-        body.append(TableRow(f"{step.label}{queries}", cells))
+        body.append(Line(f"{step.label}{queries}", cells))
     method = f"{summary['method']['name']} {summary['method']['variant']}".strip()
     title = f"{method}, {kind} of the prior · {title_of(summary, {'prior'})}"
-    return RecallTable(title, splits, tuple(body))
+    return RecallTable(title, tuple(body))
 
 
 def _curves(basin: Basin, kind: str) -> list[RecallCurve]:
@@ -134,28 +130,28 @@ def _curves(basin: Basin, kind: str) -> list[RecallCurve]:
     ]
 
 
-def _csv_rows(basin: Basin) -> tuple[list[str], list[list[Any]]]:
-    labels = list(basin.summary(basin.steps[0][0], basin.steps[0][1].splits[0]).recall)
-    header = ["kind", "half_width", "unit", "split", "queries", "failed", *labels]
-    header += [f"{label} {end}" for label in labels for end in ("low", "high")]
-    header += [
-        "median_translation_m",
-        "median_rotation_deg",
-        "hypotheses_per_query",
-        "seconds_per_query",
-        "run",
-    ]
-    rows: list[list[Any]] = []
+def _basin_csv(basin: Basin) -> str:
+    import pandas as pd
+
+    rows = []
     for step, run in basin.steps:
         for split in run.splits:
-            s = basin.summary(step, split)
-            rows.append(
-                [
-                    *(step.kind, step.half_width, step.unit, split, s.num_queries, s.num_failed),
-                    *s.recall.values(),
-                    *(end for bounds in s.interval.values() for end in bounds),
-                    *(s.median_translation_m, s.median_rotation_deg, s.hypotheses_per_query),
-                    *(seconds_per_query(run.rows, split), run.folder.name),
-                ]
-            )
-    return header, rows
+            summary = basin.summary(step, split)
+            row: dict[str, Any] = {
+                "kind": step.kind,
+                "half_width": step.half_width,
+                "unit": step.unit,
+                "split": split,
+            }
+            row |= {"queries": summary.num_queries, "failed": summary.num_failed, **summary.recall}
+            for label, bounds in summary.interval.items():
+                row |= zip((f"{label} low", f"{label} high"), bounds, strict=True)
+            row |= {
+                "median_translation_m": summary.median_translation_m,
+                "median_rotation_deg": summary.median_rotation_deg,
+                "hypotheses_per_query": summary.hypotheses_per_query,
+                "seconds_per_query": run.seconds_per_query(split),
+                "run": run.folder.name,
+            }
+            rows.append(row)
+    return str(pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))

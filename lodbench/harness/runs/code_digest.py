@@ -10,7 +10,9 @@ from pathlib import Path
 from lodbench.storage import digest_of, file_digest
 
 # Layers whose code decides an estimate; readers are covered by the scene's digest.
-_LAYERS = ("geometry", "rendering", "citymap", "segmentation", "synthesis", "methods", "harness")
+_LAYERS = (
+    "geometry", "rendering", "citymap", "segmentation", "synthesis", "matching", "methods", "harness",
+)  # fmt: skip
 _LIBRARIES = ("numpy", "numba", "opencv-python-headless")
 
 

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lodbench.evaluation.errors import PoseError
+from lodbench.evaluation.queries import ERROR, has_truth, of_split
 from lodbench.evaluation.recall import Threshold, hits_of
-from lodbench.evaluation.rows import QueryRow
 from lodbench.evaluation.statistics import Comparison, mcnemar, paired_medians
 from lodbench.harness.runs.stored import StoredRun
 
@@ -17,7 +16,7 @@ def require_same_queries(first: StoredRun, second: StoredRun) -> str:
     """Returns why two runs cannot be compared query by query; "" if they can."""
     if first.summary["dataset"]["name"] != second.summary["dataset"]["name"]:
         return "the datasets differ"
-    keys = [{row.key for row in run.rows if row.error is not None} for run in (first, second)]
+    keys = [set(run.queries.index[has_truth(run.queries)]) for run in (first, second)]
     if keys[0] != keys[1]:
         return f"the queries differ: {len(keys[0] ^ keys[1])} are in one run only"
     truths = [run.summary["dataset"].get("queries") for run in (first, second)]
@@ -38,12 +37,11 @@ def paired_comparison(
     """
     found = []
     for split in first.summary["splits"]:
-        one = _errors(first.rows, split)
-        if not one:
+        scored = of_split(first.queries, split)
+        if scored.empty:
             continue  # no truth to be tested against
-        order = {key: number for number, key in enumerate(one)}
-        two = dict(sorted(_errors(second.rows, split).items(), key=lambda item: order[item[0]]))
-        a, b = (np.array(list(errors.values()), dtype=np.float64).reshape(-1, 2) for errors in (one, two))
+        errors = list(ERROR)
+        a, b = scored[errors].to_numpy(), second.queries.loc[scored.index, errors].to_numpy()
         for threshold in thresholds:
             hits = hits_of(a, threshold), hits_of(b, threshold)
             before, after = (100.0 * float(hit.mean()) for hit in hits)
@@ -53,7 +51,3 @@ def paired_comparison(
             medians = float(np.median(x)), float(np.median(y))
             found.append(Comparison(split, name, unit, *medians, paired_medians(x, y)))
     return found
-
-
-def _errors(rows: Sequence[QueryRow], split: str) -> dict[str, PoseError]:
-    return {row.key: row.error for row in rows if row.split == split and row.error is not None}

@@ -107,18 +107,24 @@ def measure_cost_maps(
     )
 
 
-def cost_csv_rows(maps: CostMaps) -> list[list[object]]:
-    """Returns a header and one line per offset: axis, offsets, mean and spread of IoU."""
-    rows: list[list[object]] = [["map", "x_m", "y_m", "z_m", "yaw_deg", "mean_iou", "spread_iou", "queries"]]
-    n, xy = maps.num_queries, maps.grid.xy()
-    for i, y in enumerate(xy):
-        for j, x in enumerate(xy):
-            rows.append(["xy", x, y, 0.0, 0.0, maps.xy[i, j], "", n])
-    for offset, mean, spread in zip(maps.grid.z(), maps.z, maps.z_spread, strict=True):
-        rows.append(["z", 0.0, 0.0, offset, 0.0, mean, spread, n])
-    for offset, mean, spread in zip(maps.grid.yaw(), maps.yaw, maps.yaw_spread, strict=True):
-        rows.append(["yaw", 0.0, 0.0, 0.0, offset, mean, spread, n])
-    return rows
+def cost_csv(maps: CostMaps) -> str:
+    """Returns one line per offset as CSV: map, offsets, mean and spread of IoU."""
+    import pandas as pd
+
+    grid = maps.grid
+    y, x = np.meshgrid(grid.xy(), grid.xy(), indexing="ij")
+    parts = [
+        pd.DataFrame({"map": "xy", "x_m": x.ravel(), "y_m": y.ravel(), "mean_iou": maps.xy.ravel()}),
+        pd.DataFrame({"map": "z", "z_m": grid.z(), "mean_iou": maps.z, "spread_iou": maps.z_spread}),
+        pd.DataFrame(
+            {"map": "yaw", "yaw_deg": grid.yaw(), "mean_iou": maps.yaw, "spread_iou": maps.yaw_spread}
+        ),
+    ]
+    offsets = ["x_m", "y_m", "z_m", "yaw_deg"]
+    frame = pd.concat(parts).fillna(dict.fromkeys(offsets, 0.0)).assign(queries=maps.num_queries)
+    return str(
+        frame[["map", *offsets, "mean_iou", "spread_iou", "queries"]].to_csv(index=False, lineterminator="\n")
+    )
 
 
 def _around_truth(

@@ -85,9 +85,9 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
     folder.mkdir(parents=True, exist_ok=True)
     predictions = {entry.key: _prediction(matched.poses.get(entry.key)) for entry in entries}
     priors = {entry.key: prior_of(entry, dataset, settings.tilt) for entry in entries}
-    rows = evaluate(entries, predictions, dataset.truth, priors)
+    queries = evaluate(entries, predictions, dataset.truth, priors, tilt=settings.tilt)
     told = replace(dataset, notes=dataset.notes + notes)
-    return Result(folder, config, told, splits, predictions, rows, inputs, lod=None)
+    return Result(folder, config, told, splits, predictions, queries, inputs, lod=None)
 
 
 def draw_scored(result: Result, segmenter: Segmenter, tilt: str) -> list[Path]:

@@ -71,12 +71,15 @@ class Work:
     inputs: dict[str, str]
     folder: Path
 
+    def streams_of(self, entry: Entry) -> Streams:
+        """Returns the random numbers of a query: never by worker or order."""
+        return partial(random_stream, self.seed, self.dataset.name, entry.key)
+
     def answers(
         self, preparation: Preparation, city_map: CityMap, entries: Sequence[Entry]
     ) -> list[tuple[str, dict[str, Any]]]:
         """Returns the keys of queries and the predictions of their poses as JSON values."""
-        name = self.dataset.name
-        asked = [_Asked(entry, partial(random_stream, self.seed, name, entry.key)) for entry in entries]
+        asked = [_Asked(entry, self.streams_of(entry)) for entry in entries]
         _answer(self.method, preparation, city_map, asked, self.folder)
         return [(each.entry.key, each.prediction(preparation).to_json()) for each in asked]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
-from lodbench.evaluation.rows import NO_TRUTH
+from lodbench.evaluation.queries import NO_TRUTH
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation import Segmenter, check_mask

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +15,15 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.calibration import calibrate
-from lodbench.evaluation.errors import FAILED
+from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, of_split
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
-from lodbench.evaluation.rows import QueryRow
 from lodbench.harness.city import open_city
-from lodbench.harness.runs.gallery import chosen_rows, overlay_name
+from lodbench.harness.runs.gallery import chosen_queries, overlay_name
 from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.calibration_figures import draw_calibration
-from lodbench.reporting.page import definition_list, html_page, picture, section, text
-from lodbench.reporting.query_table import query_table
+from lodbench.reporting.page import Picture, facts, markup, rendered
 from lodbench.reporting.run_figures import (
     ErrorSample,
     Places,
@@ -33,13 +33,22 @@ from lodbench.reporting.run_figures import (
     draw_traces,
 )
 from lodbench.reporting.summaries import with_seconds
-from lodbench.reporting.table_columns import calibration_columns, detail_columns, interval_columns
-from lodbench.reporting.table_html import format_html
+from lodbench.reporting.table_formats import format_html
 from lodbench.reporting.tables import tables_of
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 # JPEG quality of the pictures inside the page: outlines stay sharp, a picture weighs about 60 kB.
 _QUALITY = 82
+# Head, column and format of the table of every query; texts have no format.
+_QUERY_COLUMNS = (
+    ("query", "query", ""), ("split", "split", ""), ("m", ERROR[0], ".2f"), ("deg", ERROR[1], ".2f"),
+    ("along the ground m", PARTS[0], ".2f"), ("up m", PARTS[1], ".2f"), ("yaw deg", PARTS[2], ".2f"),
+    ("prior m", PRIOR_ERROR[0], ".2f"), ("prior deg", PRIOR_ERROR[1], ".2f"), ("score", "score", ".3f"),
+    ("mask IoU", "mask_iou", ".3f"), ("hypotheses", "hypotheses", ".0f"), ("failure", "failure", ""),
+)  # fmt: skip
 
 
 def run_report(verdict: Verdict, tilt: str) -> str:
@@ -53,82 +62,85 @@ def run_report(verdict: Verdict, tilt: str) -> str:
     summary = with_seconds(stored.summary, stored.provenance.get("seconds_per_query", {}))
     splits = tuple(summary["splits"])
     (table,) = tables_of([summary])
-    labels = table.labels()
-    tables = [
-        table,
-        replace(table, columns=interval_columns(labels), title="Recall with 95 % intervals"),
-        replace(table, columns=detail_columns(labels), title="Areas under recall, parts of the error, cost"),
-    ]
-    if table.says_how_sure():
-        title = (
-            "Probability of being within (2 m, 2 deg): said, its distance from what was found, risk; percent"
-        )
-        tables.append(replace(table, columns=calibration_columns(labels), title=title))
-    name = " ".join(filter(None, [summary["method"]["name"], summary["method"]["variant"]]))
-    parts = {
-        "tables": ("Recall", "".join(map(format_html, tables))),
-        "errors": ("Errors", _error_curves(stored.rows, splits)),
-        "calibration": ("How sure it was", _calibration(stored.rows, splits)),
-        "places": ("From above", _top_views(verdict, splits, tilt)),
-        "worst": ("Worst queries", _gallery(stored.folder, stored.rows, splits, "worst")),
-        "best": ("Best queries", _gallery(stored.folder, stored.rows, splits, "best")),
-        "traces": ("How the score rose", _traces(stored.folder, stored.rows, splits)),
-        "queries": ("Every query", query_table(stored.rows)),
-        "provenance": ("Where it comes from", _provenance(verdict)),
+    more = {
+        "intervals": "Recall with 95 % intervals",
+        "details": "Areas under recall, parts of the error, cost",
+        "calibration": "Probability of being within (2 m, 2 deg): its mean, ECE and AURC, percent",
     }
-    links = "".join(f'<a href="#{key}">{text(title)}</a>' for key, (title, body) in parts.items() if body)
-    sections = "".join(section(key, title, body) for key, (title, body) in parts.items() if body)
+    if "ece_percent" not in table.numbers():
+        del more["calibration"]
+    tables = [table, *(replace(table.with_columns(key), title=title) for key, title in more.items())]
+    name = " ".join(filter(None, [summary["method"]["name"], summary["method"]["variant"]]))
+    sections = [
+        ("tables", "Recall", "".join(map(format_html, tables)), []),
+        ("errors", "Errors", "", _error_curves(stored.queries, splits)),
+        ("calibration", "How sure it was", "", _calibration(stored.queries, splits)),
+        ("places", "From above", "", _top_views(verdict, splits, tilt)),
+        ("worst", "Worst queries", "", _gallery(stored.folder, stored.queries, splits, "worst")),
+        ("best", "Best queries", "", _gallery(stored.folder, stored.queries, splits, "best")),
+        ("traces", "How the score rose", "", _traces(stored.folder, stored.queries, splits)),
+        ("queries", "Every query", _query_table(stored.queries), []),
+        ("provenance", "Where it comes from", _provenance(verdict), []),
+    ]
     dataset = f"{summary['dataset']['name']} {summary['dataset']['version']}".strip()
-    head = (
-        f"<h1>{text(name)} on {text(dataset)}</h1>\n{_badge(verdict)}{definition_list(summary['protocol'])}"
+    return rendered(
+        "run.html.jinja",
+        title=f"{name} on {dataset}",
+        differences=verdict.differences,
+        is_weak=verdict.is_weak,
+        protocol=facts(summary["protocol"]),
+        sections=[
+            (key, title, markup(html), pictures)
+            for key, title, html, pictures in sections
+            if html or pictures
+        ],
     )
-    return html_page(f"{name} on {dataset}", f"{head}<nav>{links}</nav>\n{sections}")
 
 
-def _badge(verdict: Verdict) -> str:
-    """Returns whether the numbers of the page follow from the poses."""
-    if verdict.differences:
-        lines = "".join(f"<li>{text(line)}</li>" for line in verdict.differences[:20])
-        count = len(verdict.differences)
-        return f'<p class="bad">Not verified: {count} differences</p><ul>{lines}</ul>\n'
-    if verdict.is_weak:
-        return '<p class="soft">Verified against its own rows only: the dataset is not where it was.</p>\n'
-    return '<p class="good">Verified: every number follows from the stored poses and the truth.</p>\n'
+def _query_table(queries: pd.DataFrame) -> str:
+    """Returns one line per query, sortable by every column."""
+
+    def number(value: float, spec: str) -> str:
+        # Adding 0 turns the -0.00 of a rounded small number into 0.00.
+        return format(round(value, int(spec[1])) + 0.0, spec)
+
+    rows = queries.to_dict("records")
+    return rendered(
+        "queries.html.jinja", rows=rows, columns=_QUERY_COLUMNS, isfinite=math.isfinite, number=number
+    )
 
 
-def _error_curves(rows: Sequence[QueryRow], splits: Sequence[str]) -> str:
+def _error_curves(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
     samples = []
     for split in splits:
-        mine = [row for row in rows if row.split == split and row.error is not None]
-        if mine:
-            estimates, priors = [row.error for row in mine], [row.prior_error or FAILED for row in mine]
-            samples.append(ErrorSample(split, np.array(estimates), np.array(priors)))
+        mine = of_split(queries, split)
+        if len(mine):
+            samples.append(
+                ErrorSample(split, mine[list(ERROR)].to_numpy(), mine[list(PRIOR_ERROR)].to_numpy())
+            )
     if not samples:
-        return ""
+        return []
     caption = "Share of all queries below an error; a failed query is never below."
-    return picture(draw_error_curves(samples)["svg"], "svg+xml", caption, "chart")
+    return [Picture(draw_error_curves(samples)["svg"], "svg+xml", caption, "chart")]
 
 
-def _calibration(rows: Sequence[QueryRow], splits: Sequence[str]) -> str:
-    """Returns reliability and risk over coverage by split; "" where the method gave no probability."""
+def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
+    """Returns reliability and risk over coverage by split; none where the method gave no probability."""
     curves = {}
     for split in splits:
-        mine = [row for row in rows if row.split == split and row.error is not None]
-        if any(row.probability is not None for row in mine):
-            errors = np.array([row.error for row in mine], dtype=np.float64)
-            found = hits_of(errors, PROBABILITY_THRESHOLD).tolist()
-            curves[split] = calibrate([row.probability or 0.0 for row in mine], found)
+        mine = of_split(queries, split)
+        if mine["probability"].notna().any():
+            found = hits_of(mine[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
+            curves[split] = calibrate(mine["probability"].fillna(0.0).to_numpy(), found)
     if not curves:
-        return ""
-    caption = (
-        "Left: what was said and what was found; right: what is wrong of the answers let in, surest first."
-    )
-    return picture(draw_calibration(curves)["svg"], "svg+xml", caption, "chart")
+        return []
+    caption = "Left: confidence and share found; right: what is wrong of the answers let in, surest first."
+    return [Picture(draw_calibration(curves)["svg"], "svg+xml", caption, "chart")]
 
 
-def _top_views(verdict: Verdict, splits: Sequence[str], tilt: str) -> str:
+def _top_views(verdict: Verdict, splits: Sequence[str], tilt: str) -> list[Picture]:
     if verdict.dataset is None:
-        return ""
+        return []
     scene = _scene(verdict)
     ground, triangles = None, None
     if scene is not None:
@@ -138,8 +150,8 @@ def _top_views(verdict: Verdict, splits: Sequence[str], tilt: str) -> str:
         places = _places(verdict, split, tilt)
         if np.isfinite(places.truths).any():
             caption = f"{split}: from each truth a line to its prior and to its estimate."
-            parts.append(picture(draw_top_view(places, ground, triangles)["png"], "png", caption, "chart"))
-    return f'<div class="charts">{"".join(parts)}</div>' if parts else ""
+            parts.append(Picture(draw_top_view(places, ground, triangles)["png"], "png", caption, "chart"))
+    return parts
 
 
 def _scene(verdict: Verdict) -> Scene | None:
@@ -155,28 +167,29 @@ def _scene(verdict: Verdict) -> Scene | None:
 
 def _places(verdict: Verdict, split: str, tilt: str) -> Places:
     assert verdict.dataset is not None  # noqa: S101 - the caller has looked
-    poses = {row.key: row.pose for row in verdict.stored.rows}
     columns: list[list[Floats]] = [[], [], []]
     for entry in verdict.entries:
         if entry.split == split:
             prior = prior_of(entry, verdict.dataset, tilt)
             for column, pose in zip(
-                columns, (prior, poses.get(entry.key), verdict.dataset.truth.get(entry.key)), strict=True
+                columns,
+                (prior, verdict.stored.poses.get(entry.key), verdict.dataset.truth.get(entry.key)),
+                strict=True,
             ):
                 column.append(np.full(2, np.nan) if pose is None else pose.center[:2])
     return Places(*(np.array(column).reshape(-1, 2) for column in columns))
 
 
-def _gallery(folder: Path, rows: Sequence[QueryRow], splits: Sequence[str], kind: str) -> str:
+def _gallery(folder: Path, queries: pd.DataFrame, splits: Sequence[str], kind: str) -> list[Picture]:
     """Returns the overlays that the run left, as far as they are there."""
     figures = []
     for split in splits:
-        for rank, row in enumerate(chosen_rows(rows, split)[kind], start=1):
-            path = folder / "overlays" / overlay_name(split, kind, rank, row.name)
+        for rank, (_, row) in enumerate(chosen_queries(queries, split)[kind].iterrows(), start=1):
+            path = folder / "overlays" / overlay_name(split, kind, rank, row["query"])
             content = _jpeg(path)
             if content is not None:
-                figures.append(picture(content, "jpeg", _caption(row)))
-    return f'<div class="gallery">{"".join(figures)}</div>' if figures else ""
+                figures.append(Picture(content, "jpeg", _caption(row)))
+    return figures
 
 
 def _jpeg(path: Path) -> bytes | None:
@@ -188,47 +201,41 @@ def _jpeg(path: Path) -> bytes | None:
     return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
 
 
-def _caption(row: QueryRow) -> str:
-    if row.failure or row.error is None:
-        return f"{row.key}: {row.failure}"
-    return f"{row.key}: {row.error.translation_m:.2f} m, {row.error.rotation_deg:.2f} deg"
+def _caption(row: pd.Series[Any]) -> str:
+    metres, degrees = row[list(ERROR)]
+    return f"{row.name}: {row['failure'] or f'{metres:.2f} m, {degrees:.2f} deg'}"
 
 
-def _traces(folder: Path, rows: Sequence[QueryRow], splits: Sequence[str]) -> str:
+def _traces(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
     """Returns the score traces of the gallery's queries, from the run's predictions."""
     stored = open_predictions(folder, read_only=True)
     traces = []
     for split in splits:
-        chosen = chosen_rows(rows, split)
+        chosen = chosen_queries(queries, split)
         for kind in ("worst", "best"):
-            for row in chosen[kind]:
-                stages = stored[row.key].get("trace", {}) if row.key in stored else {}
+            for key in chosen[kind].index:
+                stages = stored[key].get("trace", {}) if key in stored else {}
                 if any(len(scores) > 1 for scores in stages.values()):
-                    traces.append(Trace(f"{kind}: {row.key}", {k: tuple(v) for k, v in stages.items()}))
+                    traces.append(Trace(f"{kind}: {key}", {k: tuple(v) for k, v in stages.items()}))
     if not traces:
-        return ""
+        return []
     caption = "Best score after each step: every beam, and the best of them."
-    return picture(draw_traces(traces)["svg"], "svg+xml", caption, "chart")
+    return [Picture(draw_traces(traces)["svg"], "svg+xml", caption, "chart")]
 
 
 def _provenance(verdict: Verdict) -> str:
     stored = verdict.stored
     hidden = {"files", "city_model", "dataset_root", "seconds_per_query"}
     known = stored.provenance.items()
-    facts = {key: value for key, value in known if key not in hidden and value is not None}
-    facts["run"] = stored.folder.resolve().name
+    shown = {key: value for key, value in known if key not in hidden and value is not None}
+    shown["run"] = stored.folder.resolve().name
     inputs = stored.summary["dataset"].items()
-    facts |= {f"{key} digest": value for key, value in inputs if key not in ("name", "version")}
+    shown |= {f"{key} digest": value for key, value in inputs if key not in ("name", "version")}
     failures = {reason: f"{count} queries" for reason, count in stored.summary["failures"].items()}
-    notes = [*stored.summary["notes"], *verdict.notes]
-    parts = [definition_list(facts)]
-    parts += [f"<h3>Failures</h3>{definition_list(failures)}"] if failures else []
-    parts += ["<h3>Notes</h3><ul>", *(f"<li>{text(note)}</li>" for note in notes), "</ul>"] if notes else []
-    params = json.dumps(stored.summary["method"]["params"], indent=1, ensure_ascii=False)
-    parts.append(f"<details><summary>Method settings</summary><pre>{text_lines(params)}</pre></details>")
-    return "".join(parts)
-
-
-def text_lines(value: str) -> str:
-    """Returns several lines as HTML text."""
-    return "\n".join(text(line) for line in value.splitlines())
+    return rendered(
+        "provenance.html.jinja",
+        facts=facts(shown),
+        failures=facts(failures) if failures else "",
+        notes=[*stored.summary["notes"], *verdict.notes],
+        params=json.dumps(stored.summary["method"]["params"], indent=1, ensure_ascii=False),
+    )

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.evaluation.predictions import Prediction, pose_numbers
-from lodbench.evaluation.rows import QueryRow
 from lodbench.storage import digest_of
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Result:
     """Rows and all that the tables and artefacts say about where they came from.
 
@@ -23,7 +26,7 @@ class Result:
         dataset: The dataset.
         splits: Splits scored, in order.
         predictions: What was answered, by ``Entry.key``.
-        rows: One row per query.
+        queries: One row per query (``lodbench.evaluation.queries``).
         inputs: Digests of what went in.
         lod: Level of detail localised against; None where no city was opened or it has no name.
     """
@@ -33,9 +36,20 @@ class Result:
     dataset: Dataset
     splits: tuple[str, ...]
     predictions: Mapping[str, Prediction]
-    rows: tuple[QueryRow, ...]
+    queries: pd.DataFrame
     inputs: dict[str, str]
     lod: str | None
+
+    def __repr__(self) -> str:
+        name = self.config["method"]["name"]
+        kind = type(self).__name__
+        return f"{kind}({name} on {self.dataset.name}, {len(self.queries)} queries, {self.folder})"
+
+    def seconds_per_query(self, split: str) -> float:
+        """Returns the mean wall time of a split's answered queries, NaN if there is none."""
+        mine = [self.predictions[key] for key in self.queries.index[self.queries["split"] == split]]
+        times = [sum(prediction.seconds.values()) for prediction in mine if prediction.pose is not None]
+        return sum(times) / len(times) if times else math.nan
 
 
 def chosen_entries(dataset: Dataset, splits: tuple[str, ...], limit: int | None) -> tuple[Entry, ...]:

@@ -65,7 +65,7 @@ class RunSettings:
     executor: ExecutorParams = field(default_factory=ExecutorParams)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Run(Result):
     """A finished run, in memory.
 
@@ -143,7 +143,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         dataset=dataset,
         splits=splits,
         predictions=predictions,
-        rows=evaluate(entries, predictions, dataset.truth, priors, city_map),
+        queries=evaluate(entries, predictions, dataset.truth, priors, city_map, settings.tilt),
         inputs=inputs,
         lod=scene.lod,
         preparation=preparation,

@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
-import csv
+import io
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lodbench.datasets.pose_text import parse_pose
 from lodbench.errors import DatasetError, LodbenchError
-from lodbench.evaluation.errors import FAILED, FAILED_PARTS, ErrorParts, PoseError
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.rows import QueryRow, is_without_truth
+from lodbench.evaluation.queries import COLUMNS, TEXTS, fill_failures, is_without_truth, queries_frame
 from lodbench.geometry import Pose
 from lodbench.harness.runs.predict import open_predictions
 from lodbench.reporting.summaries import read_summary
 from lodbench.storage import show_formula
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _FOLDER_HINT = "Name a folder that `lodbench run` or `lodbench evaluate` made."
-_ERROR_COLUMNS = ("translation_error_m", "rotation_error_deg")
-_PRIOR_COLUMNS = ("prior_translation_error_m", "prior_rotation_error_deg")
-_PART_COLUMNS = ("horizontal_error_m", "vertical_error_m", "yaw_error_deg")
+# Columns that runs of older versions do not have.
+_LATER = {"probability", "covariance"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StoredRun:
     """A run folder's content.
 
@@ -34,38 +37,50 @@ class StoredRun:
         folder: The run folder.
         summary: ``summary.json``.
         provenance: ``provenance.json``; empty where there is none.
-        predictions: What was answered, by key: the rows' with the masks of the stored predictions.
-        rows: ``queries.csv`` with the poses of ``poses.txt``, in the file's order; no times.
+        queries: ``queries.csv`` as a table, one row per query (``lodbench.evaluation.queries``).
+        poses: Estimates by ``split/query``, in the dataset's frame.
         strays: Names in ``poses.txt`` that are no query of the run.
-        tilts: What the rows' ``tilt`` column holds.
         digests: SHA-256 of the files that follow from the inputs alone.
     """
 
     folder: Path
     summary: dict[str, Any]
     provenance: dict[str, Any]
-    predictions: dict[str, Prediction]
-    rows: tuple[QueryRow, ...]
+    queries: pd.DataFrame
+    poses: dict[str, Pose]
     strays: tuple[str, ...]
-    tilts: frozenset[str]
     digests: dict[str, str]
 
+    def __repr__(self) -> str:
+        method, dataset = self.summary["method"], self.summary["dataset"]
+        name = " ".join(filter(None, [method["name"], method["variant"]]))
+        return f"StoredRun({name} on {dataset['name']}, {len(self.queries)} queries, {self.folder})"
 
-def read_run(folder: Path) -> StoredRun:
+    @cached_property
+    def predictions(self) -> dict[str, Prediction]:
+        """Returns what was answered, by ``split/query``: the stored predictions with the poses of the run."""
+        stored = open_predictions(self.folder, read_only=True)
+        failures = self.queries["failure"].items()
+        known = {str(key): Prediction(None, failure) for key, failure in failures}
+        known |= {key: Prediction.from_json(stored[key]) for key in known if key in stored}
+        return {
+            key: replace(prediction, pose=self.poses.get(key), failure=self.queries["failure"][key])
+            for key, prediction in known.items()
+        }
+
+
+def read_run(folder: str | Path) -> StoredRun:
     """Returns the content of a run folder.
 
     Raises:
         DatasetError: A file is missing or cannot be read; the message names it, and the line.
     """
+    folder = Path(folder)
     summary = read_summary(folder)
-    poses = _read_poses(folder / "poses.txt")
-    table = _read_table(folder / "queries.csv")
-    with_split = len({row["split"] for row in table}) > 1
-    rows, used = [], set()
-    for number, cells in enumerate(table, start=2):
-        name = f"{cells['split']}/{cells['query']}" if with_split else cells["query"]
-        used.add(name)
-        rows.append(_row(cells, poses.get(name), f"{folder / 'queries.csv'}, line {number}"))
+    found = _read_poses(folder / "poses.txt")
+    queries = _read_queries(folder / "queries.csv")
+    names = queries.index if queries["split"].nunique() > 1 else queries["query"]
+    keys = dict(zip(names, queries.index, strict=True))
     provenance = folder / "provenance.json"
     files = ["config.yaml", "poses.txt", "queries.csv", "summary.json"]
     files += ["priors.txt"] if (folder / "priors.txt").is_file() else []
@@ -73,18 +88,11 @@ def read_run(folder: Path) -> StoredRun:
         folder=folder,
         summary=summary,
         provenance=_read_json(provenance) if provenance.is_file() else {},
-        predictions=_predictions(folder, rows),
-        rows=tuple(rows),
-        strays=tuple(name for name in poses if name not in used),
-        tilts=frozenset(cells["tilt"] for cells in table),
+        queries=queries,
+        poses={keys[name]: pose for name, pose in found.items() if name in keys},
+        strays=tuple(name for name in found if name not in keys),
         digests={name: sha256(_read(folder / name).encode()).hexdigest() for name in files},
     )
-
-
-def _predictions(folder: Path, rows: list[QueryRow]) -> dict[str, Prediction]:
-    stored = open_predictions(folder, read_only=True)
-    masks = {row.key: stored[row.key].get("mask_png", "") for row in rows if row.key in stored}
-    return {row.key: Prediction(row.pose, row.failure, mask_png=masks.get(row.key, "")) for row in rows}
 
 
 def _read(path: Path) -> str:
@@ -118,58 +126,34 @@ def _read_poses(path: Path) -> dict[str, Pose]:
     return poses
 
 
-def _read_table(path: Path) -> list[dict[str, str]]:
-    reader = csv.DictReader(_read(path).splitlines(), strict=True)
-    needed = {"query", "split", "score", "hypotheses", "failure", "tilt", "mask_iou"}
+def _read_queries(path: Path) -> pd.DataFrame:
+    import pandas as pd
+
     try:
-        rows = list(reader)
-    except csv.Error as error:
-        raise DatasetError(f"{path}, line {reader.line_num}: {error}.", _FOLDER_HINT) from error
-    needed |= {*_ERROR_COLUMNS, *_PRIOR_COLUMNS, *_PART_COLUMNS}
-    lacking = sorted(needed - set(reader.fieldnames or ()))
+        cells = pd.read_csv(io.StringIO(_read(path)), dtype=str, keep_default_na=False, index_col=False)
+    except ValueError as error:  # what pandas' own parser errors are
+        raise DatasetError(f"{path}: {str(error).strip()}.", _FOLDER_HINT) from error
+    lacking = [name for name in COLUMNS if name not in cells and name not in _LATER]
     if lacking:
         raise DatasetError(f"{path} has no column {lacking[0]}.", _FOLDER_HINT)
-    if any(None in row or None in row.values() for row in rows):
+    if cells.isna().any(axis=None):
         raise DatasetError(f"{path} has rows of different lengths.", _FOLDER_HINT)
-    for row in rows:
-        row.update({name: show_formula(row[name]) for name in ("query", "split", "failure")})
-    return rows
+    columns = {name: cells[name] if name in cells else pd.Series("", cells.index) for name in COLUMNS}
+    columns |= {name: columns[name].map(show_formula) for name in ("query", "split", "failure")}
+    numbers = {name: _numbers(list(column), path) for name, column in columns.items() if name not in TEXTS}
+    frame = queries_frame(pd.DataFrame({**columns, **numbers}))
+    return fill_failures(frame, ~frame["failure"].map(is_without_truth).astype(bool))
 
 
-def _row(cells: dict[str, str], pose: Pose | None, where: str) -> QueryRow:
-    """Returns the row of a line; an empty error is a failure unless there was nothing to compare with."""
-    no_truth = is_without_truth(cells["failure"])
-    try:
-        return QueryRow(
-            name=cells["query"],
-            split=cells["split"],
-            pose=pose,
-            score=_number(cells["score"]) if cells["score"] else None,
-            hypotheses=int(cells["hypotheses"]) if cells["hypotheses"] else None,
-            failure=cells["failure"],
-            error=None if no_truth else _error([cells[name] for name in _ERROR_COLUMNS]),
-            prior_error=None if no_truth else _error([cells[name] for name in _PRIOR_COLUMNS]),
-            seconds={},
-            parts=None if no_truth else _parts([cells[name] for name in _PART_COLUMNS]),
-            mask_iou=_number(cells["mask_iou"]) if cells["mask_iou"] else None,
-            # Runs made before these columns were have none of them.
-            probability=_number(cells["probability"]) if cells.get("probability") else None,
-            covariance=tuple(_number(value) for value in cells.get("covariance", "").split()),
-        )
-    except ValueError as error:
-        raise DatasetError(f"{where}: {error}.", _FOLDER_HINT) from error
-
-
-def _error(cells: list[str]) -> PoseError:
-    return PoseError(_number(cells[0]), _number(cells[1])) if any(cells) else FAILED
-
-
-def _parts(cells: list[str]) -> ErrorParts:
-    return ErrorParts(*map(_number, cells)) if any(cells) else FAILED_PARTS
-
-
-def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text} is not a finite number")
-    return value
+def _numbers(cells: Sequence[str], path: Path) -> list[float]:
+    """Returns the finite numbers of a column's cells, NaN where a cell is empty."""
+    numbers = []
+    for line, cell in enumerate(cells, start=2):
+        try:
+            number = float(cell) if cell else math.nan
+        except ValueError as error:
+            raise DatasetError(f"{path}, line {line}: {error}.", _FOLDER_HINT) from error
+        if cell and not math.isfinite(number):
+            raise DatasetError(f"{path}, line {line}: {cell} is not a finite number.", _FOLDER_HINT)
+        numbers.append(number)
+    return numbers

@@ -9,18 +9,18 @@ cannot be computed again without the method; for these the digests stand alone.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
-from lodbench.evaluation.errors import ErrorParts, PoseError
 from lodbench.evaluation.evaluate import evaluate
-from lodbench.evaluation.rows import NO_TRUTH, QueryRow, is_without_truth
+from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, has_truth, is_without_truth
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.artefacts import summary_of
@@ -31,9 +31,20 @@ from lodbench.rendering import Scorer, make_renderer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import digest_of
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 # A pose read back from text is off by rounding: 1e-9 m at coordinates of 5,000 km. A number that
 # matters to anybody is 1000 times coarser than this.
 TOLERANCE_M, TOLERANCE_DEG = 1e-6, 1e-6
+_COMPARED = (
+    (ERROR[0], "error", " m", TOLERANCE_M),
+    (ERROR[1], "error", " deg", TOLERANCE_DEG),
+    (PRIOR_ERROR[0], "prior error", " m", TOLERANCE_M),
+    (PRIOR_ERROR[1], "prior error", " deg", TOLERANCE_DEG),
+    *((name, name.replace("_", " "), "", TOLERANCE_M) for name in PARTS),
+    ("mask_iou", "mask IoU", "", 0.0),
+)
 # Sums may be taken in another order on another machine.
 _RELATIVE = 1e-12
 
@@ -109,8 +120,10 @@ def verify_run(
             notes.append("the city model is not there: not compared")
             told = replace(dataset, notes=_stand_in(stored).notes)
         differences += _changed_errors(stored, entries, dataset, str(config["tilt"]), scorer)
-    splits = tuple(dict.fromkeys(row.split for row in stored.rows))
-    expected = summary_of(Result(folder, config, told, splits, stored.predictions, stored.rows, inputs, lod))
+    splits = tuple(stored.queries["split"].unique())
+    expected = summary_of(
+        Result(folder, config, told, splits, stored.predictions, stored.queries, inputs, lod)
+    )
     differences += compare_values(stored.summary, expected, "summary.json")
     differences += _wrong_name(folder, config, inputs)
     return Verdict(stored, tuple(differences), tuple(notes), dataset is None, dataset, entries)
@@ -150,18 +163,21 @@ def changed_files(stored: StoredRun) -> list[str]:
 
 def _changed_rows(stored: StoredRun, config: dict[str, Any]) -> list[str]:
     """Returns contradictions between the rows, the poses and the configuration."""
+    queries = stored.queries
     lines = [f"poses.txt: {name} is no query of queries.csv" for name in stored.strays]
-    counts = Counter(row.key for row in stored.rows)
-    lines += [f"queries.csv: {key} occurs twice" for key, count in counts.items() if count > 1]
-    for row in stored.rows:
+    lines += [
+        f"queries.csv: {key} occurs twice" for key in queries.index[queries.index.duplicated()].unique()
+    ]
+    for key, failure, error_m in zip(queries.index, queries["failure"], queries[ERROR[0]], strict=True):
+        is_answered = key in stored.poses
         # A pose with nothing to compare it with is an answer all the same.
-        if row.failure not in ("", NO_TRUTH) and row.is_answered:
-            lines.append(f"queries.csv: {row.key} has a failure, and a pose in poses.txt")
-        if not row.failure and not row.is_answered:
-            lines.append(f"queries.csv: {row.key} has no failure, and no pose in poses.txt")
-        if row.error is not None and row.is_answered != math.isfinite(row.error.translation_m):
-            lines.append(f"queries.csv: {row.key} has an error but no pose, or a pose but no error")
-    for tilt in sorted(stored.tilts - {str(config["tilt"])}):
+        if failure not in ("", NO_TRUTH) and is_answered:
+            lines.append(f"queries.csv: {key} has a failure, and a pose in poses.txt")
+        if not failure and not is_answered:
+            lines.append(f"queries.csv: {key} has no failure, and no pose in poses.txt")
+        if not math.isnan(error_m) and is_answered != math.isfinite(error_m):
+            lines.append(f"queries.csv: {key} has an error but no pose, or a pose but no error")
+    for tilt in sorted(set(queries["tilt"]) - {str(config["tilt"])}):
         lines.append(f"queries.csv: a tilt is {tilt!r}, config.yaml says {config['tilt']!r}")
     return lines
 
@@ -170,60 +186,34 @@ def _changed_errors(
     stored: StoredRun, entries: tuple[Entry, ...], dataset: Dataset, tilt: str, scorer: Scorer | None
 ) -> list[str]:
     """Returns where the rows' errors do not follow from the poses, the masks and the truth."""
-    rows = {row.key: row for row in stored.rows}
-    lines = [f"queries.csv: {entry.key} is missing" for entry in entries if entry.key not in rows]
-    known = {entry.key for entry in entries}
-    lines += [f"queries.csv: {key} is no query of the dataset" for key in rows if key not in known]
-    there = [entry for entry in entries if entry.key in rows]
+    rows = stored.queries[~stored.queries.index.duplicated()]
+    keys = [entry.key for entry in entries]
+    lines = [f"queries.csv: {key} is missing" for key in keys if key not in rows.index]
+    lines += [f"queries.csv: {key} is no query of the dataset" for key in rows.index.difference(keys)]
+    there = [entry for entry in entries if entry.key in rows.index]
     priors = {entry.key: prior_of(entry, dataset, tilt) for entry in there}
-    for expected in evaluate(there, stored.predictions, dataset.truth, priors, scorer):
-        row = rows[expected.key]
-        lines += _error_lines(row, "error", row.error, expected.error)
-        lines += _error_lines(row, "prior error", row.prior_error, expected.prior_error)
-        lines += _part_lines(row, expected.parts)
-        if expected.mask_iou is not None and row.mask_iou != expected.mask_iou:
-            lines.append(
-                f"queries.csv: {row.key}: mask IoU {row.mask_iou}, its mask says {expected.mask_iou}"
-            )
-        if (expected.error is None) != is_without_truth(row.failure):
-            lines.append(f"queries.csv: {row.key} fails with {row.failure!r}, against the truth list")
-    return lines
+    expected = evaluate(there, stored.predictions, dataset.truth, priors, scorer, tilt)
+    found = rows.loc[expected.index]
+    known = has_truth(expected)
+    for key in expected.index[known == found["failure"].map(is_without_truth).astype(bool)]:
+        lines.append(f"queries.csv: {key} fails with {found['failure'][key]!r}, against the truth list")
+    return lines + [line for column in _COMPARED for line in _other_numbers(found, expected, *column)]
 
 
-def _error_lines(row: QueryRow, what: str, found: PoseError | None, expected: PoseError | None) -> list[str]:
-    if found is None or expected is None:
-        return (
-            [] if found is expected else [f"queries.csv: {row.key}: {what} without a truth, or none with one"]
-        )
-    # Infinite minus infinite is no number; a failure equals a failure.
-    if math.isinf(found.translation_m) and math.isinf(expected.translation_m):
-        return []
-    lines = []
-    for unit, a, b, tolerance in (
-        ("m", found.translation_m, expected.translation_m, TOLERANCE_M),
-        ("deg", found.rotation_deg, expected.rotation_deg, TOLERANCE_DEG),
-    ):
-        if not abs(a - b) <= tolerance:
-            lines.append(f"queries.csv: {row.key}: {what} is {a!r} {unit}, its pose says {b!r}")
-    return lines
-
-
-def _part_lines(row: QueryRow, expected: ErrorParts | None) -> list[str]:
-    found = row.parts
-    if (
-        found is None
-        or expected is None
-        or math.isinf(found.horizontal_m)
-        or math.isinf(expected.horizontal_m)
-    ):
-        # Whether there is an error at all was looked at with the error as a whole.
-        return []
-    lines = []
-    for name, a, b in zip(ErrorParts._fields, found, expected, strict=True):
-        distance = abs(wrap_deg(a - b)) if name == "yaw_deg" else abs(a - b)
-        if not distance <= TOLERANCE_M:
-            lines.append(f"queries.csv: {row.key}: {name} error is {a!r}, its pose says {b!r}")
-    return lines
+def _other_numbers(
+    found: pd.DataFrame, expected: pd.DataFrame, name: str, words: str, unit: str, tolerance: float
+) -> list[str]:
+    """Returns a line for each query whose number in a column is not the expected one."""
+    a, b = found[name], expected[name]
+    with np.errstate(invalid="ignore"):
+        apart = (a - b).map(wrap_deg).abs() if name == "yaw_error_deg" else (a - b).abs()
+    is_same = (apart <= tolerance) | (a == b) | (a.isna() & b.isna())
+    # A mask that was not kept, as before there were stored predictions, tells nothing.
+    is_same |= b.isna() if name == "mask_iou" else False
+    return [
+        f"queries.csv: {key}: {words} is {float(a[key])!r}{unit}, its pose says {float(b[key])!r}"
+        for key in expected.index[~is_same]
+    ]
 
 
 def _inputs(stored: StoredRun) -> dict[str, str]:

@@ -1,0 +1,85 @@
+"""Numbers of a split beyond recall and medians: one function and one registration each.
+
+A metric is a function from the queries of one split to numbers by name, offered under the entry point
+group ``lodbench.metrics``. Its numbers stand in ``summary.json``, in CSV, and in tables by their names
+(`lodbench compare --columns NAME`).
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from lodbench.errors import ConfigError
+from lodbench.evaluation.calibration import calibrate
+from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
+from lodbench.plugins import installed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# From the queries of one split that have a truth to numbers by name, units in the names, NaN where there
+# is none. A query without an answer has errors of inf and 180 deg.
+Metric = Callable[["pd.DataFrame"], Mapping[str, float]]
+
+
+def compute_metrics(queries: pd.DataFrame) -> dict[str, float]:
+    """Returns the numbers of all installed metrics over the queries of one split that have a truth.
+
+    A metric that fails is left out with a warning: the run's other numbers stand.
+    """
+    numbers: dict[str, float] = {}
+    for name, metric in installed_metrics().items():
+        try:
+            found = {str(key): float(value) for key, value in metric(queries).items()}
+        except Exception as error:  # whatever a plug-in's own code raises
+            warnings.warn(f"metric {name} is left out: {type(error).__name__}: {error}", stacklevel=2)
+            continue
+        if twice := sorted(found.keys() & numbers.keys()):
+            warnings.warn(f"metric {name} is left out: {twice[0]} is another metric's", stacklevel=2)
+            continue
+        numbers |= found
+    return numbers
+
+
+def installed_metrics() -> dict[str, Metric]:
+    """Returns the installed metrics by name, our own first; a broken one is left out with a warning."""
+    metrics: dict[str, Metric] = {}
+    for plug_in in installed("metrics"):
+        try:
+            metrics.setdefault(plug_in.name, plug_in.load())
+        except ConfigError as error:
+            warnings.warn(f"metric {plug_in.name} is left out: {error.message}", stacklevel=3)
+    return metrics
+
+
+def error_parts(queries: pd.DataFrame) -> dict[str, float]:
+    """Returns medians of the error along the ground, and of the sizes of those of height and yaw."""
+    parts = queries[["horizontal_error_m", "vertical_error_m", "yaw_error_deg"]].abs().median()
+    names = ("median_horizontal_m", "median_vertical_m", "median_yaw_deg")
+    return dict(zip(names, map(float, parts), strict=True))
+
+
+def mask_iou(queries: pd.DataFrame) -> dict[str, float]:
+    """Returns the mean IoU of the query masks with the model's silhouette at the truth (paper, Table 4)."""
+    return {"mask_iou": float(queries["mask_iou"].mean())}
+
+
+def calibration(queries: pd.DataFrame) -> dict[str, float]:
+    """Returns how a method's probabilities of being within (2 m, 2 deg) compare with what it found, percent.
+
+    The mean probability, the expected calibration error (Guo et al. 2017, ten bins) and the area under
+    the risk-coverage curve (Geifman and El-Yaniv 2017); NaN where the method gives no probability. A
+    query without an answer is one that the method declined: its probability is 0.
+    """
+    names = ("mean_confidence_percent", "ece_percent", "aurc_percent")
+    if queries["probability"].isna().all():
+        return dict.fromkeys(names, math.nan)
+    confidence = queries["probability"].fillna(0.0).to_numpy()
+    errors = queries[["translation_error_m", "rotation_error_deg"]].to_numpy()
+    found = calibrate(confidence, hits_of(errors, PROBABILITY_THRESHOLD))
+    return dict(
+        zip(names, (100.0 * float(confidence.mean()), 100.0 * found.ece, 100.0 * found.aurc), strict=True)
+    )

@@ -1,0 +1,104 @@
+"""The queries of a run as a table: what every number of a split is computed from.
+
+One row per query, columns as in ``queries.csv``. Errors are NaN where there is no truth, and (inf, 180)
+where there is one but no answer; other numbers are NaN where they are not known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lodbench.evaluation.metrics import compute_metrics
+from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, SplitSummary, Threshold, summarize
+from lodbench.storage import hide_formula
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# The reason of a row that cannot be scored: it is not part of the truth list.
+NO_TRUTH = "no true pose to compare with"
+
+ERROR = ("translation_error_m", "rotation_error_deg")
+PRIOR_ERROR = ("prior_translation_error_m", "prior_rotation_error_deg")
+PARTS = ("horizontal_error_m", "vertical_error_m", "yaw_error_deg")
+TEXTS = ("query", "split", "failure", "tilt", "covariance")
+COLUMNS = (
+    "query", "split", *ERROR, "score", "hypotheses", "failure", *PRIOR_ERROR, "tilt", *PARTS, "mask_iou",
+    "probability", "covariance",
+)  # fmt: skip
+
+
+def queries_frame(rows: pd.DataFrame | Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """Returns rows as a table of ``COLUMNS``: texts, and float64 for everything else.
+
+    The index is ``split/query``: what the key of an entry is.
+    """
+    import pandas as pd
+
+    columns = list(COLUMNS)
+    frame = rows[columns] if isinstance(rows, pd.DataFrame) else pd.DataFrame(list(rows), columns=columns)
+    types: dict[str, Any] = {name: object if name in TEXTS else np.float64 for name in COLUMNS}
+    frame = frame.astype(types)
+    frame.index = pd.Index(frame["split"] + "/" + frame["query"], name="key", dtype=object)
+    return frame
+
+
+def of_split(queries: pd.DataFrame, split: str) -> pd.DataFrame:
+    """Returns the rows of one split that have a truth: the denominator of its numbers."""
+    return queries[(queries["split"] == split) & has_truth(queries)]
+
+
+def has_truth(queries: pd.DataFrame) -> pd.Series[bool]:
+    """Returns which queries have a truth to be compared with."""
+    return queries[ERROR[0]].notna()
+
+
+def is_answered(queries: pd.DataFrame) -> pd.Series[bool]:
+    """Returns which queries have an estimate: without a truth that is all that is known of them."""
+    return queries[ERROR[0]].lt(math.inf) | (queries["failure"] == NO_TRUTH)
+
+
+def is_without_truth(failure: str) -> bool:
+    """Tells whether a row's reason is that nothing is known to compare with: it is in no denominator."""
+    return failure.startswith(NO_TRUTH)
+
+
+def summarize_queries(
+    queries: pd.DataFrame, split: str, thresholds: Sequence[Threshold] = DEFAULT_THRESHOLDS
+) -> tuple[SplitSummary, SplitSummary]:
+    """Returns the summaries of the estimates and of the priors of one split, over its truth list."""
+    scored = of_split(queries, split)
+    mine = queries[(queries["split"] == split) & is_answered(queries)]
+    estimates = summarize(
+        scored[list(ERROR)].to_numpy(),
+        mine["hypotheses"].dropna().to_numpy(),
+        thresholds,
+        metrics=compute_metrics(scored),
+    )
+    return estimates, summarize(scored[list(PRIOR_ERROR)].to_numpy(), (), thresholds)
+
+
+def fill_failures(queries: pd.DataFrame, known: pd.Series[bool]) -> pd.DataFrame:
+    """Returns the table in which the empty errors of queries with a known truth are those of failures."""
+    failed = dict.fromkeys((ERROR[0], PRIOR_ERROR[0], *PARTS[:2]), math.inf)
+    failed |= dict.fromkeys((ERROR[1], PRIOR_ERROR[1], PARTS[2]), 180.0)
+    columns = {
+        name: queries[name].mask(queries[name].isna() & known, value) for name, value in failed.items()
+    }
+    return queries.assign(**columns)
+
+
+def queries_csv(queries: pd.DataFrame) -> str:
+    """Returns the table as CSV: what is not finite is empty, and no text is a formula to a spreadsheet."""
+    frame = queries.copy()
+    for group in (ERROR, PRIOR_ERROR, PARTS):
+        lost = np.isinf(frame[group[0]])
+        frame.loc[lost, list(group)] = math.nan
+    for name in ("query", "split", "failure"):
+        frame[name] = frame[name].map(hide_formula)
+    frame["hypotheses"] = frame["hypotheses"].astype("Int64")
+    return str(frame.to_csv(index=False, lineterminator="\n"))

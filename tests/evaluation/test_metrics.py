@@ -1,0 +1,98 @@
+"""Metrics by hand, and metrics of other packages: found, shown, and left out where they fail."""
+
+from __future__ import annotations
+
+import math
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from lodbench.evaluation import metrics
+from lodbench.evaluation.errors import FAILED, FAILED_PARTS
+from lodbench.evaluation.queries import ERROR, PARTS, queries_frame, summarize_queries
+from lodbench.plugins import PlugIn, installed
+
+
+def frame(*rows: dict):
+    return queries_frame({"query": f"{i}", "split": "a", "failure": "", **row} for i, row in enumerate(rows))
+
+
+def errors(metres: float, degrees: float, *parts: float, **more: float) -> dict:
+    return {
+        **dict(zip(ERROR, (metres, degrees), strict=True)),
+        **dict(zip(PARTS, parts, strict=False)),
+        **more,
+    }
+
+
+QUERIES = frame(
+    errors(1.0, 0.2, 0.6, -0.8, 0.1, mask_iou=0.8, hypotheses=10),
+    errors(4.0, 1.0, 4.0, 0.0, -1.0, mask_iou=0.9, hypotheses=30),
+    {**errors(*FAILED, *FAILED_PARTS, hypotheses=0), "failure": "no mask"},
+    {"failure": "no true pose to compare with", "hypotheses": 20},
+)
+
+
+def test_parts_of_the_error_and_masks_by_hand():
+    found = summarize_queries(QUERIES, "a")[0]
+    numbers = {"median_horizontal_m": 4.0, "median_vertical_m": 0.8, "median_yaw_deg": 1.0}
+    assert {name: found.metrics[name] for name in numbers} == numbers
+    assert found.metrics["mask_iou"] == pytest.approx(0.85)
+    # Without a truth a query is in no denominator, but an answer all the same.
+    assert (found.num_queries, found.num_failed, found.hypotheses_per_query) == (3, 1, 20.0)
+
+
+def test_probabilities_are_compared_with_what_was_found():
+    rows = [(0.5, 0.5, 0.95), (1.0, 1.0, 0.85), (9.0, 1.0, 0.25), (*FAILED, math.nan)]
+    queries = frame(*(errors(m, deg, probability=p) for m, deg, p in rows))
+    found = summarize_queries(queries, "a")[0].to_json()["metrics"]
+    assert found["mean_confidence_percent"] == pytest.approx(100 * 2.05 / 4)
+    assert found["ece_percent"] == pytest.approx(100 * (0.05 + 0.15 + 0.25 + 0.0) / 4)
+    assert found["aurc_percent"] == pytest.approx(100 * (0 + 0 + 1 / 3 + 2 / 4) / 4)
+
+
+def test_no_probabilities_are_no_calibration():
+    assert "ece_percent" not in summarize_queries(QUERIES, "a")[0].to_json()["metrics"]
+
+
+@pytest.fixture
+def install(monkeypatch):
+    """Installs functions of this module as metrics of another package."""
+
+    def offer(*names: str) -> None:
+        points = [EntryPoint(name, f"{__name__}:{name}", "lodbench.metrics") for name in names]
+        theirs = [PlugIn("metrics", point.name, "theirs 1.0", point) for point in points]
+        monkeypatch.setattr(metrics, "installed", lambda group: (*installed(group), *theirs))
+
+    return offer
+
+
+def worst(queries):
+    return {"worst_m": queries.loc[queries[ERROR[0]] < math.inf, ERROR[0]].max()}
+
+
+def impostor(queries):
+    return {"mask_iou": 1.0}
+
+
+def broken(queries):
+    raise KeyError("no such column")
+
+
+def test_a_metric_of_another_package_stands_beside_our_own(install):
+    install("worst")
+    found = summarize_queries(QUERIES, "a")[0].to_json()["metrics"]
+    assert found["worst_m"] == 4.0
+    assert found["mask_iou"] == pytest.approx(0.85)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("broken", "KeyError"), ("impostor", "another metric's"), ("absent", "does not load")],
+)
+def test_a_metric_that_fails_is_left_out_and_said(install, name, said):
+    install(name, "worst")
+    with pytest.warns(UserWarning, match=f"metric {name} is left out: .*{said}"):
+        found = summarize_queries(QUERIES, "a")[0].to_json()["metrics"]
+    assert found["worst_m"] == 4.0
+    assert found["mask_iou"] == pytest.approx(0.85)
