@@ -90,7 +90,7 @@ def run_config(values: dict[str, Any]) -> Run:
     options = _options_of(values)
     executor = to_params(section(values, "executor"), ExecutorParams, "executor")
     paths = to_params(section(values, "paths"), PathParams, "paths")
-    configured = configure_method(section(values, "method"))
+    configured = configure_method(section(values, "method")).for_tilt(options.tilt)
     named = named_segmenter(section(values, "segmenter"))
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     dataset = with_source(opener(dataset_params), section(values, "source"))

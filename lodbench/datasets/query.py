@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,6 +28,9 @@ class Query:
             requires no mask.
         image: The photo, or None where the dataset has none.
         hypotheses: All rough poses the dataset states, the prior first; may be empty.
+        instances: (N, H, W) bool, a mask of each building in the photo, for a method that requires them.
+        segment: Returns the mask again, guided by the map from a better pose (scene frame), where the
+            segmenter is one that looks at the map; None otherwise. Raises QueryFault.
     """
 
     name: str
@@ -36,6 +40,8 @@ class Query:
     building_probability: NDArray[np.float32] | None = None
     image: Path | None = None
     hypotheses: tuple[Pose, ...] = ()
+    instances: NDArray[np.bool_] | None = None
+    segment: Callable[[Pose], NDArray[np.float32]] | None = None
 
     @property
     def mask(self) -> NDArray[np.float32]:

@@ -133,3 +133,12 @@ class SupportsPriorWidth(Protocol):
             prior: Half widths of the prior's error.
         """
         ...
+
+
+@runtime_checkable
+class SupportsTrueTilt(Protocol):
+    """A method that searches or weighs the prior's tilt, and need not where the tilt is the true one."""
+
+    def params_for_true_tilt(self) -> Any:
+        """Returns the method's parameters for priors whose pitch and roll are exact (``tilt=truth``)."""
+        ...

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lodbench.datasets.priors import UniformPrior
-from lodbench.methods.protocol import Method, SupportsPriorWidth
+from lodbench.methods.protocol import Method, SupportsPriorWidth, SupportsTrueTilt
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
 
@@ -35,6 +35,17 @@ class ConfiguredMethod:
         if not isinstance(method, SupportsPriorWidth):
             return self
         return ConfiguredMethod(self.kind, method.params_for_prior(prior))
+
+    def for_tilt(self, tilt: str) -> ConfiguredMethod:
+        """Returns the same, told that priors have the true tilt where they do, if it asks.
+
+        Args:
+            tilt: The protocol's: ``prior`` or ``truth``.
+        """
+        method = self.make()
+        if tilt != "truth" or not isinstance(method, SupportsTrueTilt):
+            return self
+        return ConfiguredMethod(self.kind, method.params_for_true_tilt())
 
 
 def configure_method(settings: Mapping[str, Any]) -> ConfiguredMethod:

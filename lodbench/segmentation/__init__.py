@@ -2,11 +2,24 @@
 
 from lodbench.segmentation.protocol import (
     BUILDING_THRESHOLD,
+    InstanceSegmenter,
+    MapGuidedSegmenter,
     Segmenter,
     binary_mask,
+    check_instances,
     check_mask,
     notes_of,
     resized,
 )
 
-__all__ = ["BUILDING_THRESHOLD", "Segmenter", "binary_mask", "check_mask", "notes_of", "resized"]
+__all__ = [
+    "BUILDING_THRESHOLD",
+    "InstanceSegmenter",
+    "MapGuidedSegmenter",
+    "Segmenter",
+    "binary_mask",
+    "check_instances",
+    "check_mask",
+    "notes_of",
+    "resized",
+]

@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError
-from lodbench.segmentation.instances import STRIDE, Floats, decode, union_of
+from lodbench.datasets.inputs import Input
+from lodbench.datasets.query import Entry
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.segmentation.instances import STRIDE, Floats, counted, decode
 from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+from lodbench.segmentation.photos import read_photo
 from lodbench.segmentation.working_size import resized_photo, working_size
 from lodbench.storage import file_digest
 
@@ -78,6 +81,7 @@ class FastSam(PhotoSegmenter):
     """
 
     params_type = FastSamParams
+    provides = frozenset({Input.MASK, Input.INSTANCES})
 
     def __init__(self, params: FastSamParams) -> None:
         super().__init__(params)
@@ -108,14 +112,28 @@ class FastSam(PhotoSegmenter):
 
     def logits(self, photo: NDArray[np.uint8]) -> Floats:
         """Returns (h, w): infinite where there is building, minus infinity elsewhere."""
+        mask = self._found(photo).any(axis=0)
+        return np.where(mask, np.float32(np.inf), np.float32(-np.inf))
+
+    def segment_instances(self, entry: Entry) -> NDArray[np.bool_]:
+        """Returns (N, h, w) bool, the instances that count as building, likeliest first.
+
+        Raises:
+            QueryFault: The query has no photo, or it cannot be read.
+        """
+        if entry.image is None:
+            raise QueryFault("no photo to segment")
+        return self._found(read_photo(entry.image))
+
+    def _found(self, photo: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Returns (N, h, w) bool at the working size, likeliest first."""
         params = self.params
         height, width = photo.shape[:2]
         width, height = working_size(width, height, params.size)
         square = np.full((params.size, params.size, 3), _GREY, np.uint8)
         square[:height, :width] = resized_photo(photo, width, height)
         found = decode(*self._outputs(square), params.confidence, params.overlap)
-        mask = union_of(found, params.classes, params.most_share, square.shape[:2])
-        return np.where(mask[:height, :width], np.float32(np.inf), np.float32(-np.inf))
+        return counted(found, params.classes, params.most_share, square.shape[:2])[:, :height, :width]
 
     def _outputs(self, square: NDArray[np.uint8]) -> tuple[Floats, Floats]:
         """Returns the anchors' rows (4 + classes + P, anchors) and the prototypes (P, h, w)."""

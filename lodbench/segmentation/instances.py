@@ -68,10 +68,10 @@ def likely_apart(
     return np.sort(np.asarray(kept, np.int64).ravel())[:_MOST]
 
 
-def union_of(
+def counted(
     found: Instances, classes: list[int], most_share: float, shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """Returns the (H, W) union of the instances that count.
+    """Returns the (N, H, W) masks of the instances that count.
 
     Args:
         found: All instances.
@@ -80,11 +80,11 @@ def union_of(
         shape: Height and width, where nothing was found.
     """
     if not len(found.masks):
-        return np.zeros(shape, np.bool_)
+        return np.zeros((0, *shape), np.bool_)
     counts = found.masks.mean(axis=(1, 2)) <= most_share
     if classes:
         counts &= np.isin(found.classes, classes)
-    return np.asarray(found.masks[counts].any(axis=0))
+    return np.asarray(found.masks[counts])
 
 
 def _corners(boxes: Floats) -> Floats:

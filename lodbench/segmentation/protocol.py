@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
-from lodbench.geometry import Camera
+from lodbench.geometry import Camera, Pose
+
+if TYPE_CHECKING:
+    from lodbench.citymap import CityMap
 
 # A pixel is building from here on (the paper's delta_s).
 BUILDING_THRESHOLD = 0.5
@@ -55,10 +58,51 @@ class Segmenter(Protocol):
         ...
 
 
+@runtime_checkable
+class MapGuidedSegmenter(Protocol):
+    """A segmenter that looks at the map too, from the prior or a better pose; it requires ``map``.
+
+    Runs call this in place of ``segment``.
+    """
+
+    name: str
+
+    def segment_from(self, entry: Entry, pose: Pose, city_map: CityMap) -> NDArray[np.float32]:
+        """Returns the (H, W) float32 probability of building, in [0, 1].
+
+        Args:
+            entry: The query.
+            pose: Where it may have been taken, scene frame.
+            city_map: Draws the city; what is drawn while a method runs counts as the method's.
+
+        Raises:
+            QueryFault: This query cannot be segmented.
+        """
+        ...
+
+
+@runtime_checkable
+class InstanceSegmenter(Protocol):
+    """A segmenter that tells buildings apart; it provides ``instances``."""
+
+    name: str
+
+    def segment_instances(self, entry: Entry) -> NDArray[np.bool_]:
+        """Returns (N, H, W) bool, a mask of each building; any size of the photo's aspect.
+
+        Raises:
+            QueryFault: This query cannot be segmented.
+        """
+        ...
+
+
 def notes_of(segmenter: object) -> tuple[str, ...]:
     """Returns what a reader of results must know about a segmenter; none where it says nothing."""
     notes = getattr(segmenter, "notes", None)
-    return tuple(notes()) if notes is not None else ()
+    told = tuple(notes()) if notes is not None else ()
+    if isinstance(segmenter, MapGuidedSegmenter):
+        told = (f"segmenter {segmenter.name}: guided by the map from the prior", *told)
+    return told
 
 
 def check_mask(mask: ArrayLike, camera: Camera) -> NDArray[np.float32]:
@@ -91,6 +135,20 @@ def check_mask(mask: ArrayLike, camera: Camera) -> NDArray[np.float32]:
             f"the mask is {width} x {height}, the camera {camera.width} x {camera.height}: another aspect"
         )
     return np.clip(given.astype(np.float32), np.float32(0), np.float32(1))
+
+
+def check_instances(masks: ArrayLike, camera: Camera) -> NDArray[np.bool_]:
+    """Returns masks of single buildings as (N, H, W) bool.
+
+    Raises:
+        QueryFault: They are not such an array, or their aspect is not the camera's.
+    """
+    given = np.asarray(masks)
+    if given.ndim != 3 or given.dtype != np.bool_:
+        raise QueryFault(f"instances are {given.dtype} of shape {given.shape}, not bool (N, height, width)")
+    if len(given):
+        check_mask(given[0], camera)
+    return given
 
 
 def _check_range(mask: NDArray[Any]) -> None:

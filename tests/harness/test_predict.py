@@ -14,6 +14,8 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.harness import RunSettings, run_method
 from lodbench.methods import Estimate
+from lodbench.segmentation import notes_of
+from lodbench.segmentation.masks import MaskFiles, MasksParams
 from lodbench.segmentation.none import NoMask, NoMaskParams
 from tests.town import write_dataset
 
@@ -176,6 +178,92 @@ class TestPreparation:
             run(Torn(), dataset, tmp_path)
         file = Path(caught.value.hint.removeprefix("See ").rstrip("."))
         assert "raise IndexError" in file.read_text()
+
+
+class Guided:
+    """Shows the map's silhouette from wherever it is asked to look."""
+
+    name, requires = "guided", frozenset({"map"})
+
+    def segment(self, entry):
+        raise AssertionError("runs ask segment_from")
+
+    def segment_from(self, entry, pose, city_map):
+        return city_map.render(entry.camera, pose).astype(np.float32)
+
+    def segment_instances(self, entry):
+        masks = np.zeros((2, entry.camera.height, entry.camera.width), bool)
+        masks[0, :10] = masks[1, 10:] = True
+        return masks
+
+    def fingerprint(self, entries):
+        return ""
+
+
+class Looking(Scripted):
+    """Looks at the mask from the prior, and again from a pose a metre away."""
+
+    requires = frozenset({"mask"})
+
+    def localize(self, query, city_map, streams):
+        moved = query.prior.shifted([1.0, 0.0, 0.0])
+        first, second = city_map.render(query.camera, query.prior), city_map.render(query.camera, moved)
+        assert np.array_equal(query.mask, first)
+        assert np.array_equal(query.segment(moved), second)
+        assert not np.array_equal(first, second)
+        return Estimate(moved, 1.0)
+
+
+class TestSegmenters:
+    def settings(self, method, tmp_path):
+        return RunSettings(tmp_path / "runs", {"method": {"name": method.name}}, threads=1)
+
+    def test_a_mask_is_asked_for_again_from_a_better_pose(self, dataset, tmp_path):
+        done = run_method(Looking(), dataset, Guided(), self.settings(Looking(), tmp_path))
+        assert failures(done) == ["", "", ""]
+        # Two of the method's own, one of the segmenter within localize; that of the prior's mask is free.
+        assert [row.hypotheses for row in done.rows] == [3, 3, 3]
+        assert notes_of(done.preparation.segmenter) == ("segmenter guided: guided by the map from the prior",)
+
+    def test_others_are_not_offered_another_look(self, dataset, tmp_path):
+        class Once(Looking):
+            def localize(self, query, city_map, streams):
+                assert query.segment is None
+                return Estimate(query.prior, 1.0)
+
+        done = run_method(Once(), dataset, MaskFiles(MasksParams()), self.settings(Once(), tmp_path))
+        assert failures(done) == ["", "", ""]
+
+    def test_instances_are_for_who_requires_them(self, dataset, tmp_path):
+        class Counting(Scripted):
+            requires = frozenset({"instances"})
+
+            def localize(self, query, city_map, streams):
+                assert query.building_probability is None
+                return Estimate(query.prior, float(len(query.instances)))
+
+        Guided.provides = frozenset({"mask", "instances"})
+        done = run_method(Counting(), dataset, Guided(), self.settings(Counting(), tmp_path))
+        assert [row.score for row in done.rows] == [2.0, 2.0, 2.0]
+
+    def test_an_oracle_has_one_renderer(self, dataset, tmp_path, monkeypatch):
+        from lodbench.harness.runs import prepare
+        from lodbench.segmentation.oracle import NoisyOracle, NoisyOracleParams
+
+        made = []
+
+        class Noted(prepare.SilhouetteRenderer):
+            def __init__(self, *args, **settings):
+                made.append(1)
+                super().__init__(*args, **settings)
+
+        monkeypatch.setattr(prepare, "SilhouetteRenderer", Noted)
+        oracle, settings = NoisyOracle(NoisyOracleParams()), self.settings(Looking(), tmp_path)
+        Once = type("Once", (Scripted,), {"requires": frozenset({"mask"})})
+        Once.localize = lambda self, query, city_map, streams: Estimate(query.prior, query.mask.mean())
+        done = run_method(Once(), dataset, oracle, settings)
+        assert failures(done) == ["", "", ""]
+        assert made == [1]
 
 
 def test_the_command_tells_that_nothing_was_found(dataset, tmp_path, capsys):

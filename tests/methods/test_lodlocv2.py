@@ -235,6 +235,8 @@ class TestTheMethodNeverSeesTheTruth:
             "building_probability",
             "image",
             "hypotheses",
+            "instances",
+            "segment",
         }
 
     def test_nor_does_any_argument_of_localize(self):

@@ -39,3 +39,12 @@ def test_one_that_can_is_told_how_far_off_priors_are():
 
 def test_by_keywords():
     assert make_method("contour_alignment", starts=2).params.starts == 2
+
+
+def test_the_true_tilt_is_told_to_who_asks():
+    aligned = configure_method({"name": "contour_alignment"})
+    assert aligned.for_tilt("truth").params.range_tilt_deg == 0.0
+    assert aligned.for_tilt("prior") is aligned
+    assert aligned.for_tilt("truth").params.range_x_m == aligned.params.range_x_m
+    fixed = configure_method({"name": "lodlocv2"})
+    assert fixed.for_tilt("truth") is fixed

@@ -2,13 +2,15 @@
 
 import warnings
 
+import cv2
 import numpy as np
 import pytest
 
 from lodbench.cli import main
+from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError
 from lodbench.segmentation.fastsam import FastSam, FastSamParams
-from lodbench.segmentation.instances import Instances, decode, union_of
+from lodbench.segmentation.instances import Instances, counted, decode
 
 # Prototypes: the first is positive on the left half, the second on the upper half.
 PROTOTYPES = np.full((2, 8, 8), -5, np.float32)
@@ -54,17 +56,17 @@ class TestDecode:
 
     def test_nothing_found_is_no_mask(self):
         found = decode(rows_of(row(16, 16, 20, 20, [0.1], [1, 0])), PROTOTYPES, 0.4, 0.9)
-        assert union_of(found, [], 1.0, (32, 32)).shape == (32, 32)
-        assert not union_of(found, [], 1.0, (32, 32)).any()
+        assert counted(found, [], 1.0, (32, 32)).shape == (0, 32, 32)
+        assert not counted(found, [], 1.0, (32, 32)).any()
 
 
 def test_the_union_is_of_the_classes_asked_for_and_of_nothing_too_large():
     masks = np.zeros((3, 4, 5), bool)
     masks[0, 0], masks[1, 1], masks[2, :3] = True, True, True
     found = Instances(masks, np.array([0.9, 0.8, 0.7], np.float32), np.array([0, 2, 0]))
-    assert union_of(found, [], 1.0, (4, 5)).sum() == 15
-    assert union_of(found, [2], 1.0, (4, 5)).sum() == 5
-    assert union_of(found, [], 0.5, (4, 5)).sum() == 10
+    assert counted(found, [], 1.0, (4, 5)).any(axis=0).sum() == 15
+    assert counted(found, [2], 1.0, (4, 5)).any(axis=0).sum() == 5
+    assert counted(found, [], 0.5, (4, 5)).any(axis=0).sum() == 10
 
 
 @pytest.mark.parametrize(
@@ -134,6 +136,15 @@ class TestAdapter:
         expected = np.zeros((32, 64), bool)
         expected[:16, :32] = expected[16:, 32:] = True
         assert (found.astype(bool) == expected).mean() > 0.95
+
+    def test_and_into_instances(self, weights, tmp_path):
+        photo = tmp_path / "photo.png"
+        cv2.imwrite(str(photo), self.photo()[:, :, ::-1])
+        found = self.segmenter(weights).segment_instances(Entry(photo.name, "all", None, None, photo, None))
+        assert found.shape == (2, 32, 64)
+        np.testing.assert_array_equal(
+            found.any(axis=0), self.segmenter(weights).probability(self.photo()) >= 0.5
+        )
 
     def test_one_class_alone(self, weights):
         segmenter = self.segmenter(weights, classes=[1])

@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
 from lodbench.evaluation.queries import NO_TRUTH
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.segmentation import Segmenter, check_mask
+from lodbench.segmentation import (
+    InstanceSegmenter,
+    MapGuidedSegmenter,
+    Segmenter,
+    check_instances,
+    check_mask,
+)
 from lodbench.segmentation.oracle import Oracle
 
 TILTS = ("prior", "truth")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Preparation:
     """How entries become queries in a run.
 
@@ -28,14 +37,16 @@ class Preparation:
         scene: The city; queries are moved into its local frame.
         segmenter: Makes the masks.
         tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
-        needs_mask: Whether queries need what the segmenter makes; it is not asked otherwise.
+        needs: What the method needs of the segmenter, ``mask`` and ``instances``; no more is asked of it.
+        city_map: The map that a segmenter may look at; one of its own if None.
     """
 
     dataset: Dataset
     scene: Scene
     segmenter: Segmenter
     tilt: str
-    needs_mask: bool = True
+    needs: frozenset[Input] = frozenset({Input.MASK})
+    city_map: CityMap | None = None
 
     def __post_init__(self) -> None:
         require_tilt(self.tilt, self.dataset)
@@ -72,33 +83,55 @@ class Preparation:
         prior = self.prior(entry)
         if prior is None:
             raise QueryFault("no prior pose")
-        probability = None
-        if self.needs_mask:
-            probability = check_mask(self._probability(entry, entry.camera), entry.camera)
+        camera, local = entry.camera, self.local(prior)
+        guided = isinstance(self.segmenter, MapGuidedSegmenter)
+        needs_mask = Input.MASK in self.needs
         return Query(
             name=entry.name,
             split=entry.split,
-            camera=entry.camera,
-            prior=self.local(prior),
-            building_probability=probability,
+            camera=camera,
+            prior=local,
+            building_probability=self._probability(entry, camera, local) if needs_mask else None,
             image=entry.image,
             hypotheses=tuple(
                 self.local(tilted(pose, self.dataset.truth.get(entry.key), self.tilt))
                 for pose in entry.hypotheses
             ),
+            instances=self._instances(entry, camera) if Input.INSTANCES in self.needs else None,
+            segment=partial(self._probability, entry, camera) if guided and needs_mask else None,
         )
 
-    def _probability(self, entry: Entry, camera: Camera) -> NDArray[np.float32]:
-        """Returns what the segmenter says of a query; for an oracle, the silhouette at the truth."""
-        if not isinstance(self.segmenter, Oracle):
-            return self.segmenter.segment(entry)
+    def _probability(self, entry: Entry, camera: Camera, pose: Pose) -> NDArray[np.float32]:
+        """Returns the checked mask of a query, guided from a pose (scene frame) where the segmenter is."""
+        if isinstance(self.segmenter, Oracle):
+            found = self._from_truth(self.segmenter, entry, camera)
+        elif isinstance(self.segmenter, MapGuidedSegmenter):
+            found = self.segmenter.segment_from(entry, pose, self._map)
+        else:
+            found = self.segmenter.segment(entry)
+        return check_mask(found, camera)
+
+    def _instances(self, entry: Entry, camera: Camera) -> NDArray[np.bool_]:
+        if not isinstance(self.segmenter, InstanceSegmenter):
+            raise QueryFault(f"segmenter={self.segmenter.name} has no segment_instances")
+        return check_instances(self.segmenter.segment_instances(entry), camera)
+
+    def _from_truth(self, oracle: Oracle, entry: Entry, camera: Camera) -> NDArray[np.float32]:
+        """Returns what an oracle makes of the silhouette at the truth."""
         if entry.key not in self.dataset.truth:
             raise QueryFault(NO_TRUTH)
         truth = self.local(self.dataset.truth[entry.key])
-        width = min(self.segmenter.params.width, camera.width)
+        width = min(oracle.params.width, camera.width)
         small = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
-        silhouette = SilhouetteRenderer(self.scene, threads=1).render(small, truth)
-        return self.segmenter.from_silhouette(silhouette, entry.key)
+        return oracle.from_silhouette(self._renderer.render(small, truth), entry.key)
+
+    @cached_property
+    def _renderer(self) -> SilhouetteRenderer:
+        return SilhouetteRenderer(self.scene, threads=1)
+
+    @cached_property
+    def _map(self) -> CityMap:
+        return self.city_map or CityMap(self.scene)
 
 
 def require_tilt(tilt: str, dataset: Dataset) -> None:

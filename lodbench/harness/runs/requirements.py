@@ -15,8 +15,13 @@ _LACKING = "the dataset has none"
 
 
 def needs_segmenter(method: object) -> bool:
-    """Tells whether a method looks at what a segmenter makes; one that declares nothing looks at masks."""
-    return not _SEGMENTED.isdisjoint(declared_inputs(method, "requires", {Input.MASK}))
+    """Tells whether a method looks at what a segmenter makes."""
+    return bool(segmented_inputs(method))
+
+
+def segmented_inputs(method: object) -> frozenset[Input]:
+    """Returns what a method needs of a segmenter; one that declares nothing looks at masks."""
+    return declared_inputs(method, "requires", {Input.MASK}) & _SEGMENTED
 
 
 def require_run_inputs(

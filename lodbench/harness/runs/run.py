@@ -25,7 +25,7 @@ from lodbench.harness.runs.code_digest import code_digest
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_tilt
-from lodbench.harness.runs.requirements import can_segment, needs_segmenter, require_run_inputs
+from lodbench.harness.runs.requirements import can_segment, require_run_inputs, segmented_inputs
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
@@ -96,8 +96,8 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     require_run_inputs(method, segmenter, dataset, entries)
     scene, dataset = _open_city(dataset)
     require_direction(dataset, entries, scene)
-    preparation = Preparation(dataset, scene, segmenter, settings.tilt, needs_segmenter(method))
     city_map = CityMap(scene, settings.renderer, settings.threads)
+    preparation = Preparation(dataset, scene, segmenter, settings.tilt, segmented_inputs(method), city_map)
     inputs = {
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,10 @@ class ContourAlignment:
     def params_for_prior(self, prior: UniformPrior) -> Params:
         """Returns the parameters that search all that such a prior leaves open, tilt included."""
         return self.params.for_prior(prior)
+
+    def params_for_true_tilt(self) -> Params:
+        """Returns the parameters for priors of the true pitch and roll: a range of 0 holds them."""
+        return replace(self.params, range_tilt_deg=0.0)
 
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the pose whose outline fits the mask's best under the prior.

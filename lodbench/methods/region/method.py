@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,10 @@ class Region:
     def params_for_prior(self, prior: UniformPrior) -> Params:
         """Returns the parameters that search all that such a prior leaves open, tilt included."""
         return self.params.for_prior(prior)
+
+    def params_for_true_tilt(self) -> Params:
+        """Returns the parameters for priors of the true pitch and roll: a range of 0 holds them."""
+        return replace(self.params, range_tilt_deg=0.0)
 
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the most probable pose.
