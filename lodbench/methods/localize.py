@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,8 @@ from lodbench.datasets.query import Query
 from lodbench.geometry import Camera, Pose
 from lodbench.methods.asking import localize_query
 from lodbench.methods.lodlocv2 import LodLocV2
-from lodbench.methods.protocol import Estimate, Method
+from lodbench.methods.protocol import Estimate, Method, SupportsPrepare
+from lodbench.methods.workspace import Workspace
 from lodbench.segmentation import check_mask
 from lodbench.storage import random_stream
 
@@ -25,6 +28,7 @@ def localize(
     prior: Pose,
     mask: NDArray[np.float32] | NDArray[np.bool_] | None = None,
     *,
+    image: Path | None = None,
     method: Method | None = None,
     seed: int = 0,
     threads: int | None = None,
@@ -37,7 +41,8 @@ def localize(
         prior: Rough pose in the city's own coordinates (its CRS); so is the answer.
         mask: (H, W) probability of building in [0, 1], or bool; any size of the photo's aspect; None
             for a method that requires none.
-        method: How; LoD-Loc v2 with the paper's parameters by default.
+        image: The photo's file, lens distortion undone, for a method that looks at it.
+        method: How; LoD-Loc v2 with the paper's parameters by default. One that prepares does so anew.
         seed: Seed of the search.
         threads: Threads of the renderer, None for one per core; never changes the answer.
 
@@ -45,8 +50,12 @@ def localize(
         QueryFault: The mask is not as described or holds no building, or no building is near the prior.
     """
     probability = None if mask is None else check_mask(mask, camera)
-    query = Query("photo", "", camera, prior.shifted(-scene.origin), probability)
+    query = Query("photo", "", camera, prior.shifted(-scene.origin), probability, image)
     city_map = CityMap(scene, threads=threads)
     streams = partial(random_stream, seed, "localize", "photo")
-    estimate = localize_query(method or LodLocV2(), query, city_map, streams)
+    method = method or LodLocV2()
+    with TemporaryDirectory() as folder:
+        if isinstance(method, SupportsPrepare):
+            method.prepare(city_map, (), Workspace(Path(folder)))
+        estimate = localize_query(method, query, city_map, streams)
     return replace(estimate, pose=estimate.pose.shifted(scene.origin))

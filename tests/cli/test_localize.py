@@ -315,3 +315,35 @@ def test_in_a_process_of_its_own(lodbench, tmp_path, plain_case):
         "DJI_0001.geojson",
         "DJI_0001_overlay.png",
     }
+
+
+def test_a_method_is_given_what_it_requires_and_no_more(capsys, monkeypatch, tmp_path, shared_data):
+    from lodbench.methods import Estimate, registry
+    from lodbench.methods.lodlocv2 import Params as MethodParams
+
+    case = make_case(tmp_path, shared_data, "nrw", distorted=True)
+    seen = []
+
+    class Photographic:
+        name, params_type, requires = "photographic", MethodParams, frozenset({"image"})
+
+        def __init__(self, params):
+            pass
+
+        def prepare(self, city_map, references, workspace):
+            self.part = workspace.part("note.txt", lambda file: file.write_text("ready")).read_text()
+
+        def localize(self, query, city_map, streams):
+            assert (query.building_probability, self.part) == (None, "ready")
+            seen.append(cv2.imread(str(query.image)).shape[:2])
+            assert seen[-1] == (query.camera.height, query.camera.width)
+            return Estimate(query.prior, 0.1)
+
+    monkeypatch.setattr(registry, "load_plugin", lambda group, name: Photographic)
+    found = localize(capsys, case, tmp_path / "out", "--method", "photographic", "--segmenter", "masks")
+    assert len(seen) == 1
+    assert found["moved_m"] == pytest.approx(0.0, abs=1e-6)
+    assert not any("do not trust" in note for note in found["notes"])
+    Photographic.requires = frozenset({"references"})
+    assert cli(["localize", str(case.photo), "--city", str(case.city), "--method", "photographic"]) == 2
+    assert "posed pictures of the place, and a single photo has none" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
 from lodbench.datasets.map_frame import MapFrame, Place
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
@@ -25,9 +27,13 @@ from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.photo.outputs import PhotoView, write_photo_map, write_photo_overlay
 from lodbench.methods import Estimate, Method
 from lodbench.methods.localize import localize
-from lodbench.segmentation import Segmenter, check_mask, notes_of
+from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.reporting.overlays import write_picture
+from lodbench.segmentation import MapGuidedSegmenter, Segmenter, check_mask, notes_of
 from lodbench.segmentation.masks import read_mask
 
+# What one photo has; masks come with --mask or from a segmenter.
+_GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
 # Below this overlap of mask and model a pose is not to be trusted.
 _POOR_FIT = 0.5
 
@@ -132,13 +138,18 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     photo = read_photo_metadata(request.photo)
     camera, camera_source = _camera(request, photo)
     pinhole = pinhole_of(camera)
-    mask = _pinhole_mask(request, camera, pinhole)
+    method = request.method or LodLocV2()
+    requires = declared_inputs(method, "requires", {Input.MASK})
+    require_inputs(f"--method {method.name}", requires, _GIVEN, "a single photo has none")
+    mask = _pinhole_mask(request, camera, pinhole) if Input.MASK in requires else None
+    view = PhotoView(request.photo.name, read_picture(request.photo), camera, pinhole, mask)
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     frame = None if city.scene.crs is None else MapFrame(city.scene.crs)
     prior = _prior(request, photo, frame)
     _check_distance(prior, city.scene, request.photo.name)
-    estimate = localize(city.scene, pinhole, prior, mask, method=request.method, seed=request.seed)
-    view = PhotoView(request.photo.name, read_picture(request.photo), camera, pinhole, mask)
+    with TemporaryDirectory() as folder:
+        image = _undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
+        estimate = localize(city.scene, pinhole, prior, mask, image=image, method=method, seed=request.seed)
     request.out.mkdir(parents=True, exist_ok=True)
     overlay = request.out / f"{request.photo.stem}_overlay.png"
     write_photo_overlay(overlay, view, city.scene, prior, estimate)
@@ -160,8 +171,8 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
         geojson=geojson,
         notes=(
             *city.notes(),
-            *_segmenter_notes(request),
-            *_notes(photo, frame, camera, estimate, view.pixels is not None),
+            *(_segmenter_notes(request) if mask is not None else ()),
+            *_notes(photo, frame, view, estimate),
         ),
     )
 
@@ -184,12 +195,31 @@ def _pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDA
     """Returns the probability of building at each pixel, as the pinhole sees it."""
     if request.mask is not None:
         probability = read_mask(request.mask)
+    elif isinstance(request.segmenter, MapGuidedSegmenter):
+        raise DatasetError(
+            f"segmenter {request.segmenter.name} looks at the map, which needs a dataset.",
+            "Make one with lodbench dataset init, and use lodbench run.",
+        )
     elif request.segmenter is not None:
         entry = Entry(request.photo.name, "", camera, None, request.photo, None)
         probability = request.segmenter.segment(entry)
     else:
         raise DatasetError("There is no mask of the buildings.", "Give --mask FILE: white is building.")
     return np.asarray(undistorted(check_mask(probability, camera), camera, pinhole))
+
+
+def _undistorted_photo(view: PhotoView, folder: Path) -> Path:
+    """Returns a file of the photo as the pinhole sees it.
+
+    Raises:
+        DatasetError: Its pixels cannot be decoded.
+    """
+    pixels = view.undistorted()
+    if pixels is None:
+        raise DatasetError(f"The pixels of {view.name} cannot be decoded.", "Take a JPEG, PNG or TIFF.")
+    path = folder / f"{Path(view.name).stem}.png"
+    write_picture(path, pixels)
+    return path
 
 
 def _prior(request: PhotoRequest, photo: PhotoMetadata, frame: MapFrame | None) -> Pose:
@@ -223,18 +253,16 @@ def _segmenter_notes(request: PhotoRequest) -> tuple[str, ...]:
     return notes_of(request.segmenter) if request.mask is None else ()
 
 
-def _notes(
-    photo: PhotoMetadata, frame: MapFrame | None, camera: Camera, estimate: Estimate, is_decoded: bool
-) -> list[str]:
+def _notes(photo: PhotoMetadata, frame: MapFrame | None, view: PhotoView, estimate: Estimate) -> list[str]:
     datum = None if frame is None else datum_note(frame)
     notes = [] if datum is None else [datum]
     if photo.orientation > 1:
         notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
-    if not is_decoded:
+    if view.pixels is None:
         notes.append("the photo's pixels cannot be decoded: the overlay shows none")
-    if camera.distortion:
-        notes.append(f"the lens distortion ({camera.lens}) was undone before localising")
-    if estimate.score < _POOR_FIT:
+    if view.camera.distortion:
+        notes.append(f"the lens distortion ({view.camera.lens}) was undone before localising")
+    if view.mask is not None and estimate.score < _POOR_FIT:
         notes.append(f"mask and model overlap by {estimate.score:.2f} only: do not trust this pose")
     return notes
 

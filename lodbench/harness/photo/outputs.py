@@ -27,22 +27,27 @@ class PhotoView(NamedTuple):
         pixels: (H, W, 3) uint8 of the photo as stored, or None where it cannot be decoded.
         camera: Its camera, lens included.
         pinhole: The camera that was localised.
-        mask: (H, W) probability of building as the pinhole sees it.
+        mask: (H, W) probability of building as the pinhole sees it; None where no mask was looked at.
     """
 
     name: str
     pixels: NDArray[np.uint8] | None
     camera: Camera
     pinhole: Camera
-    mask: NDArray[np.float32]
+    mask: NDArray[np.float32] | None
+
+    def undistorted(self) -> NDArray[np.uint8] | None:
+        """Returns the pixels as the pinhole sees them."""
+        return None if self.pixels is None else undistorted(self.pixels, self.camera, self.pinhole)
 
 
 def write_photo_overlay(path: Path, view: PhotoView, scene: Scene, prior: Pose, estimate: Estimate) -> None:
     """Writes the photo with the city's outline at the estimate beside it at the prior."""
+    mask = view.mask
     shown = OverlayInput(
         camera=view.pinhole,
-        mask=binary_mask(view.mask, view.mask.shape[1], view.mask.shape[0]),
-        image=None if view.pixels is None else undistorted(view.pixels, view.camera, view.pinhole),
+        mask=None if mask is None else binary_mask(mask, mask.shape[1], mask.shape[0]),
+        image=view.undistorted(),
         prior=prior.shifted(-scene.origin),
         estimate=estimate.pose.shifted(-scene.origin),
         truth=None,
