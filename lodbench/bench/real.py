@@ -20,6 +20,7 @@ from lodbench.evaluation import pose_error
 from lodbench.evaluation.errors import FAILED
 from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method
 from lodbench.methods.asking import localize_query
 from lodbench.segmentation import Segmenter
@@ -77,7 +78,7 @@ def measure_real(
     outcomes: dict[str, list[Trial]] = {method.name: [] for method in methods}
     total, done = len(methods) * len(known) * (options.priors + options.is_published_too), 0
     for method in methods:
-        preparation = Preparation(dataset, scene, segmenter, "prior", "mask" in method.requires)
+        preparation = Preparation(dataset, scene, segmenter, "prior", segmented_inputs(method), city_map)
         for entry in known:
             query = preparation.query(entry)
             truth = preparation.local(dataset.truth[entry.key])
