@@ -30,11 +30,17 @@ class FindingCode:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One defect: its code, the id of the object it was met in, and a detail in words."""
+    """One defect: its code, the id of the object it was met in, and a detail in words.
+
+    ``polygon`` is the number of the polygon at fault among those looked at, -1 where none is; ``place`` a
+    point of it, (x, y, z) in the coordinates looked at, or None.
+    """
 
     code: FindingCode
     object_id: str
     detail: str = ""
+    polygon: int = -1
+    place: tuple[float, ...] | None = None
 
 
 @dataclass(slots=True)
@@ -43,9 +49,17 @@ class Findings:
 
     items: list[Finding] = field(default_factory=list)
 
-    def add(self, code: FindingCode, object_id: str, detail: str = "") -> None:
+    def add(
+        self,
+        code: FindingCode,
+        object_id: str,
+        detail: str = "",
+        *,
+        polygon: int = -1,
+        place: tuple[float, ...] | None = None,
+    ) -> None:
         """Records one defect."""
-        self.items.append(Finding(code, object_id, detail))
+        self.items.append(Finding(code, object_id, detail, polygon, place))
 
     def counts(self) -> dict[str, int]:
         """Returns ``{"LB101 RING_TOO_SHORT": 3, ...}`` in the order of the codes."""

@@ -1,7 +1,7 @@
 """The catalogue of city model findings: one stable code per kind of defect, in groups of hundred.
 
 LB1xx rings and polygons, LB2xx the structure of a file, LB3xx coordinate reference systems and
-heights, LB4xx buildings and levels of detail. A code never changes its meaning and is never
+heights, LB4xx buildings and levels of detail, LB5xx solids. A code never changes its meaning and is never
 reused; new kinds get the next free number. An ERROR lost data, a WARNING changed it or doubts it,
 INFO tells what was decided.
 """
@@ -53,6 +53,13 @@ FAR_FROM_PLANAR = _code(
     _E,
     "A corner of a polygon lies over 1 m off its mean plane: its shape is a guess.",
 )
+RING_SELF_CONTACT = _code(112, "RING_SELF_CONTACT", _W, "A ring touches or crosses itself.")
+RINGS_INTERSECT = _code(113, "RINGS_INTERSECT", _W, "Two rings of a polygon cross.")
+RINGS_EQUAL = _code(114, "RINGS_EQUAL", _W, "Two rings of a polygon are the same.")
+INTERIOR_SPLIT = _code(115, "INTERIOR_SPLIT", _W, "The holes of a polygon cut it in two.")
+HOLE_OUTSIDE = _code(116, "HOLE_OUTSIDE", _W, "A hole of a polygon lies outside of its outline.")
+HOLES_NESTED = _code(117, "HOLES_NESTED", _W, "A hole of a polygon lies inside another.")
+HOLE_TURNED = _code(118, "HOLE_TURNED", _W, "A hole runs the same way round as its outline.")
 
 UNDECLARED_PREFIX = _code(201, "UNDECLARED_PREFIX", _W, "XML uses a namespace prefix it never declares.")
 XLINK_UNRESOLVED = _code(202, "XLINK_UNRESOLVED", _E, "A reference to a geometry has no target in the file.")
@@ -119,6 +126,42 @@ GROUND_DEFAULTED = _code(
     410, "GROUND_DEFAULTED", _W, "No column or terrain gives the ground; ground_m is used."
 )
 INTERIOR_SKIPPED = _code(404, "INTERIOR_SKIPPED", _I, "Rooms and furniture are left out of the mesh.")
+
+SHELL_TOO_FEW_FACES = _code(501, "SHELL_TOO_FEW_FACES", _W, "A shell of a solid has fewer than four faces.")
+SHELL_NOT_CLOSED = _code(502, "SHELL_NOT_CLOSED", _W, "A shell has edges that only one face has: it leaks.")
+NON_MANIFOLD_EDGE = _code(503, "NON_MANIFOLD_EDGE", _W, "A shell has edges that three faces or more share.")
+NON_MANIFOLD_VERTEX = _code(504, "NON_MANIFOLD_VERTEX", _W, "A shell touches itself in a point.")
+SHELL_IN_PIECES = _code(505, "SHELL_IN_PIECES", _W, "The faces of a shell do not hang together.")
+FACE_TURNED = _code(506, "FACE_TURNED", _W, "A face of a shell looks the other way than its neighbour.")
+SHELL_INSIDE_OUT = _code(507, "SHELL_INSIDE_OUT", _W, "The faces of a shell all look the wrong way.")
+PARTS_OVERLAP = _code(508, "PARTS_OVERLAP", _W, "Two parts of a building overlap.")
+
+# The published error codes of val3dity, the usual validator of 3D city models, for what it reports too.
+VAL3DITY: dict[FindingCode, str] = {
+    RING_TOO_SHORT: "101",
+    DUPLICATE_POINTS: "102",
+    RING_NOT_CLOSED: "103",
+    ZERO_AREA: "104",
+    AREA_MISMATCH: "104",
+    RING_SELF_CONTACT: "104",
+    RINGS_INTERSECT: "201",
+    RINGS_EQUAL: "202",
+    NOT_PLANAR: "203",
+    FAR_FROM_PLANAR: "203",
+    INTERIOR_SPLIT: "205",
+    HOLE_OUTSIDE: "206",
+    HOLES_NESTED: "207",
+    HOLE_TURNED: "208",
+    SHELL_TOO_FEW_FACES: "301",
+    SHELL_NOT_CLOSED: "302",
+    NON_MANIFOLD_VERTEX: "303",
+    NON_MANIFOLD_EDGE: "304",
+    SHELL_IN_PIECES: "305",
+    FACE_TURNED: "307",
+    SHELL_INSIDE_OUT: "405",
+    PARTS_OVERLAP: "601",
+    BUILDING_EMPTY: "902",
+}
 
 
 def finding_catalogue() -> tuple[FindingCode, ...]:

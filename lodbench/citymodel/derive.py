@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,17 +53,8 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     """
     if roof_height not in ROOF_HEIGHTS:
         raise ConfigError(f"roof_height={roof_height} is unknown.", f"Known: {', '.join(ROOF_HEIGHTS)}.")
-    finer, source = _finer_level(model)
-    normals, areas = newell(source)
-    slope = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
-    block, building_of = _block_of(model, source, slope)
-    count = len(building_of)
-    bottom = np.full(count, np.inf)
-    np.minimum.at(bottom, np.repeat(block, _point_counts(source)), source.points[:, 2])
-    top = _roof_heights(source, block, slope, count, ROOF_HEIGHTS[roof_height])
-    chosen = _footprints(source, block, slope, areas, count)
-    chosen = chosen[np.isfinite(top)[block[chosen]]]
-    points, ring_starts, polygon_starts, owner = _dissolve(select_polygons(source, chosen), block[chosen])
+    finer = _finer_level(model)
+    plans, owner, bottom, top, building_of = _blocks(model, finer, ROOF_HEIGHTS[roof_height])
     for building in np.setdiff1d(np.arange(len(model.building_ids)), building_of[owner]):
         findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer}")
     if len(owner) == 0:
@@ -72,6 +63,7 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
             "Take a level that is there: lodbench city info FILE.",
         )
     findings.add(LOD_DERIVED, "", f"from LoD{finer}, roof_height={roof_height}")
+    points, ring_starts, polygon_starts = _flat(plans)
     blocks = extrude(points, ring_starts, polygon_starts, bottom[owner], top[owner])
     own = owner[blocks.footprint]
     return Polygons(
@@ -81,8 +73,44 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
         building=building_of[own].astype(np.int32),
         lod=np.zeros(len(blocks.kind), np.int16),
         kind=blocks.kind,
-        part=None if source.part is None else own.astype(np.int32),
+        part=None if model.polygons.part is None else own.astype(np.int32),
     )
+
+
+def part_blocks(
+    model: CityModel, lod: str
+) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Returns what every building part fills for certain: from its bottom to the lowest of its roof.
+
+    Args:
+        model: A city with objects.
+        lod: One of its levels.
+
+    Returns:
+        plans: (N,) shapely polygons, local frame.
+        owner: (N,) object each belongs to.
+        bottom, top: (O,) heights by object.
+    """
+    plans, owner, bottom, top, _ = _blocks(model, lod, ROOF_HEIGHTS["eave"])
+    return plans, owner, bottom, top
+
+
+def _blocks(
+    model: CityModel, lod: str, share: float
+) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Returns plans, the block of each, and bottom, top and building of every block."""
+    source = _outside(model, lod)
+    normals, areas = newell(source)
+    slope = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+    block, building_of = _block_of(model, source, slope)
+    count = len(building_of)
+    bottom = np.full(count, np.inf)
+    np.minimum.at(bottom, np.repeat(block, _point_counts(source)), source.points[:, 2])
+    top = _roof_heights(source, block, slope, count, share)
+    chosen = _footprints(source, block, slope, areas, count)
+    chosen = chosen[np.isfinite(top)[block[chosen]]]
+    plans, owner = _dissolve(select_polygons(source, chosen), block[chosen])
+    return plans, owner, bottom, top, building_of
 
 
 def _block_of(
@@ -116,10 +144,8 @@ def _are_roofs(
     return result
 
 
-def _dissolve(
-    plans: Polygons, block: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Returns the plan of each block without inner edges: points (P, 2), ring and polygon starts, blocks.
+def _dissolve(plans: Polygons, block: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Returns the plan of each block without inner edges, as shapely polygons, and the block of each.
 
     Points are rounded to a millimetre, so that edges meet that were drawn twice.
     """
@@ -141,26 +167,36 @@ def _dissolve(
     is_area = (shapely.get_type_id(shapes) == shapely.GeometryType.POLYGON) & (
         shapely.area(shapes) > _MIN_PLAN_M2
     )
-    if not is_area.any():
-        return np.zeros((0, 2)), np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(0, np.int64)
-    _, points, (ring_starts, polygon_starts) = shapely.to_ragged_array(shapes[is_area], include_z=False)
+    return shapes[is_area], owners[index[is_area]]
+
+
+def _flat(plans: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Returns shapely polygons as points (P, 2), ring and polygon starts; rings are not closed."""
+    import shapely
+
+    _, points, (ring_starts, polygon_starts) = shapely.to_ragged_array(plans, include_z=False)
     is_last = np.zeros(len(points), np.bool_)
     is_last[ring_starts[1:] - 1] = True
     starts = np.asarray(ring_starts, np.int64) - np.arange(len(ring_starts))
-    return points[~is_last], starts, np.asarray(polygon_starts, np.int64), owners[index[is_area]]
+    return points[~is_last], starts, np.asarray(polygon_starts, np.int64)
 
 
-def _finer_level(model: CityModel) -> tuple[str, Polygons]:
-    """Returns the lowest level above 1 and its outer polygons."""
+def _finer_level(model: CityModel) -> str:
+    """Returns the lowest level above 1."""
     finer = [name for name in model.lods if name and name[0] in "234"]
     if not finer:
         raise CityModelError(
             "There is no level of detail 2 or finer to derive level 1 from.",
             "See the levels there are: lodbench city info FILE.",
         )
-    at_level = model.polygons.lod == model.lods.index(finer[0])
+    return finer[0]
+
+
+def _outside(model: CityModel, lod: str) -> Polygons:
+    """Returns the outer polygons of a level."""
+    at_level = model.polygons.lod == model.lods.index(lod)
     is_outside = model.polygons.kind != SurfaceKind.INTERIOR
-    return finer[0], select_polygons(model.polygons, np.flatnonzero(at_level & is_outside))
+    return select_polygons(model.polygons, np.flatnonzero(at_level & is_outside))
 
 
 def _point_counts(polygons: Polygons) -> NDArray[np.int64]:

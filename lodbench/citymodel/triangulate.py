@@ -250,4 +250,11 @@ def _report(
                 f"polygon {num_before + polygon}: {result.deviation_m[polygon]:.3f} m off its plane, "
                 f"area {result.area_m2[polygon]:.4f} m2, triangles {result.meshed_m2[polygon]:.4f} m2"
             )
-            findings.add(code, building_ids[polygons.building[polygon]], detail)
+            corner = polygons.points[polygons.ring_starts[polygons.polygon_starts[polygon]]]
+            findings.add(
+                code,
+                building_ids[polygons.building[polygon]],
+                detail,
+                polygon=num_before + int(polygon),
+                place=tuple(corner.tolist()),
+            )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +26,7 @@ FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb,
 
 examples:
   lodbench city info 53394525_bldg_6697_op.gml
-  lodbench city check LoD2_32_280_5657_1_NW.gml --json
+  lodbench city check LoD2_32_280_5657_1_NW.gml --geojson findings.geojson
   lodbench city info zurich.xml --crs EPSG:21781             the file says "CH1903", which is degrees
   lodbench city info Massachusetts-25-000.zip --source open_city_model --option ground_m=12
   lodbench city check houses.shp --option height_column=HOEHE --option ground_m=430
@@ -71,6 +72,13 @@ def _parser() -> argparse.ArgumentParser:
             name, help=help_, description=help_, epilog=_EXAMPLES, formatter_class=raw
         )
         action.add_argument("file", type=Path, metavar="FILE", help="city model: file, archive or folder")
+        if name == "check":
+            action.add_argument(
+                "--geojson",
+                type=Path,
+                metavar="OUT",
+                help="write the findings as points, for QGIS",
+            )
         if name == "convert":
             action.add_argument("out", type=Path, metavar="OUT", help="its ending names the format")
             action.add_argument(
@@ -119,10 +127,18 @@ def _info(asked: argparse.Namespace, options: ReadOptions) -> int:
 
 
 def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
-    from lodbench.citymodel.check import check_city, format_report
+    from lodbench.citymodel.check import check_city, findings_geojson, format_report
+    from lodbench.storage import write_bytes
 
-    report = check_city(_read(asked.file, replace(options, is_strict=False)))
-    _write(asked, report.to_json(), lambda: format_report(report))
+    start = time.perf_counter()
+    model = _read(asked.file, replace(options, is_strict=False, has_details=True))
+    read_seconds = time.perf_counter() - start
+    report = check_city(model)
+    if asked.geojson is not None:
+        write_bytes(asked.geojson, json.dumps(findings_geojson(report)).encode())
+    values = report.to_json() | {"read_seconds": round(read_seconds, 3)}
+    took = f"read in {read_seconds:.2f} s, checked in {report.seconds:.2f} s"
+    _write(asked, values, lambda: f"{format_report(report)}\n{took}")
     return 1 if report.has_errors else 0
 
 

@@ -5,16 +5,22 @@ More of it: ``python -m tests.citymodel.test_fuzz 20000`` from the checkout.
 
 from __future__ import annotations
 
+import re
 import sys
+import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lodbench.citymodel import mesh_model, parse_city_model
+from lodbench.citymodel import ReadOptions, mesh_model, parse_city_model, read_city_model
+from lodbench.citymodel.check import check_city
+from lodbench.citymodel.cityjson_writer import cityjson_text
 from lodbench.errors import LodbenchError
 
+from .footprint_files import squares
 from .gml_text import box_city
 from .twins import documents
 
@@ -67,6 +73,92 @@ def mutate(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(content)
 
 
+_CRS_NAMES = (
+    b"EPSG:4647", b"EPSG:3857", b"EPSG:4979", b"EPSG:2263", b"EPSG:32662", b"EPSG:99999", b"EPSG:25832+99999",
+    b"urn:ogc:def:crs:EPSG::5653", b"urn:adv:crs:*", b"", b" ", b"OGC:CRS84", b"IGNF:LAMB93",
+    b"+proj=geocent", b"PROJCS[", b"http://www.opengis.net/def/crs/EPSG/0/", b"CH1903", b"EPSG:5773",
+)  # fmt: skip
+_CRS_PLACES = re.compile(rb'(srsName=")[^"]*|("referenceSystem": ?")[^"]*')
+_IDS = re.compile(rb'gml:id="[^"]*"')
+_LINKED = re.compile(rb"<(?:\w+:)?surfaceMember>")
+_VALUES = re.compile(rb'"values": ?\[[^"]{0,4000}?\](?=[,}])')
+_LABELS = (b"[]", b"[null]", b"[[[[0]]]]", b"[0]", b"[-1, 99, true]", b'["0"]', b"[[0, 1], 0]", b"[{}]")
+_LINK = (
+    b'<gml:surfaceMember xmlns:gml="http://www.opengis.net/gml" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    b'<gml:CompositeSurface gml:id="z%d"><gml:surfaceMember xlink:href="#z%d"/></gml:CompositeSurface>'
+    b"</gml:surfaceMember>"
+)
+
+
+def mutate_structure(data: bytes, rng: np.random.Generator) -> bytes:
+    """Returns a file as well-formed as before, and wrong in what it says: names, ids, links, labels."""
+    kind = int(rng.integers(0, 4))
+    if kind == 0:
+        name = _CRS_NAMES[int(rng.integers(0, len(_CRS_NAMES)))]
+        return _replace_some(_CRS_PLACES, data, rng, lambda m: (m[1] or m[2]) + name)
+    if kind == 1:  # one id for two objects, or for all
+        ids = _IDS.findall(data) or [b'gml:id="x"']
+        twin = ids[int(rng.integers(0, len(ids)))]
+        return _replace_some(_IDS, data, rng, lambda _: twin)
+    if kind == 2:  # chains and circles of links
+        count = int(rng.integers(1, 400))
+        steps = b"".join(_LINK % (k, int(rng.integers(0, count + 2))) for k in range(count))
+        return _replace_some(_LINKED, data, rng, lambda m: steps + m[0], share=0.0)
+    wrong = _LABELS[int(rng.integers(0, len(_LABELS)))]
+    return _replace_some(_VALUES, data, rng, lambda _: b'"values":' + wrong)
+
+
+def _replace_some(
+    pattern: re.Pattern[bytes],
+    data: bytes,
+    rng: np.random.Generator,
+    change: Callable[[re.Match[bytes]], bytes],
+    share: float = 0.5,
+) -> bytes:
+    """Returns the text with one match changed, and a share of the others."""
+    matches = list(pattern.finditer(data))
+    if not matches:
+        return mutate(data, rng)
+    chosen = rng.random(len(matches)) < share * rng.random()
+    chosen[int(rng.integers(0, len(matches)))] = True
+    pieces, last = [], 0
+    for match, is_chosen in zip(matches, chosen.tolist(), strict=True):
+        if is_chosen:
+            pieces += [data[last : match.start()], change(match)]
+            last = match.end()
+    return b"".join([*pieces, data[last:]])
+
+
+def fuzz_sidecars(count: int, folder: Path, seed: int) -> tuple[int, int]:
+    """Tries Shapefiles of which one file is cut, lost or changed; returns how many were read and refused.
+
+    Raises:
+        AssertionError: Something other than a ``LodbenchError`` came out, or footprints were lost unseen.
+    """
+    squares(folder / "whole.shp", 20)
+    files = {file.suffix: file.read_bytes() for file in folder.glob("whole.*")}
+    num_read = 0
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        suffix = sorted(files)[int(rng.integers(0, len(files)))]
+        data, way = files[suffix], int(rng.integers(0, 3))
+        for other, content in files.items():
+            (folder / f"cut{other}").write_bytes(content)
+        path = folder / f"cut{suffix}"
+        if way == 0:
+            path.unlink()
+        else:
+            path.write_bytes(data[: int(rng.integers(0, len(data)))] if way == 1 else mutate(data, rng))
+        try:
+            model = read_city_model(folder / "cut.shp")
+        except LodbenchError:
+            continue
+        num_read += 1
+        is_whole = len(model.building_ids) == 20
+        assert way == 2 or is_whole, f"mutation {number}: {suffix} is cut or lost, and nothing was said"
+    return num_read, count - num_read
+
+
 def fuzz(count: int, files: list[tuple[str, bytes]], seed: int) -> tuple[int, int]:
     """Tries mutated files; returns how many were read and how many refused.
 
@@ -77,11 +169,15 @@ def fuzz(count: int, files: list[tuple[str, bytes]], seed: int) -> tuple[int, in
     for number in range(count):
         rng = np.random.default_rng([seed, number])
         name, data = files[number % len(files)]
-        content = mutate(data, rng)
+        content = (mutate_structure if number % 2 else mutate)(data, rng)
+        options = ReadOptions(is_strict=number % 4 < 2, has_details=number % 3 == 0)
         try:
-            model = parse_city_model(content, name)
+            model = parse_city_model(content, name, options)
             for lod in model.lods:
                 mesh_model(model, lod)
+            if options.has_details:
+                check_city(model)
+                parse_city_model(cityjson_text(model)[0], "again.json")
             num_read += 1
         except LodbenchError:
             num_refused += 1
@@ -97,6 +193,13 @@ def test_mutated_files(shared_data: Path) -> None:
     assert num_refused > 100
 
 
+def test_cut_sidecars(tmp_path: Path) -> None:
+    pytest.importorskip("pyogrio")
+    num_read, num_refused = fuzz_sidecars(40, tmp_path, seed=3)
+    assert num_read > 3
+    assert num_refused > 10
+
+
 def test_mutated_twins() -> None:
     assert sum(fuzz(160, seeds(None), seed=2)) == 160
 
@@ -105,4 +208,7 @@ if __name__ == "__main__":
     folder = Path(__file__).resolve().parents[3] / "shared" / "data"
     start = time.perf_counter()
     counts = fuzz(int(sys.argv[1]), seeds(folder if folder.is_dir() else None), seed=int(time.time()))
+    with tempfile.TemporaryDirectory() as temporary:
+        sidecars = fuzz_sidecars(int(sys.argv[1]) // 50, Path(temporary), seed=int(time.time()))
+    sys.stdout.write(f"sidecars: read {sidecars[0]}, refused {sidecars[1]}\n")
     sys.stdout.write(f"read {counts[0]}, refused {counts[1]}, {time.perf_counter() - start:.0f} s\n")

@@ -9,7 +9,6 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, read_city_model
@@ -17,6 +16,7 @@ from lodbench.citymodel.gdal import missing_bytes
 from lodbench.cli import main
 from lodbench.errors import CityModelError
 
+from .footprint_files import squares
 from .gml_text import write
 
 pytest.importorskip("pyogrio")
@@ -26,25 +26,6 @@ _VRT = """<OGRVRTDataSource><OGRVRTLayer name="x">
 <SrcDataSource>{inner}</SrcDataSource>
 <OpenOptions><OOI key="PRELUDE_STATEMENTS">VACUUM INTO '{target}'</OOI></OpenOptions>
 </OGRVRTLayer></OGRVRTDataSource>"""
-
-
-def squares(path: Path, count: int = 40, driver: str = "ESRI Shapefile") -> Path:
-    """Writes footprints of 10 m with heights."""
-    import pyogrio
-    import shapely
-
-    x = 500000.0 + 20.0 * np.arange(count)
-    boxes = shapely.to_wkb(shapely.box(x, 5600000.0, x + 10.0, 5600010.0))
-    pyogrio.raw.write(
-        str(path),
-        boxes,
-        [np.full(count, 6.0), np.array([f"b{i}" for i in range(count)], object)],
-        fields=["height", "ID"],
-        geometry_type="Polygon",
-        crs="EPSG:25832",
-        driver=driver,
-    )
-    return path
 
 
 class TestDrivers:

@@ -168,7 +168,7 @@ class TestReport:
         model = read_city_model(write(tmp_path / "a.gml", text), options=ReadOptions(is_strict=False))
         report = check_city(model)
         assert report.has_errors
-        assert [row.code.code for row in report.rows] == ["LB106", "LB107", "LB401", "LB403"]
+        assert [row.code.code for row in report.rows] == ["LB106", "LB107", "LB112", "LB401", "LB403"]
         assert report.rows[1].objects == ("b1",)
         text = format_report(report)
         assert "LB107  BAD_COORDINATE" in text

@@ -1,0 +1,132 @@
+"""Are polygons sound in their planes? Rings that touch themselves, holes outside, nested or turned."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import (
+    HOLE_OUTSIDE,
+    HOLE_TURNED,
+    HOLES_NESTED,
+    INTERIOR_SPLIT,
+    PARTS_OVERLAP,
+    RING_SELF_CONTACT,
+    RINGS_EQUAL,
+    RINGS_INTERSECT,
+)
+from lodbench.citymodel.derive import part_blocks
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.selection import select_polygons
+from lodbench.citymodel.triangulate import newell
+from lodbench.findings import FindingCode, Findings
+
+# What GEOS says is wrong, by the beginning of its reason.
+_REASONS: tuple[tuple[str, FindingCode], ...] = (
+    ("Ring Self-intersection", RING_SELF_CONTACT),
+    ("Self-intersection", RINGS_INTERSECT),
+    ("Hole lies outside", HOLE_OUTSIDE),
+    ("Nested holes", HOLES_NESTED),
+    ("Holes are nested", HOLES_NESTED),
+    ("Interior is disconnected", INTERIOR_SPLIT),
+    ("Duplicate Rings", RINGS_EQUAL),
+)
+_PLACE = re.compile(r"\[(\S+) (\S+)\]")
+_MIN_OVERLAP_M2, _MIN_OVERLAP_M = 0.1, 0.1
+
+
+def check_planes(model: CityModel, findings: Findings) -> None:
+    """Adds what is wrong with polygons seen along their normals, each with its number and place.
+
+    Args:
+        model: The city.
+        findings: Receives one finding of a kind per polygon.
+    """
+    import shapely
+
+    outer = np.flatnonzero(model.polygons.kind != SurfaceKind.INTERIOR)
+    polygons = select_polygons(model.polygons, outer)
+    if len(polygons) == 0:
+        return
+    point_counts = np.diff(polygons.ring_starts[polygons.polygon_starts])
+    vectors, areas = newell(polygons)
+    unit = vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None]
+    helper = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
+    across = np.cross(helper, unit)
+    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
+    frames = np.stack([across, np.cross(unit, across)], axis=2)
+    anchors = polygons.points[polygons.ring_starts[polygons.polygon_starts[:-1]]]
+    owner = np.repeat(np.arange(len(polygons)), point_counts)
+    plane = np.einsum("pi,pij->pj", polygons.points - anchors[owner], frames[owner])
+
+    lengths = np.diff(polygons.ring_starts)
+    closed = np.insert(plane, np.cumsum(lengths), plane[polygons.ring_starts[:-1]], axis=0)
+    rings = shapely.linearrings(closed, indices=np.repeat(np.arange(len(lengths)), lengths + 1))
+    ring_polygon = np.repeat(np.arange(len(polygons)), np.diff(polygons.polygon_starts))
+    shapes = shapely.polygons(rings, indices=ring_polygon)
+    has_area = areas > 1e-6
+
+    def add(code: FindingCode, n: int, detail: str, spot: NDArray[np.float64]) -> None:
+        place = anchors[n] + frames[n] @ spot + model.origin
+        building = model.building_ids[polygons.building[n]]
+        findings.add(code, building, detail, polygon=int(outer[n]), place=tuple(place.tolist()))
+
+    for n in np.flatnonzero(~shapely.is_valid(shapes) & has_area).tolist():
+        reason = str(shapely.is_valid_reason(shapes[n]))
+        code = next((code for start, code in _REASONS if reason.startswith(start)), RING_SELF_CONTACT)
+        own = rings[polygons.polygon_starts[n] : polygons.polygon_starts[n + 1]]
+        if code is RINGS_INTERSECT and not shapely.is_simple(own).all():
+            code = RING_SELF_CONTACT
+        elif code is RINGS_INTERSECT and any(
+            shapely.equals(own[k], own[k + 1 :]).any() for k in range(len(own))
+        ):
+            code = RINGS_EQUAL
+        found = _PLACE.search(reason)
+        spot = np.zeros(2) if found is None else np.array([float(found[1]), float(found[2])])
+        add(code, n, reason.partition("[")[0].strip().lower(), spot)
+    is_hole = np.ones(len(lengths), np.bool_)
+    is_hole[polygons.polygon_starts[:-1]] = False
+    is_turned = is_hole & shapely.is_ccw(rings) & has_area[ring_polygon]
+    for n in np.unique(ring_polygon[is_turned]).tolist():
+        add(HOLE_TURNED, n, "a hole runs the way of its outline", np.zeros(2))
+
+
+def check_parts(model: CityModel, findings: Findings) -> None:
+    """Adds parts of a building whose insides overlap for certain.
+
+    Seen from above, between the lowest point of each part and the lowest point of its roof: what overlaps
+    there overlaps whatever the shape of the roofs.
+
+    Args:
+        model: The city.
+        findings: Receives one finding per pair of parts.
+    """
+    import shapely
+
+    if model.objects is None or model.polygons.part is None:
+        return
+    for lod in model.lods:
+        plans, owner, bottom, top = part_blocks(model, lod)
+        if len(owner) < 2:
+            continue
+        tree = shapely.STRtree(plans)
+        first, second = tree.query(plans, predicate="intersects")
+        building = model.objects.building[owner]
+        is_pair = (owner[first] < owner[second]) & (building[first] == building[second])
+        first, second = first[is_pair], second[is_pair]
+        shared = shapely.intersection(plans[first], plans[second])
+        areas = shapely.area(shared)
+        a, b = owner[first], owner[second]
+        heights = np.minimum(top[a], top[b]) - np.maximum(bottom[a], bottom[b])
+        for n in np.flatnonzero((areas > _MIN_OVERLAP_M2) & (heights > _MIN_OVERLAP_M)).tolist():
+            names = model.objects.ids[a[n]], model.objects.ids[b[n]]
+            spot = shapely.get_coordinates(shapely.point_on_surface(shared[n]))[0]
+            place = np.array([*spot, max(bottom[a[n]], bottom[b[n]])]) + model.origin
+            findings.add(
+                PARTS_OVERLAP,
+                model.building_ids[int(building[first[n]])],
+                f"LoD{lod}: {names[0]} and {names[1]}, {areas[n]:.2f} m2 over {heights[n]:.2f} m",
+                place=tuple(place.tolist()),
+            )
