@@ -33,7 +33,7 @@ from lodbench.evaluation.predictions import Prediction
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness.runs.predict import Work, predict
 from lodbench.harness.runs.prepare import Preparation
-from lodbench.harness.runs.requirements import needs_segmenter
+from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.protocol import Streams, SupportsPriorWidth
@@ -85,8 +85,8 @@ class Views:
     ) -> tuple[pd.DataFrame, dict[str, Prediction]]:
         """Returns what a method makes of the views: the evaluated queries, and the predictions."""
         entries = self.dataset.entries
-        needs_mask = needs_segmenter(method)
-        preparation = Preparation(self.dataset, city_map.scene, self.segmenter, tilt, needs_mask)
+        needs = segmented_inputs(method)
+        preparation = Preparation(self.dataset, city_map.scene, self.segmenter, tilt, needs)
         with tempfile.TemporaryDirectory() as scratch:
             work = _ViewsWork(
                 method=method,
@@ -95,7 +95,7 @@ class Views:
                 renderer="silhouette",
                 threads=None,
                 tilt=tilt,
-                needs_mask=needs_mask,
+                needs=needs,
                 seed=self.seed,
                 params=None,
                 inputs={},

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, QueryFault
 from lodbench.evaluation.predictions import Prediction, encoded_mask
@@ -52,7 +53,7 @@ class Work:
         renderer: Name of the renderer.
         threads: Threads of the renderer; None for one per core.
         tilt: As for ``Preparation``.
-        needs_mask: As for ``Preparation``.
+        needs: As for ``Preparation``.
         seed: Of the random streams.
         params: The method's parameters, as JSON values.
         inputs: Digests of the run's inputs.
@@ -65,7 +66,7 @@ class Work:
     renderer: str
     threads: int | None
     tilt: str
-    needs_mask: bool
+    needs: frozenset[Input]
     seed: int
     params: object
     inputs: dict[str, str]
@@ -139,7 +140,7 @@ def _open_here(work: Work) -> None:
     if scene_digest(city.scene) != work.inputs["scene"]:
         reason = f"{dataset.city_model} is another city for a worker, or has changed since the start."
         raise DatasetError(reason, "Let all workers see the same files.")
-    preparation = Preparation(dataset, city.scene, work.segmenter, work.tilt, work.needs_mask)
+    preparation = Preparation(dataset, city.scene, work.segmenter, work.tilt, work.needs)
     city_map = CityMap(city.scene, work.renderer, work.threads)
     # It finds prepared what the run's own process prepared.
     prepare_method(work.method, work.params, work.inputs, city_map, dataset.references, work.folder)

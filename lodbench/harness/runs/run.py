@@ -116,7 +116,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         settings.renderer,
         settings.threads,
         settings.tilt,
-        preparation.needs_mask,
+        preparation.needs,
         settings.seed,
         settings.config.get("method"),
         inputs,
