@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap.usage import MapUsage
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, ViewEdges, make_renderer
 from lodbench.rendering.bits import Words
@@ -18,6 +19,7 @@ from lodbench.rendering.projection import require_poses, view_planes, visible_bu
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.rendering.textured import TexturedRenderer
 from lodbench.storage import random_stream
 from lodbench.synthesis.photo import PLAIN_LOOK, PhotoRenderer, draw_look
 
@@ -37,6 +39,8 @@ class CityMap:
         renderer: Who draws silhouettes, one of ``lodbench.rendering.RENDERERS``, and depth if it can;
             all else is drawn by the engine that does so fastest.
         threads: Worker threads; None for one per core.
+        textured: A textured map of the place, in the scene's frame, for ``colour``; see
+            ``lodbench.citymodel.texture_files.open_textured_map``.
 
     Attributes:
         scene: The city.
@@ -49,13 +53,25 @@ class CityMap:
             camera has lens distortion or is wider than 8192 pixels, or a pose is not finite.
     """
 
-    def __init__(self, scene: Scene, renderer: str = "silhouette", threads: int | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        renderer: str = "silhouette",
+        threads: int | None = None,
+        textured: TexturedMesh | None = None,
+    ) -> None:
         self.scene = scene
+        self._textured_mesh = textured
         self.usage = MapUsage()
         self._threads = threads
         self._scorer = make_renderer(renderer, scene, threads)
         self.name = self._scorer.name
         self.threads = int(getattr(self._scorer, "threads", 1))
+
+    @property
+    def is_textured(self) -> bool:
+        """Returns whether ``colour`` shows photographed surfaces."""
+        return self._textured_mesh is not None
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from one pose."""
@@ -102,8 +118,13 @@ class CityMap:
         return self._raster.normals(camera, rotations, centers)
 
     def colour(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
-        """Returns (N, H, W, 3) RGB pictures: walls, windows and roofs as made up, in a clear noon's sun."""
+        """Returns (N, H, W, 3) RGB pictures of the textured map, or where there is none, of made-up surfaces.
+
+        Those are walls with windows, and roofs, in a clear noon's sun.
+        """
         self.usage.add("colour", len(centers))
+        if self._textured is not None:
+            return self._textured.colours(camera, rotations, centers)
         look, development = draw_look(PLAIN_LOOK, random_stream(0, "city map", "colour"))
         photos = [self._photos.photo(camera, pose, look, development) for pose in _poses(rotations, centers)]
         return np.array(photos, dtype=np.uint8).reshape(-1, camera.height, camera.width, 3)
@@ -148,6 +169,11 @@ class CityMap:
     @cached_property
     def _raster(self) -> RasterRenderer:
         return RasterRenderer(self.scene, self._threads)
+
+    @cached_property
+    def _textured(self) -> TexturedRenderer | None:
+        mesh = self._textured_mesh
+        return None if mesh is None else TexturedRenderer(mesh, self._threads)
 
     @cached_property
     def _photos(self) -> PhotoRenderer:

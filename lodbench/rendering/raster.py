@@ -107,7 +107,7 @@ class RasterRenderer:
         def resolve(view: int, band: Band, buffer: Buffer) -> None:
             resolve_depth(band, buffer, depths[view])
 
-        self._draw_views(camera, rotations, centers, resolve)
+        self.draw_views(camera, rotations, centers, resolve)
         return depths
 
     def normals(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
@@ -117,7 +117,7 @@ class RasterRenderer:
         def resolve(view: int, band: Band, buffer: Buffer) -> None:
             resolve_normals(self._mesh, centers[view], band, buffer, normals[view])
 
-        self._draw_views(camera, rotations, centers, resolve)
+        self.draw_views(camera, rotations, centers, resolve)
         return normals
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
@@ -133,11 +133,11 @@ class RasterRenderer:
     def draw_bands(self, camera: Camera, pose: Pose, resolve: Callable[[Band, Buffer], None]) -> None:
         """Draws a view band by band and hands each to ``resolve``; see ``Band``."""
         rotation, center = pose_arrays(pose)
-        self._draw_views(
+        self.draw_views(
             camera, rotation[None], center[None], lambda _view, band, buffer: resolve(band, buffer)
         )
 
-    def _draw_views(
+    def draw_views(
         self,
         camera: Camera,
         rotations: Floats,

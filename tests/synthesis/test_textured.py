@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import open_scene
+from lodbench.citymodel.texture_files import read_textured
+from lodbench.citymodel.textured_mesh import offset_to_city
 from lodbench.errors import DatasetError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.storage import random_stream
 from lodbench.synthesis.photo import PLAIN_LOOK, PhotoRenderer, draw_look
 from lodbench.synthesis.training_data.generate import generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
-from lodbench.synthesis.training_data.texture_files import offset_to_city, read_textured
 from tests.synthesis.conftest import SMALL, WHOLE
 
 CAMERA = Camera(200, 160, 190.0, 190.0, 100.0, 80.0)

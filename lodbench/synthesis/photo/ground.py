@@ -7,12 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.rendering.compiled import per_pixel
 from lodbench.synthesis.objects.scene_props import SurfaceClass
-from lodbench.synthesis.photo.compiled import per_pixel
 from lodbench.synthesis.photo.noise import detail, grain, mix, scaled, stripe, unit_hash, value_noise
 
 # Ground whose class, cell by cell, is in a ``LandCover``.
 LAND_COVER = np.uint8(255)
+# Surfaces that carry their own light: those of a textured mesh.
+TEXTURED = np.uint8(254)
 _LAST = 200
 
 _GROUND, _GRASS, _FIELD = int(SurfaceClass.GROUND), int(SurfaceClass.GRASS), int(SurfaceClass.FIELD)

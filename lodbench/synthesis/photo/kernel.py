@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.synthesis.photo.compiled import per_pixel, pixel_loop
+from lodbench.rendering.compiled import per_pixel, pixel_loop
+from lodbench.rendering.texture_charts import texture_light
+from lodbench.synthesis.photo.ground import TEXTURED
 from lodbench.synthesis.photo.noise import mix
 from lodbench.synthesis.photo.sunlight import sun_share
 from lodbench.synthesis.photo.surfaces import surface_colour
-from lodbench.synthesis.photo.textured import TEXTURED, texture_light
 
 _TEXTURED = int(TEXTURED)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.synthesis.photo.compiled import per_pixel
+from lodbench.rendering.compiled import per_pixel
 
 _MASK = 0xFFFFFFFF
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.angles import blender_from_opencv
 from lodbench.rendering.projection import require_pinhole
@@ -14,7 +15,6 @@ from lodbench.rendering.pyrender_backend import gl_target, import_pyrender
 from lodbench.synthesis.photo.camera_response import apply_camera_response
 from lodbench.synthesis.photo.look import CameraResponse, Look
 from lodbench.synthesis.photo.surfaces import linear
-from lodbench.synthesis.photo.textured import TexturedMesh
 
 
 class PyrenderPhotos:

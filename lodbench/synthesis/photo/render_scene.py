@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_mesh import TexturedMesh
+from lodbench.rendering.texture_charts import Charts, make_charts
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
-from lodbench.synthesis.photo.ground import LAND_COVER
+from lodbench.synthesis.photo.ground import LAND_COVER, TEXTURED
 from lodbench.synthesis.photo.surfaces import linear
-from lodbench.synthesis.photo.textured import TEXTURED, Charts, TexturedMesh, make_charts
 
 Floats = NDArray[np.float64]
 

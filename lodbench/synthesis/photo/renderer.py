@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
@@ -17,7 +18,6 @@ from lodbench.synthesis.photo.look import CameraResponse, Look
 from lodbench.synthesis.photo.render_scene import make_render_scene
 from lodbench.synthesis.photo.sunlight import SunMap, draw_sun_map, ground_in_view, no_sun_map
 from lodbench.synthesis.photo.surfaces import palettes
-from lodbench.synthesis.photo.textured import TexturedMesh
 
 # Side of the shadow map, pixels: of the largest one each is half a metre where 450 m are in view.
 _LEAST_SUN_MAP, _MOST_SUN_MAP = 512, 1536

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.geometry import Camera, Pose
+from lodbench.rendering.compiled import per_pixel
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.synthesis.photo.compiled import per_pixel
 
 Floats = NDArray[np.float64]
 

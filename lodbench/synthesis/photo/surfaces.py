@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.rendering.compiled import per_pixel
 from lodbench.synthesis.objects.scene_props import SurfaceClass
-from lodbench.synthesis.photo.compiled import per_pixel
 from lodbench.synthesis.photo.ground import ground_colour
 from lodbench.synthesis.photo.noise import detail, grain, mix, scaled, stripe, unit_hash, value_noise
 

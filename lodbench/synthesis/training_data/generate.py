@@ -14,6 +14,8 @@ import numpy as np
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.texture_files import read_textured
+from lodbench.citymodel.textured_mesh import offset_to_city
 from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
@@ -26,7 +28,6 @@ from lodbench.synthesis.training_data.contact_sheet import SHEET_FILE, write_she
 from lodbench.synthesis.training_data.manifest import begin_manifest, finish_manifest
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
-from lodbench.synthesis.training_data.texture_files import offset_to_city, read_textured
 from lodbench.synthesis.training_data.view_writer import PictureParts, ViewWriter, files_of, is_written
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.texture_files import read_textured
+from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pictures import encoded, encoded_mask
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
@@ -17,10 +19,8 @@ from lodbench.storage import random_stream, write_bytes
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import CameraResponse, LandCover, Look, PhotoRenderer, draw_look
 from lodbench.synthesis.photo.pyrender_photo import PyrenderPhotos
-from lodbench.synthesis.photo.textured import TexturedMesh
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView
-from lodbench.synthesis.training_data.texture_files import read_textured
 
 _MOST = 65535
 

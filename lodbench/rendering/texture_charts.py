@@ -1,44 +1,21 @@
-"""Textured meshes: photogrammetry of the place itself, looked up with correct perspective and mip maps."""
+"""Textures for the raster: where each triangle lies on its picture, and looking a place up there.
+
+With correct perspective, bilinear, and from pictures halved as often as the view is far (mip maps).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.synthesis.photo.compiled import per_pixel
-
-# Surfaces that carry their own light; see ``Skin.surface``.
-TEXTURED = np.uint8(254)
+from lodbench.citymodel.textured_mesh import TexturedMesh
+from lodbench.rendering.compiled import per_pixel
 
 # A texture is halved so often at most, and not below this side.
 _LEVELS, _LEAST_SIDE = 8, 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TexturedMesh:
-    """Triangles with textures or colours, in the local metric frame.
-
-    Attributes:
-        corners: (T, 3, 3) float64, metres.
-        uv: (T, 3, 2) float64 texture coordinates; (0, 0) is a picture's lower left corner.
-        picture: (T,) int32 number of the texture, or -1 for ``colours``.
-        colours: (T, 3, 3) uint8 RGB of the corners, where there is no texture.
-        pictures: The textures, (H, W, 3) uint8 RGB.
-    """
-
-    corners: NDArray[np.float64]
-    uv: NDArray[np.float64]
-    picture: NDArray[np.int32]
-    colours: NDArray[np.uint8]
-    pictures: tuple[NDArray[np.uint8], ...]
-
-    def shifted(self, offset_m: NDArray[np.float64]) -> TexturedMesh:
-        """Returns the mesh moved by (3,) metres."""
-        return TexturedMesh(self.corners + offset_m, self.uv, self.picture, self.colours, self.pictures)
 
 
 class Charts(NamedTuple):
@@ -118,7 +95,15 @@ def _pyramids(
 
 @per_pixel
 def texture_light(row, x, y, z, pixel_m, charts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the linear RGB of a textured triangle at a point.
+    """Returns the linear RGB of a textured triangle at a point; arguments as for ``texture_colour``."""
+    red, green, blue = texture_colour(row, x, y, z, pixel_m, charts)
+    scale = 1.0 / 65025.0
+    return red * red * scale, green * green * scale, blue * blue * scale
+
+
+@per_pixel
+def texture_colour(row, x, y, z, pixel_m, charts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the RGB of a textured triangle at a point, 0 to 255.
 
     Args:
         row: Of the triangle in the charts.
@@ -135,8 +120,7 @@ def texture_light(row, x, y, z, pixel_m, charts):  # type: ignore[no-untyped-def
     picture = charts.picture[row]
     if picture < 0:
         c = start[row, 2, 0] + slope[row, 2, 0] * dx + slope[row, 2, 1] * dy + slope[row, 2, 2] * dz
-        scale = 1.0 / 65025.0
-        return a * a * scale, b * b * scale, c * c * scale
+        return a, b, c
     # The coarser direction decides the size of the texture to look at.
     across = np.sqrt(slope[row, 0, 0] ** 2 + slope[row, 0, 1] ** 2 + slope[row, 0, 2] ** 2)
     along = np.sqrt(slope[row, 1, 0] ** 2 + slope[row, 1, 1] ** 2 + slope[row, 1, 2] ** 2)
@@ -158,5 +142,4 @@ def texture_light(row, x, y, z, pixel_m, charts):  # type: ignore[no-untyped-def
         red += weight * charts.texels[place]
         green += weight * charts.texels[place + 1]
         blue += weight * charts.texels[place + 2]
-    scale = 1.0 / 65025.0
-    return red * red * scale, green * green * scale, blue * blue * scale
+    return red, green, blue

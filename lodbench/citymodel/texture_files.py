@@ -1,0 +1,213 @@
+"""Reading textured maps: OBJ with materials, glTF, PLY with colours, CityGML with appearances, tiles."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.gml_textured import read_gml_textures
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS, TextureFolder, pixels_of
+from lodbench.citymodel.textured_mesh import TexturedMesh, join_textured, offset_to_city
+from lodbench.errors import DatasetError, LodbenchError
+
+_MESHES = (".obj", ".glb", ".gltf", ".ply")
+_CITIES = (".gml", ".xml", ".citygml")
+# What has neither texture nor colour.
+_GREY = 170
+
+
+def open_textured_map(
+    path: Path, scene: Scene, up_axis: str = "auto", options: ReadOptions | None = None
+) -> TexturedMesh:
+    """Returns the textured map of a city's place, in the scene's frame; its notes say how it lay.
+
+    Args:
+        path: As for ``read_textured``.
+        scene: The city it must lie over.
+        up_axis: As for ``read_textured``.
+        options: How to read CityGML.
+
+    Raises:
+        DatasetError: As for ``read_textured``, or it lies elsewhere.
+        CityModelError: As for ``read_textured``.
+    """
+    mesh = read_textured(path, up_axis, options)
+    offset, note = offset_to_city(mesh, scene, path.name)
+    moved = mesh.shifted(offset)
+    return TexturedMesh(
+        moved.corners, moved.uv, moved.picture, moved.colours, moved.pictures, (note, *moved.notes)
+    )
+
+
+def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None = None) -> TexturedMesh:
+    """Returns a textured mesh, in the coordinates of its file, z up.
+
+    Files that it names lie beside or below it; others, and the network, are refused.
+
+    Args:
+        path: OBJ, glTF, PLY or CityGML, or a folder of such tiles, all in the same coordinates.
+        up_axis: ``y``, ``z``, or ``auto``: y for glTF, z for the others.
+        options: How to read CityGML: ``crs`` and ``axis_order``.
+
+    Raises:
+        DatasetError: It is missing, unreadable, of another kind, too large, or files it names are missing
+            or lie outside; the message lists them.
+        CityModelError: It is CityGML that cannot be read.
+    """
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
+        if not files:
+            raise DatasetError(
+                f"{path} holds no textured mesh.", f"Looked for {', '.join(_MESHES + _CITIES)}."
+            )
+        parts = [_read_file(file, path, up_axis, options or ReadOptions()) for file in files]
+    else:
+        parts = [_read_file(path, path.parent, up_axis, options or ReadOptions())]
+    mesh = join_textured(parts)
+    pixels = sum(picture.shape[0] * picture.shape[1] for picture in mesh.pictures)
+    if pixels > MAX_ALL_PIXELS:
+        raise DatasetError(
+            f"The pictures of {path} have {pixels / 1e9:.1f} gigapixels; {MAX_ALL_PIXELS / 1e9:.1f} are held "
+            "at once.",
+            "Take the tiles round your queries only, or save the pictures smaller.",
+        )
+    return mesh
+
+
+def _read_file(path: Path, root: Path, up_axis: str, options: ReadOptions) -> TexturedMesh:
+    suffix = path.suffix.lower()
+    if not path.is_file() or suffix not in _MESHES + _CITIES:
+        what = "is no textured mesh" if path.is_file() else "does not exist"
+        raise DatasetError(f"{path} {what}.", f"It takes {', '.join(_MESHES + _CITIES)}, or a folder.")
+    folder = TextureFolder(root, path.parent)
+    if suffix in _CITIES:
+        return read_gml_textures(path, folder, options)
+    mesh = _read_mesh(path, folder)
+    if up_axis == "y" or (up_axis == "auto" and suffix in (".glb", ".gltf")):
+        x, y, z = np.moveaxis(mesh.corners, 2, 0)
+        corners = np.stack([x, -z, y], axis=2)
+        mesh = TexturedMesh(corners, mesh.uv, mesh.picture, mesh.colours, mesh.pictures)
+    return mesh
+
+
+def _read_mesh(path: Path, folder: TextureFolder) -> TexturedMesh:
+    import trimesh
+
+    others, pictures = _named_files(path, folder)
+    missing = [name for name in (*others, *pictures) if folder.path(name) is None]
+    if missing:
+        raise DatasetError(
+            f"{path.name} names files that are not there: {', '.join(missing)}.",
+            f"Put them into {path.parent}, or mend the names.",
+        )
+    for name in pictures:
+        folder.check_picture(name)
+    try:
+        # From memory, so that what else is opened goes through the resolver.
+        loaded = trimesh.load_scene(
+            io.BytesIO(path.read_bytes()),
+            file_type=path.suffix.lower()[1:],
+            process=False,
+            resolver=_resolver(folder),
+        )
+        parts = [_part(loaded, node) for node in loaded.graph.nodes_geometry]
+    except LodbenchError:
+        raise
+    except Exception as error:  # trimesh lets the errors of every parser it uses through
+        raise DatasetError(f"{path} cannot be read as a mesh ({error}).", "Try it in a viewer.") from None
+    if not parts:
+        raise DatasetError(f"{path} has no triangles.", "A point cloud has no surface to picture.")
+    mesh = join_textured(parts)
+    if not (np.isfinite(mesh.corners).all() and np.isfinite(mesh.uv).all()):
+        raise DatasetError(f"{path} has coordinates that are not finite.", "Repair or export it again.")
+    return mesh
+
+
+def _resolver(folder: TextureFolder) -> Any:
+    """Returns trimesh's way to other files, closed to all but a folder's."""
+    from trimesh.resolvers import Resolver
+
+    class FolderResolver(Resolver):
+        def __init__(self) -> None:
+            pass
+
+        def get(self, key: str) -> bytes:
+            return folder.read(key)
+
+        def write(self, name: str, data: Any) -> None:
+            raise NotImplementedError
+
+        def namespaced(self, namespace: str) -> Any:
+            return _resolver(folder.below(namespace))
+
+        def keys(self) -> list[str]:
+            return []
+
+    return FolderResolver()
+
+
+def _named_files(path: Path, folder: TextureFolder) -> tuple[list[str], list[str]]:
+    """Returns the files that a mesh file names: materials and buffers, and pictures."""
+    suffix = path.suffix.lower()
+    if suffix == ".gltf":
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            found = [
+                [str(entry.get("uri", "")) for entry in content.get(k, [])] for k in ("buffers", "images")
+            ]
+        except (ValueError, AttributeError, TypeError):
+            return [], []  # the reader says what is wrong
+        others, pictures = ([uri for uri in uris if uri and not uri.startswith("data:")] for uris in found)
+        return sorted(set(others)), sorted(set(pictures))
+    if suffix != ".obj":
+        return [], []
+    libraries, named = sorted(set(_after(path, "mtllib"))), set()
+    for library in libraries:
+        file = folder.path(library)
+        textures = [] if file is None else _after(file, "map_Kd")
+        parent = PurePosixPath(library.replace("\\", "/")).parent.as_posix()
+        named |= {name if parent == "." else f"{parent}/{name}" for name in textures}
+    return libraries, sorted(named)
+
+
+def _after(path: Path, keyword: str) -> list[str]:
+    """Returns what follows a keyword on its lines; of a texture with options, the last word."""
+    found = []
+    with path.open(encoding="latin-1") as stream:
+        for line in stream:
+            words = line.strip().split(maxsplit=1)
+            if len(words) == 2 and words[0] == keyword:
+                found.append(words[1].split()[-1] if words[1].startswith("-") else words[1])
+    return found
+
+
+def _part(loaded: Any, node: str) -> TexturedMesh:
+    """Returns one node of a trimesh scene, set in place."""
+    transform, name = loaded.graph[node]
+    part = loaded.geometry[name]
+    corners = np.asarray(part.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
+    faces = np.asarray(part.faces)
+    material = getattr(part.visual, "material", None)
+    image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+    uv = getattr(part.visual, "uv", None)
+    count = len(faces)
+    if image is not None and uv is not None:
+        blank = np.zeros((count, 3, 3), dtype=np.uint8)
+        coordinates = np.asarray(uv, np.float64)[:, :2][faces]
+        numbers = np.zeros(count, np.int32)
+        return TexturedMesh(corners[faces], coordinates, numbers, blank, (pixels_of(image, name),))
+    if material is not None:
+        colours = np.broadcast_to(np.asarray(material.main_color)[:3], (count, 3, 3))
+    elif part.visual.defined:
+        colours = np.asarray(part.visual.vertex_colors)[:, :3][faces]
+    else:
+        colours = np.full((count, 3, 3), _GREY)
+    none: NDArray[np.int32] = np.full(count, -1, dtype=np.int32)
+    return TexturedMesh(corners[faces], np.zeros((count, 3, 2)), none, colours.astype(np.uint8), ())

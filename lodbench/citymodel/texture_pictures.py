@@ -1,0 +1,128 @@
+"""Pictures named by files from strangers: none from outside of their folder, none too large."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import DatasetError
+
+T = TypeVar("T")
+
+_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
+# One picture, its file and its pixels; and the pixels of all pictures of a map, which are held at once.
+_MAX_FILE_BYTES, _MAX_PIXELS = 1 << 29, 1 << 27
+MAX_ALL_PIXELS = 1 << 30
+
+
+class TextureFolder:
+    """The files below a folder, by the names that a mesh file gives them.
+
+    Args:
+        root: Nothing outside of it is opened, whatever a name or a link says.
+        base: Where names start from.
+    """
+
+    def __init__(self, root: Path, base: Path) -> None:
+        self._root, self._base = root.resolve(), base
+
+    def path(self, name: str) -> Path | None:
+        """Returns the file of a name, or None where there is none.
+
+        Raises:
+            DatasetError: The name leads out of the folder, or to a network.
+        """
+        plain = unquote(name).replace("\\", "/").strip()
+        path = self._base / plain
+        try:
+            is_inside = path.resolve().is_relative_to(self._root)
+            is_file = is_inside and path.is_file()
+        except (OSError, ValueError):  # a name too long, or with a NUL
+            return None
+        if "://" in plain or not is_inside:
+            raise DatasetError(
+                f"{name[:120]!r} leads out of the folder {self._root}.",
+                "Put all files of a textured map into one folder, and name them as they lie there.",
+            )
+        return path if is_file else None
+
+    def below(self, name: str) -> TextureFolder:
+        """Returns the same folder, for names that start from one within it."""
+        return TextureFolder(self._root, self._base / name)
+
+    def read(self, name: str) -> bytes:
+        """Returns a file's content.
+
+        Raises:
+            DatasetError: There is no such file, it lies outside, or it is too large.
+        """
+        path = self.path(name)
+        if path is None:
+            raise DatasetError(f"{name[:120]!r} is not there.", f"Put it into {self._base}.")
+        if path.stat().st_size > _MAX_FILE_BYTES:
+            raise DatasetError(f"{path} is larger than {_MAX_FILE_BYTES >> 20} MiB.", "Cut it into tiles.")
+        return path.read_bytes()
+
+    def picture(self, name: str) -> NDArray[np.uint8]:
+        """Returns a picture's (H, W, 3) RGB pixels.
+
+        Raises:
+            DatasetError: As for ``read``, it is no picture, or has too many pixels.
+        """
+        return self._opened(name, lambda image: pixels_of(image, name))
+
+    def check_picture(self, name: str) -> None:
+        """Makes sure by its header that ``picture`` can take a file.
+
+        Raises:
+            DatasetError: As for ``picture``.
+        """
+        self._opened(name, lambda image: require_size(image, name))
+
+    def _opened(self, name: str, look: Callable[[Any], T]) -> T:
+        """Returns what a look at a picture, not decoded yet, finds."""
+        from PIL import Image
+
+        content = self.read(name)
+        try:
+            # Its own limit is told in other words, and far lower.
+            with warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning):
+                with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
+                    return look(image)
+        except DatasetError:
+            raise
+        except Exception as error:  # Pillow lets the errors of every decoder through
+            raise DatasetError(
+                f"{name[:120]!r} cannot be read as a picture ({error}).", f"One of {', '.join(_FORMATS)}."
+            ) from None
+
+
+def require_size(image: Any, name: str) -> None:
+    """Makes sure that a Pillow image is not too large to be held.
+
+    Raises:
+        DatasetError: It has too many pixels.
+    """
+    width, height = image.size
+    if width * height > _MAX_PIXELS:
+        raise DatasetError(
+            f"{name[:120]!r} has {width} x {height} pixels, more than {_MAX_PIXELS >> 20} million.",
+            "Cut the map into tiles, or save its pictures smaller.",
+        )
+
+
+def pixels_of(image: Any, name: str) -> NDArray[np.uint8]:
+    """Returns the (H, W, 3) RGB pixels of a Pillow image, which is decoded only now.
+
+    Raises:
+        DatasetError: It has too many pixels.
+    """
+    require_size(image, name)
+    return np.asarray(image.convert("RGB"), dtype=np.uint8)

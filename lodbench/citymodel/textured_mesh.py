@@ -1,0 +1,103 @@
+"""Textured triangles: a city with photographed surfaces, as every reader of such files hands it over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import DatasetError
+
+Floats = NDArray[np.float64]
+
+# Share of the smaller of two plans that must lie on the other for both to be of one place.
+_LEAST_OVERLAP = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TexturedMesh:
+    """Triangles with textures or colours, east, north, up in metres.
+
+    Attributes:
+        corners: (T, 3, 3) float64, metres.
+        uv: (T, 3, 2) float64 texture coordinates; (0, 0) is a picture's lower left corner, and what is
+            outside of 0 to 1 repeats the picture.
+        picture: (T,) int32 number of the texture, or -1 for ``colours``.
+        colours: (T, 3, 3) uint8 RGB of the corners, where there is no texture.
+        pictures: The textures, (H, W, 3) uint8 RGB.
+        notes: What was met while reading, a line each.
+    """
+
+    corners: Floats
+    uv: Floats
+    picture: NDArray[np.int32]
+    colours: NDArray[np.uint8]
+    pictures: tuple[NDArray[np.uint8], ...]
+    notes: tuple[str, ...] = ()
+
+    def shifted(self, offset_m: Floats) -> TexturedMesh:
+        """Returns the mesh moved by (3,) metres."""
+        return replace(self, corners=self.corners + offset_m)
+
+    def in_order(self, order: NDArray[np.int64]) -> TexturedMesh:
+        """Returns the mesh of some of its triangles, in an order."""
+        return replace(
+            self,
+            corners=self.corners[order],
+            uv=self.uv[order],
+            picture=self.picture[order],
+            colours=self.colours[order],
+        )
+
+
+def join_textured(parts: Sequence[TexturedMesh]) -> TexturedMesh:
+    """Returns one or more meshes, all in the same coordinates, as one."""
+    starts = np.cumsum([0, *[len(part.pictures) for part in parts[:-1]]])
+    numbers = [
+        np.where(part.picture < 0, -1, part.picture + start)
+        for part, start in zip(parts, starts, strict=True)
+    ]
+    return TexturedMesh(
+        np.concatenate([part.corners for part in parts]),
+        np.concatenate([part.uv for part in parts]),
+        np.concatenate(numbers).astype(np.int32),
+        np.concatenate([part.colours for part in parts]),
+        tuple(picture for part in parts for picture in part.pictures),
+        tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+    )
+
+
+def offset_to_city(mesh: TexturedMesh, scene: Scene, name: str) -> tuple[Floats, str]:
+    """Returns what brings a mesh into a scene's frame, (3,) metres, and what was found out about it.
+
+    Its coordinates may be the city's, or the scene's local ones; where it lies over the city decides.
+
+    Raises:
+        DatasetError: It lies over the city in neither.
+    """
+    low, high = scene.extent_m
+    found = []
+    for frame, offset in (("the city's coordinates", -scene.origin), ("local coordinates", np.zeros(3))):
+        points = mesh.corners.reshape(-1, 3) + offset
+        share = _overlap(points.min(axis=0), points.max(axis=0), low, high)
+        if share >= _LEAST_OVERLAP:
+            return offset, f"{name} is in {frame}; {share:.0%} of the smaller plan overlap"
+        found.append(f"{share:.0%} in {frame}")
+    box = mesh.corners.reshape(-1, 3)
+    raise DatasetError(
+        f"{name} is not where the city is: their plans overlap {', '.join(found)}. It spans x "
+        f"{box[:, 0].min():.0f} to {box[:, 0].max():.0f}, y {box[:, 1].min():.0f} to {box[:, 1].max():.0f}.",
+        "Move it into the city's coordinates, or set texture_up=y or z if it lies on its side.",
+    )
+
+
+def _overlap(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
+    """Returns the common share of the smaller of two plans; 0 where their heights have nothing in common."""
+    common = np.minimum(high, other_high) - np.maximum(low, other_low)
+    if (common[:2] <= 0).any() or common[2] < 0:
+        return 0.0
+    areas = [float((b - a)[:2].prod()) for a, b in ((low, high), (other_low, other_high))]
+    return float(common[:2].prod()) / max(min(areas), 1e-9)
