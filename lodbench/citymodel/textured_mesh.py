@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -51,6 +52,21 @@ class TexturedMesh:
             picture=self.picture[order],
             colours=self.colours[order],
         )
+
+    def digest(self) -> str:
+        """Returns a 16-digit hexadecimal fingerprint of triangles and pictures."""
+        state = hashlib.blake2b(digest_size=8)
+        arrays: list[NDArray[np.generic]] = [
+            self.corners,
+            self.uv,
+            self.picture,
+            self.colours,
+            *self.pictures,
+        ]
+        for array in arrays:
+            state.update(repr(array.shape).encode())
+            state.update(np.ascontiguousarray(array).tobytes())
+        return state.hexdigest()
 
 
 def join_textured(parts: Sequence[TexturedMesh]) -> TexturedMesh:

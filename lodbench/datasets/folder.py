@@ -30,6 +30,7 @@ from lodbench.datasets.pose_text import (
     read_poses,
 )
 from lodbench.datasets.query import Dataset, Entry
+from lodbench.datasets.references import read_references
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import write_text
@@ -54,6 +55,8 @@ class FolderParams:
         crs: CRS of the city model, where its file says none or a wrong one.
         roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
         name: Name to report.
+        references: Folder of posed pictures of the place, or None; see ``read_references``.
+        textured_map: Textured map of the place: a mesh, CityGML with appearances, or a folder of tiles.
     """
 
     root: str
@@ -62,13 +65,16 @@ class FolderParams:
     crs: str | None = None
     roof_height: str | None = None
     name: str = "folder"
+    references: str | None = None
+    textured_map: str | None = None
 
 
 def open_folder(params: FolderParams) -> Dataset:
     """Returns the dataset of a folder in the text layout.
 
     Raises:
-        DatasetError: The folder, a pose file or the city model is missing, or a line is malformed.
+        DatasetError: The folder, a pose file, the city model or the textured map is missing, a line is
+            malformed, or the references are not as ``read_references`` asks.
     """
     root = Path(params.root).expanduser()
     city = None if params.city_model is None else Path(params.city_model).expanduser()
@@ -76,6 +82,10 @@ def open_folder(params: FolderParams) -> Dataset:
         raise DatasetError(f"{root} is not a folder.", "Set dataset.root=FOLDER.")
     if city is not None and not city.exists():
         raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
+    textured = None if params.textured_map is None else Path(params.textured_map).expanduser()
+    if textured is not None and not textured.exists():
+        raise DatasetError(f"The textured map {textured} does not exist.", "Set dataset.textured_map=FILE.")
+    references = () if params.references is None else read_references(Path(params.references).expanduser())
     folders = [root] if _is_split(root) else _split_folders(root)
     names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]
     if folders != [root]:
@@ -93,6 +103,8 @@ def open_folder(params: FolderParams) -> Dataset:
         notes=tuple(note for _, _, notes in parts for note in notes),
         city_options=ReadOptions(crs=params.crs),
         roof_height=params.roof_height,
+        references=references,
+        textured_map=textured,
     )
 
 

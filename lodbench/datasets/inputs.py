@@ -74,6 +74,7 @@ def inputs_of(dataset: Dataset, entries: Sequence[Entry]) -> frozenset[Input]:
         Input.MASK: any(entry.mask is not None for entry in entries),
         Input.IMAGE: any(entry.image is not None for entry in entries),
         Input.REFERENCES: bool(dataset.references),
+        Input.TEXTURED_MAP: dataset.textured_map is not None,
         Input.TILT: Input.TILT not in dataset.assumed,
         Input.HEIGHT: Input.HEIGHT not in dataset.assumed,
         Input.MAP: dataset.city_model is not None,

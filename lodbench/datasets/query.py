@@ -123,6 +123,7 @@ class Dataset:
         photo_origin: East, north and height of the frame's zero in ``photo_crs``, or None.
         segmenter: Segmenter to run where none is named; None for masks, or photos, as there are.
         references: Pictures of the place whose poses are known; no queries.
+        textured_map: File or folder of a textured map, which ``CityMap.colour`` then shows; or None.
         assumed: Of ``tilt`` and ``height``, what the priors only assume: methods that require it do not run.
     """
 
@@ -144,6 +145,7 @@ class Dataset:
     photo_origin: tuple[float, ...] | None = None
     segmenter: str | None = None
     references: tuple[Reference, ...] = ()
+    textured_map: Path | None = None
     assumed: frozenset[str] = frozenset()
 
     def __repr__(self) -> str:

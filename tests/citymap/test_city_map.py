@@ -9,6 +9,7 @@ import pytest
 from few_blocks import CAMERA, blocks_scene, poses_around
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.errors import ConfigError, RenderingError
 from lodbench.geometry import EulerAngles, Pose, rotation_from_euler
 from lodbench.rendering import BoundaryFit, IouFit
@@ -188,3 +189,22 @@ def test_depth_agrees_with_open3d(city_map, scene):
     # Float32 rays miss or hit at edges only.
     assert differs.mean() < 2e-3
     assert (ours > 0).mean() > 0.2
+
+
+def test_colour_of_a_textured_map_is_its_textures(scene):
+    half, height = 60.0, 40.0
+    plan = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    corners = plan[[[0, 1, 2], [0, 2, 3]]]
+    corners = np.concatenate([corners, np.full((2, 3, 1), height)], axis=2)
+    picture = np.full((8, 8, 3), (12, 150, 210), dtype=np.uint8)
+    mesh = TexturedMesh(
+        corners, np.zeros((2, 3, 2)), np.zeros(2, np.int32), np.zeros((2, 3, 3), np.uint8), (picture,)
+    )
+    textured = CityMap(scene, threads=2, textured=mesh)
+    assert textured.is_textured
+    down = rotation_from_euler(EulerAngles(0.0, 0.0, 0.0))[None]
+    seen = textured.colour(CAMERA, down, np.array([[0.0, 0.0, 90.0]]))[0]
+    np.testing.assert_array_equal(seen[20:70, 30:90], np.broadcast_to((12, 150, 210), (50, 60, 3)))
+    # Geometry stays the city's: the textured map is what it looks like.
+    depth = textured.depth(CAMERA, down, np.array([[0.0, 0.0, 90.0]]))[0]
+    assert depth.max() > 60.0

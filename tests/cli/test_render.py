@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from lodbench.citymodel import open_scene
 from lodbench.datasets.pose_text import read_cameras, read_poses
+from lodbench.datasets.references import read_references
 from lodbench.rendering.raster import RasterRenderer
 from tests.town import write_dataset
 
@@ -185,3 +187,27 @@ def test_a_photo_that_is_none(render, tmp_path, layers):
     assert done.returncode == 2
     assert "view_00.png is no picture" in done.stderr
     assert not out.exists()
+
+
+def test_a_textured_map_is_drawn_and_its_pictures_serve_as_references(dataset, render, tmp_path):
+    root, city = dataset
+    low, high = open_scene(city).extent_m
+    (x0, y0), (x1, y1), z = low[:2], high[:2], low[2]
+    cv2.imwrite(str(tmp_path / "ground.png"), np.full((8, 8, 3), (40, 120, 200), dtype=np.uint8))
+    (tmp_path / "m.mtl").write_text("newmtl ground\nmap_Kd ground.png\n")
+    corners = ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
+    lines = ["mtllib m.mtl", "usemtl ground", *(f"v {x} {y} {z}" for x, y in corners)]
+    lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "f 1/1 2/2 3/3 4/4"]
+    (tmp_path / "map.obj").write_text("\n".join(lines) + "\n")
+    done, out = render("kind=colour", f"textured_map={tmp_path / 'map.obj'}")
+    assert done.returncode == 0, done.stderr
+    assert "map.obj is in" in done.stdout
+    references = read_references(out)
+    assert [r.name for r in references] == [
+        f"{Path(name).stem}.png" for name in read_poses(root / "GT_pose.txt")
+    ]
+    for reference in references:
+        assert (read(reference.image) == (40, 120, 200)).all(axis=2).mean() > 0.05
+    done, _ = render("kind=depth", f"textured_map={tmp_path / 'map.obj'}")
+    assert done.returncode == 2
+    assert "textured map" in done.stderr

@@ -6,16 +6,32 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lodbench.citymodel.options import ReadOptions
-from lodbench.datasets.pose_text import read_cameras, read_poses
-from lodbench.errors import DatasetError
+from lodbench.citymodel.texture_files import open_textured_map
+from lodbench.citymodel.textured_mesh import TexturedMesh
+from lodbench.datasets.pose_text import (
+    format_camera,
+    format_pose,
+    lines_to_text,
+    read_cameras,
+    read_poses,
+)
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.render.kinds import KINDS, View, choose_renderer
 from lodbench.rendering import open_renderer
 from lodbench.rendering.projection import require_pinhole
-from lodbench.reporting.overlays import is_readable_picture
+from lodbench.rendering.textured import TexturedRenderer
+from lodbench.reporting.overlays import is_readable_picture, write_picture
+from lodbench.storage import write_text
+
+# Kinds and renderers that can draw a textured map.
+_TEXTURED = (("colour", None), ("colour", "raster"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +49,7 @@ class RenderParams:
         lod: Level of detail, or None for the lowest.
         crs: CRS override, or None.
         roof_height: Rule by which an absent level 1 is derived, or None.
+        textured_map: Textured map to draw ``colour`` from, see ``open_textured_map``; or None.
         size: Width and height to scale to, or None for the camera's own.
     """
 
@@ -47,6 +64,7 @@ class RenderParams:
     crs: str | None = None
     roof_height: str | None = None
     size: tuple[int, int] | None = None
+    textured_map: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +105,11 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
         options: How to read the city; ``params.crs`` goes before its ``crs``.
 
     Raises:
-        LodbenchError: An input is missing or malformed, a pose has no camera or no photo, or the renderer
-            cannot draw the kind; nothing is written then.
+        LodbenchError: An input is missing or malformed, a pose has no camera or no photo, the renderer
+            cannot draw the kind, or the textured map lies elsewhere; nothing is written then.
     """
+    if params.textured_map is not None and (params.kind, params.renderer) not in _TEXTURED:
+        raise ConfigError("A textured map is drawn by kind=colour and the raster.", "Add kind=colour.")
     name, kind = choose_renderer(params.kind, params.renderer), KINDS[params.kind]
     shots = _shots(params)
     options = options or ReadOptions()
@@ -97,6 +117,9 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
     city = open_city(Path(params.city).expanduser(), params.lod, options, params.roof_height)
     renderer = open_renderer(name, city.scene)
     kind.check(city.scene)
+    if params.textured_map is not None:
+        mesh = open_textured_map(Path(params.textured_map).expanduser(), city.scene, options=options)
+        return _render_textured(mesh, shots, city.scene.origin, Path(params.out).expanduser(), city.notes())
     out = Path(params.out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
     files = kind.prepare(city.scene, out)
@@ -106,6 +129,29 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
             files += kind.write(View(renderer, shot.camera, pose, path, shot.photo))
             progress.advance()
     return Rendered(tuple(files), city.notes())
+
+
+def _render_textured(
+    mesh: TexturedMesh, shots: list[Shot], origin: NDArray[np.float64], out: Path, notes: tuple[str, ...]
+) -> Rendered:
+    """Draws a textured map, and writes poses and cameras beside it: the folder serves as references."""
+    out.mkdir(parents=True, exist_ok=True)
+    renderer, files = TexturedRenderer(mesh), []
+    with Progress("colour pictures", len(shots)) as progress:
+        for shot in shots:
+            pose, path = shot.pose.shifted(-origin), out / f"{Path(shot.name).stem}.png"
+            colour = renderer.colours(shot.camera, pose.rotation[None], pose.center[None])[0]
+            write_picture(path, np.ascontiguousarray(colour[:, :, ::-1]))
+            files.append(path)
+            progress.advance()
+    names = [path.name for path in files]
+    lines = {
+        "poses.txt": [format_pose(name, shot.pose) for name, shot in zip(names, shots, strict=True)],
+        "intrinsic.txt": [format_camera(name, shot.camera) for name, shot in zip(names, shots, strict=True)],
+    }
+    for name, content in lines.items():
+        write_text(out / name, lines_to_text(content))
+    return Rendered((*files, *(out / name for name in lines)), (*notes, *mesh.notes))
 
 
 def _shots(params: RenderParams) -> list[Shot]:

@@ -19,7 +19,7 @@ from lodbench.segmentation.masks import content_digest
 from lodbench.storage import digest_of, file_digest, write_text
 
 # What a workspace's content depends on, of a run's inputs.
-_PREPARED_FROM = ("scene", "code", "weights", "references")
+_PREPARED_FROM = ("scene", "code", "weights", "references", "textured_map")
 
 
 def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) -> dict[str, str]:

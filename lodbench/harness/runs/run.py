@@ -12,6 +12,8 @@ from typing import Any
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.texture_files import open_textured_map
+from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.pose_direction import require_direction
 from lodbench.datasets.prior_sources import prior_digest
@@ -96,7 +98,8 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     require_run_inputs(method, segmenter, dataset, entries)
     scene, dataset = _open_city(dataset)
     require_direction(dataset, entries, scene)
-    city_map = CityMap(scene, settings.renderer, settings.threads)
+    textured, dataset = _open_textured(dataset, scene)
+    city_map = CityMap(scene, settings.renderer, settings.threads, textured)
     preparation = Preparation(dataset, scene, segmenter, settings.tilt, segmented_inputs(method), city_map)
     inputs = {
         "scene": scene_digest(scene),
@@ -104,6 +107,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         "priors": prior_digest(entries),
         "masks": segmenter.fingerprint(entries) if can_segment(segmenter, dataset, entries) else "",
         "code": code_digest(method, segmenter),
+        **({} if textured is None else {"textured_map": textured.digest()}),
         **method_inputs(method, dataset, entries),
     }
     digest = digest_of({"config": settings.config, "inputs": inputs})
@@ -179,3 +183,11 @@ def _open_city(dataset: Dataset) -> tuple[Scene, Dataset]:
         raise ConfigError("There is no city model to localise against.", dataset.city_hint)
     city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
     return city.scene, replace(dataset, notes=dataset.notes + city.notes())
+
+
+def _open_textured(dataset: Dataset, scene: Scene) -> tuple[TexturedMesh | None, Dataset]:
+    """Returns a dataset's textured map in the scene's frame, or None, and what was met there as notes."""
+    if dataset.textured_map is None:
+        return None, dataset
+    mesh = open_textured_map(dataset.textured_map, scene, options=dataset.city_options)
+    return mesh, replace(dataset, notes=dataset.notes + mesh.notes)
