@@ -16,6 +16,7 @@ from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, ViewEdg
 from lodbench.rendering.bits import Words
 from lodbench.rendering.model_edges import EdgeFaces, edge_faces, edges_in_view
 from lodbench.rendering.projection import require_poses, view_planes, visible_buildings
+from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.silhouette import SilhouetteRenderer
@@ -36,7 +37,7 @@ class CityMap:
 
     Args:
         scene: The city.
-        renderer: Who draws silhouettes, one of ``lodbench.rendering.RENDERERS``, and depth if it can;
+        renderer: Who draws silhouettes, and depth if it can; pyrender also a textured map;
             all else is drawn by the engine that does so fastest.
         threads: Worker threads; None for one per core.
         textured: A textured map of the place, in the scene's frame, for ``colour``; see
@@ -171,9 +172,11 @@ class CityMap:
         return RasterRenderer(self.scene, self._threads)
 
     @cached_property
-    def _textured(self) -> TexturedRenderer | None:
+    def _textured(self) -> TexturedRenderer | PyrenderTextured | None:
         mesh = self._textured_mesh
-        return None if mesh is None else TexturedRenderer(mesh, self._threads)
+        if mesh is None:
+            return None
+        return PyrenderTextured(mesh) if self.name == "pyrender" else TexturedRenderer(mesh, self._threads)
 
     @cached_property
     def _photos(self) -> PhotoRenderer:

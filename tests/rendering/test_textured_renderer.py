@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel.textured_mesh import TexturedMesh, join_textured
+from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotation_from_euler
+from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.textured import TexturedRenderer
 
 CAMERA = Camera(200, 160, 190.0, 195.0, 101.0, 78.0)
@@ -96,3 +98,16 @@ def test_batches_and_threads_change_nothing(count):
     for i in range(count):
         np.testing.assert_array_equal(single.colours(CAMERA, rotations[[i]], centers[[i]])[0], whole[i])
     assert len(np.unique(whole[0].reshape(-1, 3), axis=0)) > 100
+
+
+def test_pyrender_draws_the_same():
+    pytest.importorskip("pyrender")
+    try:
+        theirs = PyrenderTextured(ground(smooth_picture())).colours(
+            CAMERA, POSE.rotation[None], POSE.center[None]
+        )[0]
+    except RenderingError as error:
+        pytest.skip(str(error))
+    off = np.abs(theirs.astype(int) - draw(ground(smooth_picture()))).max(axis=2)
+    assert np.median(off) <= 1
+    assert (off > 12).mean() < 0.03

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.texture_files import open_textured_map
-from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
@@ -26,12 +25,13 @@ from lodbench.harness.city import open_city
 from lodbench.harness.render.kinds import KINDS, View, choose_renderer
 from lodbench.rendering import open_renderer
 from lodbench.rendering.projection import require_pinhole
+from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.textured import TexturedRenderer
 from lodbench.reporting.overlays import is_readable_picture, write_picture
 from lodbench.storage import write_text
 
 # Kinds and renderers that can draw a textured map.
-_TEXTURED = (("colour", None), ("colour", "raster"))
+_TEXTURED = (("colour", None), ("colour", "raster"), ("colour", "pyrender"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +109,11 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
             cannot draw the kind, or the textured map lies elsewhere; nothing is written then.
     """
     if params.textured_map is not None and (params.kind, params.renderer) not in _TEXTURED:
-        raise ConfigError("A textured map is drawn by kind=colour and the raster.", "Add kind=colour.")
-    name, kind = choose_renderer(params.kind, params.renderer), KINDS[params.kind]
+        raise ConfigError(
+            "A textured map is drawn by kind=colour and renderer=raster or pyrender.", "Add kind=colour."
+        )
+    name = choose_renderer(params.kind, None if params.textured_map else params.renderer)
+    kind = KINDS[params.kind]
     shots = _shots(params)
     options = options or ReadOptions()
     options = options if params.crs is None else replace(options, crs=params.crs)
@@ -119,7 +122,9 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
     kind.check(city.scene)
     if params.textured_map is not None:
         mesh = open_textured_map(Path(params.textured_map).expanduser(), city.scene, options=options)
-        return _render_textured(mesh, shots, city.scene.origin, Path(params.out).expanduser(), city.notes())
+        textured = PyrenderTextured(mesh) if params.renderer == "pyrender" else TexturedRenderer(mesh)
+        drawn = _draw_textured(textured, shots, city.scene.origin, Path(params.out).expanduser())
+        return Rendered(drawn, city.notes() + mesh.notes)
     out = Path(params.out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
     files = kind.prepare(city.scene, out)
@@ -131,12 +136,12 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
     return Rendered(tuple(files), city.notes())
 
 
-def _render_textured(
-    mesh: TexturedMesh, shots: list[Shot], origin: NDArray[np.float64], out: Path, notes: tuple[str, ...]
-) -> Rendered:
+def _draw_textured(
+    renderer: TexturedRenderer | PyrenderTextured, shots: list[Shot], origin: NDArray[np.float64], out: Path
+) -> tuple[Path, ...]:
     """Draws a textured map, and writes poses and cameras beside it: the folder serves as references."""
     out.mkdir(parents=True, exist_ok=True)
-    renderer, files = TexturedRenderer(mesh), []
+    files = []
     with Progress("colour pictures", len(shots)) as progress:
         for shot in shots:
             pose, path = shot.pose.shifted(-origin), out / f"{Path(shot.name).stem}.png"
@@ -151,7 +156,7 @@ def _render_textured(
     }
     for name, content in lines.items():
         write_text(out / name, lines_to_text(content))
-    return Rendered((*files, *(out / name for name in lines)), (*notes, *mesh.notes))
+    return *files, *(out / name for name in lines)
 
 
 def _shots(params: RenderParams) -> list[Shot]:
