@@ -1,1 +1,1 @@
-"""."""
+"""Datasets: folders, published layouts, priors, cards, and poses in the formats of other programs."""

@@ -1,1 +1,32 @@
-"""Made-up data: towns, what surrounds a city, photos of them, views, and masks as wrong as a network's."""
+"""Made-up data: a town, what is around any city, photos, views, and masks as wrong as a network's.
+
+=====================  ===========================================================================
+room                   what it makes
+=====================  ===========================================================================
+``town``               the demo town: streets, blocks, buildings in three levels of detail, CityGML
+``surroundings``       ground, land cover, trees and cars around a city model that has none
+``objects``            what stands in pictures: classes of surfaces, mesh builder, trees, cars
+``photo``              pictures of all that: looks, surfaces, sun, camera response, render scene
+``building_boxes``     where buildings are, and what is clear of them
+``view_sampling``      seeded drone views that show enough buildings; the check that judges them
+``camera_paths``       where cameras of training pictures are put
+``mask_degradation``   masks as wrong as a segmentation network's
+``queries``            made-up queries, and the one way they become a folder
+``demo``               ``dataset=demo`` and ``demo_train``; their card is in ``demo_card``
+``views_dataset``      ``dataset=views``: seeded views of any city
+``training_data``      ``generate-training-data``: settings, plan of views, files, manifest, sheet
+=====================  ===========================================================================
+
+Where something new goes:
+
+- a roof shape: a function and a line in ``ROOF_SHAPES`` of ``town/roofs.py``;
+- a kind of block or landmark: a function in ``town/estates.py`` or ``town/landmarks.py``, chosen in
+  ``town/districts.py``;
+- a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py``;
+- a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
+  field of ``LookRanges`` in ``photo/look.py``, used in ``photo/camera_response.py`` if the sensor makes
+  it and in ``photo/surfaces.py`` or ``photo/ground.py`` if the place does;
+- a thing that stands around: its shape in ``objects``, its places in ``surroundings/trees_and_cars.py``
+  or ``town/trees_and_cars.py``;
+- an error of masks: a field in ``mask_degradation.py``.
+"""

@@ -72,14 +72,30 @@ def _steps(low: float, high: float, spacing: float) -> Floats:
 
 def _at_random(params: GenerateParams, place: Place) -> Iterator[Pose]:
     """Yields poses that look at places near buildings, from any side."""
-    pitches = params.pitches_from_nadir()
     for index in range(params.count):
         generator = random_stream(params.seed, "training", "camera", index)
         target = target_near(place.bases, generator)
-        # A camera that looks at the horizon sees its target from no height: keep the axis finite.
-        pitch = min(85.0, pitches[int(generator.integers(len(pitches)))])
-        height = params.height[int(generator.integers(len(params.height)))]
-        yield view_of(target, height, EulerAngles(pitch, 0.0, float(generator.uniform(-180.0, 180.0))))
+        yield _looking_at(target, params, generator)
+
+
+def _looking_at(target: Floats, params: GenerateParams, generator: np.random.Generator) -> Pose:
+    """Returns a pose from any side whose axis meets a target, (3,), at one of the pitches and heights."""
+    pitches = params.pitches_from_nadir()
+    # A camera that looks at the horizon sees its target from no height: keep the axis finite.
+    pitch = min(85.0, pitches[int(generator.integers(len(pitches)))])
+    height = params.height[int(generator.integers(len(params.height)))]
+    return view_of(target, height, EulerAngles(pitch, 0.0, float(generator.uniform(-180.0, 180.0))))
+
+
+def _anywhere(params: GenerateParams, place: Place) -> Iterator[Pose]:
+    """Yields poses that look at any place of the land, buildings or none: negatives with min_buildings=0."""
+    rows, columns = place.ground.heights_m.shape
+    size = np.array([columns - 1, rows - 1]) * place.ground.cell_m
+    for index in range(params.count):
+        generator = random_stream(params.seed, "training", "anywhere", index)
+        spot = np.array([place.ground.west, place.ground.south]) + generator.uniform(0.0, size)
+        target = np.append(spot, place.ground.at(spot[None])[0])
+        yield _looking_at(target, params, generator)
 
 
 def _around_priors(params: GenerateParams, place: Place) -> Iterator[Pose]:
@@ -121,6 +137,7 @@ def _given(params: GenerateParams, place: Place) -> list[Pose]:
 CAMERA_PATHS: dict[str, Callable[[GenerateParams, Place], Iterator[Pose]]] = {
     "grid": _on_grid,
     "random": _at_random,
+    "anywhere": _anywhere,
     "trajectory": _along_trajectory,
     "priors": _around_priors,
 }

@@ -5,7 +5,7 @@ triangles with the class of their surface and a base colour, to be drawn by a co
 made in two ways, and a renderer takes either:
 
 - ``lodbench.synthesis.town.props`` makes the demo town's, at level of detail 3, in the town's own look;
-- training data of a real city makes its own from footprints and building bases.
+- ``lodbench.synthesis.surroundings`` makes those of any city from footprints and building bases.
 
 What a renderer does with them: it draws the triangles of ``SceneProps`` and, where they hold no
 building surfaces (``has_buildings`` is false), those of the city's ``Scene`` too. Where they do, the
@@ -54,6 +54,7 @@ class SurfaceClass(IntEnum):
     CAR_BODY = 42
     CAR_GLASS = 43
     FENCE = 44  # hedges, walls of gardens
+    CLUTTER = 45  # containers, tents
 
     @property
     def is_building(self) -> bool:

@@ -29,6 +29,7 @@ _STREET_M = (4.0, 75.0)  # a street keeps at least so far from buildings, and is
 _FIELD_M = 55.0  # further from buildings than this are fields
 _DENSE = 0.55  # share of a block that is built on, above which its yards are paved
 _SMOOTH_M = 2.0  # roads are smoothed by this much
+_ROUND_M = 2.5  # corners of what covers the ground are rounded by this much
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +59,14 @@ class TopView:
     def free_m(self) -> Grid:
         """Returns (rows, columns) float32 distance from the nearest building, metres."""
         return distance_in(~self.is_built, self.cell_m)
+
+    def jittered(self, spacing_m: float, generator: np.random.Generator) -> Floats:
+        """Returns places all over the grid, about a spacing apart, (N, 2)."""
+        rows, columns = self.tops_m.shape
+        x = np.arange(self.west + 0.5 * spacing_m, self.west + columns * self.cell_m, spacing_m)
+        y = np.arange(self.south + 0.5 * spacing_m, self.south + rows * self.cell_m, spacing_m)
+        grid = np.stack([axis.ravel() for axis in np.meshgrid(x, y)], axis=1)
+        return np.asarray(grid + generator.uniform(-0.45, 0.45, size=grid.shape) * spacing_m)
 
     def cells_of(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Returns rows and columns, clipped, of points (N, 2), and whether they are on the grid."""
@@ -107,6 +116,8 @@ def draw_land_cover(view: TopView, generator: np.random.Generator) -> LandCover:
     ground[near & (lots[block] < 0.6)] = SurfaceClass.PAVEMENT
     ground[distance > _FIELD_M + 25.0 * relief] = SurfaceClass.FIELD
     ground[_water(relief, distance, road_m2, generator)] = SurfaceClass.WATER
+    # Each place as most around it: blobs keep their shape and lose the corners of cells.
+    ground = np.asarray(cv2.medianBlur(ground, 2 * max(1, round(_ROUND_M / cell)) + 1), dtype=np.uint8)
     return LandCover(
         ground, road_m2, road_rad, view.west, view.south, cell, half, float(generator.uniform(0.8, 2.2))
     )

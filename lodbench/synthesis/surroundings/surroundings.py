@@ -1,4 +1,4 @@
-"""The surroundings of a city without any: ground, land cover, trees and cars from its footprints."""
+"""The surroundings of a city without any: ground, land cover, trees, cars and clutter from its footprints."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import LAND_COVER, LandCover
+from lodbench.synthesis.surroundings.clutter import add_clutter
 from lodbench.synthesis.surroundings.ground import Ground, ground_from_bases, ground_from_raster
 from lodbench.synthesis.surroundings.land_cover import TopView, draw_land_cover, look_down
 from lodbench.synthesis.surroundings.trees_and_cars import park_cars, plant_trees
@@ -52,4 +53,5 @@ def make_surroundings(scene: Scene, seed: int, terrain: str | None = None) -> Su
     builder.add(np.full(1, LAND_COVER), *ground.mesh(), (0, 0, 0))
     plant_trees(builder, view, cover, ground, random_stream(seed, "training", "trees"))
     park_cars(builder, view, cover, ground, random_stream(seed, "training", "cars"))
+    add_clutter(builder, view, cover, ground, random_stream(seed, "training", "clutter"))
     return Surroundings(view, ground, cover, builder.build(scene.origin))

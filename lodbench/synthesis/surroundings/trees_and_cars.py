@@ -32,7 +32,7 @@ def plant_trees(
     builder: MeshBuilder, view: TopView, cover: LandCover, ground: Ground, generator: np.random.Generator
 ) -> None:
     """Adds trees in gardens, along streets and in copses; none on a building or a carriageway."""
-    places = _jittered(view, _TREE_SPACING_M, generator)
+    places = view.jittered(_TREE_SPACING_M, generator)
     row, column, _ = view.cells_of(places)
     away = np.sqrt(cover.road_m2[row, column])
     chance = np.zeros(len(places))
@@ -59,7 +59,7 @@ def park_cars(
     builder: MeshBuilder, view: TopView, cover: LandCover, ground: Ground, generator: np.random.Generator
 ) -> None:
     """Adds cars on the carriageways, most of them at the kerb."""
-    places = _jittered(view, _CAR_SPACING_M, generator)
+    places = view.jittered(_CAR_SPACING_M, generator)
     row, column, _ = view.cells_of(places)
     away, turn = np.sqrt(cover.road_m2[row, column]), cover.road_rad[row, column].astype(np.float64)
     on_road = (away < cover.half_road_m) & (view.free_m[row, column] > _CAR_GAP_M)
@@ -75,15 +75,6 @@ def park_cars(
     ways = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     rise = ground.at(places + 2.0 * ways) - ground.at(places - 2.0 * ways)
     add_cars(builder, np.column_stack([places, ground.at(places)]), ways, rise / 4.0, generator)
-
-
-def _jittered(view: TopView, spacing_m: float, generator: np.random.Generator) -> Floats:
-    """Returns places all over a plan, about a spacing apart, (N, 2)."""
-    rows, columns = view.tops_m.shape
-    x = np.arange(view.west + 0.5 * spacing_m, view.west + columns * view.cell_m, spacing_m)
-    y = np.arange(view.south + 0.5 * spacing_m, view.south + rows * view.cell_m, spacing_m)
-    grid = np.stack([axis.ravel() for axis in np.meshgrid(x, y)], axis=1)
-    return np.asarray(grid + generator.uniform(-0.45, 0.45, size=grid.shape) * spacing_m)
 
 
 def _patches(places: Floats, generator: np.random.Generator) -> Floats:

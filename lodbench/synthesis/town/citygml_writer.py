@@ -36,7 +36,7 @@ _NAMESPACES = {
         "http://schemas.opengis.net/citygml/generics/2.0/generics.xsd"
     ),
 }
-# Codes of the German surveying authorities' LoD2 profile for bldg:function and bldg:roofType.
+# Codes of the German surveying authorities' LoD2 profile for bldg:function.
 _FUNCTIONS = {
     "residential": "31001_1000",
     "garage": "31001_2463",
@@ -44,16 +44,6 @@ _FUNCTIONS = {
     "industrial": "31001_2100",
     "public": "31001_3000",
     "church": "31001_3041",
-}
-_ROOF_TYPES = {
-    "flat": "1000",
-    "shed": "2100",
-    "gabled": "3100",
-    "hipped": "3200",
-    "half-hipped": "3300",
-    "mansard": "3400",
-    "pavilion": "3500",
-    "serrated": "3800",
 }
 _BOUNDARIES = {
     SurfaceKind.GROUND: "GroundSurface",
@@ -122,7 +112,7 @@ def _building(building: Building, geometry: Callable[[Building], Iterator[str]])
     yield '<gen:stringAttribute name="district">'
     yield f"<gen:value>{escape(plan.district)}</gen:value></gen:stringAttribute>"
     yield f"<bldg:function>{_FUNCTIONS[plan.function]}</bldg:function>"
-    yield f"<bldg:roofType>{_ROOF_TYPES[plan.roof.name]}</bldg:roofType>"
+    yield f"<bldg:roofType>{plan.roof.shape.code}</bldg:roofType>"
     yield f'<bldg:measuredHeight uom="m">{heights.max() - heights.min():.2f}</bldg:measuredHeight>'
     yield from geometry(building)
     yield "</bldg:Building>"

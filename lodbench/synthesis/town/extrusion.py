@@ -1,4 +1,4 @@
-"""Buildings as a roof's cross-section swept along a bent strip: bars, L, U and courtyard shapes.
+"""Buildings as a roof's cross-section extruded along a bent strip: bars, L, U and courtyard shapes.
 
 The strip has an outer and an inner line with the same corners. A point of the cross-section at a
 share t lies at ``outer + t (inner - outer)`` of every corner: mitres come out by themselves, roof
@@ -22,7 +22,7 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strip:
-    """The plan of a swept building, counter-clockwise around its outer line.
+    """The plan of an extruded building, counter-clockwise around its outer line.
 
     Attributes:
         outer: (K, 2) local metres; the building lies to its left.
@@ -72,7 +72,7 @@ class Strip:
 
 
 class Body:
-    """A swept building while it is built: its faces by place, so that details can cut into them.
+    """An extruded building while it is built: its faces by place, so that details can cut into them.
 
     Args:
         strip: Its plan.

@@ -52,7 +52,7 @@ def house_roof(eave_m: float, strip: Strip, generator: np.random.Generator) -> R
 
 def dormers(strip: Strip, roof: Roof, generator: np.random.Generator) -> list[RoofBox]:
     """Returns dormers in a row on one side of the first wing, as many as fit; none on shallow roofs."""
-    if roof.name not in ("gabled", "hipped", "mansard"):
+    if not roof.shape.has_dormers:
         return []
     body = Body(strip, roof, 0.0)
     slope = 0 if chance(generator, 0.6) else len(roof.profile) - 2

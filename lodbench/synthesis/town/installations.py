@@ -18,8 +18,8 @@ _SUNK_M = 0.6  # how deep a chimney reaches into the roof
 
 
 def chimneys(strip: Strip, roof: Roof, base_m: float, generator: np.random.Generator) -> list[Solid]:
-    """Returns chimneys near the ridge of the first wing; none on flat, serrated or pavilion roofs."""
-    if roof.name in ("flat", "serrated", "pavilion", "shed"):
+    """Returns chimneys near the ridge of the first wing, if the roof is of a shape that has them."""
+    if not roof.shape.has_chimneys:
         return []
     along, across, length = wing_direction(strip, 0)
     depth = float(abs((strip.inner[0] - strip.outer[0]) @ across))

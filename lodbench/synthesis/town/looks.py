@@ -13,7 +13,7 @@ Colour = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class TownLook:
     """What two towns differ in besides chance.
 
     Attributes:
@@ -42,7 +42,7 @@ class Look:
     water: Colour
 
 
-TEST = Look(
+TEST = TownLook(
     name="test",
     rings=1.0,
     relief=1.0,
@@ -64,7 +64,7 @@ TEST = Look(
     road=(112, 112, 114),
     water=(70, 92, 92),
 )
-TRAIN = Look(
+TRAIN = TownLook(
     name="train",
     rings=0.15,
     relief=0.6,
@@ -82,7 +82,7 @@ TRAIN = Look(
 _LOOKS = {look.name: look for look in (TEST, TRAIN)}
 
 
-def look_named(name: str) -> Look:
+def look_named(name: str) -> TownLook:
     """Returns a look.
 
     Raises:

@@ -14,7 +14,7 @@ from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.town.building import Building
 from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import add_ground
-from lodbench.synthesis.town.looks import Look
+from lodbench.synthesis.town.looks import TownLook
 from lodbench.synthesis.town.solid import Solid
 from lodbench.synthesis.town.town import Town
 from lodbench.synthesis.town.trees_and_cars import add_greenery, add_traffic
@@ -100,7 +100,7 @@ def _is_flat_roof(corners: Points, surface: NDArray[np.uint8]) -> NDArray[np.boo
     return np.asarray(upright & (surface == SurfaceClass.ROOF_TILE))
 
 
-def _colours(look: Look, seed: int, name: str) -> Points:
+def _colours(look: TownLook, seed: int, name: str) -> Points:
     """Returns the colours of a building, (8, 3) RGB by surface class from ``WALL`` on."""
     chances = random_stream(seed, "demo", name, "colour")
 

@@ -1,9 +1,39 @@
-"""Roofs as cross-sections: a line of heights from one eave to the other."""
+"""Roofs as cross-sections: a line of heights from one eave to the other.
+
+A new shape is a function that returns a ``Roof``, and a line in ``ROOF_SHAPES``.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+
+class RoofShape(NamedTuple):
+    """What all roofs of a shape have in common.
+
+    Attributes:
+        code: Of bldg:roofType in the LoD2 profile of the German surveying authorities.
+        has_chimneys: Whether chimneys stand on it.
+        has_dormers: Whether its slopes are steep and wide enough for dormers.
+    """
+
+    code: str
+    has_chimneys: bool
+    has_dormers: bool
+
+
+ROOF_SHAPES = {
+    "flat": RoofShape("1000", False, False),
+    "shed": RoofShape("2100", False, False),
+    "gabled": RoofShape("3100", True, True),
+    "hipped": RoofShape("3200", True, True),
+    "half-hipped": RoofShape("3300", True, False),
+    "mansard": RoofShape("3400", True, True),
+    "pavilion": RoofShape("3500", False, False),
+    "serrated": RoofShape("3800", False, False),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -11,8 +41,7 @@ class Roof:
     """The cross-section of a roof, and how its ends are closed.
 
     Attributes:
-        name: ``flat``, ``shed``, ``gabled``, ``hipped``, ``half-hipped``, ``mansard``, ``pavilion`` or
-            ``serrated``.
+        name: Of its shape, one of ``ROOF_SHAPES``.
         profile: (share of the way across, height above the base in metres) from eave to eave.
         hips_m: How far the ridge stops short of the first and last end; 0 is a gable.
         hip_from: At which share of the rise hips begin: 0 at the eaves, above that below them is a gable.
@@ -22,6 +51,11 @@ class Roof:
     profile: tuple[tuple[float, float], ...]
     hips_m: tuple[float, float] = (0.0, 0.0)
     hip_from: float = 0.0
+
+    @property
+    def shape(self) -> RoofShape:
+        """What it has in common with its like."""
+        return ROOF_SHAPES[self.name]
 
     @property
     def eave_m(self) -> float:

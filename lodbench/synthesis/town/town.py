@@ -1,7 +1,7 @@
 """The demo town: a made-up European town of some 900 buildings, the same for a seed everywhere.
 
 Order of work: streets cut the land into blocks, each block gets a district and plans, each plan is
-erected on the terrain beside its neighbours at three levels of detail.
+built on the terrain beside its neighbours at three levels of detail.
 """
 
 from __future__ import annotations
@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.town.building import Age, Building, Plan, pieces_of
-from lodbench.synthesis.town.construction import construct_all
+from lodbench.synthesis.town.building import Age, Building, Plan, construct_all, pieces_of
 from lodbench.synthesis.town.districts import build_up, building_line, district_of
 from lodbench.synthesis.town.landmarks import church, town_hall
-from lodbench.synthesis.town.looks import TEST, Look
+from lodbench.synthesis.town.looks import TEST, TownLook
 from lodbench.synthesis.town.occupancy import Occupancy, occupancy_of
 from lodbench.synthesis.town.streets import StreetPlan, draw_streets
 from lodbench.synthesis.town.terrain import Terrain
@@ -43,7 +42,7 @@ class Town:
     """
 
     seed: int
-    look: Look
+    look: TownLook
     buildings: tuple[Building, ...]
     streets: StreetPlan
     districts: tuple[str, ...]
@@ -61,7 +60,7 @@ class Town:
         return tuple(building for building in self.buildings if building.age is not Age.NEW)
 
 
-def grow_town(seed: int, look: Look = TEST) -> Town:
+def grow_town(seed: int, look: TownLook = TEST) -> Town:
     """Returns the town of a seed and a look."""
     streets = draw_streets(random_stream(seed, "demo", "streets"), look.rings)
     ground = random_stream(seed, "demo", "ground")

@@ -55,22 +55,22 @@ class GenerateParams:
             buildings), or None to make up ground, roads, trees and cars.
         terrain: Raster of ground heights, or None to take them from the bases of the buildings.
         renderer: ``raster``, or ``pyrender`` for textured meshes.
-        sampling: ``grid`` over the city; ``random`` around its buildings; along a ``trajectory``;
-            around ``priors``.
+        sampling: ``grid`` over the city; ``random`` around its buildings; ``anywhere`` on its land; along a
+            ``trajectory``; around ``priors``.
         pitch: Pitches, degrees: 0 looks straight down, 90 at the horizon.
         pitch_from: ``nadir``, or ``horizon`` for pitches counted down from the horizon.
         height: Heights above the ground, metres.
         yaw: Yaws, degrees counter-clockwise from grid north (for a trajectory: from ahead), or None
             for eight (ahead only).
         spacing_m: Distance of cameras on the grid or the trajectory; None for half the height.
-        count: Draws for ``random``; draws around each pose for ``priors``.
+        count: Draws for ``random`` and ``anywhere``; draws around each pose for ``priors``.
         poses: Pose file for ``trajectory`` and ``priors``, world to camera, in the city's coordinates.
         prior_m: Half width of the draws around priors, east, north and up, metres.
         prior_deg: Half width of yaw, pitch and roll.
         limit: At most so many views, chosen at random; None for all.
         size: Width and height of the pictures, pixels.
         fov_deg: Horizontal field of view.
-        min_buildings: Least share of the picture that buildings take.
+        min_buildings: Least share of the picture that buildings take; 0 takes views without any, too.
         val_share: Share of the buildings in the validation region.
         test_share: Share of the buildings in the test region.
         overlap: Share of a picture that buildings of another region may take.

@@ -141,6 +141,9 @@ class _Judge:
             return None, IN_BUILDING
         building = self._raster.draw(self._camera, pose).building
         seen = np.bincount(self._region[building[building >= 0]], minlength=len(SPLITS)) / building.size
+        if self._params.min_buildings == 0 and not seen.any():
+            nearest = np.linalg.norm(self.boxes.bases[:, :2] - pose.center[:2], axis=1).argmin()
+            return SPLITS[self._region[self.boxes.building[nearest]]], ""
         if seen.sum() < max(self._params.min_buildings, 1.0 / building.size):
             return None, NO_BUILDINGS
         most = int(seen.argmax())

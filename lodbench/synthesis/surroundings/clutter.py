@@ -1,0 +1,194 @@
+"""What networks take for buildings and is none: containers, tents, heaps, car parks, courts, yards, tracks.
+
+A new kind is a function and a line in ``CLUTTER``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.synthesis.objects.cars import add_cars
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.scene_props import SurfaceClass
+from lodbench.synthesis.photo import LandCover
+from lodbench.synthesis.surroundings.ground import Ground
+from lodbench.synthesis.surroundings.land_cover import TopView
+
+Floats = NDArray[np.float64]
+
+# One place to try in so many metres, the share of them that is used, and how many at most.
+_SPACING_M, _SHARE, _MOST = 45.0, 0.45, 250
+# What is painted on the ground lies so far above it: two meshes of one slope differ by less.
+_ABOVE_M, _MESH_M = 0.12, 3.0
+_BOXES = [(164, 60, 44), (40, 82, 128), (60, 106, 76), (196, 176, 60), (206, 206, 202), (120, 122, 124)]
+_CANVAS = [(240, 240, 236), (228, 224, 210), (70, 110, 160), (88, 120, 76)]
+_HEAPS = [(206, 184, 140), (150, 128, 100), (128, 126, 122), (96, 78, 60)]
+_COURTS = [(150, 70, 54), (72, 110, 74), (60, 96, 140), (176, 110, 80)]
+_YARDS = [(196, 194, 188), (168, 164, 156), (214, 200, 170), (140, 138, 134)]
+_WHITE = (222.0, 222.0, 216.0)
+
+
+class _Spot(NamedTuple):
+    """Where something is put: its middle (2,), its unit direction (2,), and the ground around it."""
+
+    middle: Floats
+    along: Floats
+    ground: Ground
+
+    def places(self, local: Floats) -> Floats:
+        """Returns places, (..., 2), of what lies so far along and to the left of the middle."""
+        across = np.array([-self.along[1], self.along[0]])
+        return np.asarray(self.middle + local[..., :1] * self.along + local[..., 1:] * across)
+
+
+def add_clutter(
+    builder: MeshBuilder, view: TopView, cover: LandCover, ground: Ground, chances: np.random.Generator
+) -> None:
+    """Adds clutter to open land between and around buildings, clear of roads and water."""
+    places = view.jittered(_SPACING_M, chances)
+    row, column, _ = view.cells_of(places)
+    free_m = np.minimum(view.free_m[row, column], np.sqrt(cover.road_m2[row, column]) - cover.half_road_m)
+    dry = (cover.classes[row, column] != SurfaceClass.WATER) & (view.free_m[row, column] < 90.0)
+    chosen = np.flatnonzero(dry & (chances.random(len(places)) < _SHARE))[:_MOST]
+    kinds = list(CLUTTER.values())
+    for k in chosen:
+        add, radius_m = kinds[int(chances.integers(len(kinds)))]
+        turn = float(chances.uniform(0.0, 2 * np.pi))
+        if free_m[k] > radius_m:
+            add(builder, _Spot(places[k], np.array([np.cos(turn), np.sin(turn)]), ground), chances)
+
+
+def _tint(colours: list[tuple[int, int, int]], chances: np.random.Generator) -> Floats:
+    return np.array(colours[int(chances.integers(len(colours)))]) * chances.uniform(0.85, 1.1)
+
+
+def _add_prism(builder: MeshBuilder, spot: _Spot, local: Floats, ridge: Floats, tint: Floats) -> None:
+    """Adds a body over a local rectangle, (4, 2), its top corners at ``ridge``, (4, 3), above the ground."""
+    foot = spot.places(local)
+    level = spot.ground.at(foot)
+    low = np.column_stack([foot, level - 0.2])
+    high = np.column_stack([spot.places(ridge[:, :2]), level.mean() + ridge[:, 2]])
+    k = np.arange(4)
+    ahead = (k + 1) % 4
+    sides = [np.stack([k, ahead, ahead + 4], 1), np.stack([k, ahead + 4, k + 4], 1)]
+    faces = np.concatenate([*sides, [[4, 5, 6], [4, 6, 7]]])
+    builder.add(SurfaceClass.CLUTTER, np.concatenate([low, high]), faces, tint)
+
+
+def _rectangle(length: float, width: float, x: float = 0.0, y: float = 0.0) -> Floats:
+    """Returns a rectangle around a place, (4, 2), counter-clockwise."""
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    return np.asarray(corners * (length, width) + (x, y))
+
+
+def _containers(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+    """Adds a row of freight containers, some of them stacked."""
+    length = float(chances.choice([6.06, 12.19]))
+    count = int(chances.integers(1, 6))
+    for k in range(count):
+        ring = _rectangle(length, 2.44, y=2.7 * (k - 0.5 * count))
+        height = 2.6 * float(chances.integers(1, 3))
+        _add_prism(builder, spot, ring, np.column_stack([ring, np.full(4, height)]), _tint(_BOXES, chances))
+
+
+def _tents(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+    """Adds one to three tents with a ridge."""
+    length, width = chances.uniform((4.0, 3.0), (12.0, 6.0)).tolist()
+    canvas = _tint(_CANVAS, chances)
+    for k in range(int(chances.integers(1, 4))):
+        ring = _rectangle(length, width, y=(width + 0.6) * (k - 1))
+        ridge = ring * (1.0, 0.04) + (0.0, 0.96 * (width + 0.6) * (k - 1))
+        eave = np.column_stack([ring, np.full(4, 2.0)])
+        _add_prism(builder, spot, ring, eave, canvas)
+        _add_prism(builder, spot, ring, np.column_stack([ridge, np.full(4, 2.0 + 0.35 * width)]), canvas)
+
+
+def _heap(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+    """Adds a heap of sand, gravel or earth."""
+    radius = float(chances.uniform(2.0, 6.0))
+    spin = np.linspace(0, 2 * np.pi, 14, endpoint=False)
+    rim = np.stack([np.cos(spin), np.sin(spin)], axis=1) * radius * chances.uniform(0.8, 1.2, (14, 1))
+    rings = [np.column_stack([spot.places(rim * share), np.full(14, up)]) for share, up in _SLOPE]
+    points = np.concatenate([*rings, [[*spot.middle, radius * 0.55]]])
+    points[:, 2] = points[:, 2] * radius / 6.0 + spot.ground.at(points)
+    points[:14, 2] -= 0.3
+    k = np.arange(14)
+    ahead = (k + 1) % 14
+    faces = [[14 * r + k, 14 * r + ahead, 14 * r + 14 + ahead] for r in range(2)]
+    faces += [[14 * r + k, 14 * r + 14 + ahead, 14 * r + 14 + k] for r in range(2)]
+    faces.append([28 + k, 28 + ahead, np.full(14, 42)])
+    triangles = np.concatenate([np.stack(face, axis=1) for face in faces])
+    builder.add(SurfaceClass.GROUND, points, triangles, _tint(_HEAPS, chances))
+
+
+# Rings of a heap: share of the radius, height of one of six metres.
+_SLOPE = ((1.0, 0.0), (0.6, 1.9), (0.25, 2.9))
+
+
+def _patch(
+    builder: MeshBuilder,
+    spot: _Spot,
+    size: tuple[float, float],
+    surface: SurfaceClass,
+    tint: Floats | tuple[float, float, float],
+    at: tuple[float, float] = (0.0, 0.0),
+    above_m: float = _ABOVE_M,
+) -> None:
+    """Adds a rectangle of another surface, draped over the ground."""
+    steps = [np.linspace(-0.5, 0.5, max(2, int(side / _MESH_M) + 1)) * side for side in size]
+    x, y = np.meshgrid(*steps)
+    places = spot.places(np.stack([x.ravel(), y.ravel()], axis=1) + at)
+    index = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    builder.add(surface, np.column_stack([places, spot.ground.at(places) + above_m]), triangles, tint)
+
+
+def _yard(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+    """Adds a yard of concrete, gravel or sand."""
+    length, width = chances.uniform((12.0, 8.0), (26.0, 18.0)).tolist()
+    surface = SurfaceClass.PAVEMENT if chances.random() < 0.6 else SurfaceClass.GROUND
+    _patch(builder, spot, (length, width), surface, _tint(_YARDS, chances))
+
+
+def _court(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+    """Adds a sports court with its lines."""
+    _patch(builder, spot, (30.0, 16.0), SurfaceClass.PAVEMENT, _tint(_COURTS, chances))
+    for y in (-6.0, 6.0):
+        _patch(builder, spot, (26.0, 0.2), SurfaceClass.MARKING, _WHITE, (0.0, y), _ABOVE_M + 0.04)
+    for x in (-13.0, 0.0, 13.0):
+        _patch(builder, spot, (0.2, 12.0), SurfaceClass.MARKING, _WHITE, (x, 0.0), _ABOVE_M + 0.04)
+
+
+def _track(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+    """Adds a straight running track with four lanes."""
+    _patch(builder, spot, (50.0, 6.0), SurfaceClass.PAVEMENT, _tint(_COURTS[:1], chances))
+    for y in (-2.5, -1.25, 0.0, 1.25, 2.5):
+        _patch(builder, spot, (50.0, 0.12), SurfaceClass.MARKING, _WHITE, (0.0, y), _ABOVE_M + 0.04)
+
+
+def _car_park(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+    """Adds two rows of parked cars, most stalls taken, on asphalt or gravel."""
+    surface = SurfaceClass.ROAD if chances.random() < 0.7 else SurfaceClass.GROUND
+    _patch(builder, spot, (32.0, 17.0), surface, _tint(_YARDS[3:], chances))
+    stalls = np.array([(x, y) for y in (-5.5, 5.5) for x in np.arange(-14.0, 14.1, 2.7)])
+    taken = stalls[chances.random(len(stalls)) < 0.75]
+    feet = spot.places(taken)
+    ways = np.sign(taken[:, 1:]) * np.array([-spot.along[1], spot.along[0]])
+    add_cars(builder, np.column_stack([feet, spot.ground.at(feet) + _ABOVE_M]), ways, 0 * feet[:, 0], chances)
+
+
+# What adds it, and how far from buildings and carriageways its middle is.
+CLUTTER: dict[str, tuple[Callable[[MeshBuilder, _Spot, np.random.Generator], None], float]] = {
+    "containers": (_containers, 10.0),
+    "tents": (_tents, 10.0),
+    "heap": (_heap, 8.0),
+    "yard": (_yard, 16.0),
+    "court": (_court, 18.0),
+    "track": (_track, 26.0),
+    "car_park": (_car_park, 19.0),
+}
