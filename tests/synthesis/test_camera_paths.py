@@ -77,6 +77,15 @@ def test_a_trajectory_is_followed_and_looks_ahead(town, tmp_path):
     assert np.abs(offsets).max() > 1.0
 
 
+def test_views_without_buildings_are_taken_when_asked(town):
+    scene, place = town
+    asked = params(sampling="anywhere", count=40, height=[60.0], pitch=[0.0], val_share=0.2, test_share=0.2)
+    assert not {view.name for view in plan_views(asked, scene, place.ground).views} >= {"000000", "000001"}
+    every = plan_views(replace(asked, min_buildings=0.0, overlap=1.0), scene, place.ground)
+    assert len(every.views) == 40 - sum(every.skipped.values()) > 30
+    assert {view.split for view in every.views} == {"train", "val", "test"}
+
+
 def test_views_are_skipped_for_a_reason_and_counted(town, tmp_path):
     scene, place = town
     middle = place.bases[0]

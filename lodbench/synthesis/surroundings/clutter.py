@@ -32,7 +32,7 @@ _YARDS = [(196, 194, 188), (168, 164, 156), (214, 200, 170), (140, 138, 134)]
 _WHITE = (222.0, 222.0, 216.0)
 
 
-class _Spot(NamedTuple):
+class Spot(NamedTuple):
     """Where something is put: its middle (2,), its unit direction (2,), and the ground around it."""
 
     middle: Floats
@@ -59,14 +59,14 @@ def add_clutter(
         add, radius_m = kinds[int(chances.integers(len(kinds)))]
         turn = float(chances.uniform(0.0, 2 * np.pi))
         if free_m[k] > radius_m:
-            add(builder, _Spot(places[k], np.array([np.cos(turn), np.sin(turn)]), ground), chances)
+            add(builder, Spot(places[k], np.array([np.cos(turn), np.sin(turn)]), ground), chances)
 
 
 def _tint(colours: list[tuple[int, int, int]], chances: np.random.Generator) -> Floats:
     return np.array(colours[int(chances.integers(len(colours)))]) * chances.uniform(0.85, 1.1)
 
 
-def _add_prism(builder: MeshBuilder, spot: _Spot, local: Floats, ridge: Floats, tint: Floats) -> None:
+def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, tint: Floats) -> None:
     """Adds a body over a local rectangle, (4, 2), its top corners at ``ridge``, (4, 3), above the ground."""
     foot = spot.places(local)
     level = spot.ground.at(foot)
@@ -85,17 +85,17 @@ def _rectangle(length: float, width: float, x: float = 0.0, y: float = 0.0) -> F
     return np.asarray(corners * (length, width) + (x, y))
 
 
-def _containers(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+def _containers(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds a row of freight containers, some of them stacked."""
     length = float(chances.choice([6.06, 12.19]))
     count = int(chances.integers(1, 6))
     for k in range(count):
-        ring = _rectangle(length, 2.44, y=2.7 * (k - 0.5 * count))
+        ring = _rectangle(length, 2.44, y=2.7 * (k - 0.5 * (count - 1)))
         height = 2.6 * float(chances.integers(1, 3))
         _add_prism(builder, spot, ring, np.column_stack([ring, np.full(4, height)]), _tint(_BOXES, chances))
 
 
-def _tents(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+def _tents(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds one to three tents with a ridge."""
     length, width = chances.uniform((4.0, 3.0), (12.0, 6.0)).tolist()
     canvas = _tint(_CANVAS, chances)
@@ -107,7 +107,7 @@ def _tents(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> N
         _add_prism(builder, spot, ring, np.column_stack([ridge, np.full(4, 2.0 + 0.35 * width)]), canvas)
 
 
-def _heap(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+def _heap(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds a heap of sand, gravel or earth."""
     radius = float(chances.uniform(2.0, 6.0))
     spin = np.linspace(0, 2 * np.pi, 14, endpoint=False)
@@ -131,7 +131,7 @@ _SLOPE = ((1.0, 0.0), (0.6, 1.9), (0.25, 2.9))
 
 def _patch(
     builder: MeshBuilder,
-    spot: _Spot,
+    spot: Spot,
     size: tuple[float, float],
     surface: SurfaceClass,
     tint: Floats | tuple[float, float, float],
@@ -148,14 +148,14 @@ def _patch(
     builder.add(surface, np.column_stack([places, spot.ground.at(places) + above_m]), triangles, tint)
 
 
-def _yard(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+def _yard(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds a yard of concrete, gravel or sand."""
     length, width = chances.uniform((12.0, 8.0), (26.0, 18.0)).tolist()
     surface = SurfaceClass.PAVEMENT if chances.random() < 0.6 else SurfaceClass.GROUND
     _patch(builder, spot, (length, width), surface, _tint(_YARDS, chances))
 
 
-def _court(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+def _court(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds a sports court with its lines."""
     _patch(builder, spot, (30.0, 16.0), SurfaceClass.PAVEMENT, _tint(_COURTS, chances))
     for y in (-6.0, 6.0):
@@ -164,14 +164,14 @@ def _court(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> N
         _patch(builder, spot, (0.2, 12.0), SurfaceClass.MARKING, _WHITE, (x, 0.0), _ABOVE_M + 0.04)
 
 
-def _track(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+def _track(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds a straight running track with four lanes."""
     _patch(builder, spot, (50.0, 6.0), SurfaceClass.PAVEMENT, _tint(_COURTS[:1], chances))
     for y in (-2.5, -1.25, 0.0, 1.25, 2.5):
         _patch(builder, spot, (50.0, 0.12), SurfaceClass.MARKING, _WHITE, (0.0, y), _ABOVE_M + 0.04)
 
 
-def _car_park(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -> None:
+def _car_park(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds two rows of parked cars, most stalls taken, on asphalt or gravel."""
     surface = SurfaceClass.ROAD if chances.random() < 0.7 else SurfaceClass.GROUND
     _patch(builder, spot, (32.0, 17.0), surface, _tint(_YARDS[3:], chances))
@@ -183,9 +183,9 @@ def _car_park(builder: MeshBuilder, spot: _Spot, chances: np.random.Generator) -
 
 
 # What adds it, and how far from buildings and carriageways its middle is.
-CLUTTER: dict[str, tuple[Callable[[MeshBuilder, _Spot, np.random.Generator], None], float]] = {
+CLUTTER: dict[str, tuple[Callable[[MeshBuilder, Spot, np.random.Generator], None], float]] = {
     "containers": (_containers, 10.0),
-    "tents": (_tents, 10.0),
+    "tents": (_tents, 12.0),
     "heap": (_heap, 8.0),
     "yard": (_yard, 16.0),
     "court": (_court, 18.0),

@@ -1,0 +1,75 @@
+"""What stands around a city that says nothing about it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lodbench.storage import random_stream
+from lodbench.synthesis.building_boxes import building_boxes
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.scene_props import SurfaceClass
+from lodbench.synthesis.surroundings.clutter import CLUTTER, Spot
+from lodbench.synthesis.surroundings.ground import Ground
+from lodbench.synthesis.surroundings.surroundings import make_surroundings
+
+SLOPE = Ground(-100.0, -100.0, 10.0, np.fromfunction(lambda row, column: 2.0 * column, (21, 21)))
+
+
+@pytest.fixture(scope="module")
+def made(city):
+    return make_surroundings(city, seed=3)
+
+
+def corners_of(props, *kinds):
+    chosen = np.isin(props.surface, kinds)
+    return props.vertices[props.triangles[chosen]].astype(float)
+
+
+def test_trees_cars_and_clutter_keep_clear_of_buildings(made, city):
+    boxes = building_boxes(city)
+    for kind in (SurfaceClass.TRUNK, SurfaceClass.CAR_BODY, SurfaceClass.CLUTTER):
+        points = corners_of(made.props, kind).reshape(-1, 3)
+        assert len(points) > 30
+        inside = (points[:, None, :2] > boxes.low[:, :2] + 0.5) & (
+            points[:, None, :2] < boxes.high[:, :2] - 0.5
+        )
+        assert not inside.all(axis=2).any(), kind
+
+
+def test_everything_stands_on_the_ground(made):
+    # Trunks are rooted.
+    for kind, lowest_m, highest_m in ((SurfaceClass.CAR_BODY, -0.5, 2.2), (SurfaceClass.TRUNK, -3.0, 12.0)):
+        points = corners_of(made.props, kind).reshape(-1, 3)
+        above = points[:, 2] - made.ground.at(points)
+        assert above.min() > lowest_m
+        assert above.max() < highest_m
+
+
+def test_the_same_seed_makes_the_same_and_another_something_else(made, city):
+    again, other = make_surroundings(city, seed=3), make_surroundings(city, seed=4)
+    np.testing.assert_array_equal(again.props.vertices, made.props.vertices)
+    np.testing.assert_array_equal(again.land_cover.classes, made.land_cover.classes)
+    assert len(other.props.vertices) != len(made.props.vertices)
+
+
+def test_ground_is_interpolated_and_flat_beyond_its_rim():
+    found = SLOPE.at(np.array([[-100.0, 0.0], [-95.0, 3.0], [50.0, 50.0], [400.0, 0.0]]))
+    np.testing.assert_allclose(found, [0.0, 1.0, 30.0, 40.0])
+
+
+@pytest.mark.parametrize("kind", CLUTTER)
+def test_clutter_stays_in_its_circle_on_the_slope(kind):
+    add, radius_m = CLUTTER[kind]
+    for draw in range(4):
+        builder = MeshBuilder(0)
+        spot = Spot(np.array([5.0, -8.0]), np.array([0.6, 0.8]), SLOPE)
+        add(builder, spot, random_stream(draw, kind))
+        props = builder.build(np.zeros(3))
+        points = props.vertices.astype(float)
+        assert len(points) > 3
+        assert np.linalg.norm(points[:, :2] - spot.middle, axis=1).max() < radius_m
+        above = points[:, 2] - SLOPE.at(points)
+        assert above.min() > -4.0
+        assert above.max() < 9.0
+        assert not props.is_building.any()
