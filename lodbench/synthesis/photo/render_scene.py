@@ -22,6 +22,8 @@ _CELL_M = 32.0
 _WALL_UP, _FLAT_UP = 0.3, 0.985
 # Share of level tops, as level of detail 1 has, that are painted as tiled roofs.
 _TILED_TOPS = 0.5
+# Level faces of a building, floors included, that are larger than this are no tiled roof.
+_MOST_TILED_M2 = 1600.0
 _ON_GROUND = [kind for kind in SurfaceClass if not kind.is_building and not kind.is_occluder]
 _ON_WALLS = [SurfaceClass.WINDOW, SurfaceClass.DOOR, SurfaceClass.FRAME]
 _NO_CASTERS = np.array([*_ON_GROUND, *_ON_WALLS, LAND_COVER, TEXTURED], dtype=np.uint8)
@@ -129,6 +131,10 @@ def _of_scene(scene: Scene) -> _Loose:
     up = np.abs(_normals(corners)[:, 2])
     # A hash of the number, not of the order: the same house has the same roof in every tile.
     tiled = ((building.astype(np.int64) * 2654435761 >> 7) % 1000) < 1000 * _TILED_TOPS
+    # Nobody tiles a hall.
+    area_m2 = 0.5 * np.linalg.norm(np.cross(*np.diff(corners, axis=1).swapaxes(0, 1)), axis=1)
+    level_m2 = np.bincount(building, area_m2 * (up >= _FLAT_UP), scene.num_buildings)
+    tiled &= level_m2[building] < _MOST_TILED_M2
     flat = np.where(tiled, SurfaceClass.ROOF_TILE, SurfaceClass.ROOF_FLAT)
     has_slope = np.zeros(scene.num_buildings, dtype=bool)
     has_slope[building[(up > _WALL_UP) & (up < _FLAT_UP)]] = True

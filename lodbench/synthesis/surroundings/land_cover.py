@@ -25,7 +25,7 @@ _ABOVE_M = 20_000.0  # the camera that looks down on the city, so far that its r
 
 _JOINED_M = 11.0  # buildings nearer than this share a block
 _LEAST_BLOCK_M2 = 500.0  # a smaller group of buildings has no streets of its own
-_STREET_M = (4.0, 75.0)  # a street keeps at least so far from buildings, and is at most so far from them
+_STREET_M = (4.0, 200.0)  # a street keeps at least so far from buildings, and is at most so far from them
 _FIELD_M = 55.0  # further from buildings than this are fields
 _DENSE = 0.55  # share of a block that is built on, above which its yards are paved
 _SMOOTH_M = 2.0  # roads are smoothed by this much
