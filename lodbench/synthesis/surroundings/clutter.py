@@ -21,7 +21,7 @@ from lodbench.synthesis.surroundings.land_cover import TopView
 Floats = NDArray[np.float64]
 
 # One place to try in so many metres, the share of them that is used, and how many at most.
-_SPACING_M, _SHARE, _MOST = 45.0, 0.45, 250
+_SPACING_M, _SHARE, _MOST = 32.0, 0.4, 1500
 # What is painted on the ground lies so far above it: two meshes of one slope differ by less.
 _ABOVE_M, _MESH_M = 0.12, 3.0
 _BOXES = [(164, 60, 44), (40, 82, 128), (60, 106, 76), (196, 176, 60), (206, 206, 202), (120, 122, 124)]
@@ -53,9 +53,9 @@ def add_clutter(
     row, column, _ = view.cells_of(places)
     free_m = np.minimum(view.free_m[row, column], np.sqrt(cover.road_m2[row, column]) - cover.half_road_m)
     dry = (cover.classes[row, column] != SurfaceClass.WATER) & (view.free_m[row, column] < 90.0)
-    chosen = np.flatnonzero(dry & (chances.random(len(places)) < _SHARE))[:_MOST]
+    chosen = np.flatnonzero(dry & (chances.random(len(places)) < _SHARE))
     kinds = list(CLUTTER.values())
-    for k in chosen:
+    for k in chances.permutation(chosen)[:_MOST]:
         add, radius_m = kinds[int(chances.integers(len(kinds)))]
         turn = float(chances.uniform(0.0, 2 * np.pi))
         if free_m[k] > radius_m:
