@@ -80,5 +80,5 @@ def _settings(root: Path, out: Path, num_views: int, workers: int | None) -> Gen
 
 def _digest(root: Path) -> str:
     """Returns a digest of the town and of the code that pictures it: other code, other pictures."""
-    code = sorted(Path(generate.__file__).parent.glob("*.py"))
+    code = sorted(Path(generate.__file__).parents[1].rglob("*.py"))
     return digest_of([root.name, [file_digest(file) for file in code]], length=8)

@@ -100,3 +100,10 @@ class MeshBuilder:
             num_buildings=self._num_buildings,
             origin=np.asarray(origin, dtype=np.float64),
         )
+
+
+def ring_walls(size: int, rings: int = 2) -> Triangles:
+    """Returns the triangles between closed rings of so many points, each above the last, facing outward."""
+    k = np.arange(size * (rings - 1))
+    ahead = k - k % size + (k + 1) % size
+    return np.concatenate([np.stack([k, ahead, ahead + size], 1), np.stack([k, ahead + size, k + size], 1)])

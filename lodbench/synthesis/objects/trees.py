@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder, ring_walls
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 
 Points = NDArray[np.float64]
@@ -70,10 +70,7 @@ def _post() -> tuple[Points, NDArray[np.int64]]:
     """Returns a trunk of unit size with five sides, rooted a little below the ground, and its triangles."""
     spin = np.arange(5) * 2 * np.pi / 5
     rings = [np.stack([np.cos(spin), np.sin(spin), np.full(5, z)], axis=1) for z in (-0.3, 1.0)]
-    k = np.arange(5)
-    ahead = (k + 1) % 5
-    faces = np.concatenate([np.stack([k, ahead, ahead + 5], 1), np.stack([k, ahead + 5, k + 5], 1)])
-    return np.concatenate(rings), faces
+    return np.concatenate(rings), ring_walls(5)
 
 
 def _ball(halvings: int) -> tuple[Points, NDArray[np.int64]]:

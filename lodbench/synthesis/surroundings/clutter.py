@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.synthesis.objects.cars import add_cars
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder, ring_walls
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.photo import LandCover
 from lodbench.synthesis.surroundings.ground import Ground
@@ -30,6 +30,8 @@ _HEAPS = [(206, 184, 140), (150, 128, 100), (128, 126, 122), (96, 78, 60)]
 _COURTS = [(150, 70, 54), (72, 110, 74), (60, 96, 140), (176, 110, 80)]
 _YARDS = [(196, 194, 188), (168, 164, 156), (214, 200, 170), (140, 138, 134)]
 _WHITE = (222.0, 222.0, 216.0)
+# Rings of a heap: share of the radius, height of one of six metres.
+_SLOPE = ((1.0, 0.0), (0.6, 1.9), (0.25, 2.9))
 
 
 class Spot(NamedTuple):
@@ -72,10 +74,7 @@ def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, t
     level = spot.ground.at(foot)
     low = np.column_stack([foot, level - 0.2])
     high = np.column_stack([spot.places(ridge[:, :2]), level.mean() + ridge[:, 2]])
-    k = np.arange(4)
-    ahead = (k + 1) % 4
-    sides = [np.stack([k, ahead, ahead + 4], 1), np.stack([k, ahead + 4, k + 4], 1)]
-    faces = np.concatenate([*sides, [[4, 5, 6], [4, 6, 7]]])
+    faces = np.concatenate([ring_walls(4), [[4, 5, 6], [4, 6, 7]]])
     builder.add(SurfaceClass.CLUTTER, np.concatenate([low, high]), faces, tint)
 
 
@@ -116,17 +115,10 @@ def _heap(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> Non
     points = np.concatenate([*rings, [[*spot.middle, radius * 0.55]]])
     points[:, 2] = points[:, 2] * radius / 6.0 + spot.ground.at(points)
     points[:14, 2] -= 0.3
-    k = np.arange(14)
-    ahead = (k + 1) % 14
-    faces = [[14 * r + k, 14 * r + ahead, 14 * r + 14 + ahead] for r in range(2)]
-    faces += [[14 * r + k, 14 * r + 14 + ahead, 14 * r + 14 + k] for r in range(2)]
-    faces.append([28 + k, 28 + ahead, np.full(14, 42)])
-    triangles = np.concatenate([np.stack(face, axis=1) for face in faces])
+    k = 28 + np.arange(14)
+    tip = np.stack([k, np.roll(k, -1), np.full(14, 42)], axis=1)
+    triangles = np.concatenate([ring_walls(14, 3), tip])
     builder.add(SurfaceClass.GROUND, points, triangles, _tint(_HEAPS, chances))
-
-
-# Rings of a heap: share of the radius, height of one of six metres.
-_SLOPE = ((1.0, 0.0), (0.6, 1.9), (0.25, 2.9))
 
 
 def _patch(

@@ -75,7 +75,9 @@ def generator_digest() -> str:
     """Returns a digest of the code that makes the demo: another generator, another town."""
     room = Path(__file__).parents[1]
     files = [file for name in ("town", "objects", "photo") for file in sorted((room / name).glob("*.py"))]
-    files += [room / f"{name}.py" for name in ("queries", "view_sampling", "mask_degradation")]
+    files += [
+        room / f"{name}.py" for name in ("queries", "building_boxes", "view_sampling", "mask_degradation")
+    ]
     files.append(room.parent / "datasets" / "priors.py")
     return digest_of([file_digest(file) for file in files], length=8)
 
