@@ -44,8 +44,3 @@ def require_run_inputs(
         require_inputs(f"method={method.name}", requires & _SEGMENTED, made, f"{name} makes none")
         require_inputs(name, declared_inputs(segmenter, "requires"), has, _LACKING)
     require_inputs(f"method={method.name}", requires - _SEGMENTED, has, _LACKING)
-
-
-def can_segment(segmenter: Segmenter, dataset: Dataset, entries: Sequence[Entry]) -> bool:
-    """Tells whether a segmenter has what it needs."""
-    return declared_inputs(segmenter, "requires") <= inputs_of(dataset, entries)

@@ -27,7 +27,7 @@ from lodbench.harness.runs.code_digest import code_digest
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_tilt
-from lodbench.harness.runs.requirements import can_segment, require_run_inputs, segmented_inputs
+from lodbench.harness.runs.requirements import require_run_inputs, segmented_inputs
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
@@ -105,7 +105,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),
         "priors": prior_digest(entries),
-        "masks": segmenter.fingerprint(entries) if can_segment(segmenter, dataset, entries) else "",
+        "masks": segmenter.fingerprint(entries),
         "code": code_digest(method, segmenter),
         **({} if textured is None else {"textured_map": textured.digest()}),
         **method_inputs(method, dataset, entries),
