@@ -97,11 +97,11 @@ def run(method, dataset, tmp_path, **more):
 
 
 def failures(run) -> list[str]:
-    return [row.failure for row in run.rows]
+    return [found.failure for found in run.predictions.values()]
 
 
 def test_the_map_counts_and_the_clock_is_the_harness_s(dataset, tmp_path):
-    rows = run(Scripted(), dataset, tmp_path).rows
+    rows = run(Scripted(), dataset, tmp_path).predictions.values()
     assert [row.hypotheses for row in rows] == [1, 1, 1]
     assert all(set(row.seconds) == {"prepare", "localize"} for row in rows)
 
@@ -138,7 +138,7 @@ class TestBatches:
         assert method.batches == [NAMES[:2]]
         assert method.asked == NAMES
         assert failures(done) == ["", "no luck", ""]
-        assert [row.hypotheses for row in done.rows] == [0, 0, 1]
+        assert [row.hypotheses for row in done.predictions.values()] == [0, 0, 1]
 
     def test_a_fault_is_found_one_by_one(self, dataset, tmp_path):
         done = run(Batched({NAMES[0]: KeyError("oh")}), dataset, tmp_path)
@@ -148,7 +148,7 @@ class TestBatches:
 class TestPreparation:
     def test_is_made_once_and_handed_on(self, dataset, tmp_path):
         first, second = Preparing(), Preparing()
-        assert [row.score for row in run(first, dataset, tmp_path).rows] == [40.0] * 3
+        assert [row.score for row in run(first, dataset, tmp_path).predictions.values()] == [40.0] * 3
         run(second, dataset, tmp_path, limit=1, seed=1)
         assert (first.made, second.made) == ([".npy"], [])
         assert second.top_m == 40.0
@@ -222,7 +222,7 @@ class TestSegmenters:
         done = run_method(Looking(), dataset, Guided(), self.settings(Looking(), tmp_path))
         assert failures(done) == ["", "", ""]
         # Two of the method's own, one of the segmenter within localize; that of the prior's mask is free.
-        assert [row.hypotheses for row in done.rows] == [3, 3, 3]
+        assert [row.hypotheses for row in done.predictions.values()] == [3, 3, 3]
         assert notes_of(done.preparation.segmenter) == ("segmenter guided: guided by the map from the prior",)
 
     def test_others_are_not_offered_another_look(self, dataset, tmp_path):
@@ -244,7 +244,7 @@ class TestSegmenters:
 
         Guided.provides = frozenset({"mask", "instances"})
         done = run_method(Counting(), dataset, Guided(), self.settings(Counting(), tmp_path))
-        assert [row.score for row in done.rows] == [2.0, 2.0, 2.0]
+        assert [row.score for row in done.predictions.values()] == [2.0, 2.0, 2.0]
 
     def test_an_oracle_has_one_renderer(self, dataset, tmp_path, monkeypatch):
         from lodbench.harness.runs import prepare
