@@ -86,7 +86,7 @@ class Views:
         """Returns what a method makes of the views: the evaluated queries, and the predictions."""
         entries = self.dataset.entries
         needs = segmented_inputs(method)
-        preparation = Preparation(self.dataset, city_map.scene, self.segmenter, tilt, needs)
+        preparation = Preparation(self.dataset, city_map.scene, self.segmenter, tilt, needs, city_map)
         with tempfile.TemporaryDirectory() as scratch:
             work = _ViewsWork(
                 method=method,

@@ -140,8 +140,8 @@ def _open_here(work: Work) -> None:
     if scene_digest(city.scene) != work.inputs["scene"]:
         reason = f"{dataset.city_model} is another city for a worker, or has changed since the start."
         raise DatasetError(reason, "Let all workers see the same files.")
-    preparation = Preparation(dataset, city.scene, work.segmenter, work.tilt, work.needs)
     city_map = CityMap(city.scene, work.renderer, work.threads)
+    preparation = Preparation(dataset, city.scene, work.segmenter, work.tilt, work.needs, city_map)
     # It finds prepared what the run's own process prepared.
     prepare_method(work.method, work.params, work.inputs, city_map, dataset.references, work.folder)
     _warm_up(city_map)

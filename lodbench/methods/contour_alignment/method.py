@@ -31,8 +31,8 @@ class ContourAlignment:
     name = "contour_alignment"
     requires = frozenset({Input.MASK})
 
-    def __init__(self, settings: Params | None = None) -> None:
-        self.params = settings or Params()
+    def __init__(self, params: Params | None = None) -> None:
+        self.params = params or Params()
 
     def params_for_prior(self, prior: UniformPrior) -> Params:
         """Returns the parameters that search all that such a prior leaves open, tilt included."""

@@ -58,8 +58,8 @@ class LodLocV2:
     name = "lodlocv2"
     requires = frozenset({Input.MASK})
 
-    def __init__(self, settings: Params | None = None) -> None:
-        self.params = settings or Params()
+    def __init__(self, params: Params | None = None) -> None:
+        self.params = params or Params()
 
     def params_for_prior(self, prior: UniformPrior) -> Params:
         """Returns the parameters whose grid covers such a prior's error."""

@@ -35,8 +35,8 @@ class Region:
     name = "region"
     requires = frozenset({Input.IMAGE})
 
-    def __init__(self, settings: Params | None = None) -> None:
-        self.params = settings or Params()
+    def __init__(self, params: Params | None = None) -> None:
+        self.params = params or Params()
 
     def params_for_prior(self, prior: UniformPrior) -> Params:
         """Returns the parameters that search all that such a prior leaves open, tilt included."""
