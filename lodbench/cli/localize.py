@@ -16,10 +16,16 @@ from lodbench.cli.sources import load_profile
 if TYPE_CHECKING:
     from lodbench.harness.photo.localize import LocalizedPhoto
 
+# Exit code where there is a pose, and it is more likely wrong than right.
+NOT_TRUSTED = 3
+
 _EXAMPLES = """\
-The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goes before it.
+The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goes before it. Without a mask
+or a segmenter the photo's own pixels are aligned with the map (--method region). Exit code 3: there is a
+pose, and it is more likely wrong than right.
 
 examples:
+  lodbench localize DJI_0001.JPG --city LoD2_32_280_5657_1_NW.gml
   lodbench localize DJI_0001.JPG --city LoD2_32_280_5657_1_NW.gml --mask DJI_0001_mask.png
   lodbench localize DJI_0001.JPG --city city.gml --mask mask.png --takeoff 61.5
   lodbench localize photo.jpg --city city.obj --mask mask.png --camera 'PINHOLE 400 300 290 290 200 150' \\
@@ -30,11 +36,15 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    segmenter = None if asked.mask is not None else segmenter_of(asked.segmenter, asked.segmenter_option)
+    from lodbench.methods.registry import make_method
 
+    is_masked = asked.mask is not None or asked.segmenter is not None
+    method = make_method(asked.method or ("lodlocv2" if is_masked else "region"))
+    segmenter = None
+    if asked.mask is None and "mask" in method.requires:
+        segmenter = segmenter_of(asked.segmenter or "compact", asked.segmenter_option)
     from lodbench.datasets.photo_pose import RoughPlace
     from lodbench.harness.photo.localize import PhotoRequest, localize_photo
-    from lodbench.methods.registry import make_method
 
     profile = load_profile(asked.source, asked.option, asked.crs)
     found = localize_photo(
@@ -51,13 +61,13 @@ def main(argv: Sequence[str]) -> int:
             lod=asked.lod or profile.lod,
             options=profile.options,
             roof_height=asked.roof_height,
-            method=make_method(asked.method),
+            method=method,
             seed=asked.seed,
         )
     )
     text = json.dumps(found.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(found)
     sys.stdout.write(text + "\n")
-    return 0
+    return 0 if found.is_trusted else NOT_TRUSTED
 
 
 def describe(found: LocalizedPhoto) -> str:
@@ -69,6 +79,7 @@ def describe(found: LocalizedPhoto) -> str:
         ("", f"pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg (0 looks down; yaw from grid north)"),
         ("prior", f"{found.moved.translation_m:.2f} m and {found.moved.rotation_deg:.2f} deg away"),
         ("score", f"{found.score:.3f}  (LoD {found.lod or 'unnamed'}; camera: {found.camera_source})"),
+        *_trust_rows(found),
         ("overlay", str(found.overlay)),
     ]
     if found.geojson is not None:
@@ -86,6 +97,23 @@ def describe(found: LocalizedPhoto) -> str:
     return "\n".join([*lines, *(f"  note: {note}" for note in found.notes)])
 
 
+def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
+    """Returns how sure the method is, and the next best pose."""
+    rows = []
+    if found.probability is not None:
+        rows.append(("sure", f"{100 * found.probability:.0f} % within 2 m and 2 deg"))
+    if found.sigmas is not None:
+        x, y, z, pitch, roll, yaw = found.sigmas
+        rows.append(
+            ("sigmas", f"{x:.2f} {y:.2f} {z:.2f} m; pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg")
+        )
+    if found.alternatives:
+        away = found.alternatives[0].center - found.pose.center
+        x, y, z = (float(v) for v in away)
+        rows.append(("or", f"{x:+.1f} {y:+.1f} {z:+.1f} m from there, which fits less well"))
+    return rows
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "lodbench localize",
@@ -101,7 +129,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--mask", type=Path, metavar="FILE", help="the photo's buildings in white")
     parser.add_argument(
-        "--segmenter", default="compact", metavar="NAME", help="makes the mask where none is given (compact)"
+        "--segmenter", metavar="NAME", help="makes the mask, for methods that want one (compact)"
     )
     parser.add_argument(
         "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
@@ -118,7 +146,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_height_options(parser)
     parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
-    parser.add_argument("--method", default="lodlocv2", metavar="NAME", help="localisation method")
+    parser.add_argument("--method", metavar="NAME", help="region; with --mask or --segmenter lodlocv2")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("localized"), metavar="DIR", help="(localized)")
     parser.add_argument("--json", action="store_true", help="for machines")

@@ -33,7 +33,7 @@ def localize(
     seed: int = 0,
     threads: int | None = None,
 ) -> Estimate:
-    """Returns the pose of one photo, from its building mask and a rough pose.
+    """Returns the pose of one photo, from its building mask or its pixels, and a rough pose.
 
     Args:
         scene: The city, from ``open_scene``.
@@ -58,4 +58,8 @@ def localize(
         if isinstance(method, SupportsPrepare):
             method.prepare(city_map, (), Workspace(Path(folder)))
         estimate = localize_query(method, query, city_map, streams)
-    return replace(estimate, pose=estimate.pose.shifted(scene.origin))
+    return replace(
+        estimate,
+        pose=estimate.pose.shifted(scene.origin),
+        alternatives=tuple(pose.shifted(scene.origin) for pose in estimate.alternatives),
+    )

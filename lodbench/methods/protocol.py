@@ -34,6 +34,7 @@ class Estimate:
         covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where the
             method knows it.
         probability: That the pose is within 2 m and 2 degrees, where the method knows it.
+        alternatives: Other poses that fit nearly as well, best first, where the method looks for them.
     """
 
     pose: Pose
@@ -43,6 +44,7 @@ class Estimate:
     trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
     covariance: NDArray[np.float64] | None = None
     probability: float | None = None
+    alternatives: tuple[Pose, ...] = ()
 
 
 class Method(Protocol):

@@ -119,8 +119,8 @@ def stated(truth: Pose, crs: str, distorted: bool, tilt_deg: float) -> dict[str,
     return {**values, "DewarpData": f"2023-01-01;{numbers}", "DewarpFlag": "0" if distorted else "1"}
 
 
-def localize(capsys, case: Case, out: Path, *words: str) -> dict:
-    assert main([str(case.photo), "--city", str(case.city), "--out", str(out), "--json", *words]) == 0
+def localize(capsys, case: Case, out: Path, *words: str, code: int = 0) -> dict:
+    assert main([str(case.photo), "--city", str(case.city), "--out", str(out), "--json", *words]) == code
     return json.loads(capsys.readouterr().out)
 
 
@@ -166,6 +166,37 @@ def test_the_camera_is_found(capsys, tmp_path, shared_data, name, distorted, til
     assert (bearing - place["heading_deg"] + 180) % 360 - 180 == pytest.approx(0, abs=1.0)
 
 
+class TestFromPixels:
+    """No mask and no segmenter: the photo's own regions."""
+
+    @pytest.mark.parametrize("distorted", [False, True])
+    def test_the_camera_is_found_and_trusted(self, capsys, tmp_path, shared_data, distorted):
+        case = make_case(tmp_path, shared_data, "nrw", distorted=distorted, tilt_deg=0.5)
+        found = localize(capsys, case, tmp_path / "out")
+        error = pose_error(pose_of(found["pose"]), case.truth)
+        assert error.translation_m < 2.0
+        assert error.rotation_deg < 1.0
+        assert found["trusted"]
+        assert found["probability"] > 0.5
+        assert set(found["sigmas"]) == {"x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg"}
+        assert cv2.imread(found["overlay"]).shape[1] == WIDTH
+
+    def test_a_photo_of_something_else_is_not_trusted(self, capsys, tmp_path, shared_data):
+        case = make_case(tmp_path, shared_data, "nrw")
+        tags = cv2.resize(np.random.default_rng(3).integers(0, 256, (9, 12), dtype=np.uint8), (WIDTH, HEIGHT))
+        noise = np.random.default_rng(4).integers(0, 30, (HEIGHT, WIDTH), dtype=np.uint8)
+        place = case.frame.place_of(case.truth)
+        write_photo(case.photo, tags // 2 + noise)
+        camera = f"PINHOLE {WIDTH} {HEIGHT} {PINHOLE.fx} {PINHOLE.fy} {PINHOLE.cx} {PINHOLE.cy}"
+        words = ["--center", *map(str, case.truth.center + 4.0), "--heading", str(place.heading_deg)]
+        words += ["--pitch", str(place.pitch_deg), "--camera", camera, "--out", str(tmp_path / "out")]
+        assert cli(["localize", str(case.photo), "--city", str(case.city), *words]) == 3
+        told = capsys.readouterr().out
+        assert "do not trust" in told
+        assert "--mask FILE" in told
+        assert "within 2 m and 2 deg" in told
+
+
 def test_leaving_the_distortion_in_the_mask_is_worse(capsys, tmp_path, shared_data):
     case = make_case(tmp_path, shared_data, "nrw", distorted=True)
     good = localize(capsys, case, tmp_path / "a", "--mask", str(case.mask))
@@ -202,7 +233,7 @@ def test_a_segmenter_s_mask_is_undistorted_as_a_file_s(capsys, tmp_path, shared_
     found = localize(capsys, case, tmp_path / "b", "--segmenter", "mine")
     assert found["pose"] == from_file["pose"]
     inverted = localize(
-        capsys, case, tmp_path / "c", "--segmenter", "mine", "--segmenter-option", "invert=true"
+        capsys, case, tmp_path / "c", "--segmenter", "mine", "--segmenter-option", "invert=true", code=3
     )
     assert inverted["score"] < found["score"]
     assert any("do not trust" in note for note in inverted["notes"])

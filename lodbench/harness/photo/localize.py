@@ -34,8 +34,9 @@ from lodbench.segmentation.masks import read_mask
 
 # What one photo has; masks come with --mask or from a segmenter.
 _GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
-# Below this overlap of mask and model a pose is not to be trusted.
-_POOR_FIT = 0.5
+# Below this probability, or where there is none this overlap of mask and model, a pose is not to be trusted.
+TRUSTED_PROBABILITY, TRUSTED_OVERLAP = 0.5, 0.5
+_SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +88,10 @@ class LocalizedPhoto:
         prior: Likewise.
         moved: How far the estimate lies from the prior.
         score: Of the method: the overlap (IoU) of mask and model for LoD-Loc v2.
+        probability: That the pose is within 2 m and 2 degrees, where the method knows it.
+        sigmas: Standard deviations of x, y, z (metres), pitch, roll and yaw (degrees), where it knows them.
+        alternatives: Other poses that fit nearly as well, in the city's coordinates, best first.
+        is_trusted: Whether the pose is more likely right than wrong, as far as can be told.
         place: Where on Earth, or None without a reference system.
         camera: Pinhole that was localised.
         camera_source: Where its numbers came from.
@@ -102,6 +107,10 @@ class LocalizedPhoto:
     prior: Pose
     moved: PoseError
     score: float
+    probability: float | None
+    sigmas: tuple[float, ...] | None
+    alternatives: tuple[Pose, ...]
+    is_trusted: bool
     place: Place | None
     camera: Camera
     camera_source: str
@@ -121,6 +130,10 @@ class LocalizedPhoto:
             "moved_m": self.moved.translation_m,
             "turned_deg": self.moved.rotation_deg,
             "score": self.score,
+            "probability": self.probability,
+            "sigmas": None if self.sigmas is None else dict(zip(_SIGMA_NAMES, self.sigmas, strict=True)),
+            "alternatives": [_pose_values(pose) for pose in self.alternatives],
+            "trusted": self.is_trusted,
             "camera": {"colmap": [*self.camera.to_colmap()], "source": self.camera_source},
             "overlay": str(self.overlay),
             "geojson": None if self.geojson is None else str(self.geojson),
@@ -164,6 +177,10 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
         prior=prior,
         moved=pose_error(estimate.pose, prior),
         score=float(estimate.score),
+        probability=estimate.probability,
+        sigmas=_sigmas(estimate),
+        alternatives=estimate.alternatives,
+        is_trusted=_is_trusted(estimate, mask is not None),
         place=None if frame is None else frame.place_of(estimate.pose),
         camera=pinhole,
         camera_source=camera_source,
@@ -262,9 +279,33 @@ def _notes(photo: PhotoMetadata, frame: MapFrame | None, view: PhotoView, estima
         notes.append("the photo's pixels cannot be decoded: the overlay shows none")
     if view.camera.distortion:
         notes.append(f"the lens distortion ({view.camera.lens}) was undone before localising")
-    if view.mask is not None and estimate.score < _POOR_FIT:
-        notes.append(f"mask and model overlap by {estimate.score:.2f} only: do not trust this pose")
+    if not _is_trusted(estimate, view.mask is not None):
+        notes.append(_warning(estimate))
     return notes
+
+
+def _is_trusted(estimate: Estimate, has_mask: bool) -> bool:
+    if estimate.probability is not None:
+        return estimate.probability >= TRUSTED_PROBABILITY
+    # Without a mask a score is the method's own, in no known unit.
+    return not has_mask or estimate.score >= TRUSTED_OVERLAP
+
+
+def _warning(estimate: Estimate) -> str:
+    if estimate.probability is None:
+        reason = f"mask and model overlap by {estimate.score:.2f} only: do not trust this pose"
+    else:
+        reason = f"this pose is right with a probability of {estimate.probability:.2f} only: do not trust it"
+    return (
+        f"{reason}; look at the overlay, give a better --center, --height or --heading, "
+        "or trace the buildings and give --mask FILE with --method contour_alignment"
+    )
+
+
+def _sigmas(estimate: Estimate) -> tuple[float, ...] | None:
+    if estimate.covariance is None:
+        return None
+    return tuple(float(v) for v in np.sqrt(np.diagonal(estimate.covariance)))
 
 
 def _pose_values(pose: Pose) -> dict[str, Any]:

@@ -78,6 +78,7 @@ class Region:
             trace={"coarse": (best,), "modes": tuple(mode.log_posterior for mode in modes)},
             covariance=covariance,
             probability=share_of_best(modes) * probability_within(covariance, vector),
+            alternatives=tuple(pose_from_vector(mode.cloud.mean) for mode in modes[1:]),
         )
 
     def _evidence(
