@@ -35,6 +35,7 @@ from lodbench.bench import (
     measure_training_data,
     measure_wide_priors,
 )
+from lodbench.bench.photo_masks import PhotoMaskReport
 from lodbench.bench.real_report import RealReport
 from lodbench.bench.silhouette_pictures import write_pictures
 from lodbench.cli import bench_real
@@ -154,6 +155,7 @@ Report = (
     | EvaluationReport
     | IouRecallReport
     | MaskQualityReport
+    | PhotoMaskReport
     | RealReport
     | WidePriorReport
 )

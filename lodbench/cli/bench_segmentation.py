@@ -14,6 +14,7 @@ from lodbench.bench import (
     measure_iou_recall,
     measure_masks,
 )
+from lodbench.bench.photo_masks import PhotoMaskReport, measure_photo_masks
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
@@ -23,6 +24,7 @@ _VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
 _MORE = """\
   lodbench bench segmentation                                the shipped network on the town it has never seen
   lodbench bench segmentation --segmenter-option weights=compact.onnx --pictures DIR
+  lodbench bench segmentation --photos DIR --pictures OUT    real photos with masks traced by hand, by place
   lodbench bench segmentation --data SET --visible SET2      views of `lodbench generate-training-data`
   lodbench bench segmentation --city CITY --pictures DIR     recall over the IoU of masks, no network at all
 """
@@ -45,6 +47,9 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--data", type=Path, metavar="SET", help="training set, or folder of sets; else a town"
     )
+    parser.add_argument(
+        "--photos", type=Path, metavar="DIR", help="real photos with traced masks: PLACE/photos, PLACE/masks"
+    )
     parser.add_argument("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
     parser.add_argument("--town", default="test", help="test or train: views made on first use (test)")
     parser.add_argument("--city", type=Path, help="measure recall over the IoU of masks on views of it")
@@ -57,8 +62,12 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
 
 def measure_segmentation(
     options: argparse.Namespace, steps: ProgressCallback
-) -> MaskQualityReport | IouRecallReport:
+) -> MaskQualityReport | IouRecallReport | PhotoMaskReport:
     """Returns what was asked for, its picture written."""
+    if options.photos is not None:
+        if options.city is not None or options.data is not None or options.views is not None:
+            raise ConfigError("--photos are measured by themselves.", "Leave out --city, --data and --views.")
+        return _photos(options, steps)
     if options.city is not None:
         if options.data is not None or options.visible is not None:
             raise ConfigError("--city draws masks of its own.", "Leave out --data, or --city.")
@@ -66,6 +75,16 @@ def measure_segmentation(
     if options.visible is not None and options.data is None:
         raise ConfigError("--visible is of no use without --data.", "Name the set that it is the same as.")
     return _masks(options, steps)
+
+
+def _photos(options: argparse.Namespace, steps: ProgressCallback) -> PhotoMaskReport:
+    from lodbench.bench.mask_quality import require_photo_segmenter
+
+    segmenter = segmenter_of(options.segmenter, options.segmenter_option)
+    report = measure_photo_masks(require_photo_segmenter(segmenter, options.segmenter), options.photos, steps)
+    if options.pictures is not None:
+        report.write_pictures(options.pictures)
+    return report
 
 
 def _curve(options: argparse.Namespace, steps: ProgressCallback) -> IouRecallReport:

@@ -1,0 +1,181 @@
+"""How good are a segmenter's masks of real photos? IoU by place, and what is found where there is nothing."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.bench.mask_quality import found_mask, one_core
+from lodbench.errors import DatasetError
+from lodbench.evaluation.statistics import Interval, bootstrap_means
+from lodbench.reporting.columns import format_columns
+from lodbench.reporting.overlays import draw_outline, write_picture
+from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+from lodbench.segmentation.photos import read_photo
+
+Mask = NDArray[np.bool_]
+_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+_WIDTH = 900
+# BGR: told apart with any colour vision.
+_EXTRA, _MISSED, _OUTLINE = (30, 120, 255), (255, 60, 190), (255, 255, 255)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoMask:
+    """One photo measured.
+
+    Attributes:
+        place: Folder of the place.
+        photo: Its file.
+        truth: (H, W) the true mask.
+        found: (H, W) the segmenter's.
+        seconds: CPU time from the file to the mask.
+    """
+
+    place: str
+    photo: Path
+    truth: Mask
+    found: Mask
+    seconds: float
+
+    @property
+    def is_empty(self) -> bool:
+        """Tells whether the photo shows no building."""
+        return not self.truth.any()
+
+    @property
+    def iou(self) -> float:
+        """Returns intersection over union, which says nothing of an empty photo."""
+        return float((self.truth & self.found).sum() / max(1, int((self.truth | self.found).sum())))
+
+    @property
+    def share_found(self) -> float:
+        """Returns the share of the photo that was found to be building."""
+        return float(self.found.mean())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoMaskReport:
+    """What was measured.
+
+    Attributes:
+        segmenter: Its name and the start of its weights' digest.
+        data: Name of the folder.
+        photos: By place and name.
+    """
+
+    segmenter: str
+    data: str
+    photos: tuple[PhotoMask, ...]
+
+    def by_place(self) -> dict[str, list[float]]:
+        """Returns the IoUs of each place that shows buildings."""
+        places: dict[str, list[float]] = {}
+        for photo in self.photos:
+            if not photo.is_empty:
+                places.setdefault(photo.place, []).append(photo.iou)
+        return places
+
+    def empty(self) -> list[float]:
+        """Returns the shares found in photos without buildings."""
+        return [photo.share_found for photo in self.photos if photo.is_empty]
+
+    def figures(self) -> list[Figure]:
+        """Returns means over photos and over places, each place's, and the shares found in empty photos."""
+        places, empty = self.by_place(), self.empty()
+        figures = [Figure(f"IoU of {place}", float(np.mean(ious)), "") for place, ious in places.items()]
+        if places:
+            over_photos = [iou for ious in places.values() for iou in ious]
+            over_places = [float(np.mean(ious)) for ious in places.values()]
+            figures.append(Figure("IoU, mean over photos", float(np.mean(over_photos)), ""))
+            figures.append(Figure("IoU, mean over places", float(np.mean(over_places)), ""))
+        if empty:
+            figures.append(Figure("share found in photos without buildings", float(np.mean(empty)), ""))
+        seconds = float(np.median([photo.seconds for photo in self.photos]))
+        return [*figures, Figure("CPU seconds per photo", seconds, "s")]
+
+    def to_text(self) -> str:
+        """Returns a table of photos and one of places, with 95 % intervals over photos."""
+        photos = [["place", "photo", "IoU", "share found", "true share"]]
+        for p in self.photos:
+            iou = "-" if p.is_empty else f"{p.iou:.3f}"
+            photos.append([p.place, p.photo.name, iou, f"{p.share_found:.3f}", f"{p.truth.mean():.3f}"])
+        places = self.by_place()
+        rows = [["", "photos", "mean IoU", "(95 %)"]]
+        rows += [[place, str(len(ious)), *_mean(ious)] for place, ious in places.items()]
+        if places:
+            every = [iou for ious in places.values() for iou in ious]
+            rows.append(["all photos", str(len(every)), *_mean(every)])
+            rows.append(
+                ["all places", str(len(places)), *_mean([float(np.mean(i)) for i in places.values()])]
+            )
+        if self.empty():
+            rows.append(["share found where nothing is", str(len(self.empty())), *_mean(self.empty())])
+        return "\n".join(
+            [f"{self.segmenter} on {self.data}", format_columns(photos), "", format_columns(rows)]
+        )
+
+    def write_pictures(self, folder: Path) -> None:
+        """Writes an overlay per photo: true outline white, wrongly found orange, missed violet."""
+        for photo in self.photos:
+            # Traced masks are of their photo's size.
+            canvas: NDArray[np.uint8] = np.ascontiguousarray(read_photo(photo.photo)[..., ::-1])
+            for wrong, colour in (
+                (photo.found & ~photo.truth, _EXTRA),
+                (photo.truth & ~photo.found, _MISSED),
+            ):
+                canvas[wrong] = (0.4 * canvas[wrong] + 0.6 * np.array(colour)).astype(np.uint8)
+            draw_outline(canvas, photo.truth, _OUTLINE, 2)
+            scale = min(1.0, _WIDTH / canvas.shape[1])
+            small = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            (folder / photo.place).mkdir(parents=True, exist_ok=True)
+            write_picture(folder / photo.place / f"{photo.photo.stem}.png", np.asarray(small, dtype=np.uint8))
+
+
+def measure_photo_masks(
+    segmenter: PhotoSegmenter, folder: Path, progress: Progress = no_progress
+) -> PhotoMaskReport:
+    """Returns how well a segmenter's masks of real photos agree with traced ones.
+
+    Args:
+        segmenter: Looks at the photos.
+        folder: Holds a folder per place with ``photos``, and ``masks`` (PNG, 255 = building) of their names.
+        progress: Called after each photo.
+
+    Raises:
+        DatasetError: There are no photos, or one has no mask or one of another size.
+        QueryFault: A photo or a mask cannot be read.
+    """
+    files = sorted(p for p in folder.glob("*/photos/*") if p.suffix.lower() in _ENDINGS)
+    if not files:
+        raise DatasetError(
+            f"{folder} holds no photos.", "Put them in PLACE/photos, and their masks in PLACE/masks."
+        )
+    measured = []
+    with one_core():
+        for number, photo in enumerate(files, start=1):
+            path = photo.parent.parent / "masks" / f"{photo.stem}.png"
+            if not path.is_file():
+                raise DatasetError(f"{photo} has no mask.", f"Trace one as {path}: 255 = building.")
+            truth = np.asarray(read_mask(path) >= 0.5)
+            if truth.shape != read_photo(photo).shape[:2]:
+                raise DatasetError(f"{path} is not of its photo's size.")
+            started = time.process_time()
+            found = found_mask(segmenter, photo, truth.shape)
+            seconds = time.process_time() - started
+            measured.append(PhotoMask(photo.parent.parent.name, photo, truth, found, seconds))
+            progress(number, len(files))
+    name = f"{segmenter.name}, weights {segmenter.weights_digest[:12]}"
+    return PhotoMaskReport(name, folder.name, tuple(measured))
+
+
+def _mean(values: list[float]) -> list[str]:
+    interval: Interval = bootstrap_means(np.array(values)[:, None])[0]
+    return [f"{np.mean(values):.3f}", f"({interval[0]:.3f} to {interval[1]:.3f})"]
