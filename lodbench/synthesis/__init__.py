@@ -4,7 +4,7 @@
 room                   what it makes
 =====================  ===========================================================================
 ``town``               the demo town: streets, blocks, buildings in three levels of detail, CityGML
-``surroundings``       ground, land cover, trees and cars around a city model that has none
+``surroundings``       ground, land cover, trees, cars, clutter around a city model that has none
 ``objects``            what stands in pictures: classes of surfaces, mesh builder, trees, cars
 ``photo``              pictures of all that: looks, surfaces, sun, camera response, render scene
 ``building_boxes``     where buildings are, and what is clear of them
@@ -28,5 +28,7 @@ Where something new goes:
   it and in ``photo/surfaces.py`` or ``photo/ground.py`` if the place does;
 - a thing that stands around: its shape in ``objects``, its places in ``surroundings/trees_and_cars.py``
   or ``town/trees_and_cars.py``;
+- something that networks take for a building and is none: a function and a line in ``CLUTTER`` of
+  ``surroundings/clutter.py``; a colour of roofs or walls: the palettes of ``photo/surfaces.py``;
 - an error of masks: a field in ``mask_degradation.py``.
 """
