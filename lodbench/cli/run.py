@@ -14,6 +14,7 @@ from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.run_dataset import data_identity, dataset_opener, with_prior, with_source
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.errors import ConfigError
+from lodbench.evaluation.queries import has_truth
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
@@ -21,6 +22,7 @@ from lodbench.harness.runs.gallery import write_overlays
 from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
+from lodbench.reporting.answers import format_answers
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import RecallTable, tables_of
@@ -136,9 +138,16 @@ def _options_of(values: dict[str, Any]) -> RunOptions:
 def report(runs: Sequence[Run]) -> str:
     """Returns the tables of runs and what a reader wants next to them."""
     summaries = [summary_of(run) for run in runs]
-    valid = [summary for summary in summaries if "invalid" not in summary]
+    scored = [has_truth(run.queries).any() for run in runs]
+    pairs = zip(summaries, scored, strict=True)
+    valid = [summary for summary, is_scored in pairs if is_scored and "invalid" not in summary]
     tables = tables_of(valid)
     parts = [format_text(table) for table in tables]
+    parts += [
+        format_answers(run.queries, run.predictions)
+        for run, is_scored in zip(runs, scored, strict=True)
+        if not is_scored
+    ]
     parts += [_calibration_text(table) for table in tables if "ece_percent" in table.numbers()]
     lines = []
     for run, summary in zip(runs, summaries, strict=True):

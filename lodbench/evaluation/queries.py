@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,13 +73,17 @@ def summarize_queries(
 ) -> tuple[SplitSummary, SplitSummary]:
     """Returns the summaries of the estimates and of the priors of one split, over its truth list."""
     scored = of_split(queries, split)
-    mine = queries[(queries["split"] == split) & is_answered(queries)]
+    is_mine, answered = queries["split"] == split, is_answered(queries)
+    mine = queries[is_mine & answered]
     estimates = summarize(
         scored[list(ERROR)].to_numpy(),
         mine["hypotheses"].dropna().to_numpy(),
         thresholds,
         metrics=compute_metrics(scored),
     )
+    if scored.empty:
+        # Nothing to score is no reason to call an unanswered query answered.
+        estimates = replace(estimates, num_failed=int((is_mine & ~answered).sum()))
     return estimates, summarize(scored[list(PRIOR_ERROR)].to_numpy(), (), thresholds)
 
 

@@ -42,6 +42,12 @@ def test_parts_of_the_error_and_masks_by_hand():
     assert (found.num_queries, found.num_failed, found.hypotheses_per_query) == (3, 1, 20.0)
 
 
+def test_unanswered_queries_without_a_truth_are_failed_ones():
+    reasons = ("no true pose to compare with", "no true pose to compare with; no mask")
+    found = summarize_queries(frame(*({"failure": reason, "hypotheses": 1} for reason in reasons)), "a")[0]
+    assert (found.num_queries, found.num_failed) == (0, 1)
+
+
 def test_probabilities_are_compared_with_what_was_found():
     rows = [(0.5, 0.5, 0.95), (1.0, 1.0, 0.85), (9.0, 1.0, 0.25), (*FAILED, math.nan)]
     queries = frame(*(errors(m, deg, probability=p) for m, deg, p in rows))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import LodbenchError
 from lodbench.evaluation.calibration import calibrate
-from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, of_split
+from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, of_split
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name
@@ -88,6 +88,7 @@ def run_report(verdict: Verdict, tilt: str) -> str:
         title=f"{name} on {dataset}",
         differences=verdict.differences,
         is_weak=verdict.is_weak,
+        has_truth=has_truth(stored.queries).any(),
         protocol=facts(summary["protocol"]),
         sections=[
             (key, title, markup(html), pictures)

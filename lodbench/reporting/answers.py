@@ -1,0 +1,53 @@
+"""The answers of a run without a truth, one line per query: all there is to be told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from lodbench.evaluation.predictions import Prediction
+from lodbench.reporting.columns import format_columns
+from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.table_columns import finite_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# From these probabilities of being within 2 m and 2 degrees on.
+_WORDS = ((0.9, "good"), (0.5, "doubtful"), (0.0, "do not trust"))
+
+
+def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction]) -> str:
+    """Returns position, angles, score, probability and a word of trust per query, as aligned text.
+
+    Args:
+        queries: As ``lodbench.evaluation.queries`` has them.
+        predictions: By the index of the queries; poses in the dataset's frame.
+    """
+    head = ["", "x m", "y m", "z m", "pitch deg", "yaw deg", "score", "probability", "trust"]
+    lines = [_cells(str(key), predictions[str(key)]) for key in queries.index]
+    answered = sum(predictions[str(key)].pose is not None for key in queries.index)
+    return (
+        f"There is no truth to compare with: the answers themselves.\n\n{format_columns([head, *lines])}\n\n"
+        f"{answered} of {len(lines)} queries have an answer, {len(lines) - answered} failed. "
+        "Trust goes by the probability that the method gives of being within 2 m and 2 degrees.\n"
+    )
+
+
+def trust_of(prediction: Prediction) -> str:
+    """Returns how far an answer may be trusted, in a word; "-" where the method does not say."""
+    if prediction.pose is None:
+        return "failed"
+    if prediction.probability is None:
+        return "-"
+    return next((word for least, word in _WORDS if prediction.probability >= least), _WORDS[-1][1])
+
+
+def _cells(key: str, found: Prediction) -> list[str]:
+    place = ["-"] * 5
+    if found.pose is not None:
+        pitch, _, yaw = found.pose.euler
+        place = [f"{value:.2f}" for value in (*found.pose.center, pitch, yaw)]
+    known = (math.nan if value is None else value for value in (found.score, found.probability))
+    return [plain_text(key), *place, *(finite_text(value, ".3f") for value in known), trust_of(found)]
