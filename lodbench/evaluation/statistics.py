@@ -149,6 +149,9 @@ def paired_medians(first: Floats, second: Floats) -> PairedTest:
         low, high = _ranks_of_median(weights[:, order])
         medians.append(_middle(values[order][low], values[order][high]))
     resampled = np.array([_difference(a, b) for a, b in zip(*medians, strict=True)])
+    if len(first) == 1:
+        # One query swapped is as far apart as before.
+        return PairedTest(observed, _ends(resampled), 1.0 if math.isfinite(observed) else math.nan)
     swapped = stats.permutation_test(
         (first, second),
         _median_distance,

@@ -84,6 +84,11 @@ def test_the_interval_of_a_difference_never_claims_certainty():
     assert all(map(math.isnan, mcnemar(hits[:0], hits[:0]).interval))
 
 
+def test_one_query_tells_nothing():
+    test = paired_medians(np.array([1.0]), np.array([3.0]))
+    assert (test.difference, test.p) == (2.0, 1.0)
+
+
 def test_equal_runs_do_not_differ_and_a_better_one_does():
     errors = np.random.default_rng(3).exponential(2.0, 80)
     same = paired_medians(errors, errors)
