@@ -16,10 +16,11 @@ ablation: $(VENV)/.base
 test: $(VENV)/.test lint
 	$(BIN)/python -m pytest -n auto --dist loadgroup
 
-# 20,000 mutated city files, for a nightly run; `make test` tries 500. COUNT= sets another number.
+# 20,000 mutated city files and as many of all other kinds, for a nightly run; `make test` tries a slice. COUNT= sets another number.
 COUNT ?= 20000
 fuzz: $(VENV)/.test
 	$(BIN)/python -m tests.citymodel.test_fuzz $(COUNT)
+	$(BIN)/python -W ignore -m tests.fuzz_readers $(COUNT)
 
 # The weights of segmenter=compact, from nothing: views in 20 minutes, training in three hours, on two cores. CITIES= adds open city models.
 OUT ?= weights

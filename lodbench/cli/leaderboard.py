@@ -15,7 +15,7 @@ from lodbench.harness.runs.result import split_digest
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.leaderboard import build_leaderboard
 from lodbench.reporting.leaderboard_entry import entry_path, entry_text, measured_entry, reasons_against
-from lodbench.storage import write_text
+from lodbench.storage import make_folder, write_text
 
 
 def main(argv: Sequence[str]) -> int:
@@ -58,7 +58,7 @@ def _add(options: argparse.Namespace) -> int:
         reasons=reasons,
     )
     text, path = entry_text(entry), entry_path(options.root, entry)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     write_text(path, text)
     sys.stdout.write(f"{path}\n" + "".join(f"  kept out of the ranking: {reason}\n" for reason in reasons))
     return 0

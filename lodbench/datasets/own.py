@@ -16,7 +16,7 @@ from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
-from lodbench.storage import write_bytes, write_text
+from lodbench.storage import make_folder, write_bytes, write_text
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _JPEG_QUALITY = 95
@@ -126,7 +126,7 @@ def write_dataset(
     """
     require_new_folder(folder)
     names = _dataset_names(images)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     left_out = list(left_out)
     kept: list[tuple[str, OwnImage, Camera]] = []
     num_undistorted = 0
@@ -185,7 +185,7 @@ def _write_pictures(folder: Path, name: str, image: OwnImage, pinhole: Camera) -
         target = folder / "masks" / f"{Path(name).stem}.png"
         contents[target] = _encoded(image.mask, image.camera, pinhole, target)
     for target, content in contents.items():
-        target.parent.mkdir(exist_ok=True)
+        make_folder(target.parent)
         write_bytes(target, content)
     return int(bool(contents) and not is_straight)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.storage import digest_of, file_digest, write_bytes
+from lodbench.storage import digest_of, file_digest, make_folder, write_bytes
 from lodbench.storage.paths import cache_root
 
 Probability = NDArray[np.float32]
@@ -35,7 +35,7 @@ def cached_probability(photo: Path, identity: str, compute: Callable[[], Probabi
         content = io.BytesIO()
         np.savez_compressed(content, probability=stored)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             write_bytes(path, content.getvalue())
         except OSError:
             pass  # a read-only cache or a full disk costs time, not the answer

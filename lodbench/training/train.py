@@ -13,7 +13,7 @@ from lodbench import __version__
 from lodbench.errors import ConfigError
 from lodbench.segmentation.extras import require
 from lodbench.segmentation.trainable import TrainableSegmenter
-from lodbench.storage import digest_of, file_digest, write_text
+from lodbench.storage import digest_of, file_digest, make_folder, write_text
 from lodbench.training.learning_curves import write_curves
 from lodbench.training.samples import Sample, samples_digest, split_samples
 from lodbench.training.train_params import TrainParams
@@ -59,7 +59,7 @@ def train_network(segmenter: TrainableSegmenter, params: TrainParams) -> Trained
     data, val_data = Path(params.data).expanduser(), params.val_data
     train, val, source = split_samples(data, Path(val_data).expanduser() if val_data else None)
     out = Path(params.out).expanduser()
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     record = _record(segmenter, params, data, train, val, source)
     started_at: list[int] = []
 

@@ -12,6 +12,7 @@ import time
 import pytest
 
 from lodbench.cli import main
+from lodbench.methods.lodlocv2 import LodLocV2
 from tests.town import write_dataset
 
 ESCAPE = "\x1b]0;owned\x07\x1b[2J"
@@ -60,6 +61,28 @@ def test_a_full_disk_is_one_line_that_names_the_file(lodbench, tmp_path, monkeyp
     assert "runs/folder/" in done.stderr.splitlines()[0]
     assert "No space left on device" in done.stderr.splitlines()[0]
     assert len(done.stderr.splitlines()) == 2
+
+
+def test_a_mask_replaced_during_a_run_is_noticed(lodbench, tmp_path, monkeypatch):
+    root, city = write_dataset(tmp_path / "town")
+    masks = sorted((root / "masks").iterdir())
+    words = run_words(root, city, "method=lodlocv2", "method.steps=1", "segmenter=masks")
+    with monkeypatch.context() as patch:
+        real = LodLocV2.localize
+
+        def localize(self, *more):
+            masks[1].write_bytes(masks[0].read_bytes())
+            return real(self, *more)
+
+        patch.setattr(LodLocV2, "localize", localize)
+        done = lodbench(*words)
+    assert done.returncode == 2
+    assert "The masks changed while the run was going on" in done.stderr
+    (folder,) = (tmp_path / "runs").glob("*/lodlocv2/*")
+    assert not (folder / "predictions.jsonl").exists()
+    assert not (folder / "poses.txt").exists()
+    assert lodbench(*words).returncode == 0
+    assert len(list((tmp_path / "runs").glob("*/lodlocv2/*/poses.txt"))) == 1
 
 
 def test_aliases_of_aliases_in_a_run_s_configuration_are_refused_at_once(lodbench, tmp_path):

@@ -17,7 +17,7 @@ from lodbench.harness.runs.run import Run
 from lodbench.reporting.basin_figures import RecallCurve, draw_cost_maps, draw_recall_curves
 from lodbench.reporting.table_formats import format_latex, format_markdown
 from lodbench.reporting.tables import Line, RecallTable, numbers_of, title_of
-from lodbench.storage import digest_of, write_bytes, write_text
+from lodbench.storage import digest_of, make_folder, write_bytes, write_text
 
 _AXES = {
     TRANSLATION: "prior's half width in x, y and z, m",
@@ -68,7 +68,7 @@ def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
     first = basin.steps[0][1]
     name = digest_of([run.folder.name for _, run in basin.steps])
     folder = first.folder.parent.parent / "basin" / f"{first.folder.parent.name}-{name}"
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_text(folder / "protocol.txt", "\n".join(basin.protocol) + "\n")
     write_text(folder / "basin.csv", _basin_csv(basin))
     write_text(folder / "basin.md", "\n".join(map(format_markdown, basin.tables())))

@@ -22,7 +22,7 @@ from lodbench.harness.runs.prepare import TILTS, Preparation, prior_of
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.rendering import make_renderer
 from lodbench.segmentation import Segmenter
-from lodbench.storage import digest_of
+from lodbench.storage import digest_of, make_folder, remove_leftovers
 
 NO_POSE = "no pose in the pose file"
 # What a pose file does not say about how it was made.
@@ -82,7 +82,8 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
         "seed": UNSTATED,
     }
     folder = settings.runs_root / dataset.name / name / digest_of({"config": config, "inputs": inputs})
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
+    remove_leftovers(folder)
     predictions = {entry.key: _prediction(matched.poses.get(entry.key)) for entry in entries}
     priors = {entry.key: prior_of(entry, dataset, settings.tilt) for entry in entries}
     queries = evaluate(entries, predictions, dataset.truth, priors, tilt=settings.tilt)

@@ -19,6 +19,7 @@ from lodbench.harness.runs.result import Result
 from lodbench.rendering import Renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.segmentation import Segmenter, binary_mask
+from lodbench.storage import make_folder, remove_leftovers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,7 +31,8 @@ COUNT = 3
 def write_overlays(result: Result, preparation: Preparation, renderer: Renderer) -> list[Path]:
     """Writes pictures of the worst and best queries of each split; returns their files."""
     folder = result.folder / "overlays"
-    folder.mkdir(exist_ok=True)
+    make_folder(folder)
+    remove_leftovers(folder)
     entries = {entry.key: entry for entry in result.dataset.entries}
     written = []
     for split in result.splits:

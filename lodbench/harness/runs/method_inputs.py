@@ -16,7 +16,7 @@ from lodbench.methods.asking import weight_files
 from lodbench.methods.protocol import SupportsPrepare
 from lodbench.methods.workspace import open_workspace
 from lodbench.segmentation.masks import content_digest
-from lodbench.storage import digest_of, file_digest, write_text
+from lodbench.storage import digest_of, file_digest, make_folder, write_text
 
 # What a workspace's content depends on, of a run's inputs.
 _PREPARED_FROM = ("scene", "code", "weights", "references", "textured_map")
@@ -82,7 +82,7 @@ def keep_traceback(folder: Path, name: str, error: Exception) -> Path:
     """Writes where a plug-in's code raised to ``tracebacks`` in a run folder; returns the file."""
     safe = "".join(c if c.isalnum() or c in "._-" else "_" for c in name)
     file = folder / "tracebacks" / f"{safe}.txt"
-    file.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(file.parent)
     write_text(file, "".join(traceback.format_exception(error)))
     return file
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.texture_files import open_textured_map
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, DatasetError, LodbenchError, QueryFault
@@ -136,12 +137,16 @@ def _open_here(work: Work) -> None:
     dataset = work.dataset
     if dataset.city_model is None:
         raise ConfigError("There is no city model to localise against.", dataset.city_hint)
-    city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)
-    if scene_digest(city.scene) != work.inputs["scene"]:
+    scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
+    textured = None
+    if dataset.textured_map is not None:
+        textured = open_textured_map(dataset.textured_map, scene, options=dataset.city_options)
+    found = {"scene": scene_digest(scene), "textured_map": "" if textured is None else textured.digest()}
+    if any(work.inputs.get(name, "") != digest for name, digest in found.items()):
         reason = f"{dataset.city_model} is another city for a worker, or has changed since the start."
         raise DatasetError(reason, "Let all workers see the same files.")
-    city_map = CityMap(city.scene, work.renderer, work.threads)
-    preparation = Preparation(dataset, city.scene, work.segmenter, work.tilt, work.needs, city_map)
+    city_map = CityMap(scene, work.renderer, work.threads, textured)
+    preparation = Preparation(dataset, scene, work.segmenter, work.tilt, work.needs, city_map)
     # It finds prepared what the run's own process prepared.
     prepare_method(work.method, work.params, work.inputs, city_map, dataset.references, work.folder)
     _warm_up(city_map)

@@ -17,15 +17,15 @@ from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.pose_direction import require_direction
 from lodbench.datasets.prior_sources import prior_digest
-from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.execution.executor import SERIAL, ExecutorParams
 from lodbench.execution.lock import only_one_in
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.code_digest import code_digest
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
-from lodbench.harness.runs.predict import Work, open_predictions, predict
+from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_tilt
 from lodbench.harness.runs.requirements import require_run_inputs, segmented_inputs
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
@@ -35,6 +35,7 @@ from lodbench.plugins import load_plugin
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import digest_of, make_folder, remove_leftovers, write_text
+from lodbench.storage.disk import disk
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,10 +106,9 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),
         "priors": prior_digest(entries),
-        "masks": segmenter.fingerprint(entries),
         "code": code_digest(method, segmenter),
         **({} if textured is None else {"textured_map": textured.digest()}),
-        **method_inputs(method, dataset, entries),
+        **_read_inputs(method, segmenter, dataset, entries),
     }
     digest = digest_of({"config": settings.config, "inputs": inputs})
     folder = settings.runs_root / dataset.name / method.name / digest
@@ -140,6 +140,8 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         except ConfigError:
             _remove_unused(folder)
             raise
+        if len(stored) < len(entries):
+            _require_unchanged(inputs, _read_inputs(method, segmenter, dataset, entries), folder)
     priors = {entry.key: preparation.prior(entry) for entry in entries}
     return Run(
         folder=folder,
@@ -153,6 +155,31 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         preparation=preparation,
         scorer=city_map,
         resumed=resumed,
+    )
+
+
+def _read_inputs(
+    method: Method, segmenter: Segmenter, dataset: Dataset, entries: tuple[Entry, ...]
+) -> dict[str, str]:
+    """Returns digests of the files that are read again for every query."""
+    return {"masks": segmenter.fingerprint(entries), **method_inputs(method, dataset, entries)}
+
+
+def _require_unchanged(before: dict[str, str], after: dict[str, str], folder: Path) -> None:
+    """Sets the answers apart if what they were made from is no longer what names the run's folder.
+
+    Raises:
+        DatasetError: It is not.
+    """
+    changed = [name for name, digest in after.items() if before[name] != digest]
+    if not changed:
+        return
+    file = folder / PREDICTIONS_FILE
+    if file.exists():
+        disk().rename(file, file.with_suffix(".mixed"))
+    raise DatasetError(
+        f"The {' and '.join(changed)} changed while the run was going on: {folder} keeps no answer.",
+        "Give the same command again; what was answered is in predictions.mixed.",
     )
 
 

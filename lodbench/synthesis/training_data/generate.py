@@ -21,7 +21,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.execution.fan_out import fan_out
-from lodbench.storage import random_stream
+from lodbench.storage import make_folder, random_stream
 from lodbench.synthesis.objects.scene_props import read_props
 from lodbench.synthesis.surroundings.surroundings import Surroundings, make_surroundings
 from lodbench.synthesis.training_data.contact_sheet import SHEET_FILE, write_sheet
@@ -138,7 +138,7 @@ def _write_layout(params: GenerateParams, scene: Scene, plan: ViewPlan, out: Pat
             continue
         for view in views[:1]:
             for path in files_of(params, view, out):
-                path.parent.mkdir(parents=True, exist_ok=True)
+                make_folder(path.parent)
         names = {view.key: f"{view.name}.{params.format}" for view in views}
         truth = {names[view.key]: view.pose.shifted(scene.origin) for view in views}
         priors = {

@@ -13,7 +13,7 @@ from lodbench import __version__
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import DatasetError
-from lodbench.storage import digest_of, file_digest, write_text
+from lodbench.storage import digest_of, file_digest, make_folder, write_text
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, ViewPlan
 
@@ -41,7 +41,7 @@ def begin_manifest(params: GenerateParams, scene: Scene, plan: ViewPlan, out: Pa
                 f"{out} holds another training set{changed}.", "Name another folder with out=, or remove it."
             )
         return manifest
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     _write(manifest | {"state": "unfinished"}, path)
     return manifest
 
