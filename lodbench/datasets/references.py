@@ -21,7 +21,7 @@ def read_references(folder: Path) -> tuple[Reference, ...]:
             ``intrinsic.txt``, and the pictures in ``images`` or ``Query_image`` or beside the poses.
 
     Raises:
-        DatasetError: There are no poses, or one has no camera or no picture.
+        DatasetError: There are no poses, one has no camera or no picture, or its lens distorts.
     """
     if not folder.is_dir():
         raise DatasetError(f"{folder} is not a folder.", "Set dataset.references=FOLDER.")
@@ -37,5 +37,10 @@ def read_references(folder: Path) -> tuple[Reference, ...]:
         if name not in cameras or image is None:
             lacking = "no camera in intrinsic.txt" if name not in cameras else "no picture"
             raise DatasetError(f"The reference {name} in {folder} has {lacking}.", _HINT)
+        if cameras[name].distortion:
+            raise DatasetError(
+                f"The reference {name} in {folder} has a camera with lens distortion.",
+                "Undistort the pictures first: lodbench dataset init does.",
+            )
         references.append(Reference(name, image, cameras[name], pose))
     return tuple(references)

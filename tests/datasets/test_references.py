@@ -54,6 +54,14 @@ def test_what_lacks_is_one_line(tmp_path):
         read_references(folder)
 
 
+def test_a_lens_that_distorts_is_refused(tmp_path):
+    folder = write_references(tmp_path)
+    lines = "".join(f"{name} SIMPLE_RADIAL 40 30 35 20 15 0.1\n" for name in POSES)
+    (folder / "intrinsic.txt").write_text(lines)
+    with pytest.raises(DatasetError, match=r"r0\.jpg .* lens distortion"):
+        read_references(folder)
+
+
 def test_a_dataset_names_them_by_one_key_each(tmp_path):
     root, city = write_dataset(tmp_path / "town", count=1)
     plain = open_folder(FolderParams(str(root), str(city)))
