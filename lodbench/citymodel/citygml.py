@@ -154,7 +154,7 @@ class _Reader:
         own = table.add(building_id, "Building", -1, number, attributes)
         part_of: dict[Element, int] = {}
         # Only where a child may hold one is it worth a look at everything below.
-        holds_objects = any(self._nesting[child.tag] for child in element.iterchildren("*"))
+        holds_objects = any([self._nesting[child.tag] for child in element])
         for nested in element.iter(*NESTED) if holds_objects else ():
             name = local_name(nested.tag)
             parent = owner_of(nested, element, part_of, own)

@@ -101,7 +101,7 @@ SCALE_OFF = _code(
     309,
     "SCALE_OFF",
     _W,
-    "A metre of the reference system is off by more than 1e-3 here; lengths are wrong by it.",
+    "A metre of the declared reference system is off by more than 1e-3 at the data.",
 )
 HEIGHTS_ELLIPSOIDAL = _code(
     310,

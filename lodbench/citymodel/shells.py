@@ -68,7 +68,7 @@ def check_shells(model: CityModel, findings: Findings) -> None:
 
     num_faces = np.diff(solids.face_starts)
     for shell in np.flatnonzero(num_faces < _MIN_FACES).tolist():
-        report.add(SHELL_TOO_FEW_FACES, shell, -1, f"{num_faces[shell]} faces")
+        report.add(SHELL_TOO_FEW_FACES, shell, -1, f"faces: {num_faces[shell]}")
     count = np.bincount(edges.group)
     forward = np.bincount(edges.group, edges.start < edges.end)
     is_open = (count == 1)[edges.group]
@@ -157,7 +157,7 @@ def _report_edges(
     shells, first, counts = np.unique(edges.shell[met], return_index=True, return_counts=True)
     points = edges.point[met[first]]
     for shell, point, count in zip(shells.tolist(), points.tolist(), counts.tolist(), strict=True):
-        report.add(code, shell, point, f"{count} {words}")
+        report.add(code, shell, point, f"{words}: {count}")
 
 
 def _pairs(edges: _Edges, is_sound: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -187,7 +187,7 @@ def _check_vertices(report: _Report, edges: _Edges, is_sound: NDArray[np.bool_])
     shells, first_place, counts = np.unique(shell[where], return_index=True, return_counts=True)
     for number, place, count in zip(shells.tolist(), first_place.tolist(), counts.tolist(), strict=True):
         point = int(edges.point[corners[where[place]]])
-        report.add(NON_MANIFOLD_VERTEX, number, point, f"{count} vertices where two fans of faces touch")
+        report.add(NON_MANIFOLD_VERTEX, number, point, f"vertices where fans of faces touch: {count}")
 
 
 def _check_pieces(report: _Report, edges: _Edges, solids: Solids, is_sound: NDArray[np.bool_]) -> None:
@@ -199,7 +199,7 @@ def _check_pieces(report: _Report, edges: _Edges, solids: Solids, is_sound: NDAr
     shells, counts = np.unique(pairs[0], return_counts=True)
     for shell in shells[counts > 1].tolist():
         point = int(edges.point[own[np.argmax(edges.shell[own] == shell)]])
-        report.add(SHELL_IN_PIECES, shell, point, f"{int(counts[shells == shell][0])} pieces")
+        report.add(SHELL_IN_PIECES, shell, point, f"pieces: {int(counts[shells == shell][0])}")
 
 
 def _check_volumes(report: _Report, polygons: Polygons, solids: Solids, is_sound: NDArray[np.bool_]) -> None:

@@ -115,7 +115,8 @@ def _finding_lines(findings: dict[str, int], objects: dict[str, int]) -> list[st
     if not findings:
         return ["findings   none"]
     width = max(map(len, findings))
-    rows = [f"findings   {len(findings)} kinds (which and where: lodbench city check FILE)"]
+    kinds = "1 kind" if len(findings) == 1 else f"{len(findings)} kinds"
+    rows = [f"findings   {kinds} (which and where: lodbench city check FILE)"]
     rows.append(f"  {'':{width}}  {'count':>8}  {'buildings':>9}")
     for name, count in findings.items():
         places = f"{objects[name]:,}" if objects.get(name) else "-"

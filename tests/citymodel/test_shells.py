@@ -45,17 +45,17 @@ def test_a_box_is_sound(tmp_path: Path) -> None:
 
 
 def test_a_face_is_missing(tmp_path: Path) -> None:
-    assert of_solid(tmp_path, BOX[:5]) == {"LB502": ["4 edges with one face only"]}
+    assert of_solid(tmp_path, BOX[:5]) == {"LB502": ["edges with one face only: 4"]}
 
 
 def test_too_few_faces(tmp_path: Path) -> None:
     found = of_solid(tmp_path, BOX[:2])
-    assert found["LB501"] == ["2 faces"]
+    assert found["LB501"] == ["faces: 2"]
 
 
 def test_a_face_is_turned(tmp_path: Path) -> None:
     found = of_solid(tmp_path, [*BOX[:5], BOX[5][::-1]])
-    assert found == {"LB506": ["4 edges that both faces run along the same way"]}
+    assert found == {"LB506": ["edges that both faces run along the same way: 4"]}
 
 
 def test_inside_out(tmp_path: Path) -> None:
@@ -64,18 +64,18 @@ def test_inside_out(tmp_path: Path) -> None:
 
 def test_boxes_that_share_an_edge(tmp_path: Path) -> None:
     other = box_rings(x=500010.0, y=5600010.0)
-    assert of_solid(tmp_path, [*BOX, *other]) == {"LB503": ["1 edges with three faces or more"]}
+    assert of_solid(tmp_path, [*BOX, *other]) == {"LB503": ["edges with three faces or more: 1"]}
 
 
 def test_boxes_that_share_a_corner(tmp_path: Path) -> None:
     other = box_rings(x=500010.0, y=5600010.0, z=56.0)
     found = of_solid(tmp_path, [*BOX, *other])
-    assert found["LB504"] == ["1 vertices where two fans of faces touch"]
-    assert found["LB505"] == ["2 pieces"]
+    assert found["LB504"] == ["vertices where fans of faces touch: 1"]
+    assert found["LB505"] == ["pieces: 2"]
 
 
 def test_boxes_apart(tmp_path: Path) -> None:
-    assert of_solid(tmp_path, [*BOX, *box_rings(x=500020.0)]) == {"LB505": ["2 pieces"]}
+    assert of_solid(tmp_path, [*BOX, *box_rings(x=500020.0)]) == {"LB505": ["pieces: 2"]}
 
 
 def test_borrowed_faces_close_a_solid(tmp_path: Path) -> None:
