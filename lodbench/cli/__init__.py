@@ -41,6 +41,10 @@ COMMANDS = {
         "measure speed and accuracy beside other programs: silhouettes, accuracy, city",
     ),
     "check-method": ("lodbench.cli.check_method", "does a method, yours perhaps, keep to the protocol?"),
+    "check-plugin": (
+        "lodbench.cli.check_plugin",
+        "does any other plug-in? See docs/plugins.md",
+    ),
     "doctor": ("lodbench.cli.doctor", "say what works on this machine, and what to install for the rest"),
 }
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from lodbench.citymodel.options import ReadOptions
+from lodbench.cli.configs import config_files, read_config
 from lodbench.errors import ConfigError, nearest_names
-from lodbench.plugins import config_folders
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +40,8 @@ def profile_of(values: Mapping[str, Any], crs: str | None = None) -> SourceProfi
     for key in values:
         if key not in ("name", "lod", "options"):
             raise ConfigError(f"source.{key} is not a setting.", f"Options are source.options.{key}=VALUE.")
-    options = ReadOptions.from_mapping(values["options"] or {})
-    lod = values["lod"]
+    options = ReadOptions.from_mapping(values.get("options") or {})
+    lod = values.get("lod")
     return SourceProfile(
         name=str(values["name"]),
         lod=None if lod is None else str(lod),
@@ -61,14 +60,10 @@ def load_profile(name: str, words: Sequence[str] = (), crs: str | None = None) -
     Raises:
         ConfigError: There is no such profile, or an option is malformed, unknown or of the wrong type.
     """
-    from omegaconf import OmegaConf
-
-    known = _profiles()
-    if name not in known:
-        raise ConfigError(f"There is no source {name!r}.", nearest_names(name, known))
-    loaded = OmegaConf.to_container(OmegaConf.create(known[name].read_text(encoding="utf-8")))
-    values = cast(dict[str, Any], loaded)
-    return profile_of({**values, "options": {**(values["options"] or {}), **option_pairs(words)}}, crs)
+    values = read_config("source", name)
+    if values is None:
+        raise ConfigError(f"There is no source {name!r}.", nearest_names(name, config_files("source")))
+    return profile_of({**values, "options": {**(values.get("options") or {}), **option_pairs(words)}}, crs)
 
 
 def option_pairs(words: Sequence[str]) -> dict[str, Any]:
@@ -89,12 +84,3 @@ def _pair(word: str) -> tuple[str, Any]:
         return key, json.loads(text)
     except ValueError:
         return key, text
-
-
-def _profiles() -> dict[str, Path]:
-    """Returns the YAML file of every profile by name; lodbench's own go before those of plug-ins."""
-    found: dict[str, Path] = {}
-    for _, _, folder in config_folders():
-        for file in sorted((folder / "source").glob("*.yaml")) if folder is not None else ():
-            found.setdefault(file.stem, file)
-    return found

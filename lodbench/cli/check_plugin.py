@@ -1,0 +1,103 @@
+"""`lodbench check-plugin KIND NAME`: does a plug-in keep to the protocol of its kind?"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from lodbench.checks import FAULT, OK, Check
+from lodbench.cli.configs import config_files, read_config
+from lodbench.cli.console import check_lines
+from lodbench.errors import ConfigError, LodbenchError, nearest_names
+from lodbench.plugins import KINDS, find_plugin
+from lodbench.reporting.safe_text import plain_text
+
+_SOURCE = "source"
+_EPILOG = """\
+docs/plugins.md has an example of each kind, and says what its check proves. Exit code: 0 it keeps to the
+protocol, 1 it does not, 2 there is no such plug-in.
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code.
+
+    Raises:
+        ConfigError: There is no such kind, or no such plug-in.
+    """
+    kinds = {kind.label: group for group, kind in KINDS.items()}
+    parser = argparse.ArgumentParser(
+        "lodbench check-plugin",
+        description="Check a plug-in against the protocol of its kind.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("kind", metavar="KIND", help=f"{', '.join(kinds)} or {_SOURCE}")
+    parser.add_argument("name", metavar="NAME", help="the name of its entry point")
+    parser.add_argument(
+        "--sample", type=Path, metavar="FILE", help="of a city-reader or pose-format: a file to read"
+    )
+    parser.add_argument("--json", action="store_true", help="one check per line, for machines")
+    options = parser.parse_args(argv)
+    if options.kind == "method":
+        from lodbench.cli.check_method import main as check_method
+
+        return check_method([options.name, *(["--json"] if options.json else [])])
+    if options.kind == _SOURCE:
+        checks = list(_source_checks(options.name))
+    elif options.kind in kinds:
+        checks = list(_checks(kinds[options.kind], options.name, options.sample))
+    else:
+        raise ConfigError(
+            f"There is no kind {options.kind!r}.", nearest_names(options.kind, [*kinds, _SOURCE])
+        )
+    faults = [check for check in checks if check.status != OK]
+    if options.json:
+        lines = [json.dumps(asdict(check)) for check in checks]
+    else:
+        verdict = "breaks a rule" if faults else "keeps to the protocol"
+        # What a plug-in says is anybody's text; indents are ours.
+        plain = [
+            replace(check, detail=plain_text(check.detail), hint=plain_text(check.hint)) for check in checks
+        ]
+        lines = [*check_lines(plain), "", f"{options.name} {verdict}."]
+    sys.stdout.write("".join(line + "\n" for line in lines))
+    return 1 if faults else 0
+
+
+def _checks(group: str, name: str, sample: Path | None) -> Iterator[Check]:
+    from lodbench.harness.conformance.checks import CONFIGURED, check_plugin
+
+    plug_in = find_plugin(group, name)
+    try:
+        config = read_config(CONFIGURED[group], name) if group in CONFIGURED else None
+    except ConfigError as error:
+        yield Check("plug-in", "configuration", FAULT, error.message, error.hint)
+        return
+    yield from check_plugin(plug_in, config, sample)
+
+
+def _source_checks(name: str) -> Iterator[Check]:
+    """Yields whether a profile can be read, its options are options, and its reader there is."""
+    from lodbench.cli.sources import load_profile
+
+    if name not in config_files(_SOURCE):
+        raise ConfigError(f"There is no source {name!r}.", nearest_names(name, config_files(_SOURCE)))
+    try:
+        profile = load_profile(name)
+        reader = profile.options.reader
+        if reader is not None:
+            find_plugin("city_readers", reader).load()
+    except LodbenchError as error:
+        yield Check("plug-in", "profile", FAULT, error.message, error.hint)
+        return
+    except Exception as error:  # a file may hold anything
+        yield Check(
+            "plug-in", "profile", FAULT, f"{config_files(_SOURCE)[name]}: {type(error).__name__}: {error}"
+        )
+        return
+    yield Check("plug-in", "profile", OK, f"{config_files(_SOURCE)[name]}, reader {reader or 'by content'}")

@@ -1,0 +1,42 @@
+"""Files of configuration by group and name, lodbench's own and those of plug-ins, read without Hydra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+from lodbench.errors import ConfigError
+from lodbench.plugins import config_folders
+
+
+def config_files(group: str, ending: str = ".yaml") -> dict[str, Path]:
+    """Returns the files of a group such as ``source`` by name; lodbench's own go before those of plug-ins."""
+    found: dict[str, Path] = {}
+    for _, _, folder in config_folders():
+        for file in sorted((folder / group).glob(f"*{ending}")) if folder is not None else ():
+            found.setdefault(file.name.removesuffix(ending), file)
+    return found
+
+
+def read_config(group: str, name: str) -> dict[str, Any] | None:
+    """Returns what a file of configuration says; None if there is none.
+
+    What it leaves to be set (``???``) is left out, and the paths of a run are not known.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    from omegaconf import OmegaConf
+
+    file = config_files(group).get(name)
+    if file is None:
+        return None
+    try:
+        config = OmegaConf.create({"paths": {"data_root": None, "runs": "runs"}, group: OmegaConf.load(file)})
+        values = OmegaConf.to_container(config, resolve=True)
+    except Exception as error:  # the YAML reader's faults share no base with OmegaConf's
+        raise ConfigError(f"{file} cannot be read: {str(error).splitlines()[0]}") from error
+    section = cast(dict[str, Any], values)[group]
+    if not isinstance(section, dict):
+        raise ConfigError(f"{file} holds no settings.", "Lines are key: value.")
+    return {str(key): value for key, value in section.items() if value != "???"}

@@ -1,0 +1,90 @@
+"""The checks of every kind of plug-in but methods, which have their own: ``lodbench.methods.conformance``."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from lodbench.checks import FAULT, OK, Check
+from lodbench.errors import LodbenchError
+from lodbench.harness.conformance.city import fit_rules, reader_rules, renderer_rules
+from lodbench.harness.conformance.data import dataset_rules, pose_format_rules, prior_rules
+from lodbench.harness.conformance.pictures import extractor_rules, matcher_rules, segmenter_rules
+from lodbench.harness.conformance.trial import Rules, Tried, check_rules, trial_dataset
+from lodbench.params import to_params
+from lodbench.plugins import PlugIn
+
+CHECKED: dict[str, Callable[[Tried], Rules]] = {
+    "segmenters": segmenter_rules,
+    "feature_extractors": extractor_rules,
+    "matchers": matcher_rules,
+    "datasets": dataset_rules,
+    "priors": prior_rules,
+    "pose_formats": pose_format_rules,
+    "city_readers": reader_rules,
+    "renderers": renderer_rules,
+    "fits": fit_rules,
+}
+# Kinds with a file conf/<section>/NAME.yaml, by which a command chooses them.
+CONFIGURED = {"segmenters": "segmenter", "datasets": "dataset", "priors": "prior"}
+
+
+def check_plugin(
+    plug_in: PlugIn, config: Mapping[str, Any] | None = None, sample: Path | None = None
+) -> Iterator[Check]:
+    """Yields what there is to say of a plug-in, up to the first fault that others would follow from.
+
+    Args:
+        plug_in: The plug-in.
+        config: What its file of configuration says; None where there is none.
+        sample: A file in the format that a reader reads.
+    """
+    try:
+        part = plug_in.load()
+    except LodbenchError as error:
+        yield Check("plug-in", "entry point", FAULT, error.message)
+        return
+    yield Check("plug-in", "entry point", OK, f"{plug_in.point.value} of {plug_in.package}")
+    section = CONFIGURED.get(plug_in.group)
+    if section is not None:
+        where = f"conf/{section}/{plug_in.name}.yaml"
+        if config is None:
+            hint = "Write it: name, and every setting with its default; docs/plugins.md shows where."
+            yield Check("plug-in", "configuration", FAULT, f"there is no {where}", hint)
+            return
+        yield Check("plug-in", "configuration", OK, where)
+    params_type = part if plug_in.group == "priors" else getattr(part, "params_type", None)
+    if params_type is not None:
+        parameters = _parameters(params_type)
+        yield parameters
+        if parameters.status != OK:
+            return
+    with tempfile.TemporaryDirectory() as folder:
+        scene, dataset = trial_dataset(Path(folder))
+
+        def make() -> Any:
+            wanted = {key: value for key, value in (config or {}).items() if _has(params_type, key)}
+            params = to_params(wanted, cast(type[Any], params_type), section or plug_in.name)
+            return params if plug_in.group == "priors" else part(params)
+
+        tried = Tried(part, plug_in.name, config, make, Path(folder), scene, dataset, sample)
+        yield from check_rules(CHECKED[plug_in.group](tried))
+
+
+def _has(params_type: Any, key: str) -> bool:
+    """Tells whether a setting is one of the parameters; a prior's name is its class's."""
+    return key != "name" or key in {field.name for field in fields(params_type)}
+
+
+def _parameters(kind: Any) -> Check:
+    """Returns whether parameters are a frozen dataclass."""
+    if not (isinstance(kind, type) and is_dataclass(kind)):
+        return Check("plug-in", "parameters", FAULT, f"{kind!r} is no dataclass", "Use a frozen dataclass.")
+    if not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        return Check(
+            "plug-in", "parameters", FAULT, f"{kind.__name__} is not frozen", "@dataclass(frozen=True)"
+        )
+    return Check("plug-in", "parameters", OK, f"{kind.__name__}, frozen, fields: {len(fields(kind))}")

@@ -1,0 +1,127 @@
+"""Rules of what brings queries: datasets, priors, formats of poses."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from inspect import signature
+from typing import Any
+
+import numpy as np
+
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.prior_sources import prior_digest
+from lodbench.datasets.query import Dataset
+from lodbench.errors import LodbenchError
+from lodbench.geometry import Pose
+from lodbench.harness.conformance.trial import Rules, Tried, refuses, require
+from lodbench.params import to_params
+
+
+def dataset_rules(tried: Tried) -> Rules:
+    """Returns the rules of a dataset."""
+
+    def parameters() -> str:
+        taken = list(signature(tried.part, eval_str=True).parameters.values())
+        hint = "def open_it(params: Params) -> Dataset, Params a frozen dataclass"
+        require(len(taken) == 1 and is_dataclass(taken[0].annotation), "it takes no parameters' class", hint)
+        kind: Any = taken[0].annotation
+        require(kind.__dataclass_params__.frozen, f"{kind.__name__} is not frozen", hint)
+        names = {field.name for field in fields(kind)}
+        require("name" in names, f"{kind.__name__} has no field name", f"Add name: str = {tried.name!r}.")
+        unknown = sorted(set(tried.config or {}) - names)
+        require(not unknown, f"the configuration has no use for {', '.join(unknown)}")
+        return f"{kind.__name__}, frozen, fields: {len(names)}"
+
+    def opened() -> Dataset:
+        (taken,) = signature(tried.part, eval_str=True).parameters.values()
+        dataset: Dataset = tried.part(
+            to_params(tried.config or {"name": tried.name}, taken.annotation, "dataset")
+        )
+        return dataset
+
+    def content() -> str:
+        try:
+            dataset = opened()
+        except LodbenchError as error:
+            return f"not here, and it says so: {error.message}"
+        require(isinstance(dataset, Dataset), f"it returned {type(dataset).__name__}", "Return a Dataset.")
+        require(dataset.name == tried.name, f"its name is {dataset.name!r}: runs are stored under that")
+        keys = [entry.key for entry in dataset.entries]
+        require(len(keys) > 0 and len(set(keys)) == len(keys), "no query, or one twice")
+        strays = sorted(set(dataset.truth) - set(keys))
+        require(not strays, f"a truth of {strays[:1]}, which is no query")
+        splits = {entry.split for entry in dataset.entries}
+        require(
+            splits <= set(dataset.splits), f"queries of {sorted(splits - set(dataset.splits))}: no such split"
+        )
+        for entry in dataset.entries:
+            for path in (entry.image, entry.mask):
+                require(path is None or path.is_file(), f"{entry.key}: {path} is not there")
+            for pose in (entry.prior, dataset.truth.get(entry.key)):
+                _require_pose(pose, entry.key)
+        require(prior_digest(opened().entries) == prior_digest(dataset.entries), "opened twice, other priors")
+        return f"{len(keys)} queries in {', '.join(dataset.splits)}; poses sound, files there, the same again"
+
+    return [("parameters", parameters), ("content", content)]
+
+
+def prior_rules(tried: Tried) -> Rules:
+    """Returns the rules of a source of priors."""
+
+    def apply(dataset: Dataset, seed: int = 0) -> Dataset:
+        found: Dataset = tried.make().apply(dataset, seed)
+        return found
+
+    def priors() -> str:
+        words = tried.make().describe()
+        require(isinstance(words, str) and bool(words), "describe says nothing", "Tables print it.")
+        try:
+            found = apply(tried.dataset)
+        except LodbenchError as error:
+            return f"none for these photos, and it says so: {error.message}"
+        keys = [entry.key for entry in found.entries]
+        require(keys == [entry.key for entry in tried.entries], "other queries, or in another order")
+        require(found.truth == tried.dataset.truth, "the truth was changed")
+        for entry in found.entries:
+            _require_pose(entry.prior, entry.key)
+        first = prior_digest(found.entries)
+        require(
+            prior_digest(apply(tried.dataset).entries) == first,
+            "the same seed, other priors",
+            "Use the seed.",
+        )
+        turned = apply(replace(tried.dataset, entries=tried.entries[::-1]))
+        same = prior_digest(turned.entries[::-1]) == first
+        require(
+            same, "other priors in another order of work", "lodbench.storage.random_stream(seed, entry.key)"
+        )
+        return f"{words}; the same again and in any order"
+
+    return [("priors", priors)]
+
+
+def pose_format_rules(tried: Tried) -> Rules:
+    """Returns the rules of a reader of pose files."""
+
+    def garbage() -> str:
+        path = tried.folder / "garbage"
+        path.write_bytes(b"neither here nor there\n")
+        return refuses(lambda: list(tried.part(path)), "a file of noise")
+
+    def sample() -> str:
+        if tried.sample is None:
+            return "not tried: name a file with --sample FILE"
+        found = list(tried.part(tried.sample))
+        require(len(found) > 0, "it holds no poses")
+        for each in found:
+            require(isinstance(each, FoundPose), f"it yields {type(each).__name__}", "Yield FoundPose.")
+            _require_pose(each.pose, each.name)
+        return f"{len(found)} poses, world to camera by their word"
+
+    return [("no poses", garbage), ("sample", sample)]
+
+
+def _require_pose(pose: Pose | None, where: str) -> None:
+    if pose is not None:
+        require(np.isfinite(pose.cam_from_world).all(), f"{where}: a pose is not finite")
+        Pose.from_matrix(pose.cam_from_world)

@@ -1,0 +1,208 @@
+"""Rules of what looks at pictures: segmenters, feature extractors, matchers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import QueryFault
+from lodbench.harness.conformance.trial import CAMERA, Rules, Tried, refuses, require
+from lodbench.matching import Features, Matches, check_image
+from lodbench.matching.protocol import FEATURES, IMAGES
+from lodbench.plugins import load_plugin
+from lodbench.segmentation import check_mask
+from lodbench.storage import file_digest
+
+
+def segmenter_rules(tried: Tried) -> Rules:
+    """Returns the rules of a segmenter."""
+    entries = tried.entries
+
+    def masks() -> list[NDArray[np.float32] | str]:
+        return [_mask_or_reason(tried.make(), entry) for entry in entries]
+
+    def answers() -> str:
+        found = masks()
+        given = [mask for mask in found if not isinstance(mask, str)]
+        if not given:
+            return f"none, each with its reason: {found[0]}"
+        for mask in given:
+            require(mask.dtype == np.float32, f"a mask of {mask.dtype}", "Return float32.")
+            check_mask(mask, CAMERA)
+        return f"{len(given)} of {len(found)} masks, (H, W) float32 in [0, 1], of the photo's aspect"
+
+    def same_again() -> str:
+        for first, again in zip(masks(), masks(), strict=True):
+            require(np.array_equal(first, again), "another mask of the same photo", "Fix the seeds.")
+        return "the same photos, the same masks to the bit"
+
+    def read_only() -> str:
+        before = [file_digest(entry.image) for entry in entries if entry.image]
+        masks()
+        after = [file_digest(entry.image) for entry in entries if entry.image]
+        require(before == after, "a photo was written to")
+        return "photos are as they were"
+
+    def nothing_to_see() -> str:
+        bare = replace(entries[0], image=None, mask=None)
+        try:
+            check_mask(tried.make().segment(bare), CAMERA)
+        except QueryFault as fault:
+            return f"QueryFault: {fault.message}"
+        return "a mask all the same"
+
+    return [
+        ("masks", answers),
+        ("same again", same_again),
+        ("photos", read_only),
+        ("fingerprint", lambda: _fingerprint(tried)),
+        ("neither photo nor mask", nothing_to_see),
+    ]
+
+
+def _fingerprint(tried: Tried) -> str:
+    """A fingerprint is the same for the same photos, and another where the masks are."""
+    entries, changed = tried.entries, _repainted(tried)
+    first, again = tried.make().fingerprint(entries), tried.make().fingerprint(entries)
+    require(isinstance(first, str), f"fingerprint returned {type(first).__name__}", "Return text.")
+    require(first == again, "another fingerprint of the same queries")
+    pairs = zip(entries, changed, strict=True)
+    segmenter = tried.make()
+    if all(np.array_equal(_mask_or_reason(segmenter, a), _mask_or_reason(segmenter, b)) for a, b in pairs):
+        return "the same again; these photos do not matter to it"
+    require(
+        tried.make().fingerprint(changed) != first,
+        "other photos give other masks and the same fingerprint, so a run would not be made anew",
+        "Take the photos' content in: lodbench.storage.file_digest(entry.image).",
+    )
+    return "the same again, and another where photos give other masks"
+
+
+def _mask_or_reason(segmenter: Any, entry: Any) -> NDArray[np.float32] | str:
+    try:
+        mask: NDArray[np.float32] = segmenter.segment(entry)
+    except QueryFault as fault:
+        return fault.message
+    return mask
+
+
+def _repainted(tried: Tried) -> tuple[Any, ...]:
+    """Returns the queries with other photos of the same names."""
+    folder = tried.folder / "repainted"
+    folder.mkdir(exist_ok=True)
+    changed = []
+    for entry in tried.entries:
+        photo = np.asarray(cv2.imread(str(entry.image)), np.uint8)
+        cv2.imwrite(str(folder / entry.name), 255 - photo[::-1])
+        changed.append(replace(entry, image=folder / entry.name))
+    return tuple(changed)
+
+
+def _picture(tried: Tried, number: int = 0) -> NDArray[np.uint8]:
+    photo = np.asarray(cv2.imread(str(tried.entries[number].image)), np.uint8)
+    return np.ascontiguousarray(photo[:, :, ::-1])
+
+
+def extractor_rules(tried: Tried) -> Rules:
+    """Returns the rules of a feature extractor."""
+
+    def features() -> str:
+        found = tried.make().extract(_picture(tried))
+        require(isinstance(found, Features), f"extract returned {type(found).__name__}", "Return Features.")
+        require(len(found.keypoints) > 0, "no feature in a photo of seven blocks")
+        require(found.size == (CAMERA.width, CAMERA.height), f"size is {found.size}: width, then height")
+        shape = found.descriptors.shape
+        return f"{shape[0]}, descriptors of {shape[1]} numbers, all finite and in the picture"
+
+    def same_again() -> str:
+        picture = _picture(tried)
+        first, again = tried.make().extract(picture), tried.make().extract(picture)
+        for name in ("keypoints", "descriptors", "scores"):
+            require(
+                np.array_equal(getattr(first, name), getattr(again, name)), f"other {name}", "Fix the seeds."
+            )
+        require(np.array_equal(picture, _picture(tried)), "the picture was written to", "Work on a copy.")
+        return "the same picture, the same features to the bit; it is only read"
+
+    def convention() -> str:
+        # A dot whose centre is known: (41, 31) where the first pixel's centre is (0.5, 0.5).
+        rows, columns = np.mgrid[0:62, 0:82] + 0.5
+        dot = 230.0 * np.exp(-((columns - 41) ** 2 + (rows - 31) ** 2) / 18.0) + 10
+        picture = np.repeat(dot.astype(np.uint8)[:, :, None], 3, axis=2)
+        found = tried.make().extract(picture).keypoints
+        if not len(found):
+            return "not seen: it finds nothing in a lone dot"
+        off = np.abs(found.mean(axis=0) - [41, 31]).max()
+        require(
+            off < 0.4,
+            f"a dot at (41, 31) is found {off:.2f} px off",
+            "The first pixel's centre is (0.5, 0.5).",
+        )
+        return f"a dot at (41, 31) is found {off:.2f} px off"
+
+    def blank() -> str:
+        found = tried.make().extract(np.full((48, 64, 3), 128, np.uint8))
+        return f"{len(found.keypoints)} features in a grey picture"
+
+    return [
+        ("features", features),
+        ("same again", same_again),
+        ("pixels", convention),
+        ("nothing to see", blank),
+        (
+            "no picture",
+            lambda: refuses(lambda: tried.make().extract(np.zeros((9, 9))), "a (9, 9) float array"),
+        ),
+    ]
+
+
+def matcher_rules(tried: Tried) -> Rules:
+    """Returns the rules of a matcher."""
+    takes = getattr(tried.part, "takes", None)
+
+    def side(picture: NDArray[np.uint8]) -> Any:
+        if takes == IMAGES:
+            return check_image(picture)
+        kind = load_plugin("feature_extractors", "sift")
+        return kind(kind.params_type()).extract(picture)
+
+    def takes_what() -> str:
+        require(
+            takes in (FEATURES, IMAGES), f"takes is {takes!r}", f"Set takes = {FEATURES!r} or {IMAGES!r}."
+        )
+        return f"{takes}"
+
+    def matches() -> str:
+        picture = side(_picture(tried))
+        found = tried.make().match(picture, picture)
+        require(isinstance(found, Matches), f"match returned {type(found).__name__}", "Return Matches.")
+        require(len(found.first) > 0, "no match of a photo with itself")
+        far = float(np.median(np.linalg.norm(found.first - found.second, axis=1)))
+        require(far < 1.0, f"a photo matches itself {far:.1f} px off in the median")
+        return f"{len(found.first)} of a photo with itself, {far:.2f} px off in the median"
+
+    def same_again() -> str:
+        first, second = side(_picture(tried, 0)), side(_picture(tried, 1))
+        one, other = tried.make().match(first, second), tried.make().match(first, second)
+        for name in ("first", "second", "scores"):
+            require(
+                np.array_equal(getattr(one, name), getattr(other, name)), f"other {name}", "Fix the seeds."
+            )
+        return f"{len(one.first)} of two photos, the same to the bit"
+
+    def nothing() -> str:
+        blank = side(np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8))
+        found = tried.make().match(blank, side(_picture(tried)))
+        require(isinstance(found, Matches), "no Matches", "Return Matches of length 0.")
+        return f"{len(found.first)} matches with a grey picture"
+
+    return [
+        ("takes", takes_what),
+        ("matches", matches),
+        ("same again", same_again),
+        ("nothing to see", nothing),
+    ]
