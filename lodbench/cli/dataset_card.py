@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from lodbench.cli.configs import config_files
 from lodbench.datasets.cards import CARDS, card_markdown
 from lodbench.datasets.croissant import croissant_text
 from lodbench.errors import ConfigError, nearest_names
@@ -46,6 +50,43 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
+@dataclass(frozen=True, slots=True)
+class PlugInCard:
+    """The card of a plug-in's dataset, ``dataset/NAME.md`` in its folder of configuration.
+
+    Attributes:
+        text: All of it.
+        title: Of its head, or else the name.
+        counts: Queries by split, of its head.
+    """
+
+    text: str
+    title: str
+    counts: dict[str, int]
+
+
+def plugin_card(name: str) -> PlugInCard | None:
+    """Returns the card of a plug-in's dataset; None if it has none.
+
+    Raises:
+        ConfigError: Its head is no YAML.
+    """
+    from omegaconf import OmegaConf
+
+    file = config_files("dataset", MARKDOWN).get(name)
+    if file is None:
+        return None
+    text = re.sub(r"\A<!--.*?-->\s*", "", file.read_text(encoding="utf-8"))
+    head = re.match(r"---\n(.*?)\n---\n", text, re.DOTALL)
+    try:
+        values: Any = OmegaConf.to_container(OmegaConf.create(head[1])) if head else {}
+        splits = values.get("splits") or {}
+        counts = {str(split): int(count) for split, count in splits.items() if count is not None}
+        return PlugInCard(text, str(values.get("title", name)), counts)
+    except Exception as error:  # the YAML reader's faults share no base with OmegaConf's
+        raise ConfigError(f"The head of {file} cannot be read: {str(error).splitlines()[0]}") from error
+
+
 def _texts(name: str) -> dict[str, str]:
     """Returns the files of a card by their endings.
 
@@ -55,5 +96,9 @@ def _texts(name: str) -> dict[str, str]:
     if name == DEMO:
         return {MARKDOWN: demo_card_markdown()}
     if name not in CARDS:
-        raise ConfigError(f"There is no card of {name!r}.", nearest_names(name, [*CARDS, DEMO]))
+        card = plugin_card(name)
+        if card is None:
+            known = [*CARDS, DEMO, *config_files("dataset", MARKDOWN)]
+            raise ConfigError(f"There is no card of {name!r}.", nearest_names(name, known))
+        return {MARKDOWN: card.text}
     return {MARKDOWN: card_markdown(CARDS[name]), CROISSANT: croissant_text(CARDS[name])}

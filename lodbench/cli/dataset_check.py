@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from lodbench.cli.dataset_card import plugin_card
 from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.findings import Findings, Severity
 from lodbench.harness.dataset_check import DatasetReport, SplitReport, check_dataset
@@ -36,7 +37,9 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--headers-only", action="store_true", help="do not decode the photos")
     parser.add_argument("--json", action="store_true", help="print plain values instead of text")
     options = parser.parse_args(argv[1:])
-    report = check_dataset(open_named(options), with_pixels=not options.headers_only)
+    dataset, card = open_named(options), plugin_card(options.dataset)
+    counts = card.counts if card else {}
+    report = check_dataset(dataset, with_pixels=not options.headers_only, counts=counts)
     text = json.dumps(_values(report), indent=2) + "\n" if options.json else _text(report)
     sys.stdout.write(text)
     return 1 if report.findings.has_errors() else 0
@@ -54,7 +57,8 @@ def _text(report: DatasetReport) -> str:
 
 
 def _split_lines(split: SplitReport) -> list[str]:
-    tables = "" if split.expected is None else f" (the paper's tables imply {split.expected})"
+    whose = "its card says" if split.paper_prior is None else "the paper's tables imply"
+    tables = "" if split.expected is None else f" ({whose} {split.expected})"
     lines = [
         f"{split.queries} queries, {split.truths} with a true pose{tables}, {split.photos} photos, "
         f"{split.masks} masks"

@@ -9,8 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from lodbench.cli.dataset_card import plugin_card
 from lodbench.datasets.published.layout import Survey, survey
 from lodbench.datasets.published.specs import SPECS
+from lodbench.errors import LodbenchError
+from lodbench.plugins import PlugIn, installed
+from lodbench.reporting.safe_text import plain_text
 from lodbench.storage.paths import data_root
 
 _OTHERS = """\
@@ -27,14 +31,16 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print plain values instead of text")
     options = parser.parse_args(argv[1:])
     found = [survey(spec, options.root, None) for spec in SPECS.values()]
+    others = [plug_in for plug_in in installed("datasets") if not plug_in.is_ours]
     if options.json:
-        sys.stdout.write(json.dumps([_values(item) for item in found], indent=2) + "\n")
+        sys.stdout.write(json.dumps([*map(_values, found), *map(_other_values, others)], indent=2) + "\n")
         return 0
     root = data_root() if options.root is None else Path(options.root).expanduser()
     lines = [f"published datasets in {root}"]
     for item in found:
         lines += _lines(item)
-    sys.stdout.write("\n".join(lines) + "\n" + _OTHERS)
+    lines += [*_OTHERS.splitlines(), *map(_other_line, others)]
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0
 
 
@@ -55,6 +61,24 @@ def _num_bytes(found: Survey) -> int:
     if found.city_model is not None and found.city_model.is_file():
         files.append(found.city_model)
     return sum(path.stat().st_size for path in files)
+
+
+def _other_line(plug_in: PlugIn) -> str:
+    values = _other_values(plug_in)
+    words = f"broken: {values['fault']}" if values["fault"] else values["title"]
+    return plain_text(f"{plug_in.name:<13} {words} (package {plug_in.package})")
+
+
+def _other_values(plug_in: PlugIn) -> dict[str, Any]:
+    """Returns what a plug-in's card says of it."""
+    card, fault = None, plug_in.fault
+    try:
+        card = plugin_card(plug_in.name)
+        plug_in.load()
+    except LodbenchError as error:
+        fault = error.message
+    title = card.title if card else "has no card"
+    return {"name": plug_in.name, "title": title, "package": plug_in.package, "fault": fault}
 
 
 def _values(found: Survey) -> dict[str, Any]:

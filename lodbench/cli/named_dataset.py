@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import fields
 from inspect import signature
 from pathlib import Path
 from typing import Any
 
+from lodbench.cli.configs import read_config
 from lodbench.cli.run_dataset import open_dataset
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
@@ -35,12 +37,17 @@ def open_named(options: argparse.Namespace) -> Dataset:
             raise ConfigError(f"{name} is no dataset and no folder.", nearest_names(name, known))
         values = {"name": "folder", "root": name, "city_model": options.city, "lod": options.lod}
         return open_dataset({key: value for key, value in values.items() if value is not None})
-    (parameter,) = signature(load_plugin("datasets", name), eval_str=True).parameters.values()
-    takes = {field.name for field in fields(parameter.annotation)}
+    takes = parameters_of(load_plugin("datasets", name))
     given: dict[str, Any] = {"root": options.root, "city_model": options.city, "lod": options.lod}
     values = {key: value for key, value in given.items() if value is not None}
     refused = sorted(set(values) - takes)
     if refused:
         option = {"root": "--root", "city_model": "--city", "lod": "--lod"}[refused[0]]
         raise ConfigError(f"Dataset {name} takes no {option}.")
-    return open_dataset({"name": name, **values})
+    return open_dataset({**(read_config("dataset", name) or {"name": name}), **values})
+
+
+def parameters_of(opener: Callable[..., Dataset]) -> set[str]:
+    """Returns the names of the settings that a dataset takes."""
+    (parameter,) = signature(opener, eval_str=True).parameters.values()
+    return {field.name for field in fields(parameter.annotation)}

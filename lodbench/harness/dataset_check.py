@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,7 +38,7 @@ class SplitReport:
     Attributes:
         name: Its name.
         queries: Number of queries.
-        expected: The number the paper's percentages imply, or None.
+        expected: The number the paper's percentages imply, or the card says; or None.
         truths: Queries with a true pose.
         photos: Queries with a photo.
         masks: Queries with a mask.
@@ -76,12 +77,15 @@ class DatasetReport:
     findings: Findings
 
 
-def check_dataset(dataset: Dataset, *, with_pixels: bool = True) -> DatasetReport:
+def check_dataset(
+    dataset: Dataset, *, with_pixels: bool = True, counts: Mapping[str, int] | None = None
+) -> DatasetReport:
     """Returns what is in a dataset and what is wrong with it.
 
     Args:
         dataset: As opened.
         with_pixels: Whether to decode every photo; their headers are read in any case.
+        counts: Queries by split as a plug-in's card has them.
 
     Raises:
         CityModelError: The city model is there, but cannot be read.
@@ -97,7 +101,7 @@ def check_dataset(dataset: Dataset, *, with_pixels: bool = True) -> DatasetRepor
         _check_views(dataset, scene, findings)
     _check_downloads(dataset, findings)
     check_photos(dataset, with_pixels, findings)
-    splits = tuple(_report_split(dataset, split, scene) for split in dataset.splits)
+    splits = tuple(_report_split(dataset, split, scene, counts or {}) for split in dataset.splits)
     for split in splits:
         _compare_with_paper(split, findings)
     return DatasetReport(dataset, splits, _city_in_words(dataset, scene), findings)
@@ -122,7 +126,9 @@ def prior_median(dataset: Dataset, split: str) -> PoseError | None:
     return PoseError(*np.median(np.array(errors), axis=0).tolist()) if errors else None
 
 
-def _report_split(dataset: Dataset, split: str, scene: Scene | None) -> SplitReport:
+def _report_split(
+    dataset: Dataset, split: str, scene: Scene | None, counts: Mapping[str, int]
+) -> SplitReport:
     entries = [entry for entry in dataset.entries if entry.split == split]
     truths = [dataset.truth[entry.key] for entry in entries if entry.key in dataset.truth]
     known = SPECS.get(dataset.name)
@@ -136,7 +142,7 @@ def _report_split(dataset: Dataset, split: str, scene: Scene | None) -> SplitRep
     return SplitReport(
         name=split,
         queries=len(entries),
-        expected=spec.num_queries if spec else None,
+        expected=spec.num_queries if spec else counts.get(split),
         truths=len(truths),
         photos=sum(entry.image is not None for entry in entries),
         masks=sum(entry.mask is not None for entry in entries),

@@ -129,20 +129,20 @@ def extractor_rules(tried: Tried) -> Rules:
         return "the same picture, the same features to the bit; it is only read"
 
     def convention() -> str:
-        # A dot whose centre is known: (41, 31) where the first pixel's centre is (0.5, 0.5).
+        # A dot whose centre is known: (41.5, 31.5) where the first pixel's centre is (0.5, 0.5).
         rows, columns = np.mgrid[0:62, 0:82] + 0.5
-        dot = 230.0 * np.exp(-((columns - 41) ** 2 + (rows - 31) ** 2) / 18.0) + 10
+        dot = 230.0 * np.exp(-((columns - 41.5) ** 2 + (rows - 31.5) ** 2) / 18.0) + 10
         picture = np.repeat(dot.astype(np.uint8)[:, :, None], 3, axis=2)
         found = tried.make().extract(picture).keypoints
         if not len(found):
             return "not seen: it finds nothing in a lone dot"
-        off = np.abs(found.mean(axis=0) - [41, 31]).max()
+        off = np.abs(found.mean(axis=0) - [41.5, 31.5]).max()
         require(
             off < 0.4,
-            f"a dot at (41, 31) is found {off:.2f} px off",
+            f"a dot at (41.5, 31.5) is found {off:.2f} px off",
             "The first pixel's centre is (0.5, 0.5).",
         )
-        return f"a dot at (41, 31) is found {off:.2f} px off"
+        return f"a dot at (41.5, 31.5) is found {off:.2f} px off"
 
     def blank() -> str:
         found = tried.make().extract(np.full((48, 64, 3), 128, np.uint8))

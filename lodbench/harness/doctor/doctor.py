@@ -42,10 +42,31 @@ def examine(timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:
     trials += [("renderers", name, is_base) for name, is_base in RENDERER_TRIALS.items()]
     if find_spec("torch") and find_spec("torchvision"):
         trials.append(("traps", "torchvision", False))
+    trials += [("plug-ins", name, False) for name in _plugin_probes()]
     with ThreadPoolExecutor(_cores()) as pool:
         checks += pool.map(lambda trial: run_probe(trial[0], trial[1], trial[2], timeout_s), trials)
-    order = ("machine", "packages", "extras", "folders", "renderers", "traps")
+    checks += _plugin_packages()
+    order = ("machine", "packages", "extras", "folders", "renderers", "traps", "plug-ins")
     return sorted(checks, key=lambda check: order.index(check.section))
+
+
+def _plugin_probes() -> list[str]:
+    """Returns the trials that load the plug-ins of other packages."""
+    from lodbench.plugins import KINDS, installed
+
+    others = [plug_in for group in KINDS for plug_in in installed(group) if not plug_in.is_ours]
+    return [f"{KINDS[plug_in.group].label} {plug_in.name}" for plug_in in others]
+
+
+def _plugin_packages() -> Iterator[Check]:
+    """Yields what is wrong with packages of plug-ins as a whole."""
+    from lodbench.plugins import config_folders, unreadable
+
+    for line in unreadable():
+        yield Check("plug-ins", "metadata", BROKEN, line, "Install that package again.")
+    for package, module, folder in config_folders():
+        if folder is None:
+            yield Check("plug-ins", "configuration", BROKEN, f"{package}: there is no {module}")
 
 
 def is_base_broken(checks: list[Check]) -> bool:
@@ -65,7 +86,7 @@ def run_probe(section: str, name: str, is_base: bool, timeout_s: float) -> Check
         return Check(section, name, BROKEN, _end_of(done.returncode, done.stderr), "", is_base)
     answer = json.loads(lines[-1])
     status = OK if answer["ok"] else BROKEN
-    if status == BROKEN and not is_base and find_spec(name) is None:
+    if status == BROKEN and section == "renderers" and not is_base and find_spec(name) is None:
         status = ABSENT
     return Check(section, name, status, answer["detail"], answer["hint"], is_base)
 

@@ -16,6 +16,7 @@ from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.errors import LodbenchError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.doctor.doctor import RENDERER_TRIALS
+from lodbench.plugins import KINDS, installed
 from lodbench.rendering import open_renderer
 from lodbench.rendering.gl_guard import trust_driver
 
@@ -63,6 +64,14 @@ def try_torchvision() -> str:
     return f"{torchvision.__version__} loads beside torch {torch.__version__}"
 
 
+def try_plugin(kind: str, name: str) -> str:
+    """Loads a plug-in; returns whose it is."""
+    group = next(group for group, known in KINDS.items() if known.label == kind)
+    plug_in = next(p for p in installed(group) if p.name == name and not p.is_ours)
+    plug_in.load()
+    return f"of {plug_in.package}: {plug_in.point.value}"
+
+
 PROBES: dict[str, Callable[[], str]] = {
     "numba": try_numba,
     "torchvision": try_torchvision,
@@ -74,7 +83,9 @@ def main(name: str) -> None:
     """Tries one thing and writes one line of JSON: ok, detail, hint."""
     trust_driver()
     try:
-        answer = {"ok": True, "detail": PROBES[name](), "hint": ""}
+        kind, _, plug_in = name.partition(" ")
+        detail = try_plugin(kind, plug_in) if plug_in else PROBES[name]()
+        answer = {"ok": True, "detail": detail, "hint": ""}
     except LodbenchError as error:
         answer = {"ok": False, "detail": error.message, "hint": error.hint}
     except Exception as error:  # whatever a driver raises is the answer
