@@ -23,7 +23,7 @@ def profile(name: str) -> dict[str, Any]:
 def test_all_sources_are_there() -> None:
     assert {path.stem for path in _PROFILES} == {
         "plateau", "swissbuildings3d", "threedbag", "open_city_model", "adv_lod1", "adv_lod2", "clsm",
-        "gable", "cityjson", "folder",
+        "gable", "folder",
     }  # fmt: skip
 
 

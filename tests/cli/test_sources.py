@@ -81,8 +81,7 @@ class TestSource:
             target = tmp_path / f"city.{suffix}"
             done = lodbench("city", "convert", str(dataset[1]), str(target))
             assert done.returncode == 0, done.stderr
-            source = "cityjson" if suffix == "json" else "folder"
-            words = run_words((dataset[0], target), f"source={source}", f"paths.runs={suffix}")
+            words = run_words((dataset[0], target), f"paths.runs={suffix}")
             done = lodbench(*words)
             assert done.returncode == 0, done.stderr
             poses.append(artefacts(tmp_path / suffix)["poses.txt"])
