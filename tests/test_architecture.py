@@ -165,6 +165,7 @@ def test_the_list_of_packages_is_the_tree():
         ("lodbench", "lodbench"),
         ("baselines", "lodbench.baselines"),
         ("conf", "lodbench.conf"),
+        ("data_cards", "lodbench.data_cards"),
     ):
         for path in [*(ROOT / folder).rglob("*.py"), *(ROOT / folder).rglob("*.yaml")]:
             parts = path.parent.relative_to(ROOT / folder).parts

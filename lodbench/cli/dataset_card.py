@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.cli.configs import config_files
-from lodbench.datasets.cards import CARDS, card_markdown
+from lodbench.datasets.cards import read_card
 from lodbench.datasets.croissant import croissant_text
+from lodbench.datasets.published.catalogue import SPECS
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.storage import write_text
 from lodbench.synthesis.demo_card import DEMO, demo_card_markdown
@@ -95,10 +96,11 @@ def _texts(name: str) -> dict[str, str]:
     """
     if name == DEMO:
         return {MARKDOWN: demo_card_markdown()}
-    if name not in CARDS:
+    if name not in SPECS:
         card = plugin_card(name)
         if card is None:
-            known = [*CARDS, DEMO, *config_files("dataset", MARKDOWN)]
+            known = [*SPECS, DEMO, *config_files("dataset", MARKDOWN)]
             raise ConfigError(f"There is no card of {name!r}.", nearest_names(name, known))
         return {MARKDOWN: card.text}
-    return {MARKDOWN: card_markdown(CARDS[name]), CROISSANT: croissant_text(CARDS[name])}
+    published = read_card(name)
+    return {MARKDOWN: published.text, CROISSANT: croissant_text(published)}

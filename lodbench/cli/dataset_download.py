@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lodbench.datasets.download import fetch
+from lodbench.datasets.published.catalogue import spec_of
 from lodbench.datasets.published.layout import survey
-from lodbench.datasets.published.specs import spec_of
 from lodbench.execution import ProgressCallback
 from lodbench.storage.paths import data_root
 
@@ -39,6 +39,6 @@ def main(argv: Sequence[str]) -> int:
     missing = survey(spec, str(root), None).missing()
     lines += [f"missing: {line}" for line in missing]
     if missing:
-        lines += [f"by hand: {source.what}: {source.url}\n         {source.how}" for source in spec.sources]
+        lines += [f"by hand: {host.what}: {host.url}\n         {host.how}" for host in spec.hosts]
     sys.stdout.write("\n".join(lines) + "\n")
     return 0

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.cli.dataset_card import plugin_card
+from lodbench.datasets.published.catalogue import SPECS
 from lodbench.datasets.published.layout import Survey, survey
-from lodbench.datasets.published.specs import SPECS
 from lodbench.errors import LodbenchError
 from lodbench.plugins import PlugIn, installed
 from lodbench.reporting.safe_text import plain_text
@@ -52,7 +52,7 @@ def _lines(found: Survey) -> list[str]:
     lines = [f"{spec.id:<13} {state}{size}: {spec.title}, LoD{spec.lod}"]
     if missing:
         lines += [f"  missing  {line}" for line in missing] if has_any else []
-        lines += [f"  get      {source.what}: {source.url}" for source in spec.sources]
+        lines += [f"  get      {host.what}: {host.url}" for host in spec.hosts]
     return lines
 
 
@@ -92,5 +92,5 @@ def _values(found: Survey) -> dict[str, Any]:
         "city_model": None if found.city_model is None else str(found.city_model),
         "bytes": _num_bytes(found),
         "missing": found.missing(),
-        "sources": [{"what": s.what, "url": s.url, "how": s.how} for s in spec.sources],
+        "sources": [{"what": h.what, "url": h.url, "how": h.how} for h in spec.hosts],
     }

@@ -6,7 +6,8 @@ import json
 from typing import Any
 
 from lodbench.datasets.cards import Card
-from lodbench.datasets.published.specs import PublishedSpec
+from lodbench.datasets.published.catalogue import SPECS
+from lodbench.datasets.published.spec import PublishedSpec
 
 _CROISSANT = "http://mlcommons.org/croissant/1.0"
 _POSE_FIELDS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
@@ -21,7 +22,7 @@ samplingRate separator source subField transform
 
 def card_croissant(card: Card) -> dict[str, Any]:
     """Returns a card as Croissant 1.0 JSON-LD: what the files are, and how to read poses from them."""
-    spec = card.spec
+    spec, head = SPECS[card.name], card.head
     sets = [
         ("true-poses", "GT_pose.txt", "True poses, world to camera."),
         ("priors", "GPS_pose.txt", "Rough poses, world to camera."),
@@ -32,12 +33,12 @@ def card_croissant(card: Card) -> dict[str, Any]:
         "conformsTo": _CROISSANT,
         "name": spec.id,
         "description": f"{spec.title}: drone photos with poses over an LoD{spec.lod} city model. "
-        f"{card.provenance} True poses: {card.truth} Uncertainty: {card.truth_uncertainty}",
-        "license": card.licence_url,
-        "usageInfo": card.licence,
-        "url": card.licence_url,
-        "citeAs": card.citation,
-        "creator": [{"@type": "sc:Person", "name": name} for name in card.creators],
+        f"{card.section('Provenance')} True poses: {card.section('True poses')}",
+        "license": head["licence_url"],
+        "usageInfo": head["licence"],
+        "url": head["licence_url"],
+        "citeAs": head["citation"],
+        "creator": [{"@type": "sc:Person", "name": name} for name in head["creators"]],
         "version": "1.0.0",
         "datePublished": "2025" if spec.id.endswith("v2") else "2024",
         "isLiveDataset": True,
@@ -57,7 +58,7 @@ def _file_objects(spec: PublishedSpec) -> list[dict[str, Any]]:
         "@id": "download",
         "name": "download",
         "description": "The publishers' folder; it has no checksum, and is fetched by hand.",
-        "contentUrl": spec.sources[0].url,
+        "contentUrl": spec.hosts[0].url,
         "encodingFormat": "application/zip",
     }
     files = [

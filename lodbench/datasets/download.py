@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lodbench.datasets.published.specs import Download
+from lodbench.datasets.published.spec import Download
 from lodbench.errors import DatasetError
 
 _CHUNK_BYTES = 1 << 16

@@ -19,7 +19,8 @@ from lodbench.datasets.codes import (
     WRONG_DIRECTION,
 )
 from lodbench.datasets.pose_direction import sample_corners, sees, suspect_direction
-from lodbench.datasets.published.specs import SPECS, Download
+from lodbench.datasets.published.catalogue import SPECS
+from lodbench.datasets.published.spec import Download
 from lodbench.datasets.query import Dataset
 from lodbench.evaluation.errors import PoseError, pose_error
 from lodbench.findings import Findings

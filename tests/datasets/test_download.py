@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from lodbench.datasets.download import fetch
-from lodbench.datasets.published.specs import SPECS, Download
+from lodbench.datasets.published.catalogue import SPECS
+from lodbench.datasets.published.spec import Download
 from lodbench.errors import DatasetError
 
 pytest.importorskip("pooch")

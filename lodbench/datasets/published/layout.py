@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lodbench.datasets.published.specs import (
+from lodbench.datasets.published.spec import (
     CAMERA_FILES,
     IMAGE_FOLDERS,
     MODEL_FOLDERS,
@@ -150,7 +150,7 @@ def advice(found: Survey) -> str:
         f"  {MODEL_FOLDERS[0]}/{spec.city_files[0]}   (or dataset.city_model=FILE)",
         "  masks/ is not published: building masks (255 = building) by any network, named as the photos",
         "get it:",
-        *(f"  {source.what}: {source.url}\n    {source.how}" for source in spec.sources),
+        *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),
         "check it:",
         f"  lodbench dataset check {spec.id}{where}",
     ]

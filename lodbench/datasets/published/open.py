@@ -1,4 +1,4 @@
-"""``dataset=uavd4l_lod | uavd4l_lodv2 | swiss_epfl | swiss_epflv2``: the papers' datasets."""
+"""What the papers' datasets have in common: their parts are found, read, and brought to east, north, up."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lodbench.datasets.codes import FRAME_ASSUMED, FRAMES_DIFFER, SPLIT_MISSING,
 from lodbench.datasets.published.frames import ENU, SHIFTED_ECEF, frame_of_city, frame_of_poses
 from lodbench.datasets.published.layout import Survey, advice, require_data, survey
 from lodbench.datasets.published.read import SplitContent, read_split
-from lodbench.datasets.published.specs import spec_of
+from lodbench.datasets.published.spec import PublishedSpec
 from lodbench.datasets.query import Dataset, notes_of
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.findings import Findings
@@ -43,14 +43,13 @@ class PublishedParams:
     origin: list[float] | None = None
 
 
-def open_published(params: PublishedParams) -> Dataset:
+def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
     """Returns a published dataset in east, north, up; its city model may be missing.
 
     Raises:
         DatasetError: Parts are missing (the hint says which, and where to get them), or malformed.
-        ConfigError: The name or frame is unknown.
+        ConfigError: The frame is unknown, or the origin no place.
     """
-    spec = spec_of(params.name)
     if params.frame not in _FRAMES:
         raise ConfigError(f"dataset.frame={params.frame} is unknown.", nearest_names(params.frame, _FRAMES))
     if params.origin is not None and len(params.origin) != 3:

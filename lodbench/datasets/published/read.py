@@ -28,7 +28,7 @@ from lodbench.datasets.published.poses import (
     read_names,
     read_split_cameras,
 )
-from lodbench.datasets.published.specs import MASK_FOLDERS
+from lodbench.datasets.published.spec import MASK_FOLDERS
 from lodbench.datasets.query import Entry
 from lodbench.findings import Findings
 from lodbench.geometry import Pose, wrap_deg

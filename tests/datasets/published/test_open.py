@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.datasets.published.open import PublishedParams, open_published
+from lodbench.datasets.published.open import PublishedParams
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Pose
+from lodbench.plugins import load_plugin
 from tests.data.published_layouts import (
     SWISS_CAMERA,
     SWISS_NAMES,
@@ -23,6 +24,11 @@ from tests.data.published_layouts import (
     write_swiss,
     write_uavd4l,
 )
+
+
+def open_published(params: PublishedParams) -> Dataset:
+    """Returns a dataset as a run opens it."""
+    return load_plugin("datasets", params.name)(params)
 
 
 @pytest.fixture(scope="module")

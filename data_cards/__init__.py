@@ -1,0 +1,1 @@
+"""Cards of datasets and sources: Markdown with a YAML head."""

@@ -1,0 +1,119 @@
+"""What can be said of a published dataset: folders, file names in the order they are tried, counts.
+
+Two trees are in use. LoD-Loc's: ``UAVD4L-LoD/inTraj/{Query_image/, GT_pose.txt, GPS_pose.txt,
+intrinsic.txt}``, ``UAVD4L-LoD/split/*.json``, ``MODEL/*.obj``. LoD-Loc v2's: ``data/UAVD4L-LoD/inTraj/
+{query/, dataset_test.txt}``, ``data/all_colmaps/UAVD4L-LoD/inTraj/colmap_320/{cameras,images}.txt``; the
+Swiss scenes lie there beside the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lodbench.geometry.frames import ShiftedEcef
+
+TRUTH_FILES = ("GT_pose.txt",)
+PRIOR_FILES = ("GPS_pose.txt", "GPS_pose_new.txt", "GPS_pose_new_all.txt")
+CAMERA_FILES = ("intrinsic.txt",)
+IMAGE_FOLDERS = ("Query_image", "query")
+MASK_FOLDERS = ("masks", "Mask")
+MODEL_FOLDERS = ("MODEL", "model", "")
+
+# Where a folder of datasets may begin below the root: as unpacked, or as either release's code has it.
+PREFIXES = ("", "dataset/", "data/")
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSpec:
+    """One split.
+
+    Attributes:
+        name: Name in tables.
+        folders: Where its files lie below the root, in the order tried.
+        split_files: Names of its split JSON, in the order tried.
+        prior_files: Further names of the file of priors.
+        num_queries: Queries of the paper's tables, solved from their percentages; None where unknown.
+        prior_median: The paper's median error of the priors, metres and degrees.
+        is_test: Whether it is run where no split is named.
+    """
+
+    name: str
+    folders: tuple[str, ...]
+    split_files: tuple[str, ...]
+    prior_files: tuple[str, ...] = ()
+    num_queries: int | None = None
+    prior_median: tuple[float, float] | None = None
+    is_test: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """Where publishers host a part.
+
+    Attributes:
+        what: What it is.
+        url: Address for people.
+        how: What to do there.
+    """
+
+    what: str
+    url: str
+    how: str
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """A file with an address that does not change.
+
+    Attributes:
+        url: Its address.
+        path: Where it goes below the root.
+        sha256: Of its content.
+        num_bytes: Its size.
+    """
+
+    url: str
+    path: str
+    sha256: str
+    num_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedSpec:
+    """One dataset: queries over one city model.
+
+    Attributes:
+        id: Name on the command line.
+        title: Name in the papers.
+        lod: Level of detail of the city model, for people: the files do not say.
+        folder: The folder of the download.
+        splits: In the order of the papers' tables.
+        city_files: Names of the city model, in the order tried.
+        unreadable_city_files: Names of it in formats that are not read.
+        ecef: The frame its files may come in besides east, north, up.
+        photo_crs: CRS of which the local frame is a shift, to place photos by their GPS.
+        hosts: Where to get it.
+        downloads: What can be fetched by itself.
+    """
+
+    id: str
+    title: str
+    lod: str
+    folder: str
+    splits: tuple[SplitSpec, ...]
+    city_files: tuple[str, ...]
+    unreadable_city_files: tuple[str, ...]
+    ecef: ShiftedEcef | None
+    photo_crs: str | None
+    hosts: tuple[Host, ...]
+    downloads: tuple[Download, ...] = ()
+
+
+# LoD-Loc's download, of which all four are part.
+_LODLOC_FILES = "https://pan.baidu.com/s/1Ue37i0OQpS2jzo-fQ3o4bA?pwd=xxdv"
+QUERIES = Host(
+    "queries, poses, priors, intrinsics, splits",
+    _LODLOC_FILES,
+    "code xxdv; linked from https://github.com/VictorZoo/LoD-Loc",
+)
+MODEL_WITH_QUERIES = Host("city model", _LODLOC_FILES, "folder MODEL of the same download")
