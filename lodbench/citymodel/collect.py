@@ -32,6 +32,20 @@ class PolygonCollector:
     serials: list[int] = field(default_factory=list)
     findings: Findings = field(default_factory=Findings)
 
+    def add_polygon(self, building: int, lod: str, points: NDArray[np.float64], kind: int) -> None:
+        """Adds one polygon without holes.
+
+        Args:
+            building: Index into ``building_ids``.
+            lod: Name of its level of detail.
+            points: (N, 3) corners, the first not repeated.
+            kind: Its ``SurfaceKind``.
+        """
+        self.point_blocks.append(points)
+        self.ring_lengths.append(len(points))
+        self.ring_counts.append(1)
+        self.owners.append((building, self.lod_index(lod), kind, building))
+
     def lod_index(self, name: str) -> int:
         """Returns the number of a level of detail, a new one where it is new."""
         if name not in self.lods:

@@ -6,7 +6,9 @@ from lodbench.datasets.published import swiss_epfl, swiss_epflv2, uavd4l_lod, ua
 from lodbench.datasets.published.spec import PublishedSpec
 from lodbench.errors import ConfigError, nearest_names
 
-SPECS = {module.SPEC.id: module.SPEC for module in (uavd4l_lod, uavd4l_lodv2, swiss_epfl, swiss_epflv2)}
+SPECS: dict[str, PublishedSpec] = {
+    spec.id: spec for spec in (uavd4l_lod.SPEC, uavd4l_lodv2.SPEC, swiss_epfl.SPEC, swiss_epflv2.SPEC)
+}
 
 
 def spec_of(name: str) -> PublishedSpec:

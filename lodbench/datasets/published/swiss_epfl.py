@@ -1,4 +1,4 @@
-"""``dataset=swiss_epfl``: CrossLoc's drone photos over an LoD2 model; its card is data_cards/swiss_epfl.md."""
+"""``dataset=swiss_epfl``: CrossLoc's drone photos over an LoD2 model; see data_cards/swiss_epfl.md."""
 
 from __future__ import annotations
 

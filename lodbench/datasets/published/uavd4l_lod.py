@@ -1,4 +1,4 @@
-"""``dataset=uavd4l_lod``: UAVD4L-LoD, drone photos over an LoD3 model; its card is data_cards/uavd4l_lod.md."""
+"""``dataset=uavd4l_lod``: UAVD4L-LoD, drone photos over an LoD3 model; see data_cards/uavd4l_lod.md."""
 
 from __future__ import annotations
 

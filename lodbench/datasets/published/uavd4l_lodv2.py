@@ -1,4 +1,4 @@
-"""``dataset=uavd4l_lodv2``: the queries of UAVD4L-LoD over LoD1 blocks, the one city model with an address."""
+"""``dataset=uavd4l_lodv2``: the queries of UAVD4L-LoD over LoD1 blocks, whose file has an address."""
 
 from __future__ import annotations
 
