@@ -67,7 +67,8 @@ class Environment:
         self._run([*install, "--no-deps", "--no-build-isolation", str(source)])
         self.package = self.site / "skyline"
         assert self.package.is_dir()
-        self.root, self.city = write_dataset(folder / "alps")
+        root, self.city = write_dataset(folder / "town")
+        self.root = root.rename(folder / "alps")  # the name of its one split
         shutil.copytree(self.root / "masks", self.root / "Query_image")  # as good as photos here
         self.blocks = folder / "town.blocks"
         self.blocks.write_text("".join(f"b{k},{','.join(map(str, box))}\n" for k, box in enumerate(BOXES)))
