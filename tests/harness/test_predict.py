@@ -114,6 +114,20 @@ def test_a_fault_of_the_code_is_its_query_s(dataset, tmp_path):
     assert "in localize" in kept.read_text()
 
 
+@pytest.mark.parametrize(
+    ("odd", "word"),
+    [(Estimate(None, 1.0), "AttributeError"), (7, "TypeError: localize returned int instead of an Estimate")],
+)
+def test_an_odd_answer_is_no_answer(dataset, tmp_path, odd, word):
+    class Odd(Scripted):
+        def localize(self, query, city_map, streams):
+            return odd if query.name == NAMES[0] else super().localize(query, city_map, streams)
+
+    first, *others = failures(run(Odd(), dataset, tmp_path))
+    assert first.startswith(word)
+    assert others == ["", ""]
+
+
 def test_wrong_settings_end_the_run_and_leave_nothing(dataset, tmp_path):
     with pytest.raises(ConfigError, match="no such layer"):
         run(Scripted({NAMES[0]: ConfigError("no such layer")}), dataset, tmp_path)

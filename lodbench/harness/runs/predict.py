@@ -83,7 +83,7 @@ class Work:
         """Returns the keys of queries and the predictions of their poses as JSON values."""
         asked = [_Asked(entry, self.streams_of(entry)) for entry in entries]
         _answer(self.method, preparation, city_map, asked, self.folder)
-        return [(each.entry.key, each.prediction(preparation).to_json()) for each in asked]
+        return [(each.entry.key, each.prediction(preparation, self.folder).to_json()) for each in asked]
 
 
 def predict(
@@ -184,28 +184,28 @@ class _Asked:
     estimate: Estimate | None = None
     failure: str = ""
 
-    def prediction(self, preparation: Preparation) -> Prediction:
-        """Returns what is stored."""
+    def prediction(self, preparation: Preparation, folder: Path) -> Prediction:
+        """Returns what is stored: the estimate, or why there is none; an odd estimate is a fault too."""
         mask = "" if self.query is None else _stored_mask(self.query)
-        found = self.estimate
-        if found is not None:
-            try:
-                pose = Pose.from_matrix(preparation.in_dataset_frame(found.pose).cam_from_world)
-            except LodbenchError as fault:
-                # A method that answers with no pose has no answer either.
-                self.failure, found = fault.message.rstrip("."), None
-        if found is None:
-            return Prediction(None, self.failure, hypotheses=0, mask_png=mask)
-        return Prediction(
-            pose=pose,
-            score=float(found.score) if math.isfinite(found.score) else None,
-            hypotheses=int(found.hypotheses),
-            seconds={"prepare": self.prepare_s, **found.seconds},
-            trace={stage: tuple(map(float, scores)) for stage, scores in found.trace.items()},
-            probability=found.probability,
-            covariance=_upper_triangle(found.covariance),
-            mask_png=mask,
-        )
+        if self.estimate is not None:
+            with _failing(self, folder):
+                return _stored_estimate(self.estimate, self.prepare_s, mask, preparation)
+        return Prediction(None, self.failure, hypotheses=0, mask_png=mask)
+
+
+def _stored_estimate(
+    found: Estimate, prepare_s: float, mask_png: str, preparation: Preparation
+) -> Prediction:
+    return Prediction(
+        pose=Pose.from_matrix(preparation.in_dataset_frame(found.pose).cam_from_world),
+        score=float(found.score) if math.isfinite(found.score) else None,
+        hypotheses=int(found.hypotheses),
+        seconds={"prepare": prepare_s, **found.seconds},
+        trace={stage: tuple(map(float, scores)) for stage, scores in found.trace.items()},
+        probability=None if found.probability is None else float(found.probability),
+        covariance=_upper_triangle(found.covariance),
+        mask_png=mask_png,
+    )
 
 
 def _answer(
