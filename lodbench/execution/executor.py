@@ -111,8 +111,11 @@ def _dask(
         with distributed.Client(executor.address or own, timeout=_CONNECT_S) as client:
             _LOGGER.warning("Dask's dashboard: %s", client.dashboard_link)
             # One name for all that is prepared alike: a worker does it once, a new one does it again.
+            # A task, not scattered data: made again where the worker that held it died.
             token = uuid4().hex
-            common = client.scatter((token, work, prepare, prepare_with), broadcast=False, hash=False)
+            common = client.submit(
+                _together, token, work, prepare, prepare_with, pure=False, retries=_RETRIES
+            )
             waiting = iter(items)
 
             def submit(count: int) -> list[Any]:
@@ -145,6 +148,10 @@ def _dask(
 _Common = tuple[str, Callable[[Any], Any], Callable[..., None], tuple[Any, ...]]
 # What this worker has prepared, by its token; the latest only, since it may hold a city.
 _prepared: list[str] = []
+
+
+def _together(*common: Any) -> tuple[Any, ...]:
+    return common
 
 
 def _on_worker(

@@ -74,13 +74,14 @@ def square_or_die(item: int) -> int:
     return item * item
 
 
-@pytest.mark.parametrize("name", ["process", "dask"])
-def test_what_a_dead_worker_was_at_is_done_again(tmp_path: Path, name: str) -> None:
+# A single worker takes all it was given with it.
+@pytest.mark.parametrize(("name", "workers"), [("process", 3), ("dask", 3), ("dask", 1)])
+def test_what_a_dead_worker_was_at_is_done_again(tmp_path: Path, name: str, workers: int) -> None:
     if name == "dask":
         pytest.importorskip("distributed")
     for item in (3, 11):
         (tmp_path / f"{item}").touch()
-    executor = ExecutorParams(name, workers=3)
+    executor = ExecutorParams(name, workers=workers)
     results = sorted(spread(executor, square_or_die, range(20), prepare, (Deadly(tmp_path),)))
     assert results == [item * item for item in range(20)]
     assert not list(tmp_path.iterdir())
