@@ -94,6 +94,8 @@ class TestTheMethod:
         )
         assert wide.range_tilt_deg == 4.0
         assert len(wide.grid()) > len(Params().grid())
+        assert len(Region().params_for_prior(UniformPrior()).grid()) == len(Params().grid())
+        assert Region().params_for_true_tilt().range_tilt_deg == 0.0
 
 
 class TestWhatIsRefused:
