@@ -94,6 +94,7 @@ def test_open_city_model_as_published(tmp_path: Path) -> None:
     assert model.findings.counts() == {
         "LB103 RING_NOT_CLOSED": 4,
         "LB305 CRS_PROJECTED": 1,
+        "LB310 HEIGHTS_ELLIPSOIDAL": 1,
         "LB407 BASE_MOVED": 1,
     }
     points = model.polygons.points
