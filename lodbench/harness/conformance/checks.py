@@ -11,7 +11,7 @@ from typing import Any, cast
 from lodbench.checks import FAULT, OK, Check
 from lodbench.errors import LodbenchError
 from lodbench.harness.conformance.city import fit_rules, reader_rules, renderer_rules
-from lodbench.harness.conformance.data import dataset_rules, pose_format_rules, prior_rules
+from lodbench.harness.conformance.data import dataset_rules, metric_rules, pose_format_rules, prior_rules
 from lodbench.harness.conformance.pictures import extractor_rules, matcher_rules, segmenter_rules
 from lodbench.harness.conformance.trial import Rules, Tried, check_rules, trial_dataset
 from lodbench.params import to_params
@@ -27,6 +27,7 @@ CHECKED: dict[str, Callable[[Tried], Rules]] = {
     "city_readers": reader_rules,
     "renderers": renderer_rules,
     "fits": fit_rules,
+    "metrics": metric_rules,
 }
 # Kinds with a file conf/<section>/NAME.yaml, by which a command chooses them.
 CONFIGURED = {"segmenters": "segmenter", "datasets": "dataset", "priors": "prior"}

@@ -12,6 +12,8 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.errors import LodbenchError
+from lodbench.evaluation.errors import FAILED, FAILED_PARTS
+from lodbench.evaluation.queries import ERROR, PARTS, queries_frame
 from lodbench.geometry import Pose
 from lodbench.harness.conformance.trial import Rules, Tried, refuses, require
 from lodbench.params import to_params
@@ -119,6 +121,27 @@ def pose_format_rules(tried: Tried) -> Rules:
         return f"{len(found)} poses, world to camera by their word"
 
     return [("no poses", garbage), ("sample", sample)]
+
+
+def metric_rules(tried: Tried) -> Rules:
+    """Returns the rules of a metric."""
+    row = {"query": "a", "split": "a", "failure": "", "hypotheses": 10, "mask_iou": 0.8, "probability": 0.7}
+    found = {**dict(zip(ERROR, (1.0, 0.2), strict=True)), **dict(zip(PARTS, (0.6, 0.8, 0.1), strict=False))}
+    failed = {**dict(zip(ERROR, FAILED, strict=True)), **dict(zip(PARTS, FAILED_PARTS, strict=False))}
+    rows = [{**row, **found}, {**row, "query": "b", **found}, {"query": "c", "split": "a", **failed}]
+    rows[2] |= {"failure": "no mask", "hypotheses": 0}
+
+    def numbers() -> str:
+        queries = queries_frame(rows)
+        before = queries.copy(deep=True)
+        said = {str(name): float(value) for name, value in tried.part(queries).items()}
+        require(len(said) > 0, "no number", "Return a mapping from names to numbers.")
+        require(queries.equals(before), "the queries were written to", "Work on a copy.")
+        again = {str(name): float(value) for name, value in tried.part(queries_frame(rows)).items()}
+        require(repr(said) == repr(again), "other numbers of the same queries")
+        return f"{', '.join(said)}; the same again, the queries only read"
+
+    return [("numbers", numbers)]
 
 
 def _require_pose(pose: Pose | None, where: str) -> None:
