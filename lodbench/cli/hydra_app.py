@@ -61,6 +61,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
     import hydra
     from hydra.core.hydra_config import HydraConfig
     from hydra.errors import HydraException
+    from yaml import YAMLError
 
     jobs: list[list[str]] = []
     faults: dict[int, LodbenchError] = {}
@@ -88,6 +89,8 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
     try:
         version = {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}
         hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **version)(job)()
+    except YAMLError as error:
+        raise ConfigError(f"A file of settings cannot be read: {' '.join(str(error).split())}.") from error
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise explained(error, config_name) from error
     finally:
