@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo ablation test fuzz weights lint clean
+.PHONY: demo ablation test test-slow fuzz weights lint clean
 
 # Builds the demo town, localises its 40 photos, from pixels, with the sensor's tilt and with the true one.
 demo: $(VENV)/.base
@@ -13,8 +13,12 @@ demo: $(VENV)/.base
 ablation: $(VENV)/.base
 	$(BIN)/lodbench run --multirun method=lodlocv2 dataset=demo segmenter=masks tilt=truth method.variant=no_refine,no_select,full
 
+# Minutes on two cores; `test-slow` adds the tests that take longest: kills, fault by fault, packages built and installed.
 test: $(VENV)/.test lint
-	$(BIN)/python -m pytest -n auto --dist loadgroup
+	$(BIN)/python -m pytest -n auto --dist loadgroup -m "not slow"
+
+test-slow: $(VENV)/.test
+	$(BIN)/python -m pytest -n auto --dist loadgroup -m slow
 
 # 20,000 mutated city files and as many of all other kinds, for a nightly run; `make test` tries a slice. COUNT= sets another number.
 COUNT ?= 20000

@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 SLICE = """
 import itertools, os, sys, tempfile
 from pathlib import Path

@@ -74,6 +74,7 @@ def _kept(package):
     return sorted(package.glob("__pycache__/kernels-*/**/*.nb[ic]"))
 
 
+@pytest.mark.slow
 def test_every_damaged_file_is_compiled_again(package):
     assert _run(package) == 1
     assert len(_kept(package)) == 2

@@ -16,6 +16,8 @@ import pytest
 
 from tests.town import BOXES, write_dataset
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = re.compile(r"```\w+\n(?:# |<!-- )(pyproject\.toml|skyline/[\w./]+)(?: -->)?\n(.*?)```", re.DOTALL)
 

@@ -42,10 +42,10 @@ class PlainFormatter(logging.Formatter):
 
 
 def report_fault(fault: LodbenchError) -> None:
-    """Writes a fault to standard error: one line, and its hint below."""
-    sys.stderr.write(f"lodbench: {plain_text(fault.message)}\n")
+    """Writes a fault to standard error: a line, or the lines it has, and its hint below."""
+    sys.stderr.write(f"lodbench: {plain_lines(fault.message)}\n")
     if fault.hint:
-        sys.stderr.write(f"  hint: {plain_text(fault.hint)}\n")
+        sys.stderr.write(f"  hint: {plain_lines(fault.hint)}\n")
 
 
 def check_lines(checks: Sequence[Check]) -> Iterator[str]:

@@ -7,7 +7,7 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.console import check_lines
 
@@ -27,11 +27,17 @@ def main(argv: Sequence[str]) -> int:
 
     checks = examine()
     if options.json:
-        lines: Iterator[str] = (json.dumps(asdict(check)) for check in checks)
+        lines: Iterator[str] = (json.dumps(_told(check)) for check in checks)
     else:
         lines = _lines(checks)
     sys.stdout.write("".join(line + "\n" for line in lines))
     return 1 if is_base_broken(checks) else 0
+
+
+def _told(check: Check) -> dict[str, Any]:
+    """Returns a check as JSON values; a traceback only where there is one."""
+    values = asdict(check)
+    return values if values["traceback"] else {k: v for k, v in values.items() if k != "traceback"}
 
 
 def _lines(checks: list[Check]) -> Iterator[str]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 
-from lodbench.storage import hide_formula
-
 # Terminal sequences whole (CSI with parameters, OSC up to its end), then any other control character.
 _SEQUENCES = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)?|\x9b[0-?]*[ -/]*[@-~]")
 _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
@@ -31,6 +29,9 @@ def csv_cell(value: object) -> str:
     Numbers stay as they are, negative ones too; a text that starts with = + - or @ gets an apostrophe
     before it, except the lone dash of an unknown value. None is empty.
     """
+    # Late: faults are told through this module where numpy, which storage needs, does not start.
+    from lodbench.storage import hide_formula
+
     if value is None:
         return ""
     if isinstance(value, (int, float)):

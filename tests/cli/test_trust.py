@@ -118,6 +118,7 @@ def test_warnings_steer_no_terminal_either(capfd):
     assert "\x1b" not in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_a_killed_make_demo_left_is_swept_up(tmp_path):
     command = [
         sys.executable,

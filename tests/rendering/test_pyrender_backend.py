@@ -75,14 +75,16 @@ def test_back_faces_are_seen(open_renderer, samples):
     pose = Pose.from_euler(EulerAngles(180, 2, 15), (5, 5, -8))
     ours = SilhouetteRenderer(scene, 1).render(CAMERA, pose)
     assert ours.mean() > 0.2
-    assert np.mean(ours != open_renderer(scene, samples).render(CAMERA, pose)) < 0.01
+    assert np.mean(ours != open_renderer(scene, samples=samples).render(CAMERA, pose)) < 0.01
 
 
 def test_one_sample_at_the_centre_covers_the_engines_pixels(open_renderer):
     scene = scene_of(*[box([4 * x, 4 * y, 0], [2.3, 2.7, 5]) for x in range(-5, 5) for y in range(-5, 5)])
     pose = Pose.from_euler(EulerAngles(25, 1, 33), (0, -10, 60))
     ours = SilhouetteRenderer(scene, 1).render(CAMERA, pose)
-    shares = [np.mean(ours != open_renderer(scene, samples).render(CAMERA, pose)) for samples in (4, 1, 4)]
+    shares = [
+        np.mean(ours != open_renderer(scene, samples=samples).render(CAMERA, pose)) for samples in (4, 1, 4)
+    ]
     assert shares[1] < 0.002 < shares[0]
     assert shares[0] == shares[2]
 

@@ -262,6 +262,7 @@ def test_every_weight_has_one_optimizer_and_the_paper_has_adamw_alone():
     assert counts[1] > 0.9 * sum(counts)
 
 
+@pytest.mark.slow
 class TestTwoProcesses:
     """torchrun on a CPU: each process sees half of every batch, gradients are averaged."""
 
