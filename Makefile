@@ -5,9 +5,9 @@ BIN := $(VENV)/bin
 
 .PHONY: demo ablation test test-slow fuzz weights lint clean
 
-# Builds the demo town, localises its 40 photos, from pixels, with the sensor's tilt and with the true one.
+# Builds the demo town and localises its 40 photos from pixels, with the sensor's tilt, by three methods.
 demo: $(VENV)/.base
-	$(BIN)/lodbench run --multirun method=lodlocv2 dataset=demo segmenter=compact tilt=prior,truth
+	$(BIN)/lodbench run --multirun method=lodlocv2,contour_alignment,region dataset=demo tilt=prior
 
 # The paper's Table 1 on the demo, from masks at IoU 0.88 and 0.80: without refinement, without selection, in full.
 ablation: $(VENV)/.base

@@ -1,9 +1,9 @@
 """The catalogue of city model findings: one stable code per kind of defect, in groups of hundred.
 
 LB1xx rings and polygons, LB2xx the structure of a file, LB3xx coordinate reference systems and
-heights, LB4xx buildings and levels of detail, LB5xx solids. A code never changes its meaning and is never
-reused; new kinds get the next free number. An ERROR lost data, a WARNING changed it or doubts it,
-INFO tells what was decided.
+heights, LB4xx buildings and levels of detail, LB6xx solids (LB5xx are of datasets). A code never
+changes its meaning and is never reused; new kinds get the next free number. An ERROR lost data, a
+WARNING changed it or doubts it, INFO tells what was decided.
 """
 
 from __future__ import annotations
@@ -127,14 +127,14 @@ GROUND_DEFAULTED = _code(
 )
 INTERIOR_SKIPPED = _code(404, "INTERIOR_SKIPPED", _I, "Rooms and furniture are left out of the mesh.")
 
-SHELL_TOO_FEW_FACES = _code(501, "SHELL_TOO_FEW_FACES", _W, "A shell of a solid has fewer than four faces.")
-SHELL_NOT_CLOSED = _code(502, "SHELL_NOT_CLOSED", _W, "A shell has edges that only one face has: it leaks.")
-NON_MANIFOLD_EDGE = _code(503, "NON_MANIFOLD_EDGE", _W, "A shell has edges that three faces or more share.")
-NON_MANIFOLD_VERTEX = _code(504, "NON_MANIFOLD_VERTEX", _W, "A shell touches itself in a point.")
-SHELL_IN_PIECES = _code(505, "SHELL_IN_PIECES", _W, "The faces of a shell do not hang together.")
-FACE_TURNED = _code(506, "FACE_TURNED", _W, "A face of a shell looks the other way than its neighbour.")
-SHELL_INSIDE_OUT = _code(507, "SHELL_INSIDE_OUT", _W, "The faces of a shell all look the wrong way.")
-PARTS_OVERLAP = _code(508, "PARTS_OVERLAP", _W, "Two parts of a building overlap.")
+SHELL_TOO_FEW_FACES = _code(601, "SHELL_TOO_FEW_FACES", _W, "A shell of a solid has fewer than four faces.")
+SHELL_NOT_CLOSED = _code(602, "SHELL_NOT_CLOSED", _W, "A shell has edges that only one face has: it leaks.")
+NON_MANIFOLD_EDGE = _code(603, "NON_MANIFOLD_EDGE", _W, "A shell has edges that three faces or more share.")
+NON_MANIFOLD_VERTEX = _code(604, "NON_MANIFOLD_VERTEX", _W, "A shell touches itself in a point.")
+SHELL_IN_PIECES = _code(605, "SHELL_IN_PIECES", _W, "The faces of a shell do not hang together.")
+FACE_TURNED = _code(606, "FACE_TURNED", _W, "A face of a shell looks the other way than its neighbour.")
+SHELL_INSIDE_OUT = _code(607, "SHELL_INSIDE_OUT", _W, "The faces of a shell all look the wrong way.")
+PARTS_OVERLAP = _code(608, "PARTS_OVERLAP", _W, "Two parts of a building overlap.")
 
 # The published error codes of val3dity, the usual validator of 3D city models, for what it reports too.
 VAL3DITY: dict[FindingCode, str] = {

@@ -1,4 +1,4 @@
-"""Running a method over a dataset: from configured parts to a run folder.
+"""Runs of methods over datasets; photos of one's own, exports, pictures of a city, the doctor.
 
 Names are loaded when first used: `lodbench doctor` lives here too, and must start where numpy does not.
 """

@@ -1,1 +1,1 @@
-"""Tables and pictures of results."""
+"""Tables, figures, pages and the leaderboard: results as people read them."""

@@ -19,7 +19,8 @@ room                   what it makes
 
 Where something new goes:
 
-- a roof shape: a function and a line in ``ROOF_SHAPES`` of ``town/roofs.py``;
+- a roof shape: a function and a line in ``ROOF_SHAPES`` of ``town/roofs.py``, and who builds it: houses in
+  ``town/fittings.py``, halls in ``town/estates.py``, single buildings in ``town/landmarks.py``;
 - a kind of block or landmark: a function in ``town/estates.py`` or ``town/landmarks.py``, chosen in
   ``town/districts.py``;
 - a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py``;

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 from lodbench.citymodel.codes import VAL3DITY, finding_catalogue
+from lodbench.datasets.codes import CATALOGUE as DATASET_CODES
 
 _ROOT = Path(__file__).resolve().parents[2]
 
@@ -11,8 +12,9 @@ _ROOT = Path(__file__).resolve().parents[2]
 def test_codes_are_unique_and_grouped() -> None:
     catalogue = finding_catalogue()
     assert len({code.code for code in catalogue}) == len({code.name for code in catalogue}) == len(catalogue)
-    assert all(re.fullmatch(r"LB[1-5]\d\d", code.code) for code in catalogue)
+    assert all(re.fullmatch(r"LB[1-46]\d\d", code.code) for code in catalogue)
     assert all(code.meaning.endswith(".") for code in catalogue)
+    assert not {code.code for code in catalogue} & set(DATASET_CODES)
 
 
 def test_every_code_is_used_and_tested() -> None:

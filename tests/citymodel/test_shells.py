@@ -45,37 +45,37 @@ def test_a_box_is_sound(tmp_path: Path) -> None:
 
 
 def test_a_face_is_missing(tmp_path: Path) -> None:
-    assert of_solid(tmp_path, BOX[:5]) == {"LB502": ["edges with one face only: 4"]}
+    assert of_solid(tmp_path, BOX[:5]) == {"LB602": ["edges with one face only: 4"]}
 
 
 def test_too_few_faces(tmp_path: Path) -> None:
     found = of_solid(tmp_path, BOX[:2])
-    assert found["LB501"] == ["faces: 2"]
+    assert found["LB601"] == ["faces: 2"]
 
 
 def test_a_face_is_turned(tmp_path: Path) -> None:
     found = of_solid(tmp_path, [*BOX[:5], BOX[5][::-1]])
-    assert found == {"LB506": ["edges that both faces run along the same way: 4"]}
+    assert found == {"LB606": ["edges that both faces run along the same way: 4"]}
 
 
 def test_inside_out(tmp_path: Path) -> None:
-    assert of_solid(tmp_path, [ring[::-1] for ring in BOX]) == {"LB507": ["encloses -600.000 m3"]}
+    assert of_solid(tmp_path, [ring[::-1] for ring in BOX]) == {"LB607": ["encloses -600.000 m3"]}
 
 
 def test_boxes_that_share_an_edge(tmp_path: Path) -> None:
     other = box_rings(x=500010.0, y=5600010.0)
-    assert of_solid(tmp_path, [*BOX, *other]) == {"LB503": ["edges with three faces or more: 1"]}
+    assert of_solid(tmp_path, [*BOX, *other]) == {"LB603": ["edges with three faces or more: 1"]}
 
 
 def test_boxes_that_share_a_corner(tmp_path: Path) -> None:
     other = box_rings(x=500010.0, y=5600010.0, z=56.0)
     found = of_solid(tmp_path, [*BOX, *other])
-    assert found["LB504"] == ["vertices where fans of faces touch: 1"]
-    assert found["LB505"] == ["pieces: 2"]
+    assert found["LB604"] == ["vertices where fans of faces touch: 1"]
+    assert found["LB605"] == ["pieces: 2"]
 
 
 def test_boxes_apart(tmp_path: Path) -> None:
-    assert of_solid(tmp_path, [*BOX, *box_rings(x=500020.0)]) == {"LB505": ["pieces: 2"]}
+    assert of_solid(tmp_path, [*BOX, *box_rings(x=500020.0)]) == {"LB605": ["pieces: 2"]}
 
 
 def test_borrowed_faces_close_a_solid(tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_borrowed_faces_close_a_solid(tmp_path: Path) -> None:
     turned = '<gml:surfaceMember><gml:OrientableSurface orientation="-"><gml:baseSurface xlink:href="#w5"/>'
     turned += "</gml:OrientableSurface></gml:surfaceMember>"
     links = "".join(link(f"#w{n}") for n in range(5)) + turned
-    assert set(defects(tmp_path, city(member(solid(links, 2) + walls)))) == {"LB506"}
+    assert set(defects(tmp_path, city(member(solid(links, 2) + walls)))) == {"LB606"}
 
 
 def test_points_within_a_millimetre_are_one(tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_parts_that_overlap(tmp_path: Path, shift: float, is_met: bool) -> None:
         for n, box in enumerate(boxes)
     )
     found = defects(tmp_path, city(member(parts)))
-    assert found == ({"LB508": ["LoD2: p0 and p1, 50.00 m2 over 6.00 m"]} if is_met else {})
+    assert found == ({"LB608": ["LoD2: p0 and p1, 50.00 m2 over 6.00 m"]} if is_met else {})
 
 
 def test_places_for_machines_and_for_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
