@@ -64,7 +64,7 @@ def _split_lines(split: SplitReport) -> list[str]:
         f"{split.masks} masks"
     ]
     if split.prior is None:
-        lines.append("no priors")
+        lines.append("no priors" if split.truths else "priors cannot be judged without true poses")
     else:
         paper = split.paper_prior
         beside = "" if paper is None else f" (paper: {paper[0]:g} m / {paper[1]:g} deg)"

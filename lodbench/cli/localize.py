@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.sources import load_profile
+from lodbench.errors import ConfigError
+from lodbench.reporting.answers import trust_word
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.localize import LocalizedPhoto
@@ -39,7 +41,11 @@ def main(argv: Sequence[str]) -> int:
     from lodbench.methods.registry import make_method
 
     is_masked = asked.mask is not None or asked.segmenter is not None
-    method = make_method(asked.method or ("lodlocv2" if is_masked else "region"))
+    method = make_method(asked.method or ("contour_alignment" if is_masked else "region"))
+    if is_masked and "mask" not in method.requires:
+        flag = "--segmenter" if asked.mask is None else "--mask"
+        hint = f"Leave {flag} out, or take --method contour_alignment."
+        raise ConfigError(f"Method {method.name} looks at no mask.", hint)
     segmenter = None
     if asked.mask is None and "mask" in method.requires:
         segmenter = segmenter_of(asked.segmenter or "compact", asked.segmenter_option)
@@ -100,8 +106,11 @@ def describe(found: LocalizedPhoto) -> str:
 def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
     """Returns how sure the method is, and the next best pose."""
     rows = []
-    if found.probability is not None:
-        rows.append(("sure", f"{100 * found.probability:.0f} % within 2 m and 2 deg"))
+    if found.probability is None:
+        rows.append(("sure", "this method does not say"))
+    else:
+        percent = f"{100 * found.probability:.0f} % within 2 m and 2 deg"
+        rows.append(("sure", f"{percent}: {trust_word(found.probability)}"))
     if found.sigmas is not None:
         x, y, z, pitch, roll, yaw = found.sigmas
         rows.append(
@@ -146,7 +155,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_height_options(parser)
     parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
-    parser.add_argument("--method", metavar="NAME", help="region; with --mask or --segmenter lodlocv2")
+    parser.add_argument(
+        "--method", metavar="NAME", help="region; with --mask or --segmenter contour_alignment"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("localized"), metavar="DIR", help="(localized)")
     parser.add_argument("--json", action="store_true", help="for machines")

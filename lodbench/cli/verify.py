@@ -16,6 +16,7 @@ from yaml import AliasToken, scan
 from lodbench.cli.run_dataset import open_dataset, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError, LodbenchError
+from lodbench.evaluation.queries import has_truth
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
 from lodbench.params import to_params
@@ -122,7 +123,8 @@ def describe(verdict: Verdict) -> str:
     if count:
         lines.append(f"{verdict.stored.folder}: {count} difference{'s' * (count > 1)}")
     else:
-        basis = "their rows" if verdict.is_weak else "their poses and the truth"
+        truth = "the truth" if has_truth(verdict.stored.queries).any() else "nothing else: there is no truth"
+        basis = "their rows" if verdict.is_weak else f"their poses and {truth}"
         lines.append(f"{verdict.stored.folder}: the numbers of {queries} queries follow from {basis}")
     return "\n".join(lines) + "\n"
 

@@ -28,10 +28,12 @@ def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction])
     head = ["", "x m", "y m", "z m", "pitch deg", "yaw deg", "score", "probability", "trust"]
     lines = [_cells(str(key), predictions[str(key)]) for key in queries.index]
     answered = sum(predictions[str(key)].pose is not None for key in queries.index)
+    is_said = any(predictions[str(key)].probability is not None for key in queries.index)
+    basis = "goes by the probability that the method gives of being within 2 m and 2 degrees"
     return (
         f"There is no truth to compare with: the answers themselves.\n\n{format_columns([head, *lines])}\n\n"
         f"{answered} of {len(lines)} queries have an answer, {len(lines) - answered} failed. "
-        "Trust goes by the probability that the method gives of being within 2 m and 2 degrees.\n"
+        f"Trust {basis if is_said else 'is not known: this method gives no probability'}.\n"
     )
 
 
@@ -39,9 +41,12 @@ def trust_of(prediction: Prediction) -> str:
     """Returns how far an answer may be trusted, in a word; "-" where the method does not say."""
     if prediction.pose is None:
         return "failed"
-    if prediction.probability is None:
-        return "-"
-    return next((word for least, word in _WORDS if prediction.probability >= least), _WORDS[-1][1])
+    return "-" if prediction.probability is None else trust_word(prediction.probability)
+
+
+def trust_word(probability: float) -> str:
+    """Returns how far a pose may be trusted that is within 2 m and 2 degrees with a probability."""
+    return next((word for least, word in _WORDS if probability >= least), _WORDS[-1][1])
 
 
 def _cells(key: str, found: Prediction) -> list[str]:

@@ -27,10 +27,10 @@ def chosen_segmenter(dataset: Dataset, is_needed: bool = True) -> tuple[str, str
     masks = sum(entry.mask is not None for entry in dataset.entries)
     if masks:
         return "masks", f"{masks} of {total} queries have masks made beforehand"
+    if not is_needed:
+        return "none", "the dataset has no masks, and the method needs none"
     if any(entry.image is not None for entry in dataset.entries):
         return "compact", "the dataset has photos and no masks"
-    if not is_needed:
-        return "none", "the dataset has neither photos nor masks, and the method needs no mask"
     raise DatasetError(
         f"None of the {total} queries of {dataset.name} has a mask or a photo.",
         "Put building masks (255 = building) in masks, or photos in Query_image, named as in the poses.",

@@ -371,10 +371,13 @@ def test_a_method_is_given_what_it_requires_and_no_more(capsys, monkeypatch, tmp
             return Estimate(query.prior, 0.1)
 
     monkeypatch.setattr(registry, "load_plugin", lambda group, name: Photographic)
-    found = localize(capsys, case, tmp_path / "out", "--method", "photographic", "--segmenter", "masks")
+    found = localize(capsys, case, tmp_path / "out", "--method", "photographic")
     assert len(seen) == 1
     assert found["moved_m"] == pytest.approx(0.0, abs=1e-6)
     assert not any("do not trust" in note for note in found["notes"])
+    words = ["localize", str(case.photo), "--city", str(case.city), "--method", "photographic"]
+    assert cli([*words, "--mask", str(case.mask)]) == 2
+    assert "photographic looks at no mask" in capsys.readouterr().err
     Photographic.requires = frozenset({"references"})
     assert cli(["localize", str(case.photo), "--city", str(case.city), "--method", "photographic"]) == 2
     assert "posed pictures of the place, and a single photo has none" in capsys.readouterr().err

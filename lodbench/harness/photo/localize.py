@@ -34,7 +34,7 @@ from lodbench.segmentation.masks import read_mask
 
 # What one photo has; masks come with --mask or from a segmenter.
 _GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
-# Below this probability, or where there is none this overlap of mask and model, a pose is not to be trusted.
+# Below this probability, or this overlap of mask and model, a pose is not to be trusted.
 TRUSTED_PROBABILITY, TRUSTED_OVERLAP = 0.5, 0.5
 _SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
 
@@ -280,26 +280,24 @@ def _notes(photo: PhotoMetadata, frame: MapFrame | None, view: PhotoView, estima
     if view.camera.distortion:
         notes.append(f"the lens distortion ({view.camera.lens}) was undone before localising")
     if not _is_trusted(estimate, view.mask is not None):
-        notes.append(_warning(estimate))
+        notes.append(_warning(estimate, view.mask is not None))
     return notes
 
 
 def _is_trusted(estimate: Estimate, has_mask: bool) -> bool:
-    if estimate.probability is not None:
-        return estimate.probability >= TRUSTED_PROBABILITY
-    # Without a mask a score is the method's own, in no known unit.
-    return not has_mask or estimate.score >= TRUSTED_OVERLAP
+    # Outlines may agree with a mask that is the wrong way round. Without a mask a score has no known unit.
+    if has_mask and estimate.score < TRUSTED_OVERLAP:
+        return False
+    return estimate.probability is None or estimate.probability >= TRUSTED_PROBABILITY
 
 
-def _warning(estimate: Estimate) -> str:
-    if estimate.probability is None:
+def _warning(estimate: Estimate, has_mask: bool) -> str:
+    if has_mask and estimate.score < TRUSTED_OVERLAP:
         reason = f"mask and model overlap by {estimate.score:.2f} only: do not trust this pose"
     else:
         reason = f"this pose is right with a probability of {estimate.probability:.2f} only: do not trust it"
-    return (
-        f"{reason}; look at the overlay, give a better --center, --height or --heading, "
-        "or trace the buildings and give --mask FILE with --method contour_alignment"
-    )
+    mask = "mend the mask" if has_mask else "trace the buildings and give --mask FILE"
+    return f"{reason}; look at the overlay, give a better --center, --height or --heading, or {mask}"
 
 
 def _sigmas(estimate: Estimate) -> tuple[float, ...] | None:
