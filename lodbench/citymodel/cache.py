@@ -140,7 +140,7 @@ def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: st
     Raises:
         CityModelError: The file is missing or cannot be read.
     """
-    files = dict.fromkeys(source.path for source in open_sources(path))
+    files = dict.fromkeys(source.path for source in open_sources(path, options.layers))
     if options.terrain is not None:
         files[Path(options.terrain)] = None
     try:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import BinaryIO
 
 import numpy as np
@@ -14,16 +15,14 @@ from lodbench.citymodel.gml_context import owner_of
 from lodbench.citymodel.gml_details import SolidReader, read_attributes
 from lodbench.citymodel.gml_links import LinkResolver
 from lodbench.citymodel.gml_names import (
-    BUILDINGS,
     GML_IDS,
     MEMBERS,
-    NESTED,
     NESTED_TYPES,
-    NestingTable,
-    is_building_tag,
+    is_citygml,
 )
 from lodbench.citymodel.gml_walk import GeometryWalk
 from lodbench.citymodel.growing import GrowingArray
+from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.objects import ObjectTable, Solids
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
@@ -32,23 +31,37 @@ from lodbench.findings import Findings
 # Numbers are read when this much text has gathered: large enough that a parse is worth its call,
 # small enough that memory stays flat.
 _BATCH_CHARACTERS = 1 << 20
+# Where CityJSON has another name for what CityGML calls an object.
+_JSON_TYPES = {
+    "ReliefFeature": "TINRelief",
+    "TransportationComplex": "Road",
+    "Track": "Road",
+    "Square": "TransportSquare",
+    "GenericOccupiedSpace": "GenericCityObject",
+}
 
 
 def read_citygml(
-    open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True, has_details: bool = False
+    open_stream: Callable[[], BinaryIO],
+    source: str,
+    *,
+    is_strict: bool = True,
+    has_details: bool = False,
+    layers: Sequence[str] = (),
 ) -> RawCity:
-    """Returns the buildings of a CityGML document in the coordinates of the file.
+    """Returns the buildings of a CityGML document in the coordinates of the file, and objects of its layers.
 
     Args:
         open_stream: Opens the document; called again only when a reference crosses members.
         source: Name of the file, for messages.
         is_strict: Whether a bad coordinate is an error, or a finding that drops its polygon.
         has_details: Whether attributes, solids and ids of polygons are read as well.
+        layers: Names of ``LAYERS``: what to read besides buildings.
 
     Raises:
         CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
     """
-    reader = _Reader(source, is_strict, has_details)
+    reader = _Reader(source, is_strict, has_details, layers)
     with open_stream() as stream:
         reader.read(stream)
     if reader.links.unresolved:
@@ -60,7 +73,7 @@ def read_citygml(
 class _Reader:
     """State of one document while it is read."""
 
-    def __init__(self, source: str, is_strict: bool, has_details: bool) -> None:
+    def __init__(self, source: str, is_strict: bool, has_details: bool, layers: Sequence[str]) -> None:
         self.findings = Findings()
         self.walk = GeometryWalk(self.findings)
         self.links = LinkResolver(self.walk, source.rpartition("/")[2], self.findings)
@@ -68,7 +81,7 @@ class _Reader:
         self._is_strict = is_strict
         self._building_ids: list[str] = []
         self._objects = ObjectTable(has_details)
-        self._nesting = NestingTable()
+        self._wanted = tuple("{*}" + name for name in types_of(layers))
         self._num_walked = 0  # polygons of the batches that are read
         self._others: Counter[str] = Counter()
         self._columns = {
@@ -124,19 +137,23 @@ class _Reader:
     def _read_member(self, member: Element) -> None:
         self.walk.begin_member()
         met: list[tuple[Element, dict[Element, int], int]] = []
-        for element in member.iter(*BUILDINGS):
-            if not is_building_tag(element.tag):
+        for element in member.iter(*self._wanted):
+            type_ = local_name(element.tag)
+            if not is_citygml(element.tag) or (type_ != "Building" and _is_inside(element, met)):
                 continue
             number = len(self._building_ids)
-            building_id = _gml_id(element) or f"building-{number + 1}"
+            building_id = _gml_id(element) or f"{type_.lower()}-{number + 1}"
             self._building_ids.append(building_id)
-            own, part_of = self._add_objects(element, number, building_id)
-            met.append((element, part_of, own))
+            attributes = read_attributes(element) if self._objects.has_details else None
+            own = self._objects.add(building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes)
             srs_name = _envelope_srs(element) or self._srs_name
             before = len(self.walk.batch.owners), len(self.walk.references)
-            self.walk.walk_building(element, number, building_id, srs_name, own, part_of)
+            part_of = self.walk.walk_building(
+                element, number, building_id, srs_name, own, partial(self._add_nested, element, own)
+            )
+            met.append((element, part_of, own))
             if before == (len(self.walk.batch.owners), len(self.walk.references)):
-                self.findings.add(BUILDING_EMPTY, building_id)
+                self.findings.add(BUILDING_EMPTY, building_id, "" if type_ == "Building" else f"a {type_}")
         if not met:
             self._others.update(local_name(child.tag) for child in member)
             return
@@ -147,21 +164,16 @@ class _Reader:
         if self.walk.references or self.walk.duplicate_ids:
             self.links.resolve_member(member, self._building_ids)
 
-    def _add_objects(self, element: Element, number: int, building_id: str) -> tuple[int, dict[Element, int]]:
-        """Adds a building and the objects inside of it; returns its number and theirs, by element."""
+    def _add_nested(
+        self, building: Element, own: int, nested: Element, part_of: dict[Element, int]
+    ) -> int:
+        """Adds an object inside of another; returns its number."""
         table = self._objects
-        attributes = read_attributes(element) if table.has_details else None
-        own = table.add(building_id, "Building", -1, number, attributes)
-        part_of: dict[Element, int] = {}
-        # Only where a child may hold one is it worth a look at everything below.
-        holds_objects = any([self._nesting[child.tag] for child in element])
-        for nested in element.iter(*NESTED) if holds_objects else ():
-            name = local_name(nested.tag)
-            parent = owner_of(nested, element, part_of, own)
-            object_id = _gml_id(nested) or f"{building_id}-{name}-{len(part_of) + 1}"
-            attributes = read_attributes(nested) if table.has_details else None
-            part_of[nested] = table.add(object_id, NESTED_TYPES[name], parent, number, attributes)
-        return own, part_of
+        name = local_name(nested.tag)
+        parent = owner_of(nested, building, part_of, own)
+        object_id = _gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
+        attributes = read_attributes(nested) if table.has_details else None
+        return table.add(object_id, NESTED_TYPES[name], parent, table.building[own], attributes)
 
     def _flush(self) -> None:
         batch = self.walk.take_batch()
@@ -186,7 +198,7 @@ class _Reader:
         if self._objects.has_details:
             solids, polygon_ids = self._objects.finish_solids(joined["serial"])
         # Where buildings have no parts, their own numbers say it all.
-        is_plain = len(types) == len(self._building_ids) and not self._objects.has_details
+        is_plain = self._objects.is_plain
         return RawCity(
             source=self._source,
             format="CityGML",
@@ -209,6 +221,12 @@ class _Reader:
             solids=solids,
             polygon_ids=polygon_ids,
         )
+
+
+def _is_inside(element: Element, met: list[tuple[Element, dict[Element, int], int]]) -> bool:
+    """Tells whether an element stands inside of one that was met, as terrain does inside of terrain."""
+    above = set(element.iterancestors())
+    return any(other in above for other, _, _ in met)
 
 
 def _gml_id(element: Element) -> str | None:

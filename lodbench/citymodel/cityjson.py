@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, BinaryIO
 
@@ -16,6 +16,7 @@ from lodbench.citymodel.cityjson_geometry import GeometryReader
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.gml_names import INTERIOR_NAMES
+from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.objects import ObjectTable
 from lodbench.citymodel.raw import NotACity, RawCity
 from lodbench.errors import CityModelError
@@ -28,21 +29,27 @@ Json = dict[str, Any]
 
 
 def read_cityjson(
-    open_stream: Callable[[], BinaryIO], source: str, *, is_strict: bool = True, has_details: bool = False
+    open_stream: Callable[[], BinaryIO],
+    source: str,
+    *,
+    is_strict: bool = True,
+    has_details: bool = False,
+    layers: Sequence[str] = (),
 ) -> RawCity:
-    """Returns the buildings of a CityJSON file or a sequence of CityJSON features.
+    """Returns the buildings of a CityJSON file or a sequence of CityJSON features, and objects of its layers.
 
     Args:
         open_stream: Opens the document.
         source: Its name, for messages.
         is_strict: Whether a bad vertex index is an error, or a finding that drops its polygon.
         has_details: Whether attributes and solids are kept as well.
+        layers: Names of ``LAYERS``: what to read besides buildings.
 
     Raises:
         CityModelError: The file is no JSON, no CityJSON, or breaks its structure; the message names
             the object.
     """
-    reader = _Reader(source, is_strict, has_details)
+    reader = _Reader(source, is_strict, has_details, layers)
     with _paused_collector(), open_stream() as stream:
         documents = _documents(stream, source)
         header = next(documents)
@@ -57,9 +64,10 @@ def read_cityjson(
 class _Reader:
     """State of one file while it is read."""
 
-    def __init__(self, source: str, is_strict: bool, has_details: bool) -> None:
+    def __init__(self, source: str, is_strict: bool, has_details: bool, layers: Sequence[str]) -> None:
         self._source = source
         self._is_strict = is_strict
+        self._wanted = types_of(layers)
         self._objects = ObjectTable(has_details)
         self._collector = PolygonCollector(objects=self._objects)
         self._version: str | None = None
@@ -160,7 +168,8 @@ class _Reader:
         numbers: dict[str, int] = {}
         for object_id, item in objects.items():
             line = lines[object_id]
-            if not _is_building(str(objects[line[-1]].get("type"))):
+            root_type = str(objects[line[-1]].get("type"))
+            if root_type not in self._wanted and not _is_building(root_type):
                 self._others[str(item.get("type"))] += 1
                 continue
             for ancestor in reversed(line):

@@ -66,7 +66,7 @@ class PolygonCollector:
         polygon_ids: tuple[str, ...] = ()
         if table is not None and table.has_details:
             solids, polygon_ids = table.finish_solids(np.asarray(self.serials, np.int64))
-        is_plain = table is None or (len(table.ids) == len(self.building_ids) and not table.has_details)
+        is_plain = table is None or (len(table.ids) == len(self.building_ids) and table.is_plain)
         points = np.concatenate(self.point_blocks) if self.point_blocks else np.zeros((0, 3))
         return RawCity(
             source=source,

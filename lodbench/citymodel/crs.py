@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from lodbench.errors import CityModelError
 
@@ -173,20 +173,34 @@ def _japan_zone(longitude_deg: float, latitude_deg: float, first_code: int) -> i
     Zones follow prefectures; their bounding boxes overlap, and among those that hold the place the
     nearest central meridian is the better guess (and the smaller scale error in any case).
     """
+
+    def distance(zone: _PlaneZone) -> tuple[bool, float]:
+        is_inside = zone.west <= longitude_deg <= zone.east and zone.south <= latitude_deg <= zone.north
+        return not is_inside, abs(longitude_deg - zone.meridian)
+
+    return min(_plane_zones(first_code), key=distance).code
+
+
+class _PlaneZone(NamedTuple):
+    """A zone of Japan's plane coordinates: where it is used, and its central meridian, in degrees."""
+
+    code: int
+    west: float
+    south: float
+    east: float
+    north: float
+    meridian: float
+
+
+@lru_cache(maxsize=2)
+def _plane_zones(first_code: int) -> tuple[_PlaneZone, ...]:
     from pyproj import CRS
 
-    def distance(code: int) -> tuple[bool, float]:
+    zones = []
+    for code in range(first_code, first_code + 19):
         crs = CRS.from_epsg(code)
-        area = crs.area_of_use
-        is_outside = area is None or not (
-            area.west <= longitude_deg <= area.east and area.south <= latitude_deg <= area.north
-        )
-        parameters = crs.to_dict() if crs.coordinate_operation is None else {}
-        meridian = parameters.get("lon_0", 0.0)
-        if crs.coordinate_operation is not None:
-            meridian = next(
-                p.value for p in crs.coordinate_operation.params if p.name.startswith("Longitude of natural")
-            )
-        return is_outside, abs(longitude_deg - float(meridian))
-
-    return min(range(first_code, first_code + 19), key=distance)
+        area, operation = crs.area_of_use, crs.coordinate_operation
+        if area is not None and operation is not None:
+            meridian = next(p.value for p in operation.params if p.name.startswith("Longitude of natural"))
+            zones.append(_PlaneZone(code, *area.bounds, float(meridian)))
+    return tuple(zones)

@@ -61,3 +61,9 @@ def owner_of(prop: Element, building: Element, part_of: dict[Element, int], own:
             return part_of[node]
         node = node.getparent()
     return own
+
+
+def relief_lod(surface: Element) -> str:
+    """Returns the level of detail of a terrain surface, which stands beside it."""
+    relief = surface.getparent()
+    return "" if relief is None else (relief.findtext("{*}lod") or "").strip()

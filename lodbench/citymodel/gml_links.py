@@ -8,13 +8,9 @@ from itertools import chain
 
 from lodbench.citymodel.codes import DUPLICATE_ID, XLINK_CYCLE, XLINK_REMOTE, XLINK_UNRESOLVED
 from lodbench.citymodel.gml_names import (
-    BUILDINGS,
-    GEOMETRY_PROPERTIES,
     GML_IDS,
     POLYGONS,
     XLINK_HREF,
-    is_building_tag,
-    property_lod,
 )
 from lodbench.citymodel.gml_polygons import Reference
 from lodbench.citymodel.gml_walk import GeometryWalk
@@ -225,13 +221,6 @@ def index_member(member: Element, walk: GeometryWalk | None) -> MemberIndex:
     if walk is None:
         return MemberIndex(elements, {})
     # The same steps in the same order as the walk took, so that numbers agree.
-    in_order = (
-        polygon
-        for building in member.iter(*BUILDINGS)
-        if is_building_tag(building.tag)
-        for prop in building.iter(*GEOMETRY_PROPERTIES)
-        if property_lod(prop.tag) is not None
-        for polygon in prop.iter(*POLYGONS)
-    )
+    in_order = (polygon for prop in walk.properties for polygon in prop.iter(*POLYGONS))
     polygons = {element: walk.first_polygon + i for i, element in enumerate(in_order)}
     return MemberIndex(elements, polygons)

@@ -12,7 +12,7 @@ GML_IDS = ("{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id
 
 MEMBERS = ("cityObjectMember", "featureMember", "featureMembers", "member", "appearanceMember")
 BUILDINGS = ("{*}Building",)
-# City objects inside a building, by their names in CityJSON.
+# City objects inside others, by their names in CityJSON.
 NESTED_TYPES = {
     "BuildingPart": "BuildingPart",
     "BuildingInstallation": "BuildingInstallation",
@@ -21,20 +21,35 @@ NESTED_TYPES = {
     "Room": "BuildingRoom",
     "BuildingRoom": "BuildingRoom",
     "BuildingFurniture": "BuildingFurniture",
+    "BridgePart": "BridgePart",
+    "BridgeInstallation": "BridgeInstallation",
+    "BridgeConstructionElement": "BridgeConstructiveElement",
+    "BridgeConstructiveElement": "BridgeConstructiveElement",
+    "IntBridgeInstallation": "BridgeInstallation",
+    "BridgeRoom": "BridgeRoom",
+    "BridgeFurniture": "BridgeFurniture",
+    "TunnelPart": "TunnelPart",
+    "TunnelInstallation": "TunnelInstallation",
+    "TunnelConstructiveElement": "TunnelConstructiveElement",
+    "IntTunnelInstallation": "TunnelInstallation",
+    "HollowSpace": "TunnelHollowSpace",
+    "TunnelFurniture": "TunnelFurniture",
 }
-_NESTING_PROPERTIES = frozenset(
-    {
-        "consistsOfBuildingPart", "buildingPart", "outerBuildingInstallation", "buildingInstallation",
-        "interiorBuildingInstallation", "interiorRoom", "buildingRoom", "buildingFurniture",
-        "buildingConstructiveElement",
-    }
-)  # fmt: skip
-NESTED = tuple("{*}" + name for name in NESTED_TYPES)
+_NESTED = tuple("{*}" + name for name in NESTED_TYPES)
+_NESTED_IN_BUILDINGS = tuple(name for name in _NESTED if "Bridge" not in name and "Tunnel" not in name)
 
 # Exact names only: PLATEAU's `uro:lod1HeightType` and the like begin with "lod" and hold no geometry.
-_PROPERTY_SUFFIXES = ("Solid", "MultiSurface", "Geometry", "FootPrint", "RoofEdge", "ImplicitRepresentation")
+_PROPERTY_SUFFIXES = ("Solid", "MultiSurface", "Geometry", "ImplicitRepresentation")
 _PROPERTY_LODS = {f"lod{lod}{suffix}": str(lod) for lod in range(5) for suffix in _PROPERTY_SUFFIXES}
+_PROPERTY_LODS |= {"lod0FootPrint": "0", "lod0RoofEdge": "0"}
 GEOMETRY_PROPERTIES = tuple("{*}" + name for name in _PROPERTY_LODS)
+_MULTI_SOLIDS = {f"lod{lod}MultiSolid": str(lod) for lod in range(1, 5)}  # of plants
+_PROPERTY_LODS |= _MULTI_SOLIDS
+# Terrain says its level beside its surface, not in the name of it.
+RELIEF_SURFACE = "tin"
+# All that is looked for below an object, in one pass: every name more costs at every element.
+WALKED_IN_BUILDINGS = (*GEOMETRY_PROPERTIES, *_NESTED_IN_BUILDINGS)
+WALKED = (*GEOMETRY_PROPERTIES, *_NESTED, "{*}" + RELIEF_SURFACE, *("{*}" + name for name in _MULTI_SOLIDS))
 
 SURFACE_KINDS = {
     "WallSurface": SurfaceKind.WALL,
@@ -49,6 +64,11 @@ SURFACE_KINDS = {
     "DoorSurface": SurfaceKind.DOOR,
     "BuildingInstallation": SurfaceKind.INSTALLATION,
     "BuildingConstructiveElement": SurfaceKind.INSTALLATION,
+    "BridgeInstallation": SurfaceKind.INSTALLATION,
+    "BridgeConstructionElement": SurfaceKind.INSTALLATION,
+    "BridgeConstructiveElement": SurfaceKind.INSTALLATION,
+    "TunnelInstallation": SurfaceKind.INSTALLATION,
+    "TunnelConstructiveElement": SurfaceKind.INSTALLATION,
     "OtherConstruction": SurfaceKind.INSTALLATION,
 }
 # Surfaces that only ever bound the outside: no look at what is around them is needed.
@@ -64,6 +84,13 @@ INTERIOR_NAMES = frozenset(
         "InteriorWallSurface",
         "CeilingSurface",
         "FloorSurface",
+        "IntBridgeInstallation",
+        "BridgeRoom",
+        "BridgeFurniture",
+        "IntTunnelInstallation",
+        "HollowSpace",
+        "TunnelHollowSpace",
+        "TunnelFurniture",
     }
 )
 
@@ -112,14 +139,6 @@ class NodeTable(dict[str, int]):
         return node
 
 
-class NestingTable(dict[str, bool]):
-    """Full tag of a property to whether it may hold other city objects, filled as tags are met."""
-
-    def __missing__(self, tag: str) -> bool:
-        self[tag] = may_hold = local_name(tag) in _NESTING_PROPERTIES
-        return may_hold
-
-
 @lru_cache(maxsize=256)
 def property_lod(tag: str) -> str | None:
     """Returns the level of detail of a geometry property of CityGML, or None for anything else.
@@ -135,6 +154,11 @@ def property_lod(tag: str) -> str | None:
     return _PROPERTY_LODS.get(local_name(tag))
 
 
+def is_citygml(tag: str) -> bool:
+    """Tells whether a tag is of CityGML itself, of any version, and of no extension."""
+    return "opengis.net/citygml" in namespace_of(tag)
+
+
 def is_building_tag(tag: str) -> bool:
     """Tells whether a tag is the ``Building`` of any version of CityGML."""
-    return local_name(tag) == "Building" and "opengis.net/citygml" in namespace_of(tag)
+    return local_name(tag) == "Building" and is_citygml(tag)

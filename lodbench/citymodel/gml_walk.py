@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
-from lodbench.citymodel.gml_context import is_in_ring, owner_of, plain_numbers, surface_kind
+from lodbench.citymodel.gml_context import is_in_ring, owner_of, plain_numbers, relief_lod, surface_kind
 from lodbench.citymodel.gml_implicit import read_placement
 from lodbench.citymodel.gml_names import (
     CURVE,
-    GEOMETRY_PROPERTIES,
     GML_IDS,
+    NESTED_TYPES,
     NUMBERS,
     ORIENTABLE,
     POLYGON,
     POLYGONS,
     REFERENCE,
+    RELIEF_SURFACE,
     RING,
     TUPLES,
+    WALKED,
+    WALKED_IN_BUILDINGS,
     XLINK_HREF,
     NodeTable,
+    is_building_tag,
     property_lod,
 )
 from lodbench.citymodel.gml_polygons import NameTable, PolygonBatch, Reference
@@ -40,6 +44,7 @@ class GeometryWalk:
         srs_names: Reference systems met.
         polygon_ids: gml:id to polygon of the current member.
         first_polygon: Number of the current member's first polygon.
+        properties: Geometry properties of the current member, in the order of their polygons.
         references: XLinks of the current member.
         duplicate_ids: Polygon ids met twice in the current member.
         default_srs: Reference system of the current building.
@@ -52,6 +57,7 @@ class GeometryWalk:
         self.srs_names = NameTable()
         self.polygon_ids: dict[str, int] = {}
         self.first_polygon = 0
+        self.properties: list[Element] = []
         self.references: list[Reference] = []
         self.duplicate_ids: set[str] = set()
         self.default_srs = 0
@@ -64,6 +70,7 @@ class GeometryWalk:
         """Forgets the ids and references of the member before."""
         self.polygon_ids.clear()
         self.references.clear()
+        self.properties.clear()
         self.first_polygon = len(self.batch.owners)
 
     def take_batch(self) -> PolygonBatch:
@@ -78,23 +85,34 @@ class GeometryWalk:
         building_id: str,
         srs_name: str | None,
         own: int,
-        part_of: dict[Element, int],
-    ) -> None:
+        add_nested: Callable[[Element, dict[Element, int]], int],
+    ) -> dict[Element, int]:
         """Adds every polygon of a building, its parts, surfaces, openings and installations.
 
         Args:
-            element: The building.
+            element: The building, or an object of another kind.
             building: Its number.
             building_id: Its id, for the findings.
             srs_name: Reference system of its coordinates.
             own: Its number among the city objects.
-            part_of: Numbers of the city objects inside of it, by element.
+            add_nested: Called with each city object inside of it and the numbers of those before; returns
+                its number.
+
+        Returns:
+            The numbers of the city objects inside of it, by element.
         """
         srs = self.default_srs = self.srs_names.index(srs_name)
-        for prop in element.iter(*GEOMETRY_PROPERTIES):
+        part_of: dict[Element, int] = {}
+        # One pass for objects and geometry: an object comes before what is in it.
+        for prop in element.iter(*(WALKED_IN_BUILDINGS if is_building_tag(element.tag) else WALKED)):
             lod_name = property_lod(prop.tag)
             if lod_name is None:
-                continue
+                name = local_name(prop.tag)
+                if name in NESTED_TYPES:
+                    part_of[prop] = add_nested(prop, part_of)
+                if name != RELIEF_SURFACE:
+                    continue
+                lod_name = relief_lod(prop)
             lod = self.lods.index(lod_name)
             kind = int(surface_kind(prop, element))
             self.part = owner_of(prop, element, part_of, own) if part_of else own
@@ -103,6 +121,7 @@ class GeometryWalk:
                 self._walk_implicit(prop, building, building_id, lod, kind, srs)
             elif not self._walk_property(prop, building, lod, kind, srs):
                 self._findings.add(GEOMETRY_EMPTY, building_id, name)
+        return part_of
 
     def _walk_property(self, prop: Element, building: int, lod: int, kind: int, srs: int) -> bool:
         """Adds the polygons and references of one geometry property; tells whether there were any."""
@@ -111,6 +130,7 @@ class GeometryWalk:
             self.references.append(Reference(href, building, lod, kind, False, None, self.part))
         if len(prop) == 0:
             return href is not None
+        self.properties.append(prop)
         srs, dimension = self._declared(prop[0], srs, 0)
         first, first_reference = len(self.batch.owners), len(self.references)
         self.walk_geometry(prop, building, lod, kind, srs, dimension)
@@ -126,6 +146,7 @@ class GeometryWalk:
             self._findings.add(GEOMETRY_UNSUPPORTED, building_id, f"{local_name(prop.tag)}: {what}")
             return
         first = len(self.batch.owners)
+        self.properties.append(prop)
         for shape in prop[0].iterchildren("{*}relativeGMLGeometry", "{*}relativeGeometry"):
             href = shape.get(XLINK_HREF)
             if href is not None:

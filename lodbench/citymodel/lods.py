@@ -23,7 +23,8 @@ def polygons_at(model: CityModel, wanted: str | None, findings: Findings) -> tup
         model: The city.
         wanted: A level of the whole file, see ``choose_lod``; or ``finest`` or ``coarsest``: of each building
             its own. Cities mix levels: a few landmarks at LoD2 among blocks at LoD1. Footprints (LoD0) are
-            no building's finest or coarsest, interiors nobody's.
+            no building's finest or coarsest, interiors nobody's. An object that is no building and lacks the
+            level has its finest below it, else its coarsest above.
         findings: See ``choose_lod``.
 
     Raises:
@@ -31,9 +32,15 @@ def polygons_at(model: CityModel, wanted: str | None, findings: Findings) -> tup
     """
     polygons = model.polygons
     wish = None if wanted is None else _plain(wanted)
+    is_building = model.is_building()
     if wish not in (FINEST, COARSEST):
-        name = choose_lod(model.lods, wanted, findings)
-        return name, polygons.lod == model.lods.index(name)
+        used = np.unique(polygons.lod[is_building[polygons.building]]).tolist()
+        present = [model.lods[n] for n in used] if used and not is_building.all() else model.lods
+        name = choose_lod(present, wanted, findings)
+        at_level: NDArray[np.bool_] = polygons.lod == model.lods.index(name)
+        if not is_building.all():
+            at_level |= _own_level(model, name, ~is_building)
+        return name, at_level
     order = {name: rank for rank, name in enumerate(sorted(model.lods))}
     ranks = np.array([order[name] for name in model.lods], np.int64)
     ranks = ranks if wish == FINEST else len(ranks) - 1 - ranks
@@ -43,6 +50,19 @@ def polygons_at(model: CityModel, wanted: str | None, findings: Findings) -> tup
     best = np.full(len(model.building_ids), -1, np.int64)
     np.maximum.at(best, polygons.building, rank)
     return wish, counts & (rank == best[polygons.building])
+
+
+def _own_level(model: CityModel, name: str, is_other: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tells which polygons are of objects that lack a level, at the level that stands in for it."""
+    polygons = model.polygons
+    order = {other: rank for rank, other in enumerate(sorted(model.lods))}
+    ranks = np.array([order[other] for other in model.lods], np.int64)
+    # Below the level the finest is best, above it the coarsest; above counts after all below.
+    distance = np.where(ranks <= order[name], order[name] - ranks, len(ranks) + ranks - order[name])
+    own = np.where(is_other[polygons.building], distance[polygons.lod], 2 * len(ranks))
+    best = np.full(len(model.building_ids), 2 * len(ranks), np.int64)
+    np.minimum.at(best, polygons.building, own)
+    return is_other[polygons.building] & (own == best[polygons.building])
 
 
 def lod_in_words(lod: str) -> str:

@@ -62,7 +62,7 @@ def mesh_model(model: CityModel, lod: str | None = None, *, roof_height: str | N
             model = replace(model, lods=("1",), polygons=blocks, polygons_read=(len(blocks),))
     name, at_level = polygons_at(model, lod, findings)
     polygons = model.polygons
-    is_interior = polygons.kind == SurfaceKind.INTERIOR
+    is_interior = (polygons.kind == SurfaceKind.INTERIOR) & (not model.has_interiors)
     for building, count in sorted(Counter(polygons.building[at_level & is_interior].tolist()).items()):
         findings.add(INTERIOR_SKIPPED, model.building_ids[building], f"{count} polygons")
     return _mesh_level(model, name, np.flatnonzero(at_level & ~is_interior), findings)

@@ -79,6 +79,7 @@ class CityModel:
         objects: Buildings and their parts; None where buildings are all there is.
         solids: Volumes that the polygons close; only with ``ReadOptions(has_details=True)``.
         polygon_ids: The source's id of each polygon, or ""; likewise, else empty.
+        has_interiors: Whether rooms and furniture are asked for.
     """
 
     source: str
@@ -95,3 +96,16 @@ class CityModel:
     objects: CityObjects | None = None
     solids: Solids | None = None
     polygon_ids: tuple[str, ...] = ()
+    has_interiors: bool = False
+
+    def types(self) -> tuple[str, ...]:
+        """Returns what each of ``building_ids`` is, as CityJSON calls it; buildings where nothing is said."""
+        if self.objects is None:
+            return ("Building",) * len(self.building_ids)
+        roots = np.flatnonzero(self.objects.parents < 0).tolist()
+        types = {int(self.objects.building[n]): self.objects.types[n] for n in roots}
+        return tuple(types.get(n, "Building") for n in range(len(self.building_ids)))
+
+    def is_building(self) -> NDArray[np.bool_]:
+        """Tells which of ``building_ids`` are buildings, and no objects of another layer."""
+        return np.array(["Building" in name for name in self.types()], np.bool_)

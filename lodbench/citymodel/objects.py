@@ -79,6 +79,11 @@ class ObjectTable:
             self.attributes.append(attributes or {})
         return len(self.ids) - 1
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether there are buildings only, of which nothing but their ids is told."""
+        return not self.has_details and self.types.count("Building") == len(self.types)
+
     def finish(self) -> CityObjects:
         """Returns the objects."""
         return CityObjects(

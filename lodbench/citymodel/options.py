@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from lodbench.citymodel.layers import require_layers
 from lodbench.errors import ConfigError, nearest_names
 
 AxisOrder = Literal["auto", "east_first", "north_first"]
@@ -41,6 +42,7 @@ class ReadOptions:
             earth-centred minus its own: they are turned to east, north, up there. None for others.
         has_details: Whether attributes, solids and the ids of polygons are kept, as ``city check`` and
             ``city convert`` need them; reading takes longer.
+        layers: What to read besides buildings: ``bridges``, ``vegetation`` and so on, see ``LAYERS``.
     """
 
     reader: str | None = None
@@ -61,6 +63,7 @@ class ReadOptions:
     sunk_m: float = 3.0
     ecef_origin: tuple[float, float] | None = None
     has_details: bool = False
+    layers: tuple[str, ...] = ()
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> ReadOptions:
@@ -93,6 +96,7 @@ class ReadOptions:
             raise ConfigError(
                 f"storey_height_m={self.storey_height_m} is no height of a storey.", "Usual is 3."
             )
+        object.__setattr__(self, "layers", require_layers(self.layers))
         if self.sunk_m < 0.0:
             raise ConfigError(f"sunk_m={self.sunk_m} is negative.", "swissBUILDINGS3D has 3.")
 
@@ -108,6 +112,8 @@ def _fitting(name: str, value: Any, hint: Any) -> Any:
         return value  # the options check their words themselves
     if value is None and NoneType in get_args(hint):
         return None
+    if name == "layers":
+        return tuple(map(str, value)) if isinstance(value, list | tuple) else tuple(str(value).split(","))
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if float in kinds and is_number and math.isfinite(value):
         return float(value)

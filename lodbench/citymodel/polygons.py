@@ -13,6 +13,7 @@ from lodbench.citymodel.codes import CRS_MIXED
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.duplicates import drop_repeats
 from lodbench.citymodel.frame import to_metres
+from lodbench.citymodel.layers import INTERIORS
 from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.naming import unique_ids, unique_objects
 from lodbench.citymodel.options import ReadOptions
@@ -82,6 +83,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         objects=objects,
         solids=solids,
         polygon_ids=tuple(raw.polygon_ids[n] for n in kept[first_kept].tolist()) if raw.polygon_ids else (),
+        has_interiors=INTERIORS in options.layers,
     )
 
 

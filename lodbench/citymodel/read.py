@@ -46,7 +46,7 @@ def read_city_model(
     options = options or ReadOptions()
     if crs is not None:
         options = replace(options, crs=crs)
-    sources = open_sources(Path(path))
+    sources = open_sources(Path(path), options.layers)
     if progress is not None:
         sources = count_bytes(sources, progress)
     raw = _read_raw(sources[0], options) if len(sources) == 1 else _read_tiles(str(path), sources, options)

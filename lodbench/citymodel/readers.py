@@ -10,20 +10,28 @@ from lodbench.citymodel.source import MESH_SUFFIXES, Source
 
 
 def citygml(source: Source, options: ReadOptions) -> RawCity:
-    """Returns the buildings of CityGML 1.0 to 3.0."""
+    """Returns the buildings of CityGML 1.0 to 3.0, and what ``options.layers`` names."""
     from lodbench.citymodel.citygml import read_citygml
 
     return read_citygml(
-        source.open, source.name, is_strict=options.is_strict, has_details=options.has_details
+        source.open,
+        source.name,
+        is_strict=options.is_strict,
+        has_details=options.has_details,
+        layers=options.layers,
     )
 
 
 def cityjson(source: Source, options: ReadOptions) -> RawCity:
-    """Returns the buildings of CityJSON or CityJSONSeq."""
+    """Returns the buildings of CityJSON or CityJSONSeq, and what ``options.layers`` names."""
     from lodbench.citymodel.cityjson import read_cityjson
 
     return read_cityjson(
-        source.open, source.name, is_strict=options.is_strict, has_details=options.has_details
+        source.open,
+        source.name,
+        is_strict=options.is_strict,
+        has_details=options.has_details,
+        layers=options.layers,
     )
 
 

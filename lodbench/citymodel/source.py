@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import gzip
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from pathlib import Path, PurePath, PurePosixPath
+from typing import BinaryIO, TypeVar
 
+from lodbench.citymodel.layers import folders_of
 from lodbench.citymodel.scene_file import is_scene
 from lodbench.citymodel.streams import BoundedStream, CountedStream
 from lodbench.errors import CityModelError
+
+Item = TypeVar("Item")
 
 HEAD_BYTES = 4096
 MESH_SUFFIXES = (".ply", ".stl", ".glb", ".gltf")
@@ -83,12 +86,13 @@ def count_bytes(sources: tuple[Source, ...], progress: Callable[[int, int], None
     return tuple(counted(source) for source in sources)
 
 
-def open_sources(path: Path) -> tuple[Source, ...]:
+def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:
     """Returns the city files at a path: one for a file, several for an archive or a folder.
 
     Args:
         path: A file, a ``.gz``, a ``.zip``, or a folder of any of these (read recursively). In a
             folder with parts for buildings, roads and so on (``udx/bldg``), the buildings' part.
+        layers: Names of ``LAYERS``, whose parts of such a folder are taken too.
 
     Raises:
         CityModelError: Nothing is there, it cannot be read, or it holds no city file.
@@ -96,7 +100,7 @@ def open_sources(path: Path) -> tuple[Source, ...]:
     if path.suffix.lower() in _VECTOR_SUFFIXES and path.exists():
         return (Source(str(path), lambda: path.open("rb"), path, str(path)),)
     if path.is_dir():
-        return _folder_sources(path)
+        return _folder_sources(path, layers)
     try:
         with path.open("rb") as stream:
             magic = stream.read(4)
@@ -107,11 +111,11 @@ def open_sources(path: Path) -> tuple[Source, ...]:
     if magic[:2] == b"\x1f\x8b":
         return (_gzip_source(path),)
     if magic == b"PK\x03\x04":
-        return _zip_sources(path)
+        return _zip_sources(path, layers)
     return (Source(str(path), lambda: path.open("rb"), path),)
 
 
-def _folder_sources(folder: Path) -> tuple[Source, ...]:
+def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
     # Its scene.json would pass for a city file by its ending.
     if is_scene(folder):
         raise CityModelError(
@@ -126,14 +130,20 @@ def _folder_sources(folder: Path) -> tuple[Source, ...]:
         and file.is_file()
         and _may_hold_buildings(file.relative_to(folder))
     ]
-    buildings_only = [file for file in files if "bldg" in file.relative_to(folder).parts]
-    sources = tuple(source for file in buildings_only or files for source in open_sources(file))
+    chosen = _of_layers([(file.relative_to(folder), file) for file in files], layers)
+    sources = tuple(source for file in chosen for source in open_sources(file, layers))
     if not sources:
         raise CityModelError(
             f"The folder {folder} holds no city file.",
             f"Looked for {', '.join(suffixes)}, in all its folders.",
         )
     return sources
+
+
+def _of_layers(files: Sequence[tuple[PurePath, Item]], layers: Sequence[str]) -> list[Item]:
+    """Returns the files in the folders of buildings and layers, all where there is no such folder."""
+    folders = folders_of(layers)
+    return [item for path, item in files if folders.intersection(path.parts)] or [item for _, item in files]
 
 
 def _may_hold_buildings(path: Path | PurePosixPath) -> bool:
@@ -147,7 +157,7 @@ def _gzip_source(path: Path) -> Source:
     return Source(str(path), open_stream, path)
 
 
-def _zip_sources(path: Path) -> tuple[Source, ...]:
+def _zip_sources(path: Path, layers: Sequence[str]) -> tuple[Source, ...]:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
@@ -155,7 +165,7 @@ def _zip_sources(path: Path) -> tuple[Source, ...]:
         raise CityModelError(f"{path} is no readable zip ({error}).", "Download the file again.") from None
     if len(members) > _MAX_MEMBERS:
         raise CityModelError(f"{path} holds more than {_MAX_MEMBERS} files.", "Unpack the tiles you need.")
-    sources = tuple(_zip_members(path, members))
+    sources = tuple(_zip_members(path, members, layers))
     if not sources:
         names = ", ".join(member.filename for member in members[:5])
         hint = f"It holds: {names}." if names else "It is empty."
@@ -165,7 +175,9 @@ def _zip_sources(path: Path) -> tuple[Source, ...]:
     return sources
 
 
-def _zip_members(path: Path, members: list[zipfile.ZipInfo]) -> Iterator[Source]:
+def _zip_members(
+    path: Path, members: list[zipfile.ZipInfo], layers: Sequence[str]
+) -> Iterator[Source]:
     chosen = []
     for member in members:
         name = PurePosixPath(member.filename.replace("\\", "/"))
@@ -179,8 +191,7 @@ def _zip_members(path: Path, members: list[zipfile.ZipInfo]) -> Iterator[Source]
             and _may_hold_buildings(name)
         ):
             chosen.append((name, member))
-    buildings_only = [pair for pair in chosen if "bldg" in pair[0].parts]
-    for _, member in sorted(buildings_only or chosen, key=lambda pair: str(pair[0])):
+    for member in _of_layers(sorted(chosen, key=lambda pair: str(pair[0])), layers):
         if member.filename.lower().endswith(_VECTOR_SUFFIXES):
             inside = f"/vsizip/{path}/{member.filename}"
             yield Source(f"{path}!{member.filename}", lambda: path.open("rb"), path, inside)
