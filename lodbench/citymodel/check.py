@@ -143,7 +143,7 @@ def check_city(model: CityModel) -> CityReport:
     areas = []
     for lod in model.lods:
         try:
-            mesh = mesh_model(model, lod)
+            mesh = mesh_model(model, lod, stands_in=False)
         except CityModelError:
             areas.append(LevelAreas(lod, 0.0, 0.0, 0.0))  # the findings of reading say why
             continue
@@ -160,7 +160,8 @@ def check_city(model: CityModel) -> CityReport:
 def _of_level(model: CityModel, lod: str, findings: Findings) -> list[tuple[FindingCode, FoundDefect]]:
     """Returns the findings of meshing a level, whose polygons are numbered by building."""
     polygons = model.polygons
-    is_meshed = (polygons.lod == model.lods.index(lod)) & (polygons.kind != SurfaceKind.INTERIOR)
+    is_meshed = polygons.lod == model.lods.index(lod)
+    is_meshed &= (polygons.kind != SurfaceKind.INTERIOR) | model.has_interiors
     chosen = np.flatnonzero(is_meshed)
     order = chosen[np.argsort(polygons.building[chosen], kind="stable")]
     found = []

@@ -164,9 +164,7 @@ class _Reader:
         if self.walk.references or self.walk.duplicate_ids:
             self.links.resolve_member(member, self._building_ids)
 
-    def _add_nested(
-        self, building: Element, own: int, nested: Element, part_of: dict[Element, int]
-    ) -> int:
+    def _add_nested(self, building: Element, own: int, nested: Element, part_of: dict[Element, int]) -> int:
         """Adds an object inside of another; returns its number."""
         table = self._objects
         name = local_name(nested.tag)

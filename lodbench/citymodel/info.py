@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -20,19 +21,23 @@ def city_info(model: CityModel) -> dict[str, Any]:
 
     Returns:
         ``format, version, crs, center_lat_lon`` (degrees, or None without a reference system),
-        ``buildings, parts, extent_m`` (x, y, z lengths), ``lods``: level name to ``polygons`` (as in
+        ``buildings, parts, objects`` (of opted-in layers, type to count), ``extent_m`` (x, y, z
+        lengths), ``lods``: level name to ``polygons`` (as in
         the file), ``triangles``, ``area_m2`` (of the polygons), ``meshed_m2`` and ``lost_m2``; and
         ``findings``: code and name to count, meshing included; ``finding_objects``: to how many
         buildings they were met in.
     """
     points = model.polygons.points
+    types = Counter(
+        "Building" if own else name for name, own in zip(model.types(), model.is_building(), strict=True)
+    )
     extent = np.ptp(points, axis=0) if len(points) else np.zeros(3)
     findings = Findings(list(model.findings.items))
     lods: dict[str, dict[str, float]] = {}
     for name, num_read in zip(model.lods, model.polygons_read, strict=True):
         row: dict[str, float] = {"polygons": num_read, "triangles": 0, "area_m2": 0.0}
         try:
-            mesh = mesh_model(model, name)
+            mesh = mesh_model(model, name, stands_in=False)
         except CityModelError:
             pass  # every polygon of the level is degenerate; the findings say so
         else:
@@ -47,8 +52,9 @@ def city_info(model: CityModel) -> dict[str, Any]:
         "version": model.version,
         "crs": model.crs,
         "center_lat_lon": _center_lat_lon(model),
-        "buildings": len(model.building_ids),
+        "buildings": types["Building"],
         "parts": model.num_parts,
+        "objects": {name: count for name, count in sorted(types.items()) if name != "Building"},
         "extent_m": [round(float(length), 3) for length in extent],
         "lods": lods,
         "findings": findings.counts(),

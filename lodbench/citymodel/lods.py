@@ -16,7 +16,9 @@ from lodbench.findings import Findings
 FINEST, COARSEST = "finest", "coarsest"
 
 
-def polygons_at(model: CityModel, wanted: str | None, findings: Findings) -> tuple[str, NDArray[np.bool_]]:
+def polygons_at(
+    model: CityModel, wanted: str | None, findings: Findings, stands_in: bool = True
+) -> tuple[str, NDArray[np.bool_]]:
     """Returns the name of what is meshed, and (P,) which of the model's P polygons belong to it.
 
     Args:
@@ -26,13 +28,14 @@ def polygons_at(model: CityModel, wanted: str | None, findings: Findings) -> tup
             no building's finest or coarsest, interiors nobody's. An object that is no building and lacks the
             level has its finest below it, else its coarsest above.
         findings: See ``choose_lod``.
+        stands_in: Whether it has it.
 
     Raises:
         CityModelError: The level is absent.
     """
     polygons = model.polygons
     wish = None if wanted is None else _plain(wanted)
-    is_building = model.is_building()
+    is_building = model.is_building() | (not stands_in)
     if wish not in (FINEST, COARSEST):
         used = np.unique(polygons.lod[is_building[polygons.building]]).tolist()
         present = [model.lods[n] for n in used] if used and not is_building.all() else model.lods
@@ -62,7 +65,8 @@ def _own_level(model: CityModel, name: str, is_other: NDArray[np.bool_]) -> NDAr
     own = np.where(is_other[polygons.building], distance[polygons.lod], 2 * len(ranks))
     best = np.full(len(model.building_ids), 2 * len(ranks), np.int64)
     np.minimum.at(best, polygons.building, own)
-    return is_other[polygons.building] & (own == best[polygons.building])
+    is_best: NDArray[np.bool_] = is_other[polygons.building] & (own == best[polygons.building])
+    return is_best
 
 
 def lod_in_words(lod: str) -> str:

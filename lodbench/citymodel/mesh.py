@@ -42,7 +42,9 @@ class CityMesh:
     findings: Findings
 
 
-def mesh_model(model: CityModel, lod: str | None = None, *, roof_height: str | None = None) -> CityMesh:
+def mesh_model(
+    model: CityModel, lod: str | None = None, *, roof_height: str | None = None, stands_in: bool = True
+) -> CityMesh:
     """Returns the mesh of one level of detail, with its areas and findings.
 
     Args:
@@ -51,6 +53,7 @@ def mesh_model(model: CityModel, lod: str | None = None, *, roof_height: str | N
             for the lowest that has walls.
         roof_height: Rule by which level 1 is derived where it is asked for and absent; None makes
             that an error.
+        stands_in: Whether objects that are no buildings and lack the level come with one of theirs.
 
     Raises:
         CityModelError: The level is absent, or holds no surface.
@@ -60,7 +63,7 @@ def mesh_model(model: CityModel, lod: str | None = None, *, roof_height: str | N
         if lod.lower().removeprefix("lod") == "1":
             blocks = derive_lod1(model, roof_height, findings)
             model = replace(model, lods=("1",), polygons=blocks, polygons_read=(len(blocks),))
-    name, at_level = polygons_at(model, lod, findings)
+    name, at_level = polygons_at(model, lod, findings, stands_in)
     polygons = model.polygons
     is_interior = (polygons.kind == SurfaceKind.INTERIOR) & (not model.has_interiors)
     for building, count in sorted(Counter(polygons.building[at_level & is_interior].tolist()).items()):

@@ -175,9 +175,7 @@ def _zip_sources(path: Path, layers: Sequence[str]) -> tuple[Source, ...]:
     return sources
 
 
-def _zip_members(
-    path: Path, members: list[zipfile.ZipInfo], layers: Sequence[str]
-) -> Iterator[Source]:
+def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[str]) -> Iterator[Source]:
     chosen = []
     for member in members:
         name = PurePosixPath(member.filename.replace("\\", "/"))

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.citymodel.layers import LAYERS
 from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.flags import hints_in_flags
 from lodbench.cli.sources import load_profile
@@ -47,6 +48,8 @@ def main(argv: Sequence[str]) -> int:
     asked = _parser().parse_args(argv)
     with hints_in_flags():
         profile = load_profile(asked.source, asked.option, asked.crs)
+        if asked.layers:
+            profile = replace(profile, options=replace(profile.options, layers=asked.layers))
         if asked.action == "info":
             return _info(asked, profile.options)
         if asked.action == "check":
@@ -112,6 +115,13 @@ def _parser() -> argparse.ArgumentParser:
         )
         action.add_argument(
             "--option", action="append", default=[], metavar="KEY=VALUE", help="see below; may be repeated"
+        )
+        action.add_argument(
+            "--layers",
+            type=lambda text: tuple(text.split(",")),
+            default=(),
+            metavar="NAME,...",
+            help=f"also: {', '.join(LAYERS)}",
         )
         action.add_argument("--json", action="store_true", help="for machines")
     return parser

@@ -29,6 +29,10 @@ def format_info(name: str, info: dict[str, Any]) -> str:
         *([] if place is None else [f"centre     latitude {place[0]:.5f}, longitude {place[1]:.5f}"]),
         f"extent     {x:,.1f} m x {y:,.1f} m, {z:,.1f} m high",
         f"buildings  {info['buildings']:,}{parts}",
+        *(
+            f"{'and' if n == 0 else '':10} {count:,} {name}"
+            for n, (name, count) in enumerate(info["objects"].items())
+        ),
         "",
         *_level_lines(info["lods"]),
         "",

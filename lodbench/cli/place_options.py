@@ -18,7 +18,9 @@ def add_city_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--source", default="folder", metavar="PROFILE", help="publisher, as in run source=PROFILE"
     )
-    parser.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="as in city info")
+    parser.add_argument(
+        "--option", action="append", default=[], metavar="KEY=VALUE", help="as in city info: layers=bridges"
+    )
 
 
 def add_height_options(parser: argparse.ArgumentParser) -> None:

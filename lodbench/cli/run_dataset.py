@@ -74,7 +74,9 @@ def with_source(dataset: Dataset, values: dict[str, Any]) -> Dataset:
     source = profile_of(values, dataset.city_options.crs)
     lod = source.lod if dataset.lod is None else dataset.lod
     # The frame of the data is no habit of a publisher: it was told by the data.
-    options = replace(source.options, ecef_origin=dataset.city_options.ecef_origin)
+    own = dataset.city_options
+    layers = own.layers or source.options.layers
+    options = replace(source.options, ecef_origin=own.ecef_origin, layers=layers)
     return replace(dataset, lod=lod, city_options=options)
 
 

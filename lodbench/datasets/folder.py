@@ -16,7 +16,7 @@ Truth and priors may be missing only where ``dataset.json`` says so: a misspelt 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from lodbench.citymodel.options import ReadOptions
@@ -57,6 +57,7 @@ class FolderParams:
         name: Name to report.
         references: Folder of posed pictures of the place, or None; see ``read_references``.
         textured_map: Textured map of the place: a mesh, CityGML with appearances, or a folder of tiles.
+        layers: What to see besides buildings: ``bridges``, ``vegetation`` and so on, see ``LAYERS``.
     """
 
     root: str
@@ -67,6 +68,7 @@ class FolderParams:
     name: str = "folder"
     references: str | None = None
     textured_map: str | None = None
+    layers: list[str] = field(default_factory=list)
 
 
 def open_folder(params: FolderParams) -> Dataset:
@@ -101,7 +103,7 @@ def open_folder(params: FolderParams) -> Dataset:
         entries=tuple(entry for entries, _, _ in parts for entry in entries),
         truth={key: pose for _, truth, _ in parts for key, pose in truth.items()},
         notes=tuple(note for _, _, notes in parts for note in notes),
-        city_options=ReadOptions(crs=params.crs),
+        city_options=ReadOptions(crs=params.crs, layers=tuple(params.layers)),
         roof_height=params.roof_height,
         references=references,
         textured_map=textured,

@@ -6,7 +6,7 @@ text layout, so that every command that takes a dataset can run on a city that h
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from lodbench.citymodel.cache import open_cached_city
@@ -44,6 +44,7 @@ class ViewsParams:
         crs: CRS of the city model, where its file says none or a wrong one.
         roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
         name: Name to report.
+        layers: What to see besides buildings, see ``LAYERS``.
     """
 
     city_model: str
@@ -56,6 +57,7 @@ class ViewsParams:
     crs: str | None = None
     roof_height: str | None = None
     name: str = "views"
+    layers: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         if self.num_views < 1:
@@ -118,12 +120,11 @@ def open_views(params: ViewsParams) -> Dataset:
     city = Path(params.city_model).expanduser()
     if not city.exists():
         raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
-    options = ReadOptions(crs=params.crs)
+    options = ReadOptions(crs=params.crs, layers=tuple(params.layers))
     lod = params.mask_lod or params.lod
     scene = open_cached_city(city, lod=lod, options=options, roof_height=params.roof_height).scene
-    drawn = {
-        key: value for key, value in asdict(params).items() if key not in ("city_model", "lod", "crs", "name")
-    }
+    of_the_scene = ("city_model", "lod", "crs", "name", "layers")  # its digest says it
+    drawn = {key: value for key, value in asdict(params).items() if key not in of_the_scene}
     key = digest_of([VIEWS_VERSION, drawn, scene.digest(), scene.origin.tolist()])
     root = cache_root() / "views" / key
     if not root.is_dir():
@@ -134,7 +135,6 @@ def open_views(params: ViewsParams) -> Dataset:
         )
         with new_folder(root) as building:
             write_queries(building / SPLIT, queries, RGB_CAMERA, scene.origin)
-    folder = open_folder(
-        FolderParams(str(root), str(city), params.lod, params.crs, params.roof_height, params.name)
-    )
+    same = {key: getattr(params, key) for key in ("lod", "crs", "roof_height", "name", "layers")}
+    folder = open_folder(FolderParams(str(root), str(city), **same))
     return replace(folder, version=f"views {VIEWS_VERSION}, seed {params.views_seed}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,7 @@ class RenderParams:
         roof_height: Rule by which an absent level 1 is derived, or None.
         textured_map: Textured map to draw ``colour`` from, see ``open_textured_map``; or None.
         size: Width and height to scale to, or None for the camera's own.
+        layers: What to draw besides buildings, see ``LAYERS``.
     """
 
     city: str
@@ -65,6 +66,7 @@ class RenderParams:
     roof_height: str | None = None
     size: tuple[int, int] | None = None
     textured_map: str | None = None
+    layers: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,7 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
     shots = _shots(params)
     options = options or ReadOptions()
     options = options if params.crs is None else replace(options, crs=params.crs)
+    options = replace(options, layers=tuple(params.layers)) if params.layers else options
     city = open_city(Path(params.city).expanduser(), params.lod, options, params.roof_height)
     renderer = open_renderer(name, city.scene)
     kind.check(city.scene)

@@ -1,0 +1,170 @@
+"""Bridges, trees, terrain and rooms: left out and counted, or part of the scene when asked for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel import ReadOptions, city_info, mesh_model, parse_city_model, read_city_model
+from lodbench.citymodel.source import open_sources
+from lodbench.errors import ConfigError
+
+from .gml_text import box_area, box_rings, city, member, polygon, solid, surface_members, write
+
+_SPACES = " ".join(
+    f'xmlns:{prefix}="http://www.opengis.net/citygml/{name}/{{version}}"'
+    for prefix, name in (
+        ("brid", "bridge"), ("veg", "vegetation"), ("dem", "relief"), ("frn", "cityfurniture"), ("b", "building")
+    )
+)  # fmt: skip
+
+
+def _faces(x: float) -> str:
+    return surface_members(map(polygon, box_rings(x=500000.0 + x)))
+
+
+def _surfaces(name: str, x: float) -> str:
+    return f"<{name}><gml:MultiSurface>{_faces(x)}</gml:MultiSurface></{name}>"
+
+
+def town(version: str = "2.0") -> str:
+    """A house at level 1 with a room, a bridge with a part and a railing, a tree, terrain, a lamp post."""
+    spaces = _SPACES.format(version=version)
+    inside = _surfaces("b:lod4MultiSurface", 0)
+    room = f'<b:interiorRoom><b:Room gml:id="room">{inside}</b:Room></b:interiorRoom>'
+    bridge = (
+        '<brid:Bridge gml:id="bridge"><brid:consistsOfBridgePart><brid:BridgePart gml:id="span">'
+        f"{_surfaces('brid:lod2MultiSurface', 100)}"
+        '<brid:outerBridgeInstallation><brid:BridgeInstallation gml:id="rail">'
+        f"{_surfaces('brid:lod2Geometry', 120)}"
+        "</brid:BridgeInstallation></brid:outerBridgeInstallation></brid:BridgePart></brid:consistsOfBridgePart></brid:Bridge>"
+    )
+    tree = (
+        '<veg:SolitaryVegetationObject gml:id="tree"><veg:lod1ImplicitRepresentation><core:ImplicitGeometry>'
+        "<core:transformationMatrix>2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1</core:transformationMatrix>"
+        f"<core:relativeGMLGeometry><gml:MultiSurface>{surface_members(map(polygon, box_rings(0, 0, 0)))}"
+        "</gml:MultiSurface></core:relativeGMLGeometry><core:referencePoint><gml:Point>"
+        "<gml:pos>500200 5600000 50</gml:pos></gml:Point></core:referencePoint></core:ImplicitGeometry>"
+        "</veg:lod1ImplicitRepresentation></veg:SolitaryVegetationObject>"
+    )
+    triangle = "500000 5600000 49 500300 5600000 49 500000 5600200 49 500000 5600000 49"
+    relief = (
+        '<dem:ReliefFeature gml:id="ground"><dem:lod>3</dem:lod><dem:reliefComponent>'
+        '<dem:TINRelief gml:id="tin">'
+        "<dem:lod>3</dem:lod><dem:tin><gml:TriangulatedSurface><gml:trianglePatches><gml:Triangle><gml:exterior>"
+        f"<gml:LinearRing><gml:posList>{triangle}</gml:posList></gml:LinearRing></gml:exterior></gml:Triangle>"
+        "</gml:trianglePatches></gml:TriangulatedSurface></dem:tin></dem:TINRelief></dem:reliefComponent></dem:ReliefFeature>"
+    )
+    lamp = f'<frn:CityFurniture gml:id="lamp">{_surfaces("frn:lod1Geometry", 150)}</frn:CityFurniture>'
+    others = "".join(
+        f"<core:cityObjectMember>{text}</core:cityObjectMember>" for text in (bridge, tree, relief, lamp)
+    )
+    return city(member(solid(_faces(0)) + room, "house") + others, version=version).replace(
+        "xmlns:uro=", f"{spaces} xmlns:uro=", 1
+    )
+
+
+def twin() -> str:
+    """The same in CityJSON, without the room."""
+    vertices: list[list[float]] = []
+
+    def faces(
+        x: float, y: float = 5600000.0, z: float = 50.0, size: float = 10.0, height: float = 6.0
+    ) -> list[list[list[int]]]:
+        found = []
+        for ring in box_rings(500000.0 + x, y, z, size, height):
+            found.append([list(range(len(vertices), len(vertices) + len(ring)))])
+            vertices.extend([list(point) for point in ring])
+        return found
+
+    def thing(type_: str, lod: str, boundaries: list[list[list[int]]], **more: object) -> dict[str, object]:
+        shape = {"type": "MultiSurface", "lod": lod, "boundaries": boundaries}
+        return {"type": type_, "geometry": [shape], **more}
+
+    vertices += [[500000.0, 5600000.0, 49.0], [500300.0, 5600000.0, 49.0], [500000.0, 5600200.0, 49.0]]
+    tin = thing("TINRelief", "3", [[[0, 1, 2]]])
+    tin["geometry"][0]["type"] = "CompositeSurface"  # type: ignore[index]
+    objects = {
+        "house": thing("Building", "1", faces(0)),
+        "bridge": {"type": "Bridge", "children": ["span"]},
+        "span": thing("BridgePart", "2", faces(100), parents=["bridge"], children=["rail"]),
+        "rail": thing("BridgeInstallation", "2", faces(120), parents=["span"]),
+        "tree": thing("SolitaryVegetationObject", "1", faces(200, size=20.0, height=12.0)),
+        "ground": tin,
+        "lamp": thing("CityFurniture", "1", faces(150)),
+    }
+    scale = {"scale": [0.001] * 3, "translate": [500000.0, 5600000.0, 0.0]}
+    whole = np.rint((np.array(vertices) - scale["translate"]) / 0.001).astype(int).tolist()
+    metadata = {"referenceSystem": "https://www.opengis.net/def/crs/EPSG/0/25832"}
+    return json.dumps(
+        {
+            "type": "CityJSON",
+            "version": "2.0",
+            "transform": scale,
+            "metadata": metadata,
+            "CityObjects": objects,
+            "vertices": whole,
+        }
+    )
+
+
+_ALL = ("bridges", "vegetation", "relief", "furniture")
+_TREE = box_area(20.0, 12.0)
+_GROUND = 300.0 * 200.0 / 2
+
+
+@pytest.mark.parametrize("text", [town("2.0"), town("3.0"), twin()], ids=["2.0", "3.0", "cityjson"])
+def test_layers_are_opted_in(text: str) -> None:
+    plain = parse_city_model(text.encode(), "town.gml")
+    assert plain.building_ids == ("house",)
+    assert "LB209 NOT_A_BUILDING" in plain.findings.counts()
+    assert mesh_model(plain).area_m2 == pytest.approx(box_area())
+
+    bridge = parse_city_model(text.encode(), "town.gml", ReadOptions(layers=("bridges",)))
+    assert (bridge.building_ids, bridge.types()) == (("house", "bridge"), ("Building", "Bridge"))
+    # The house has level 1 only, the bridge level 2 only: both are there whichever is asked for.
+    mesh = mesh_model(bridge)
+    assert (mesh.scene.lod, mesh.area_m2) == ("1", pytest.approx(3 * box_area()))
+    assert mesh.scene.building_ids == ("house", "bridge")
+
+    full = parse_city_model(text.encode(), "town.gml", ReadOptions(layers=_ALL))
+    assert sorted(full.types()) == [
+        "Bridge",
+        "Building",
+        "CityFurniture",
+        "SolitaryVegetationObject",
+        "TINRelief",
+    ]
+    assert mesh_model(full).area_m2 == pytest.approx(4 * box_area() + _TREE + _GROUND)
+    info = city_info(full)
+    assert (info["buildings"], info["objects"]["Bridge"], info["objects"]["TINRelief"]) == (1, 1, 1)
+    assert info["lods"]["1"]["area_m2"] == pytest.approx(2 * box_area() + _TREE)  # each level by itself
+
+
+def test_rooms_are_a_layer() -> None:
+    text = town().encode()
+    inside = parse_city_model(text, "a.gml", ReadOptions(layers=("interiors",)))
+    assert mesh_model(inside, "4").area_m2 == pytest.approx(box_area())
+    with pytest.raises(ConfigError, match="no layer 'bridge'"):
+        ReadOptions(layers=("bridge",))
+
+
+def test_a_delivery_has_a_folder_per_layer(tmp_path: Path) -> None:
+    for name in ("bldg", "brid", "tran"):
+        (tmp_path / "udx" / name).mkdir(parents=True)
+        write(tmp_path / "udx" / name / f"1_{name}.gml", town())
+    assert len(open_sources(tmp_path)) == 1
+    names = [source.path.name for source in open_sources(tmp_path, ("bridges",))]
+    assert names == ["1_bldg.gml", "1_brid.gml"]
+
+
+def test_real_interiors(shared_data: Path) -> None:
+    path = shared_data / "city/lod3_reference/lod4_building_v2.gml"
+    outside, inside = (
+        mesh_model(read_city_model(path, options=ReadOptions(layers=layers)), "4").area_m2
+        for layers in ((), ("interiors",))
+    )
+    assert inside > 1.5 * outside
