@@ -14,12 +14,10 @@ from lodbench.errors import ConfigError
 
 from .gml_text import box_area, box_rings, city, member, polygon, solid, surface_members, write
 
+_MODULES = {"brid": "bridge", "veg": "vegetation", "dem": "relief", "frn": "cityfurniture", "b": "building"}
 _SPACES = " ".join(
-    f'xmlns:{prefix}="http://www.opengis.net/citygml/{name}/{{version}}"'
-    for prefix, name in (
-        ("brid", "bridge"), ("veg", "vegetation"), ("dem", "relief"), ("frn", "cityfurniture"), ("b", "building")
-    )
-)  # fmt: skip
+    f'xmlns:{prefix}="http://www.opengis.net/citygml/{name}/{{version}}"' for prefix, name in _MODULES.items()
+)
 
 
 def _faces(x: float) -> str:
