@@ -1,226 +1,186 @@
-"""How well a method finds poses over a real model: synthetic views, masks as wrong as a network's.
+"""How well methods find poses over a real model: recalls and medians beside their priors'.
 
-Seeded drone views are drawn over a city, as ``dataset=views`` draws them: the mask of each is rendered at
-the true pose at the working size (602 x 448) and degraded to a target IoU, its prior is uniform around the
-truth. Every method runs every view twice, with the true tilt in the prior and with a tilt in error, through
-the same prediction and evaluation as `lodbench run`. Masks may come from another level of detail than the
-map that is searched.
+Every method runs every view twice, with the true tilt in the prior and with a tilt in error. Masks may come
+from another level of detail than the map that is searched.
 """
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.accuracy_options import AccuracyOptions
-from lodbench.bench.accuracy_report import SPLIT, TILTS, AccuracyReport
-from lodbench.bench.figures import Progress, no_progress
-from lodbench.citymap import CityMap
-from lodbench.citymodel import open_scene
+from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.bench.views import TILTS, Job, of_seeds, protocol_of, sweep
 from lodbench.citymodel.lods import lod_in_words
-from lodbench.datasets.priors import UniformPrior
-from lodbench.datasets.query import Dataset, Entry
-from lodbench.evaluation.evaluate import evaluate
-from lodbench.evaluation.predictions import Prediction
-from lodbench.execution.executor import ExecutorParams
-from lodbench.harness.runs.predict import Work, predict
-from lodbench.harness.runs.prepare import Preparation
-from lodbench.harness.runs.requirements import segmented_inputs
+from lodbench.evaluation import DEFAULT_THRESHOLDS, SplitSummary
+from lodbench.evaluation.calibration import Calibration, calibrate
+from lodbench.evaluation.queries import ERROR, summarize_queries
+from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.methods import Method
-from lodbench.methods.lodlocv2 import LodLocV2
-from lodbench.methods.protocol import Streams, SupportsPriorWidth
-from lodbench.storage import random_stream
-from lodbench.synthesis.queries import SyntheticQuery
-from lodbench.synthesis.view_sampling import RGB_CAMERA
-from lodbench.synthesis.views_dataset import draw_queries
+from lodbench.reporting.calibration_figures import draw_calibration
+from lodbench.reporting.columns import format_columns
+from lodbench.reporting.table_columns import finite_text
+from lodbench.synthesis.views_dataset import SPLIT, ViewsParams
 
 if TYPE_CHECKING:
     import pandas as pd
 
-
-@dataclass(slots=True, eq=False)
-class DrawnMasks:
-    """Segmenter of views: the masks that were drawn with them, by ``Entry.key``."""
-
-    masks: dict[str, NDArray[np.bool_]]
-    name: str = "views"
-    requires: tuple[str, ...] = ()
-    provides: tuple[str, ...] = ("mask",)
-
-    def segment(self, entry: Entry) -> NDArray[np.float32]:
-        """Returns the (448, 602) mask of a view."""
-        return self.masks[entry.key].astype(np.float32)
-
-    def fingerprint(self, entries: tuple[Entry, ...]) -> str:
-        """Returns "": nothing of a bench is stored."""
-        return ""
+_HEAD = ("median m", "median deg", "hypotheses", "s/query", "ece %", "aurc %")
+_GLOSSARY = (
+    "ece: expected calibration error, mean distance of the probability a method gives of being within "
+    "(2 m, 2 deg) from the share it found; aurc: area under the risk-coverage curve, the share not found as "
+    "the surest 0 to 100 % are answered, averaged."
+)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Views:
-    """Seeded views of a city.
+class Block(NamedTuple):
+    """What one method made of all views under one tilt.
 
     Attributes:
-        seed: Which draw.
-        dataset: The views, in the local frame of the map that is searched.
-        segmenter: Their masks.
-        rejections: Draws thrown away.
+        tilt: ``truth`` or ``prior``.
+        method: Its name.
+        is_only: Whether no other method ran.
+        queries: Its rows.
+        found: Their summary.
+        prior: That of their priors.
     """
 
-    seed: int
-    dataset: Dataset
-    segmenter: DrawnMasks
-    rejections: int
-
-    def find(
-        self, method: Method, tilt: str, city_map: CityMap, progress: Progress = no_progress
-    ) -> tuple[pd.DataFrame, dict[str, Prediction]]:
-        """Returns what a method makes of the views: the evaluated queries, and the predictions."""
-        entries = self.dataset.entries
-        needs = segmented_inputs(method)
-        preparation = Preparation(self.dataset, city_map.scene, self.segmenter, tilt, needs, city_map)
-        with tempfile.TemporaryDirectory() as scratch:
-            work = _ViewsWork(
-                method=method,
-                dataset=self.dataset,
-                segmenter=self.segmenter,
-                renderer="silhouette",
-                threads=None,
-                tilt=tilt,
-                needs=needs,
-                seed=self.seed,
-                params=None,
-                inputs={},
-                folder=Path(scratch),
-                progress=progress,
-            )
-            predictions = predict(work, preparation, city_map, entries, ExecutorParams())
-        priors = {entry.key: preparation.prior(entry) for entry in entries}
-        queries = evaluate(entries, predictions, self.dataset.truth, priors, city_map, tilt)
-        seconds = [sum(predictions[key].seconds.values()) for key in queries.index]
-        return queries.assign(method=method.name, seed=self.seed, seconds=seconds), predictions
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _ViewsWork(Work):
-    """As in a run, but for the streams, which know nothing of the tilt: both blocks try the same moves."""
-
-    progress: Progress = no_progress
-    done: list[Entry] = field(default_factory=list)
-
-    def streams_of(self, entry: Entry) -> Streams:
-        return partial(random_stream, self.seed, "accuracy", entry.name)
-
-    def answers(
-        self, preparation: Preparation, city_map: CityMap, entries: Sequence[Entry]
-    ) -> list[tuple[str, dict[str, Any]]]:
-        # Not super(): a dataclass with slots is another class than the one named here.
-        found = Work.answers(self, preparation, city_map, entries)
-        for entry in entries:
-            self.done.append(entry)
-            self.progress(len(self.done), len(self.dataset.entries))
-        return found
+    tilt: str
+    method: str
+    is_only: bool
+    queries: pd.DataFrame
+    found: SplitSummary
+    prior: SplitSummary
 
 
 def measure_accuracy(
-    city: Path,
-    options: AccuracyOptions | None = None,
+    views: ViewsParams,
+    seeds: Sequence[int],
+    methods: Sequence[Method],
     progress: Progress = no_progress,
-    methods: Sequence[Method] = (),
-) -> AccuracyReport:
-    """Returns how well methods find seeded views over a city.
-
-    A method that can is told how far off the priors may be, tilt included (0 with the true one); never
-    whether they are.
+    threads: int | None = None,
+) -> Report:
+    """Returns how well methods find seeded views over a city; ``data`` is the table of ``sweep``.
 
     Args:
-        city: City model file.
-        options: What to measure.
-        progress: Called after each view, tilt and method.
-        methods: Which methods; LoD-Loc v2 if empty.
+        views: The city, and what to draw over it.
+        seeds: Of views, masks, priors and methods; each draws views of its own.
+        methods: Which methods.
+        progress: Called after each run: of a seed, a method and a tilt.
+        threads: As for ``sweep``.
 
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
-    import pandas as pd
-
-    options = options or AccuracyOptions()
-    scorer, seen = open_scenes(city, options)
-    drawn = [draw_views(scorer, seen, options, seed) for seed in options.seeds]
-    methods = methods or (LodLocV2(),)
-    jobs = list(product(drawn, methods, TILTS))
-    tables = []
-    for number, (views, method, tilt) in enumerate(jobs):
-        told = told_width(method, options.prior(tilt))
-        tables.append(views.find(told, tilt, scorer, part_of(progress, number, len(jobs)))[0])
-    name = Path(city).name
-    if options.mask_lod is not None or options.map_lod is not None:
-        name += f" (masks {lod_in_words(seen.scene.lod)}, map {lod_in_words(scorer.scene.lod)})"
-    names = tuple(method.name for method in methods)
-    return AccuracyReport(
-        name, names, options.protocol(), sum(views.rejections for views in drawn), pd.concat(tables)
-    )
+    drawn = of_seeds(views, seeds)
+    queries = sweep([Job(m, v, tilt) for v, m, tilt in product(drawn, methods, TILTS)], progress, threads)
+    return report_accuracy(queries, f"{_drawn(views, queries)}, {protocol_of(views, seeds)}")
 
 
-def open_scenes(city: Path, options: AccuracyOptions) -> tuple[CityMap, CityMap]:
-    """Returns the renderer of the map that is searched, and that of the city that masks are drawn from.
-
-    Their origins count from the map's: coordinates of a whole country would cost digits.
-    """
-    searched = open_scene(city, lod=options.map_lod)
-    scorer = CityMap(replace(searched, origin=np.zeros(3)), threads=options.threads)
-    if options.mask_lod is None or options.mask_lod == options.map_lod:
-        return scorer, scorer
-    seen = open_scene(city, lod=options.mask_lod)
-    moved = replace(seen, origin=seen.origin - searched.origin)
-    return scorer, CityMap(moved, threads=options.threads)
-
-
-def told_width(method: Method, prior: UniformPrior) -> Method:
-    """Returns a method told how far off priors may be, if it is one that can be."""
-    if not isinstance(method, SupportsPriorWidth):
-        return method
-    made: Method = type(method)(method.params_for_prior(prior))  # type: ignore[call-arg]
-    return made
-
-
-def draw_views(city_map: CityMap, seen: CityMap, options: AccuracyOptions, seed: int) -> Views:
-    """Returns the views of a city; view i depends on the seed and i only.
+def report_accuracy(queries: pd.DataFrame, protocol: str) -> Report:
+    """Returns the report of a sweep over methods and tilts.
 
     Args:
-        city_map: The map that is searched.
-        seen: Renders what masks are drawn from.
-        options: What to draw.
-        seed: Which draw.
+        queries: As ``sweep`` has them.
+        protocol: What was drawn, in words.
     """
-    drawn, rejections = draw_queries(
-        seen.scene,
-        seen,
-        options.num_views,
-        options.mask_iou,
-        options.prior(),
-        seed,
-        options.area_m(seen.scene),
+    blocks = blocks_of(queries)
+    calibrations = _calibrations(blocks)
+    lines = [_table(blocks), f"{protocol}; in brackets the 95 % interval.", *map(_missed, blocks)]
+    figures = [figure for block in blocks for figure in _figures(block)]
+    text = "\n".join([*lines, _GLOSSARY] if calibrations else lines)
+    return Report(text, figures, queries, partial(_pictures, calibrations))
+
+
+def blocks_of(queries: pd.DataFrame) -> list[Block]:
+    """Returns the blocks of a sweep: by tilt, of each tilt by method."""
+    methods = list(dict.fromkeys(queries["method"]))
+    blocks = []
+    for tilt, method in product(TILTS, methods):
+        mine = queries[(queries["tilt"] == tilt) & (queries["method"] == method)]
+        blocks.append(Block(tilt, method, len(methods) == 1, mine, *summarize_queries(mine, SPLIT)))
+    return blocks
+
+
+def _drawn(views: ViewsParams, queries: pd.DataFrame) -> str:
+    first, runs = queries.iloc[0], queries.drop_duplicates("seed")
+    city = Path(views.city_model).name
+    if views.mask_lod is not None or views.lod is not None:
+        city += f" (masks {lod_in_words(first['mask_lod'])}, map {lod_in_words(first['map_lod'])})"
+    return f"{city}, {views.num_views * len(runs)} views ({runs['rejections'].sum()} draws rejected)"
+
+
+def _is_found(rows: pd.DataFrame) -> NDArray[np.bool_]:
+    return hits_of(rows[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
+
+
+def _calibrations(blocks: Sequence[Block]) -> dict[str, Calibration]:
+    """Returns how calibrated methods are that give a probability, by method and tilt in words."""
+    return {
+        f"{b.method}, tilt={b.tilt}": calibrate(
+            b.queries["probability"].fillna(0.0).to_numpy(), _is_found(b.queries)
+        )
+        for b in blocks
+        if b.queries["probability"].notna().any()
+    }
+
+
+def _pictures(calibrations: dict[str, Calibration]) -> dict[str, bytes]:
+    drawn = draw_calibration(calibrations) if calibrations else {}
+    return {f"calibration.{kind}": picture for kind, picture in drawn.items()}
+
+
+def _figures(block: Block) -> Iterator[Figure]:
+    found, prior = block.found, block.prior
+    name = f"tilt={block.tilt}" if block.is_only else f"{block.method} tilt={block.tilt}"
+    for label, percent in found.recall.items():
+        yield Figure(f"recall {label} {name}", percent, "%", "prior", prior.recall[label])
+        for end, bound in zip(("low", "high"), found.interval[label], strict=True):
+            yield Figure(f"recall {label} {name} {end}", bound, "%")
+    for median, unit in (("median_translation_m", "m"), ("median_rotation_deg", "deg")):
+        value, beside = getattr(found, median), getattr(prior, median)
+        yield Figure(f"{median} {name}", value, unit, "prior", beside, beside / value if value else None)
+    yield Figure(f"hypotheses per query {name}", found.hypotheses_per_query, "")
+    yield Figure(f"seconds per query {name}", float(block.queries["seconds"].mean()), "s")
+    if math.isfinite(found.metrics.get("ece_percent", math.nan)):
+        yield Figure(f"calibration error {name}", found.metrics["ece_percent"], "%")
+        yield Figure(f"area under risk over coverage {name}", found.metrics["aurc_percent"], "%")
+
+
+def _table(blocks: Sequence[Block]) -> str:
+    """Returns recalls and medians as text: below each tilt the priors, then the methods."""
+    rows = [["", *(f"{t.label} %" for t in DEFAULT_THRESHOLDS), *_HEAD]]
+    for block in blocks:
+        name = f"tilt={block.tilt}  "
+        if block.method == blocks[0].method:
+            rows.append([f"{name}prior", *_errors(block.prior), "-", "-", "-", "-"])
+        found, seconds = block.found, block.queries["seconds"].mean()
+        hypotheses = finite_text(found.hypotheses_per_query or math.nan, ".0f")
+        ece, aurc = (found.metrics.get(f"{metric}_percent") for metric in ("ece", "aurc"))
+        costs = [hypotheses, f"{seconds:.2f}", finite_text(ece, ".1f"), finite_text(aurc, ".2f")]
+        rows.append([f"{name}{block.method}", *_errors(found), *costs])
+    return format_columns(rows)
+
+
+def _errors(summary: SplitSummary) -> list[str]:
+    intervals = (f"[{low:.1f}, {high:.1f}]" for low, high in summary.interval.values())
+    recalls = [f"{p:.1f} {i}" for p, i in zip(summary.recall.values(), intervals, strict=True)]
+    return [*recalls, f"{summary.median_translation_m:.2f}", f"{summary.median_rotation_deg:.2f}"]
+
+
+def _missed(block: Block) -> str:
+    """Returns whether the search or the mask is to blame for what was not found."""
+    missed = block.queries[~_is_found(block.queries)]
+    unfound = int((missed["score"].fillna(0.0) < missed["mask_iou"]).sum())
+    whose = f"tilt={block.tilt}" if block.is_only else f"tilt={block.tilt} {block.method}"
+    return (
+        f"{whose}: {len(missed)} not within (2 m, 2 deg); in {unfound} of them the truth fits better than "
+        f"the estimate, in {len(missed) - unfound} it does not."
     )
-    entries = tuple(_entry(query, seen.scene.origin) for query in drawn)
-    truth = {entry.key: q.truth.shifted(seen.scene.origin) for entry, q in zip(entries, drawn, strict=True)}
-    masks = {entry.key: query.mask for entry, query in zip(entries, drawn, strict=True)}
-    dataset = Dataset("views", "", Path(), None, None, (SPLIT,), entries, truth)
-    return Views(seed, dataset, DrawnMasks(masks), rejections)
-
-
-def part_of(progress: Progress, number: int, parts: int) -> Progress:
-    """Returns the progress of one of several parts of equal length."""
-    return lambda done, total: progress(number * total + done, parts * total)
-
-
-def _entry(drawn: SyntheticQuery, origin: NDArray[np.float64]) -> Entry:
-    return Entry(drawn.name, SPLIT, RGB_CAMERA, drawn.prior.shifted(origin), None, None)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lodbench.bench.accuracy import draw_views, open_scenes, part_of, told_width
-from lodbench.bench.accuracy_options import AccuracyOptions
-from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
 from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, summarize
 from lodbench.methods import Method
@@ -15,6 +17,10 @@ from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.reporting.calibration_figures import BudgetPoint, draw_budget
 from lodbench.reporting.columns import format_columns
+from lodbench.synthesis.views_dataset import ViewsParams
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Filter steps of LoD-Loc v2, after its grid alone.
 _STEPS = (2, 5, 10, 20, 40, 80, 160)
@@ -28,77 +34,50 @@ _SETTINGS = (
     (10.0, 2.15, 32, 10),
     (10.0, 2.15, 128, 10),
 )
+_LABEL = DEFAULT_THRESHOLDS[0].label
 
 
-@dataclass(frozen=True, slots=True)
-class BudgetReport:
-    """Recall over hypotheses, by method.
-
-    Attributes:
-        title: City and protocol in words.
-        curves: Points of each method, fewest hypotheses first.
-    """
-
-    title: str
-    curves: dict[str, tuple[BudgetPoint, ...]]
-
-    def figures(self) -> list[Figure]:
-        """Returns the recall of every point."""
-        return [
-            Figure(f"recall 2m-2deg of {name} at {point.hypotheses:.0f} hypotheses", point.recall, "%")
-            for name, points in self.curves.items()
-            for point in points
-        ]
-
-    def to_text(self) -> str:
-        """Returns a table with a line of small print."""
-        rows = [["", "hypotheses", "2m-2deg %"]]
-        for name, points in self.curves.items():
-            for p in points:
-                rows.append([name, f"{p.hypotheses:.0f}", f"{p.recall:.1f} [{p.low:.1f}, {p.high:.1f}]"])
-        return format_columns(rows) + "\n" + self.title
-
-    def write_pictures(self, folder: Path) -> None:
-        """Writes ``budget.png`` and ``budget.svg``."""
-        from lodbench.storage.atomic import write_bytes
-
-        folder.mkdir(parents=True, exist_ok=True)
-        for kind, picture in draw_budget(self.curves, self.title.split(",")[0]).items():
-            write_bytes(folder / f"budget.{kind}", picture)
-
-
-def measure_budget(city: Path, options: AccuracyOptions, progress: Progress = no_progress) -> BudgetReport:
+def measure_budget(
+    views: ViewsParams, seeds: Sequence[int], progress: Progress = no_progress, threads: int | None = None
+) -> Report:
     """Returns what both methods find with few and with many hypotheses, the sensor's tilt in the prior.
 
+    ``data`` is the table of ``sweep`` with the column ``rung``: the setting of the method.
+
     Args:
-        city: City model file.
-        options: The views, as for accuracy.
-        progress: Called after each view.
+        views: The city, and what to draw over it.
+        seeds: Each draws views of its own.
+        progress: Called after each setting and seed.
+        threads: As for ``sweep``.
 
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
-    import pandas as pd
-
-    scorer, seen = open_scenes(city, options)
-    drawn = [draw_views(scorer, seen, options, seed) for seed in options.seeds]
+    drawn = of_seeds(views, seeds)
+    jobs = [Job(method, v, labels={"rung": n}) for n, method in enumerate(_ladder()) for v in drawn]
+    queries = sweep(jobs, progress, threads)
     curves: dict[str, list[BudgetPoint]] = {}
-    jobs = [(told_width(method, options.prior()), views) for method in _ladder() for views in drawn]
-    tables = [
-        views.find(method, "prior", scorer, part_of(progress, number, len(jobs)))[0]
-        for number, (method, views) in enumerate(jobs)
+    for _, rows in queries.groupby("rung"):
+        curves.setdefault(rows["method"].iloc[0], []).append(_point(rows))
+    points = [(method, point) for method, curve in curves.items() for point in curve]
+    figures = [
+        Figure(f"recall {_LABEL} of {m} at {p.hypotheses:.0f} hypotheses", p.recall, "%") for m, p in points
     ]
-    for start in range(0, len(jobs), len(drawn)):
-        found = pd.concat(tables[start : start + len(drawn)])
-        summary = summarize(found[list(ERROR)].to_numpy())
-        label = DEFAULT_THRESHOLDS[0].label
-        point = BudgetPoint(
-            float(found["hypotheses"].mean()), summary.recall[label], *summary.interval[label]
-        )
-        curves.setdefault(jobs[start][0].name, []).append(point)
-    count = options.num_views * len(drawn)
-    title = f"{Path(city).name}: {count} views with tilt=prior, {options.protocol()}"
-    return BudgetReport(title, {name: tuple(points) for name, points in curves.items()})
+    cells = [[m, f"{p.hypotheses:.0f}", f"{p.recall:.1f} [{p.low:.1f}, {p.high:.1f}]"] for m, p in points]
+    count = f"{Path(views.city_model).name}: {views.num_views * len(drawn)} views with tilt=prior"
+    table = format_columns([["", "hypotheses", f"{_LABEL} %"], *cells])
+    return Report(
+        f"{table}\n{count}, {protocol_of(views, seeds)}", figures, queries, partial(_pictures, curves, count)
+    )
+
+
+def _point(rows: pd.DataFrame) -> BudgetPoint:
+    summary = summarize(rows[list(ERROR)].to_numpy())
+    return BudgetPoint(float(rows["hypotheses"].mean()), summary.recall[_LABEL], *summary.interval[_LABEL])
+
+
+def _pictures(curves: dict[str, list[BudgetPoint]], title: str) -> dict[str, bytes]:
+    return {f"budget.{kind}": picture for kind, picture in draw_budget(curves, title).items()}
 
 
 def _ladder() -> list[Method]:

@@ -1,10 +1,17 @@
-"""A figure: a measured number, and the same of a peer beside it."""
+"""What a bench tells: figures, each with the same of a peer beside it, a text and pictures."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lodbench.storage import make_folder, write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Called with the steps done and their total.
 Progress = Callable[[int, int], None]
@@ -40,6 +47,29 @@ class Figure:
             "peer_value": _finite(self.peer_value),
             "ratio": _finite(self.ratio),
         }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Report:
+    """What a bench measured.
+
+    Attributes:
+        text: A table and what must be known of it, for people.
+        figures: The numbers, for machines.
+        data: The measurements behind them, a row each.
+        draw: Returns pictures by file name, drawn when they are asked for.
+    """
+
+    text: str
+    figures: Sequence[Figure]
+    data: pd.DataFrame
+    draw: Callable[[], dict[str, bytes]] = dict
+
+    def write_pictures(self, folder: Path) -> None:
+        """Writes the pictures, if there are any, into a folder that is made."""
+        for name, content in self.draw().items():
+            make_folder(folder)
+            write_bytes(folder / name, content)
 
 
 def no_progress(done: int, total: int) -> None:

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
-from lodbench.bench.accuracy import measure_accuracy, part_of
-from lodbench.bench.accuracy_options import AccuracyOptions
-from lodbench.bench.accuracy_report import TILTS, AccuracyReport
-from lodbench.bench.figures import Figure, Progress, no_progress
-from lodbench.errors import ConfigError
+from lodbench.bench.accuracy import blocks_of
+from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.bench.views import TILTS, Job, sweep
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
 from lodbench.methods import Method
-from lodbench.methods.lodlocv2 import LodLocV2
-from lodbench.storage import write_bytes
+from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure
+from lodbench.synthesis.views_dataset import ViewsParams
 
-PICTURE_FILE = "iou_recall.png"
-_THRESHOLD = DEFAULT_THRESHOLDS[0]
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure as Canvas
+
+_LABEL = DEFAULT_THRESHOLDS[0].label
 IOUS = tuple(round(0.3 + 0.1 * step, 1) for step in range(8))
-_COLOURS = {"truth": "#1b6ca8", "prior": "#c8553d"}
-_LINES = ("-", "--", "-.", ":")
 
 
 class Reported(NamedTuple):
@@ -53,119 +51,84 @@ TABLE_4 = (
 )
 
 
-class Point(NamedTuple):
-    """Recall at one IoU, percent, with its 95 % interval."""
+def measure_iou_recall(
+    views: ViewsParams,
+    methods: Sequence[Method],
+    progress: Progress = no_progress,
+    ious: Sequence[float] = IOUS,
+    threads: int | None = None,
+) -> Report:
+    """Returns the recall of methods over the IoU of their masks.
 
-    recall: float
-    low: float
-    high: float
+    Views and priors are the same at every IoU; masks are degraded as ``noisy_oracle`` does. ``data`` has the
+    columns ``method``, ``tilt``, ``iou``, and in percent ``recall`` with its 95 % interval, ``low`` and
+    ``high``.
 
-
-@dataclass(frozen=True, slots=True)
-class IouRecallOptions:
-    """What to measure.
-
-    Attributes:
-        num_views: Views over the city, the same at every IoU.
-        ious: IoUs of the masks with the true silhouettes.
-        seed: Of views, masks, priors and method.
-        threads: Threads of the engine; None for one per core.
+    Args:
+        views: The city, and what to draw over it.
+        methods: Which methods.
+        progress: Called after each run: of an IoU, a method and a tilt.
+        ious: IoUs of the masks.
+        threads: As for ``sweep``.
 
     Raises:
-        ConfigError: There are no views.
+        LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
+    import pandas as pd
 
-    num_views: int = 50
-    ious: tuple[float, ...] = IOUS
-    seed: int = 0
-    threads: int | None = None
+    jobs = [
+        Job(method, replace(views, mask_iou=iou), tilt, {"iou": iou})
+        for iou, method, tilt in product(ious, methods, TILTS)
+    ]
+    points = pd.DataFrame(
+        [
+            (block.method, block.tilt, iou, block.found.recall[_LABEL], *block.found.interval[_LABEL])
+            for iou, rows in sweep(jobs, progress, threads).groupby("iou")
+            for block in blocks_of(rows)
+        ],
+        columns=["method", "tilt", "iou", "recall", "low", "high"],
+    )
+    city = Path(views.city_model).name
+    figures = [
+        Figure(f"recall_{_LABEL}_{p['method']}_iou_{p['iou']:g}_tilt_{p['tilt']}", p["recall"], "%")
+        for _, curve in points.groupby(["method", "tilt"], sort=False)
+        for _, p in curve.iterrows()
+    ]
+    text = f"{city}: recall {_LABEL} over {views.num_views} views, by the IoU of the mask\n{_table(points)}"
+    title = f"{city}, {views.num_views} views; shaded: 95 %"
+    return Report(text, figures, points, partial(_pictures, points, title))
 
-    def __post_init__(self) -> None:
-        if self.num_views < 1:
-            raise ConfigError(f"views={self.num_views} is not a number of views.")
+
+def _table(points: pd.DataFrame) -> str:
+    """Returns for each method a line per IoU."""
+    lines = []
+    for method, mine in points.groupby("method", sort=False):
+        lines.append(f"{method:16}" + "".join(f"{f'tilt={tilt}':>24}" for tilt in TILTS))
+        for iou, pair in mine.groupby("iou"):
+            cells = [f"{p.recall:11.1f} ({p.low:.0f} to {p.high:.0f})" for p in pair.itertuples()]
+            lines.append(f"  IoU {iou:<10g}" + "".join(f"{cell:>24}" for cell in cells))
+    return "\n".join(lines)
 
 
-@dataclass(frozen=True, slots=True)
-class IouRecallReport:
-    """What was measured.
+def _pictures(points: pd.DataFrame, title: str) -> dict[str, bytes]:
+    """Returns the curves, and the paper's Table 4 beside them."""
 
-    Attributes:
-        city: Name of the city model.
-        methods: Names of the methods.
-        ious: IoUs of the masks.
-        reports: What was found at each IoU.
-    """
-
-    city: str
-    methods: tuple[str, ...]
-    ious: tuple[float, ...]
-    reports: tuple[AccuracyReport, ...]
-
-    @property
-    def num_views(self) -> int:
-        """Returns the number of views behind each point."""
-        return len(self.reports[0].of_tilt(TILTS[0]))
-
-    def recall(self, tilt: str, method: str | None = None) -> list[Point]:
-        """Returns per IoU the recall of a method within 2 m and 2 deg; of the first method if None."""
-        found = [report.summary(tilt, method) for report in self.reports]
-        label = _THRESHOLD.label
-        return [Point(summary.recall[label], *summary.interval[label]) for summary in found]
-
-    def figures(self) -> list[Figure]:
-        """Returns the recalls, one figure per method, tilt and IoU."""
-        return [
-            Figure(f"recall_{_THRESHOLD.label}_{method}_iou_{iou:g}_tilt_{tilt}", point.recall, "%")
-            for method in self.methods
-            for tilt in TILTS
-            for iou, point in zip(self.ious, self.recall(tilt, method), strict=True)
-        ]
-
-    def to_text(self) -> str:
-        """Returns a table: a line per IoU."""
-        lines = [
-            f"{self.city}: recall {_THRESHOLD.label} over {self.num_views} views, by the IoU of the mask"
-        ]
-        for method in self.methods:
-            columns = [self.recall(tilt, method) for tilt in TILTS]
-            lines.append(f"{method:16}" + "".join(f"{f'tilt={tilt}':>24}" for tilt in TILTS))
-            for iou, *points in zip(self.ious, *columns, strict=True):
-                cells = [f"{p.recall:11.1f} ({p.low:.0f} to {p.high:.0f})" for p in points]
-                lines.append(f"  IoU {iou:<10g}" + "".join(f"{cell:>24}" for cell in cells))
-        return "\n".join(lines)
-
-    def write_picture(self, folder: Path) -> Path:
-        """Writes the curves, and the paper's Table 4 beside them, as PNG; returns the file."""
-        from matplotlib.figure import Figure as Canvas
-
-        canvas = Canvas(figsize=(7.6, 4.8), layout="constrained")
+    def draw(canvas: Canvas) -> None:
         axes = canvas.subplots()
-        for method, line in zip(self.methods, _LINES, strict=False):
-            for tilt in TILTS:
-                self._draw(axes, method, tilt, line)
+        methods = list(dict.fromkeys(points["method"]))
+        for (method, tilt), curve in points.groupby(["method", "tilt"], sort=False):
+            line, colour = LINE_STYLES[methods.index(method) % len(LINE_STYLES)], SERIES[TILTS.index(tilt)]
+            label = f"{method}, tilt={tilt}"
+            axes.plot(curve["iou"], curve["recall"], line, marker="o", ms=4, color=colour, label=label)
+            axes.fill_between(curve["iou"], curve["low"], curve["high"], color=colour, alpha=0.1, lw=0)
         _draw_reported(axes)
+        recall = f"recall {_LABEL.replace('-', ', ')}, %"
         axes.set(
-            xlabel="IoU of the mask with the true silhouette",
-            ylabel=f"recall {_THRESHOLD.label.replace('-', ', ')}, %",
-            ylim=(-2, 103),
-            title=f"{self.city}, {self.num_views} views; shaded: 95 %",
+            xlabel="IoU of the mask with the true silhouette", ylabel=recall, ylim=(-2, 103), title=title
         )
-        axes.title.set_fontsize(10)
-        axes.grid(alpha=0.3)
         canvas.legend(loc="outside lower center", ncols=2, fontsize=8)
-        content = io.BytesIO()
-        canvas.savefig(content, format="png", dpi=120, metadata={"Software": None})
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / PICTURE_FILE
-        write_bytes(path, content.getvalue())
-        return path
 
-    def _draw(self, axes: Any, method: str, tilt: str, line: str) -> None:
-        points = np.array(self.recall(tilt, method))
-        colour = _COLOURS[tilt]
-        label = f"{method}, tilt={tilt}"
-        axes.plot(self.ious, points[:, 0], line, marker="o", ms=4, color=colour, label=label)
-        axes.fill_between(self.ious, points[:, 1], points[:, 2], color=colour, alpha=0.1, lw=0)
+    return {f"iou_recall.{kind}": picture for kind, picture in draw_figure(7.6, 4.8, draw).items()}
 
 
 def _draw_reported(axes: Any) -> None:
@@ -180,34 +143,3 @@ def _draw_reported(axes: Any) -> None:
                 row.network, (row.iou, row.recall), (0, -13), textcoords="offset points", ha="center",
                 fontsize=7, color="#444444", bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.5},
             )  # fmt: skip
-
-
-def measure_iou_recall(
-    city: Path,
-    options: IouRecallOptions | None = None,
-    progress: Progress = no_progress,
-    methods: Sequence[Method] = (),
-) -> IouRecallReport:
-    """Returns the recall of methods over the IoU of their masks.
-
-    Views and priors are the same at every IoU; masks are degraded as ``noisy_oracle`` does.
-
-    Args:
-        city: City model file.
-        options: What to measure.
-        progress: Called after each view.
-        methods: Which methods; LoD-Loc v2 if empty.
-
-    Raises:
-        LodbenchError: The city cannot be read, or no views can be drawn over it.
-    """
-    options, methods = options or IouRecallOptions(), methods or (LodLocV2(),)
-    base = AccuracyOptions(num_views=options.num_views, seeds=(options.seed,), threads=options.threads)
-    reports = [
-        measure_accuracy(
-            city, replace(base, mask_iou=iou), part_of(progress, number, len(options.ious)), methods
-        )
-        for number, iou in enumerate(options.ious)
-    ]
-    names = tuple(method.name for method in methods)
-    return IouRecallReport(Path(city).name, names, options.ious, tuple(reports))

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from lodbench.bench.accuracy import draw_views, open_scenes, part_of, told_width
-from lodbench.bench.accuracy_options import AccuracyOptions
-from lodbench.bench.accuracy_report import SPLIT
-from lodbench.bench.figures import Figure, Progress, no_progress
-from lodbench.evaluation import PoseError, pose_error
+from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
+from lodbench.evaluation import pose_error
 from lodbench.evaluation.errors import FAILED
-from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import ERROR
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.reporting.columns import format_columns
+from lodbench.synthesis.views_dataset import ViewsParams
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,112 +23,83 @@ SEARCHES = ("grid", "basins")
 SAME_M, SAME_DEG = 0.1, 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class SearchPair:
-    """What both searches make of one view; an answer that is missing has infinite errors.
-
-    Attributes:
-        name: The view.
-        hypotheses: Poses rendered, by search.
-        errors: Error of each search's pose.
-        apart: Distance and angle between the two poses.
-    """
-
-    name: str
-    hypotheses: dict[str, int]
-    errors: dict[str, PoseError]
-    apart: PoseError
-
-    @property
-    def is_same(self) -> bool:
-        """Tells whether both ended in one optimum."""
-        return self.apart.translation_m < SAME_M and self.apart.rotation_deg < SAME_DEG
-
-    def ratio(self) -> float:
-        """Returns how many times fewer hypotheses the basins took."""
-        return self.hypotheses["grid"] / max(1, self.hypotheses["basins"])
-
-
-@dataclass(frozen=True, slots=True)
-class WidePriorReport:
-    """Pairs of both searches.
-
-    Attributes:
-        title: City and protocol in words.
-        pairs: One per view.
-    """
-
-    title: str
-    pairs: tuple[SearchPair, ...]
-
-    def figures(self) -> list[Figure]:
-        """Returns how many views end alike, and the hypotheses of both searches."""
-        counts = {s: float(np.mean([p.hypotheses[s] for p in self.pairs])) for s in SEARCHES}
-        return [
-            Figure("views whose searches end in one optimum", float(sum(p.is_same for p in self.pairs)), ""),
-            Figure("views", float(len(self.pairs)), ""),
-            Figure(
-                "hypotheses of basins",
-                counts["basins"],
-                "",
-                "grid",
-                counts["grid"],
-                counts["grid"] / counts["basins"] if counts["basins"] else None,
-            ),
-        ]
-
-    def to_text(self) -> str:
-        """Returns a line a view, and one that counts them."""
-        rows = [["", "grid", "basins", "ratio", "grid m", "basins m", "apart m", "apart deg", "same"]]
-        for p in self.pairs:
-            counts = [str(p.hypotheses[search]) for search in SEARCHES]
-            errors = [f"{p.errors[search].translation_m:.2f}" for search in SEARCHES]
-            apart = [f"{p.apart.translation_m:.3f}", f"{p.apart.rotation_deg:.3f}"]
-            rows.append([p.name, *counts, f"{p.ratio():.1f}", *errors, *apart, "yes" if p.is_same else "no"])
-        same = sum(p.is_same for p in self.pairs)
-        return (
-            format_columns(rows) + f"\n{same} of {len(self.pairs)} end within {SAME_M:g} m and {SAME_DEG:g} "
-            f"deg of each other. {self.title}"
-        )
-
-
 def measure_wide_priors(
-    city: Path, options: AccuracyOptions, progress: Progress = no_progress
-) -> WidePriorReport:
+    views: ViewsParams, seeds: Sequence[int], progress: Progress = no_progress, threads: int | None = None
+) -> Report:
     """Returns where the full grid and the basins end, each followed by the same alignment.
 
+    ``data`` is what ``pairs_of`` returns.
+
     Args:
-        city: City model file.
-        options: The views, as for accuracy; the sensor's tilt is in their priors.
-        progress: Called after each search.
+        views: The city, and what to draw over it; the sensor's tilt is in the priors.
+        seeds: Each draws views of its own.
+        progress: Called after each search and seed.
+        threads: As for ``sweep``.
 
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
-    scorer, seen = open_scenes(city, options)
-    drawn = [draw_views(scorer, seen, options, seed) for seed in options.seeds]
-    methods = [
-        told_width(ContourAlignment(replace(ContourAlignment().params, search=s)), options.prior())
-        for s in SEARCHES
+    methods = {s: ContourAlignment(replace(ContourAlignment().params, search=s)) for s in SEARCHES}
+    jobs = [
+        Job(method, v, labels={"search": search})
+        for v in of_seeds(views, seeds)
+        for search, method in methods.items()
     ]
-    pairs: list[SearchPair] = []
-    for number, views in enumerate(drawn):
-        found = [
-            views.find(method, "prior", scorer, part_of(progress, 2 * number + k, 2 * len(drawn)))
-            for k, method in enumerate(methods)
-        ]
-        pairs += [_pair(key, found) for key in found[0][1]]
-    title = f"{Path(city).name}, {len(pairs)} views with tilt=prior, {options.protocol()}."
-    return WidePriorReport(title, tuple(pairs))
+    pairs = pairs_of(sweep(jobs, progress, threads))
+    city = f"{Path(views.city_model).name}, {len(pairs)} views with tilt=prior"
+    return report_pairs(pairs, f"{city}, {protocol_of(views, seeds)}.")
 
 
-def _pair(key: str, found: list[tuple[pd.DataFrame, dict[str, Prediction]]]) -> SearchPair:
-    errors = {s: queries.loc[key, list(ERROR)] for s, (queries, _) in zip(SEARCHES, found, strict=True)}
-    answers = {s: predictions[key] for s, (_, predictions) in zip(SEARCHES, found, strict=True)}
-    first, second = (answer.pose for answer in answers.values())
-    return SearchPair(
-        name=key.removeprefix(f"{SPLIT}/"),
-        hypotheses={search: answer.hypotheses or 0 for search, answer in answers.items()},
-        errors={search: PoseError(*error.astype(float)) for search, error in errors.items()},
-        apart=FAILED if first is None or second is None else pose_error(first, second),
-    )
+def pairs_of(queries: pd.DataFrame) -> pd.DataFrame:
+    """Returns a row per seed and view of a sweep over both searches.
+
+    Columns are ``seed``, ``view``, ``hypotheses`` and ``error_m`` of each search, the distance between their
+    ends (``apart_m``, ``apart_deg``; infinite where one is missing), and ``is_same``: whether they are one
+    optimum.
+    """
+    import pandas as pd
+
+    pairs = []
+    for (seed, view), ends in queries.fillna({"hypotheses": 0}).groupby(["seed", "query"]):
+        grid, basins = (ends[ends["search"] == search].iloc[0] for search in SEARCHES)
+        is_whole = grid["pose"] is not None and basins["pose"] is not None
+        apart = pose_error(grid["pose"], basins["pose"]) if is_whole else FAILED
+        pairs.append(
+            {
+                "seed": seed,
+                "view": Path(str(view)).stem,
+                "hypotheses grid": grid["hypotheses"],
+                "hypotheses basins": basins["hypotheses"],
+                "error_m grid": grid["translation_error_m"],
+                "error_m basins": basins["translation_error_m"],
+                "apart_m": apart.translation_m,
+                "apart_deg": apart.rotation_deg,
+                "is_same": apart.translation_m < SAME_M and apart.rotation_deg < SAME_DEG,
+            }
+        )
+    return pd.DataFrame(pairs)
+
+
+def report_pairs(pairs: pd.DataFrame, title: str) -> Report:
+    """Returns the report of pairs: a line a view, and one that counts them.
+
+    Args:
+        pairs: As ``pairs_of`` returns them.
+        title: City and protocol in words.
+    """
+    grid, basins = (float(pairs[f"hypotheses {search}"].mean()) for search in SEARCHES)
+    same = int(pairs["is_same"].sum())
+    rows = [["", "grid", "basins", "ratio", "grid m", "basins m", "apart m", "apart deg", "same"]]
+    for _, p in pairs.iterrows():
+        counts = [int(p[f"hypotheses {search}"]) for search in SEARCHES]
+        errors = [f"{p[f'error_m {search}']:.2f}" for search in SEARCHES]
+        apart = [f"{p['apart_m']:.3f}", f"{p['apart_deg']:.3f}", "yes" if p["is_same"] else "no"]
+        ratio = f"{counts[0] / max(1, counts[1]):.1f}"
+        rows.append([p["view"], *map(str, counts), ratio, *errors, *apart])
+    figures = [
+        Figure("views whose searches end in one optimum", float(same), ""),
+        Figure("views", float(len(pairs)), ""),
+        Figure("hypotheses of basins", basins, "", "grid", grid, grid / basins if basins else None),
+    ]
+    counted = f"{same} of {len(pairs)} end within {SAME_M:g} m and {SAME_DEG:g} deg of each other. {title}"
+    return Report(f"{format_columns(rows)}\n{counted}", figures, pairs)

@@ -7,43 +7,26 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
-from lodbench.bench import (
-    AREAS,
-    AccuracyOptions,
-    AccuracyReport,
-    BudgetReport,
-    CityBench,
-    CityOptions,
-    EvaluationOptions,
-    EvaluationReport,
-    IouRecallReport,
-    MaskQualityReport,
-    ScaleOptions,
-    ScaleReport,
-    SilhouetteOptions,
-    SilhouetteReport,
-    TrainingDataOptions,
-    TrainingDataReport,
-    WidePriorReport,
-    measure_accuracy,
-    measure_budget,
-    measure_city,
-    measure_evaluation,
-    measure_scale,
-    measure_silhouettes,
-    measure_training_data,
-    measure_wide_priors,
-)
-from lodbench.bench.photo_masks import PhotoMaskReport
-from lodbench.bench.real_report import RealReport
+from lodbench.bench.accuracy import measure_accuracy
+from lodbench.bench.budget import measure_budget
+from lodbench.bench.city import CityBench, CityOptions, measure_city
+from lodbench.bench.evaluation import EvaluationOptions, EvaluationReport, measure_evaluation
+from lodbench.bench.figures import Report
+from lodbench.bench.scale import ScaleOptions, measure_scale
+from lodbench.bench.scale_report import ScaleReport
 from lodbench.bench.silhouette_pictures import write_pictures
+from lodbench.bench.silhouette_report import SilhouetteReport
+from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
+from lodbench.bench.training_data import TrainingDataOptions, TrainingDataReport, measure_training_data
+from lodbench.bench.wide_priors import measure_wide_priors
 from lodbench.cli import bench_real
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
-from lodbench.storage.atomic import write_bytes
+from lodbench.synthesis.views_dataset import AREAS, ViewsParams
 
 
 def main(argv: Sequence[str]) -> int:
@@ -51,11 +34,14 @@ def main(argv: Sequence[str]) -> int:
     options = _parser().parse_args(argv)
     with ProgressCallback(f"bench {options.what}") as steps:
         report = MEASURES[options.what](options, steps)
-    if options.json:
-        for figure in report.figures():
-            sys.stdout.write(json.dumps(figure.to_json()) + "\n")
+    if isinstance(report, Report):
+        figures, text = report.figures, report.text
+        if getattr(options, "pictures", None) is not None:
+            report.write_pictures(options.pictures)
     else:
-        sys.stdout.write(report.to_text() + "\n")
+        figures, text = report.figures(), report.to_text()
+    lines = [json.dumps(figure.to_json()) for figure in figures] if options.json else [text]
+    sys.stdout.write("\n".join(lines) + "\n")
     return 0
 
 
@@ -81,42 +67,33 @@ def _scale(options: argparse.Namespace, steps: ProgressCallback) -> ScaleReport:
     return measure_scale(asked, steps)
 
 
-def _views(options: argparse.Namespace) -> AccuracyOptions:
-    seeds = options.seeds or str(options.seed)
-    return AccuracyOptions(
+def _views(options: argparse.Namespace) -> tuple[ViewsParams, list[int]]:
+    """Returns what is drawn, and the seeds."""
+    views = ViewsParams(
+        city_model=str(_city_file(options)),
         num_views=options.views,
         mask_iou=options.mask_iou,
         tilt_deg=options.tilt_width,
         range_m=options.prior_range,
         height_m=options.prior_height,
         area=options.area,
-        seeds=tuple(_whole(seed) for seed in seeds.split(",")),
+        lod=options.map_lod,
         mask_lod=options.mask_lod,
-        map_lod=options.map_lod,
     )
+    return views, [_whole(seed) for seed in (options.seeds or str(options.seed)).split(",")]
 
 
-def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> AccuracyReport:
+def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     methods = [make_method(name) for name in options.method.split(",")]
-    report = measure_accuracy(_city_file(options), _views(options), steps, methods)
-    if options.pictures and report.calibrations():
-        from lodbench.reporting.calibration_figures import draw_calibration
-
-        options.pictures.mkdir(parents=True, exist_ok=True)
-        for kind, picture in draw_calibration(report.calibrations()).items():
-            write_bytes(options.pictures / f"calibration.{kind}", picture)
-    return report
+    return measure_accuracy(*_views(options), methods, steps)
 
 
-def _budget(options: argparse.Namespace, steps: ProgressCallback) -> BudgetReport:
-    report = measure_budget(_city_file(options), _views(options), steps)
-    if options.pictures is not None:
-        report.write_pictures(options.pictures)
-    return report
+def _budget(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    return measure_budget(*_views(options), steps)
 
 
-def _wide_priors(options: argparse.Namespace, steps: ProgressCallback) -> WidePriorReport:
-    return measure_wide_priors(_city_file(options), _views(options), steps)
+def _wide_priors(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    return measure_wide_priors(*_views(options), steps)
 
 
 def _whole(text: str) -> int:
@@ -145,21 +122,7 @@ def _training_data(options: argparse.Namespace, steps: ProgressCallback) -> Trai
     return measure_training_data(city, asked, steps)
 
 
-Report = (
-    TrainingDataReport
-    | SilhouetteReport
-    | ScaleReport
-    | AccuracyReport
-    | BudgetReport
-    | CityBench
-    | EvaluationReport
-    | IouRecallReport
-    | MaskQualityReport
-    | PhotoMaskReport
-    | RealReport
-    | WidePriorReport
-)
-MEASURES: dict[str, Callable[..., Report]] = {
+MEASURES: dict[str, Callable[..., Any]] = {
     "silhouettes": _silhouettes,
     "scale": _scale,
     "accuracy": _accuracy,

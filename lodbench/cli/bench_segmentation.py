@@ -6,19 +6,16 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from lodbench.bench import (
-    IouRecallOptions,
-    IouRecallReport,
-    MaskQualityOptions,
-    MaskQualityReport,
-    measure_iou_recall,
-    measure_masks,
-)
+from lodbench.bench.figures import Report
+from lodbench.bench.iou_recall import measure_iou_recall
+from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
+from lodbench.bench.mask_quality_report import MaskQualityReport
 from lodbench.bench.photo_masks import PhotoMaskReport, measure_photo_masks
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
+from lodbench.synthesis.views_dataset import ViewsParams
 
 _VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
 _MORE = """\
@@ -62,7 +59,7 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
 
 def measure_segmentation(
     options: argparse.Namespace, steps: ProgressCallback
-) -> MaskQualityReport | IouRecallReport | PhotoMaskReport:
+) -> MaskQualityReport | Report | PhotoMaskReport:
     """Returns what was asked for, its picture written."""
     if options.photos is not None:
         if options.city is not None or options.data is not None or options.views is not None:
@@ -87,17 +84,10 @@ def _photos(options: argparse.Namespace, steps: ProgressCallback) -> PhotoMaskRe
     return report
 
 
-def _curve(options: argparse.Namespace, steps: ProgressCallback) -> IouRecallReport:
-    views = _VIEWS_OF_CITY if options.views is None else options.views
-    report = measure_iou_recall(
-        options.city,
-        IouRecallOptions(views, seed=options.seed),
-        steps,
-        [make_method(name) for name in options.method.split(",")],
-    )
-    if options.pictures is not None:
-        report.write_picture(options.pictures)
-    return report
+def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    count = _VIEWS_OF_CITY if options.views is None else options.views
+    views = ViewsParams(str(options.city), count, views_seed=options.seed)
+    return measure_iou_recall(views, [make_method(name) for name in options.method.split(",")], steps)
 
 
 def _masks(options: argparse.Namespace, steps: ProgressCallback) -> MaskQualityReport:

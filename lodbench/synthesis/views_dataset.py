@@ -1,13 +1,15 @@
 """``dataset=views``: seeded drone views of any city, each with a mask as wrong as a network's.
 
-The same views, masks and priors as `lodbench bench accuracy` draws, written once to the cache in the
-text layout, so that every command that takes a dataset can run on a city that has no photos.
+Drawn once and written to the cache in the text layout, so that every command that takes a dataset can run
+on a city that has no photos. `lodbench bench accuracy` and its kin are runs of it.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
@@ -17,7 +19,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.rendering import Renderer, make_renderer
-from lodbench.storage import digest_of, make_folder, new_folder, random_stream
+from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
@@ -27,6 +29,9 @@ from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling
 # Raised whenever the same settings would draw something else.
 VIEWS_VERSION = 1
 SPLIT = "views"
+# The halves of a city's bounding box: tune on one, report on the other.
+AREAS = ("west", "east", "south", "north")
+_FACTS_FILE = "drawn.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +43,9 @@ class ViewsParams:
         num_views: Views over the city; asking for more keeps the first ones.
         mask_iou: IoU of each query mask with the silhouette at the truth.
         tilt_deg: Half width of the priors' error in pitch and in roll, degrees.
+        range_m: Half width of their error along x, y and z, metres; None for the published ones.
+        height_m: The same along z alone; None for ``range_m``.
+        area: The half of the city that views look at the middle of, one of ``AREAS``; None for all of it.
         views_seed: Seed of views, masks and priors.
         lod: Level of detail to localise against; None for the lowest.
         mask_lod: Level of detail that views and masks are drawn from; None for ``lod``.
@@ -51,6 +59,9 @@ class ViewsParams:
     num_views: int = 100
     mask_iou: float = 0.88
     tilt_deg: float = 1.0
+    range_m: float | None = None
+    height_m: float | None = None
+    area: str | None = None
     views_seed: int = 0
     lod: str | None = None
     mask_lod: str | None = None
@@ -67,20 +78,23 @@ class ViewsParams:
         if not 0 <= self.tilt_deg <= 30:
             raise ConfigError(f"dataset.tilt_deg lies within 0 and 30, not {self.tilt_deg}.")
 
-    def prior(self) -> UniformPrior:
-        """Returns the errors of the priors: the published ones, with this tilt."""
-        return UniformPrior(pitch_deg=self.tilt_deg, roll_deg=self.tilt_deg)
+        if self.area is not None and self.area not in AREAS:
+            raise ConfigError(f"dataset.area is one of {', '.join(AREAS)}, not {self.area}.")
+
+    def prior(self, tilt: str = "prior") -> UniformPrior:
+        """Returns the errors of the priors: the published ones, with this tilt and range.
+
+        Args:
+            tilt: ``truth`` for priors whose tilt has no error.
+        """
+        tilt_deg = self.tilt_deg if tilt == "prior" else 0.0
+        prior = UniformPrior(pitch_deg=tilt_deg, roll_deg=tilt_deg)
+        if self.range_m is not None:
+            prior = replace(prior, x_m=self.range_m, y_m=self.range_m, z_m=self.range_m)
+        return prior if self.height_m is None else replace(prior, z_m=self.height_m)
 
 
-def draw_queries(
-    scene: Scene,
-    renderer: Renderer,
-    num_views: int,
-    mask_iou: float,
-    prior: UniformPrior,
-    seed: int,
-    area_m: tuple[float, float, float, float] | None = None,
-) -> tuple[list[SyntheticQuery], int]:
+def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple[list[SyntheticQuery], int]:
     """Returns the queries of a city, and how many draws of views were rejected.
 
     Query i depends on the seed, the area and i only: asking for more keeps the first ones.
@@ -88,25 +102,21 @@ def draw_queries(
     Args:
         scene: What masks are drawn from.
         renderer: Renders it.
-        num_views: How many.
-        mask_iou: IoU of each mask with the silhouette at the truth.
-        prior: Errors of the priors.
-        seed: Seed of views, masks and priors.
-        area_m: West, south, east and north bounds of what the views look at, scene metres; None for all.
+        params: What to draw.
 
     Raises:
         DatasetError: No views can be drawn over the city.
     """
     camera = RGB_CAMERA.scaled(*FINE_SIZE)
-    views = sample_views(
-        scene, renderer, camera, ViewSampling(seed=seed, area_m=area_m), num_views, "accuracy"
-    )
+    seed = params.views_seed
+    sampling = ViewSampling(seed=seed, area_m=_area_m(scene, params.area))
+    views = sample_views(scene, renderer, camera, sampling, params.num_views, "accuracy")
     queries = []
     for index, truth in enumerate(views.poses):
         name = f"view_{index:04d}"
         clean = renderer.render(camera, truth)
-        rough, _ = degrade_mask(clean, mask_iou, random_stream(seed, "accuracy", name, "mask"))
-        start = prior.draw(truth, random_stream(seed, "accuracy", name, "prior"))
+        rough, _ = degrade_mask(clean, params.mask_iou, random_stream(seed, "accuracy", name, "mask"))
+        start = params.prior().draw(truth, random_stream(seed, "accuracy", name, "prior"))
         queries.append(SyntheticQuery(name, truth, start, rough, iou_of(rough, clean)))
     return queries, views.rejections
 
@@ -130,11 +140,33 @@ def open_views(params: ViewsParams) -> Dataset:
     if not root.is_dir():
         make_folder(root.parent)
         renderer = make_renderer("silhouette", scene, None)
-        queries, _ = draw_queries(
-            scene, renderer, params.num_views, params.mask_iou, params.prior(), params.views_seed
-        )
+        queries, rejections = draw_queries(scene, renderer, params)
         with new_folder(root) as building:
             write_queries(building / SPLIT, queries, RGB_CAMERA, scene.origin)
+            write_text(building / _FACTS_FILE, json.dumps({"rejections": rejections, "mask_lod": scene.lod}))
     same = {key: getattr(params, key) for key in ("lod", "crs", "roof_height", "name", "layers")}
     folder = open_folder(FolderParams(str(root), str(city), **same))
     return replace(folder, version=f"views {VIEWS_VERSION}, seed {params.views_seed}")
+
+
+def drawing_facts(dataset: Dataset) -> dict[str, Any]:
+    """Returns of a dataset of views how many draws were rejected, and the level of detail of its masks.
+
+    ``rejections`` were draws with too few or too many buildings, or among them.
+    """
+    facts: dict[str, Any] = json.loads((dataset.root / _FACTS_FILE).read_text(encoding="utf-8"))
+    return facts
+
+
+def _area_m(scene: Scene, area: str | None) -> tuple[float, float, float, float] | None:
+    """Returns the bounds (west, south, east, north) of an area in a scene, metres; None for all."""
+    if area is None:
+        return None
+    (west, south), (east, north) = (corner[:2].astype(float).tolist() for corner in scene.extent_m)
+    x, y = 0.5 * (west + east), 0.5 * (south + north)
+    return {
+        "west": (west, south, x, north),
+        "east": (x, south, east, north),
+        "south": (west, south, east, y),
+        "north": (west, y, east, north),
+    }[area]

@@ -4,10 +4,11 @@ import json
 
 import pytest
 
-from lodbench.bench import AccuracyOptions, budget, measure_budget
+from lodbench.bench import budget
 from lodbench.methods.contour_alignment import ContourAlignment, Params
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.lodlocv2 import Params as LodLocV2Params
+from lodbench.synthesis.views_dataset import ViewsParams
 
 
 @pytest.fixture(scope="module")
@@ -20,22 +21,27 @@ def report(city):
     steps = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(budget, "_ladder", lambda: ladder)
-        options = AccuracyOptions(num_views=2, threads=1)
-        report = measure_budget(city, options, lambda *step: steps.append(step))
-    assert steps == [(n, 6) for n in range(1, 7)]
+        views = ViewsParams(str(city), num_views=2)
+        report = budget.measure_budget(views, [0], lambda *step: steps.append(step), threads=1)
+    assert steps == [(n, 3) for n in range(1, 4)]
     return report
 
 
 def test_a_point_for_each_setting(report):
-    assert [point.hypotheses for point in report.curves["lodlocv2"]] == [504, 553]
-    (point,) = report.curves["contour_alignment"]
-    assert 504 < point.hypotheses < 553
-    assert 0 <= point.low <= point.recall <= point.high <= 100
+    means = report.data.groupby("rung")["hypotheses"].mean()
+    assert means[[0, 1]].tolist() == [504, 553]
+    assert 504 < means[2] < 553
+    assert [figure.figure.rsplit(" at ")[0] for figure in report.figures] == [
+        "recall 2m-2deg of lodlocv2",
+        "recall 2m-2deg of lodlocv2",
+        "recall 2m-2deg of contour_alignment",
+    ]
+    assert all(0 <= figure.value <= 100 for figure in report.figures)
 
 
 def test_text_figures_and_picture(report, tmp_path):
-    assert "2 views with tilt=prior" in report.to_text()
-    json.dumps([figure.to_json() for figure in report.figures()], allow_nan=False)
+    assert "2 views with tilt=prior" in report.text
+    json.dumps([figure.to_json() for figure in report.figures], allow_nan=False)
     report.write_pictures(tmp_path / "pictures")
     assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == ["budget.png", "budget.svg"]
 

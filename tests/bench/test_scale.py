@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lodbench.bench import ScaleOptions, measure_scale
 from lodbench.bench.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
 from lodbench.bench.opening import Opening
-from lodbench.bench.scale import is_inside, swarms_inside
+from lodbench.bench.scale import ScaleOptions, is_inside, measure_scale, swarms_inside
 from lodbench.bench.scale_report import ScaleReport, ScaleTimings
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.cli import main

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from lodbench.bench import TrainingDataOptions, measure_training_data
+from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
 from tests.town import box_obj
 
 

@@ -1,18 +1,20 @@
-"""`dataset=views`: the views of `bench accuracy`, as a dataset in the cache."""
+"""`dataset=views`: seeded views of a city, as a dataset in the cache."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lodbench.bench.accuracy import draw_views, open_scenes
-from lodbench.bench.accuracy_options import AccuracyOptions
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
-from lodbench.synthesis.views_dataset import ViewsParams, open_views
+from lodbench.synthesis.mask_degradation import mask_iou
+from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
+from lodbench.synthesis.views_dataset import ViewsParams, drawing_facts, open_views
 from tests.town import box_obj
 
 
@@ -30,19 +32,42 @@ def cache(tmp_path_factory, monkeypatch) -> Path:
     return folder
 
 
-def test_views_are_those_of_bench_accuracy(city):
-    dataset = open_views(ViewsParams(str(city), num_views=2))
-    scene = open_scene(city)
-    options = AccuracyOptions(num_views=2, threads=1)
-    views = draw_views(*open_scenes(city, options), options, 0)
-    for entry, drawn in zip(dataset.entries, views.dataset.entries, strict=True):
+def test_masks_are_as_wrong_as_asked(city):
+    dataset, scene = open_views(ViewsParams(str(city), num_views=2)), open_scene(city)
+    engine = SilhouetteRenderer(scene)
+    for entry in dataset.entries:
         truth = dataset.truth[entry.key].shifted(-scene.origin)
-        np.testing.assert_allclose(
-            truth.cam_from_world, views.dataset.truth[drawn.key].cam_from_world, atol=1e-9
+        mask = read_mask(entry.mask) >= 0.5
+        assert mask.shape == (448, 602)
+        assert mask_iou(mask, engine.render(RGB_CAMERA.scaled(*FINE_SIZE), truth)) == pytest.approx(
+            0.88, abs=0.005
         )
-        prior = entry.prior.shifted(-scene.origin)
-        np.testing.assert_allclose(prior.cam_from_world, drawn.prior.cam_from_world, atol=1e-9)
-        np.testing.assert_array_equal(read_mask(entry.mask), views.segmenter.segment(drawn))
+
+
+def test_priors_lie_in_the_asked_ranges(city):
+    dataset = open_views(ViewsParams(str(city), num_views=2, range_m=4.0, height_m=2.0, tilt_deg=0.5))
+    for entry in dataset.entries:
+        truth = dataset.truth[entry.key]
+        assert (np.abs(entry.prior.center - truth.center) <= np.array([4, 4, 2]) + 1e-9).all()
+        assert (np.abs(np.subtract(entry.prior.euler, truth.euler))[:2] <= 0.5 + 1e-6).all()
+    prior = ViewsParams(str(city), tilt_deg=0.7).prior("truth")
+    assert (prior.pitch_deg, prior.roll_deg) == (0.0, 0.0)
+
+
+def test_an_area_holds_what_its_views_look_at(city):
+    scene = open_scene(city)
+    middle_x = 0.5 * (scene.vertices[:, 0].min() + scene.vertices[:, 0].max())
+    for area, sign in (("west", -1), ("east", 1)):
+        for truth in open_views(ViewsParams(str(city), num_views=4, area=area)).truth.values():
+            local, ray = truth.shifted(-scene.origin), truth.rotation[2]
+            looked_at = local.center + ray * (local.center[2] / -ray[2])
+            assert sign * (looked_at[0] - middle_x) > -15.0
+
+
+def test_what_was_drawn_is_kept(city):
+    facts = drawing_facts(open_views(ViewsParams(str(city), num_views=2)))
+    assert facts["rejections"] >= 0
+    assert facts["mask_lod"] == open_scene(city).lod
 
 
 def test_asking_for_more_keeps_the_first(city):
@@ -59,7 +84,17 @@ def test_the_same_settings_draw_nothing_again(city):
     assert (root / "views" / "GT_pose.txt").stat().st_mtime_ns == stamp
 
 
-@pytest.mark.parametrize("bad", [{"num_views": 0}, {"mask_iou": 0.0}, {"mask_iou": 1.5}, {"tilt_deg": -1.0}])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"num_views": 0},
+        {"mask_iou": 0.0},
+        {"mask_iou": 1.5},
+        {"tilt_deg": -1.0},
+        {"tilt_deg": math.nan},
+        {"area": "middle"},
+    ],
+)
 def test_settings_out_of_range_are_refused(city, bad):
     with pytest.raises(ConfigError):
         ViewsParams(str(city), **bad)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -59,6 +59,7 @@ class Work:
         params: The method's parameters, as JSON values.
         inputs: Digests of the run's inputs.
         folder: The run's.
+        stream_names: As for ``RunSettings``.
     """
 
     method: Method
@@ -72,10 +73,12 @@ class Work:
     params: object
     inputs: dict[str, str]
     folder: Path
+    stream_names: Callable[[Entry], tuple[str, ...]] | None = None
 
     def streams_of(self, entry: Entry) -> Streams:
         """Returns the random numbers of a query: never by worker or order."""
-        return partial(random_stream, self.seed, self.dataset.name, entry.key)
+        names = (self.dataset.name, entry.key) if self.stream_names is None else self.stream_names(entry)
+        return partial(random_stream, self.seed, *names)
 
     def answers(
         self, preparation: Preparation, city_map: CityMap, entries: Sequence[Entry]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -54,6 +55,7 @@ class RunSettings:
         limit: At most this many queries per split, or None.
         retries_failed: Whether queries that failed in an earlier run into the same folder are asked again.
         executor: Where queries are answered; never changes a result.
+        stream_names: Returns the names of a query's random streams; its dataset and key if None.
     """
 
     runs_root: Path
@@ -66,6 +68,7 @@ class RunSettings:
     limit: int | None = None
     retries_failed: bool = False
     executor: ExecutorParams = field(default_factory=ExecutorParams)
+    stream_names: Callable[[Entry], tuple[str, ...]] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -125,6 +128,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         settings.config.get("method"),
         inputs,
         make_folder(folder).absolute(),
+        settings.stream_names,
     )
     with only_one_in(folder):
         remove_leftovers(folder)
