@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lodbench.citymodel.crs import epsg_codes
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.objects import CityObjects
-from lodbench.citymodel.raw import buildings_only
+from lodbench.citymodel.raw import buildings_only, group_by
 
 _SURFACE_NAMES = {
     SurfaceKind.WALL: "WallSurface",
@@ -47,7 +47,7 @@ def cityjson_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
     for building in range(len(model.building_ids)):
         objects |= writer.objects_of(building)
     document = writer.header() | {"CityObjects": objects, "vertices": writer.vertices.tolist()}
-    return json.dumps(document, separators=(",", ":")).encode(), writer.notes()
+    return json.dumps(document, separators=(",", ":")).encode(), note_lines(writer.notes)
 
 
 def cityjsonseq_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
@@ -70,7 +70,7 @@ def cityjsonseq_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
             "vertices": writer.vertices[used].tolist(),
         }
         lines.append(json.dumps(feature, separators=(",", ":")))
-    return ("\n".join(lines) + "\n").encode(), writer.notes()
+    return ("\n".join(lines) + "\n").encode(), note_lines(writer.notes)
 
 
 class _Writer:
@@ -78,6 +78,7 @@ class _Writer:
 
     Attributes:
         vertices: (V, 3) int64, millimetres.
+        notes: How often something could not be said, by what.
     """
 
     def __init__(self, model: CityModel) -> None:
@@ -93,12 +94,12 @@ class _Writer:
         part = polygons.building if polygons.part is None else polygons.part
         self._kinds: list[int] = polygons.kind.tolist()
         self._lods: list[int] = polygons.lod.tolist()
-        self._of_part = _grouped(part)
-        self._of_building = _grouped(self._objects.building)
+        self._of_part = group_by(part)
+        self._of_building = group_by(self._objects.building)
         self._solids_of_part: dict[int, list[int]] = {}
         if model.solids is not None:
-            self._solids_of_part = _grouped(model.solids.part)
-        self._notes: Counter[str] = Counter()
+            self._solids_of_part = group_by(model.solids.part)
+        self.notes: Counter[str] = Counter()
 
     def header(self) -> Json:
         """Returns what comes before the objects: version, transform, reference system."""
@@ -110,16 +111,10 @@ class _Writer:
         }
         name, left_out = reference_system(self._model.crs)
         if left_out:
-            self._notes[left_out] += 1
+            self.notes[left_out] += 1
         if name is not None:
             header["metadata"] = {"referenceSystem": name}
         return header
-
-    def notes(self) -> tuple[str, ...]:
-        """Returns what was left out so far, a line each."""
-        return tuple(
-            f"{count} x {text}" if count > 1 else text for text, count in sorted(self._notes.items())
-        )
 
     def objects_of(self, building: int) -> Json:
         """Returns a building and all that belongs to it, by id."""
@@ -149,7 +144,7 @@ class _Writer:
         if type_ in _TYPES:
             return type_
         plain = "Building" if self._objects.parents[n] < 0 else "BuildingPart"
-        self._notes[f"type {type_} of an extension written as {plain}"] += 1
+        self.notes[f"type {type_} of an extension written as {plain}"] += 1
         return plain
 
     def _geometry(self, part: int) -> Iterator[Json]:
@@ -157,7 +152,7 @@ class _Writer:
         solids: dict[int, list[list[list[tuple[int, bool]]]]] = defaultdict(list)
         enclosed: set[int] = set()
         for solid in self._solids_of_part.get(part, ()):
-            shells = self._shells(solid)
+            shells = self._model.solids.shells_of(solid) if self._model.solids is not None else []
             if shells:
                 solids[self._lods[shells[0][0][0]]].append(shells)
                 enclosed.update(face for shell in shells for face, _ in shell)
@@ -175,18 +170,6 @@ class _Writer:
         for lod, faces in sorted(loose.items()):
             yield self._shape("MultiSurface", lod, [self._surface(*face) for face in faces], faces)
 
-    def _shells(self, solid: int) -> list[list[tuple[int, bool]]]:
-        """Returns polygon and direction of each face of each shell; faces that were dropped are left out."""
-        table = self._model.solids
-        if table is None:
-            return []
-        shells = []
-        for shell in range(table.shell_starts[solid], table.shell_starts[solid + 1]):
-            span = slice(table.face_starts[shell], table.face_starts[shell + 1])
-            faces = zip(table.faces[span].tolist(), table.is_flipped[span].tolist(), strict=True)
-            shells.append([face for face in faces if face[0] >= 0])
-        return [shell for shell in shells if shell]
-
     def _surface(self, polygon: int, is_flipped: bool) -> list[list[int]]:
         rings = range(self._polygon_rings[polygon], self._polygon_rings[polygon + 1])
         surface = [self._corners[self._rings[r] : self._rings[r + 1]] for r in rings]
@@ -201,7 +184,7 @@ class _Writer:
                 return [label(inner) for inner in face]
             kind = self._kinds[face[0]]
             if kind == SurfaceKind.INTERIOR:
-                self._notes["polygon of a room written without the kind of its surface"] += 1
+                self.notes["polygon of a room written without the kind of its surface"] += 1
             name = _SURFACE_NAMES.get(SurfaceKind(kind))
             return None if name is None else surfaces.setdefault(name, len(surfaces))
 
@@ -210,6 +193,11 @@ class _Writer:
         if surfaces:
             shape["semantics"] = {"surfaces": [{"type": name} for name in surfaces], "values": values}
         return shape
+
+
+def note_lines(notes: Counter[str]) -> tuple[str, ...]:
+    """Returns what was left out, a line each."""
+    return tuple(f"{count} x {text}" if count > 1 else text for text, count in sorted(notes.items()))
 
 
 def reference_system(crs: str | None) -> tuple[str | None, str]:
@@ -221,32 +209,17 @@ def reference_system(crs: str | None) -> tuple[str | None, str]:
     """
     if crs is None:
         return None, ""
-    from pyproj import CRS
-
-    codes = crs.removeprefix("EPSG:").split("+") if crs.startswith("EPSG:") else []
-    if len(codes) != 1:
-        code = CRS.from_user_input(crs).to_epsg()
-        codes = codes[:1] if code is None else [str(code)]
-        if not codes:
-            return None, f"reference system {crs}, which has no EPSG code"
-        if code is None:
-            left_out = (
-                f"vertical reference system of {crs}: CityJSON names one EPSG code, and the two have none"
-            )
-            return _url(codes[0]), left_out
-    return _url(codes[0]), ""
+    codes = epsg_codes(crs)
+    if len(codes) == 1:
+        return _url(codes[0]), ""
+    if not codes:
+        return None, f"reference system {crs}, which has no EPSG code"
+    left_out = f"vertical reference system of {crs}: CityJSON names one EPSG code, and the two have none"
+    return _url(codes[0]), left_out
 
 
-def _url(code: str) -> str:
+def _url(code: int) -> str:
     return f"https://www.opengis.net/def/crs/EPSG/0/{code}"
-
-
-def _grouped(owner: NDArray[np.integer]) -> dict[int, list[int]]:
-    """Returns the indices of each owner, ascending."""
-    groups: dict[int, list[int]] = defaultdict(list)
-    for n, number in enumerate(owner.tolist()):
-        groups[number].append(n)
-    return groups
 
 
 def _leaves(shape: Json) -> Iterator[int]:

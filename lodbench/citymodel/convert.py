@@ -1,8 +1,8 @@
-"""Writing cities: OBJ, PLY and glTF for viewers, CityJSON for GIS, a scene folder for lodbench itself."""
+"""Writing cities: OBJ, PLY and glTF for viewers, CityJSON and CityGML for GIS, a scene for lodbench."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.cache import open_city, store_city
-from lodbench.citymodel.cityjson_writer import cityjson_text, cityjsonseq_text
+from lodbench.citymodel.citygml_writer import CityGmlWriter
+from lodbench.citymodel.cityjson_writer import cityjson_text, cityjsonseq_text, note_lines
 from lodbench.citymodel.mesh import CityMesh, mesh_model
 from lodbench.citymodel.mesh_frames import MeshFrame
 from lodbench.citymodel.model import CityModel
@@ -19,7 +20,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.subset import keep_level
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
-from lodbench.storage import write_bytes
+from lodbench.storage import write_chunks
 
 
 def check_target(target: Path) -> None:
@@ -42,7 +43,7 @@ class Conversion:
 
     Attributes:
         model: The city written: its buildings, levels and polygons.
-        mesh: The mesh written, with its account of area; None for CityJSON, which has the polygons.
+        mesh: The mesh written, with its account of area; None where the polygons are written.
         findings: What was met on the way, reading included.
         left_out: A line for each thing the format could not say.
     """
@@ -55,24 +56,31 @@ class Conversion:
 
 def keeps_details(target: Path) -> bool:
     """Tells whether a format has room for attributes and solids, so that they are worth reading."""
-    return target.suffix.lower() in _CITYJSON_WRITERS
+    return target.suffix.lower() in (*_CITYJSON_WRITERS, *_CITYGML_SUFFIXES)
 
 
 def convert_city(
-    model: CityModel, target: Path, *, lod: str | None = None, roof_height: str | None = None
+    model: CityModel,
+    target: Path,
+    *,
+    lod: str | None = None,
+    roof_height: str | None = None,
+    citygml: str = "2.0",
 ) -> Conversion:
     """Writes a city in the format the target's ending names; a file is written whole or not at all.
 
     ``.obj``, ``.ply``, ``.glb`` and ``.scene`` hold one level of detail, in the local frame; origin and
-    reference system are written beside it. ``.json`` is CityJSON 2.0 and ``.jsonl`` CityJSONSeq, with all
-    levels or the one asked for, in the model's reference system, to the millimetre: parts, attributes and
-    solids too, where the model was read with ``ReadOptions(has_details=True)``.
+    reference system are written beside it. ``.json`` is CityJSON 2.0, ``.jsonl`` CityJSONSeq and ``.gml``
+    CityGML, with all levels or the one asked for, in the model's reference system, to the millimetre: parts,
+    attributes and solids too, where the model was read with ``ReadOptions(has_details=True)``.
 
     Args:
         model: The city as read.
         target: Where to write.
-        lod: Level, as in ``mesh_city``; None is all levels for CityJSON, the lowest with walls for meshes.
+        lod: Level, as in ``mesh_city``; None is all levels for CityJSON and CityGML, for meshes the
+            lowest with walls.
         roof_height: As in ``mesh_city``.
+        citygml: Version of CityGML: ``2.0`` or ``3.0``.
 
     Raises:
         CityModelError: The ending is unknown, the level absent, or the folder not writable.
@@ -82,24 +90,31 @@ def convert_city(
     findings = Findings(list(model.findings.items))
     mesh: CityMesh | None = None
     left_out: tuple[str, ...] = ()
-    if suffix in _CITYJSON_WRITERS:
+    chunks: Iterable[bytes] = ()
+    writer: CityGmlWriter | None = None
+    if keeps_details(target):
         if lod is not None:
             model = keep_level(model, lod, roof_height, findings)
-        content, left_out = _CITYJSON_WRITERS[suffix](model)
+        if suffix in _CITYJSON_WRITERS:
+            content, left_out = _CITYJSON_WRITERS[suffix](model)
+            chunks = (content,)
+        else:
+            writer = CityGmlWriter(model, citygml)
+            chunks = writer.chunks()
     else:
         mesh = mesh_model(model, lod, roof_height=roof_height)
         findings.items += mesh.findings.items
-        content = b"" if suffix == ".scene" else _MESH_WRITERS[suffix](mesh.scene)
+        chunks = () if suffix == ".scene" else (_MESH_WRITERS[suffix](mesh.scene),)
     try:
         if suffix == ".scene" and mesh is not None:
             store_city(open_city(model, mesh), target)
         else:
-            write_bytes(target, content)
+            write_chunks(target, chunks)
     except OSError as error:
         raise CityModelError(
             f"{target} cannot be written: {error.strerror}.", "Choose another place or name."
         ) from None
-    return Conversion(model, mesh, findings, left_out)
+    return Conversion(model, mesh, findings, left_out if writer is None else note_lines(writer.notes))
 
 
 def obj_text(scene: Scene) -> str:
@@ -152,4 +167,5 @@ _MESH_WRITERS: dict[str, Callable[[Scene], bytes]] = {
     ".ply": _ply,
     ".glb": _glb,
 }
-FORMATS = (*_MESH_WRITERS, *_CITYJSON_WRITERS, ".scene")
+_CITYGML_SUFFIXES = (".gml", ".xml", ".citygml")
+FORMATS = (*_MESH_WRITERS, *_CITYJSON_WRITERS, *_CITYGML_SUFFIXES, ".scene")

@@ -142,6 +142,22 @@ def require_crs(name: str) -> KnownCrs:
     return known
 
 
+def epsg_codes(label: str) -> tuple[int, ...]:
+    """Returns the codes of a system: one that says it all, else those of plane and heights; none without.
+
+    Example:
+        >>> epsg_codes("EPSG:28992+5709"), epsg_codes("EPSG:25832+7837")
+        ((7415,), (25832, 7837))
+    """
+    from pyproj import CRS
+
+    codes = label.removeprefix("EPSG:").split("+") if label.startswith("EPSG:") else []
+    if len(codes) == 1:
+        return (int(codes[0]),)
+    code = CRS.from_user_input(label).to_epsg()
+    return tuple(map(int, codes)) if code is None else (code,)
+
+
 def metric_crs(known: KnownCrs, longitude_deg: float, latitude_deg: float) -> str:
     """Returns the metric system for a place: Japan's plane zones for Japanese data, else UTM.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from lodbench.citymodel.gml_context import owner_of
@@ -11,6 +12,7 @@ from lodbench.citymodel.gml_names import (
     GML_IDS,
     POLYGONS,
     XLINK_HREF,
+    is_citygml,
     property_lod,
 )
 from lodbench.citymodel.gml_walk import GeometryWalk
@@ -23,11 +25,28 @@ _NO_ATTRIBUTES = frozenset(
         "boundedBy", "boundary", "consistsOfBuildingPart", "buildingPart", "outerBuildingInstallation",
         "buildingInstallation", "interiorBuildingInstallation", "interiorRoom", "buildingRoom", "opening",
         "buildingSubdivision", "buildingConstructiveElement", "appearance", "address", "generalizesTo",
-        "adeOfAbstractBuilding",
+        "adeOfAbstractBuilding", "interiorFurniture", "roomInstallation", "buildingFurniture",
+        "consistsOfBridgePart", "bridgePart", "outerBridgeInstallation", "outerBridgeConstruction",
+        "bridgeInstallation", "bridgeConstructiveElement", "interiorBridgeInstallation",
+        "interiorBridgeRoom", "bridgeRoom", "bridgeFurniture", "consistsOfTunnelPart", "tunnelPart",
+        "outerTunnelInstallation", "tunnelInstallation", "tunnelConstructiveElement",
+        "interiorTunnelInstallation", "interiorHollowSpace", "hollowSpace", "tunnelFurniture",
+        "reliefComponent", "tin", "trafficArea", "auxiliaryTrafficArea",
     }
 )  # fmt: skip
+_GENERIC = ("attribute", "attributeset")
 _GENERIC_KINDS = {"doubleAttribute": float, "intAttribute": int, "measureAttribute": float}
 _MAX_DEPTH = 8
+# Lines, points and terrain intersections: geometry too, which no scene has.
+_LINES = re.compile(r"lod\d\w+")
+# What a name inside of an address of CityGML 3 is the name of.
+_ADDRESS_NAMES = {
+    ("Country", "NameElement"): "CountryName",
+    ("Locality", "NameElement"): "LocalityName",
+    ("Thoroughfare", "NameElement"): "ThoroughfareName",
+    ("Thoroughfare", "Number"): "ThoroughfareNumber",
+    ("PostCode", "Identifier"): "PostalCodeNumber",
+}
 
 
 def read_attributes(element: Element) -> dict[str, Any]:
@@ -43,23 +62,40 @@ def read_attributes(element: Element) -> dict[str, Any]:
         if name == "address":
             addresses = values.setdefault("address", [])
             addresses += [_leaves(node) for node in child.iterchildren("*")]
-        elif generic is not None and name.lower().endswith("attribute"):
-            _put(values, generic, _generic(child, name))
-        elif name == "genericAttribute":
-            for inner in child.iterchildren("*"):
-                own = next(inner.iterchildren("{*}name"), None)
-                if own is not None and own.text:
-                    _put(values, own.text.strip(), _generic(inner, _plain_kind(inner)))
-        elif name not in _NO_ATTRIBUTES and property_lod(child.tag) is None:
+        elif name == "genericAttribute" or (generic is not None and name.lower().endswith(_GENERIC)):
+            _put_generic(values, child, 0)
+        elif name not in _NO_ATTRIBUTES and not (is_citygml(child.tag) and _LINES.fullmatch(name)):
             value = _value(child, 0)
             if value not in (None, "", {}):
                 _put(values, name, value)
+    height = values.get("height")
+    if isinstance(height, dict) and height.get("Height", {}).get("status") == "measured":
+        # What measuredHeight became in CityGML 3, where its ends are those it had.
+        values["measuredHeight"] = height["Height"].get("value")
+        ends = (height["Height"].get("lowReference"), height["Height"].get("highReference"))
+        if ends == ("lowestGroundPoint", "highestRoofEdge"):
+            del values["height"]
     return values
 
 
-def _plain_kind(element: Element) -> str:
-    name = local_name(element.tag)
-    return name[:1].lower() + name[1:]
+def _put_generic(values: dict[str, Any], element: Element, depth: int) -> None:
+    """Adds a generic attribute under its own name; a set of them is a mapping."""
+    if local_name(element.tag) == "genericAttribute":  # of CityGML 3, around the attribute
+        for inner in element.iterchildren("*"):
+            _put_generic(values, inner, depth)
+        return
+    kind = local_name(element.tag)
+    name = element.get("name") or (element.findtext("{*}name") or "").strip()
+    if not name:
+        return
+    if not kind.lower().endswith("attributeset"):
+        _put(values, name, _generic(element, kind[:1].lower() + kind[1:]))
+    elif depth < _MAX_DEPTH:
+        inside: dict[str, Any] = {}
+        for child in element.iterchildren("*"):
+            if local_name(child.tag) not in ("name", "codeSpace"):
+                _put_generic(inside, child, depth + 1)
+        _put(values, name, inside)
 
 
 def _generic(element: Element, kind: str) -> Any:
@@ -107,8 +143,11 @@ def _leaves(element: Element) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for node in element.iter("*"):
         text = (node.text or "").strip()
-        if len(node) == 0 and text and local_name(node.tag) not in ("pos", "posList"):
-            _put(values, str(node.get("Type") or local_name(node.tag)), text)
+        name, parent = local_name(node.tag), node.getparent()
+        if len(node) == 0 and text and name not in ("pos", "posList"):
+            around = "" if parent is None else local_name(parent.tag)
+            told = next((v for key, v in node.items() if local_name(str(key)) == "Type"), None)
+            _put(values, str(told or _ADDRESS_NAMES.get((around, name), name)), text)
     return values
 
 

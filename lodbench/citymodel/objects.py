@@ -49,6 +49,15 @@ class Solids:
     faces: NDArray[np.int64]
     is_flipped: NDArray[np.bool_]
 
+    def shells_of(self, solid: int) -> list[list[tuple[int, bool]]]:
+        """Returns polygon and direction of each face of each shell; faces that were dropped are left out."""
+        shells = []
+        for shell in range(self.shell_starts[solid], self.shell_starts[solid + 1]):
+            span = slice(self.face_starts[shell], self.face_starts[shell + 1])
+            faces = zip(self.faces[span].tolist(), self.is_flipped[span].tolist(), strict=True)
+            shells.append([face for face in faces if face[0] >= 0])
+        return [shell for shell in shells if shell]
+
 
 @dataclass(slots=True)
 class ObjectTable:

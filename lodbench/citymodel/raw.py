@@ -194,6 +194,19 @@ def starts_of(lengths: NDArray[np.integer]) -> NDArray[np.int64]:
     return starts
 
 
+def group_by(owner: NDArray[np.integer]) -> dict[int, list[int]]:
+    """Returns the indices of each owner, ascending.
+
+    Example:
+        >>> group_by(np.array([7, 2, 7]))
+        {7: [0, 2], 2: [1]}
+    """
+    groups: dict[int, list[int]] = {}
+    for n, number in enumerate(owner.tolist()):
+        groups.setdefault(number, []).append(n)
+    return groups
+
+
 def take_segments(
     starts: NDArray[np.int64], chosen: NDArray[np.integer]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -68,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
         ("check", "every defect with its building, and where the area went; exit code 1 if data was lost"),
         (
             "convert",
-            "write it as CityJSON (.json, .jsonl), .glb, .ply, .obj or for lodbench (.scene)",
+            "write it as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or for lodbench (.scene)",
         ),
     ):
         action = actions.add_parser(
@@ -87,6 +87,9 @@ def _parser() -> argparse.ArgumentParser:
             action.add_argument(
                 "--lod",
                 help="the one level to write, or finest: each building's own (meshes: lowest; CityJSON: all)",
+            )
+            action.add_argument(
+                "--citygml", choices=("2.0", "3.0"), default="2.0", help="version of a .gml (2.0)"
             )
             action.add_argument("--to-crs", metavar="CRS", help="project to another system in metres")
             action.add_argument(
@@ -167,7 +170,7 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
         model = reproject(model, asked.to_crs)
     bbox = None if asked.bbox is None else tuple(asked.bbox)
     model = choose_buildings(model, ids=asked.id, bbox=bbox, where=where)
-    done = convert_city(model, asked.out, lod=lod, roof_height=asked.roof_height)
+    done = convert_city(model, asked.out, lod=lod, roof_height=asked.roof_height, citygml=asked.citygml)
     summary = conversion_summary(str(asked.out), done)
     _write(asked, summary, lambda: format_conversion(summary))
     return 0

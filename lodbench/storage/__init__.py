@@ -1,6 +1,6 @@
 """Files written safely, random streams, digests, and where data and caches live."""
 
-from lodbench.storage.atomic import new_folder, remove_leftovers, write_bytes, write_text
+from lodbench.storage.atomic import new_folder, remove_leftovers, write_bytes, write_chunks, write_text
 from lodbench.storage.digest import digest_of, file_digest
 from lodbench.storage.disk import make_folder
 from lodbench.storage.formulas import hide_formula, show_formula
@@ -16,5 +16,6 @@ __all__ = [
     "remove_leftovers",
     "show_formula",
     "write_bytes",
+    "write_chunks",
     "write_text",
 ]

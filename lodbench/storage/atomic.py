@@ -6,7 +6,7 @@ import contextlib
 import fcntl
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,16 @@ _PARTIAL = ".part"
 
 
 def write_bytes(path: Path, content: bytes, survives_power_cut: bool = True) -> None:
-    """Writes a file so that a reader, or a crash, never meets half of it.
+    """Writes a file so that a reader, or a crash, never meets half of it; see ``write_chunks``."""
+    write_chunks(path, (content,), survives_power_cut)
+
+
+def write_chunks(path: Path, chunks: Iterable[bytes], survives_power_cut: bool = True) -> None:
+    """Writes a file piece by piece so that a reader, or a crash, never meets half of it.
 
     Args:
         path: The file.
-        content: What to write.
+        chunks: What to write, in a row.
         survives_power_cut: Wait until the disk has it, some milliseconds. Otherwise a killed process leaves
             it whole or not at all just the same, but after a power cut it may be empty.
 
@@ -32,7 +37,8 @@ def write_bytes(path: Path, content: bytes, survives_power_cut: bool = True) -> 
     temporary, handle = _claimed(path, tempfile.mkstemp)
     try:
         with os.fdopen(handle, "wb", buffering=0) as stream:
-            disk().write(stream, content, path)
+            for chunk in chunks:
+                disk().write(stream, chunk, path)
             if survives_power_cut:
                 disk().sync(stream, path)
         # mkstemp makes files private; a result is as readable as any other file of the user.

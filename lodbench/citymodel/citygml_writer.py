@@ -1,0 +1,186 @@
+"""CityGML 2.0 and 3.0, written a building at a time, with parts, attributes, surfaces by kind and solids."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from lodbench.citymodel.crs import epsg_codes
+from lodbench.citymodel.gml_dialect import CITYGML_2, CITYGML_3, tag
+from lodbench.citymodel.gml_geometry import GeometryXml
+from lodbench.citymodel.gml_properties import Property, properties_of
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.raw import buildings_only, group_by
+
+DIALECTS = {"2.0": CITYGML_2, "3.0": CITYGML_3}
+_NAME = re.compile(r"[^\W\d][\w.-]*")
+_NOT_IN_NAMES = re.compile(r"[^\w.-]")
+
+# Element of each type of object, and the property of its parent that holds it; by version.
+_ELEMENTS = {
+    "2.0": {
+        "Building": ("bldg:Building", ""),
+        "BuildingPart": ("bldg:BuildingPart", "bldg:consistsOfBuildingPart"),
+        "BuildingInstallation": ("bldg:BuildingInstallation", "bldg:outerBuildingInstallation"),
+        "BuildingConstructiveElement": ("bldg:BuildingInstallation", "bldg:outerBuildingInstallation"),
+        "BuildingRoom": ("bldg:Room", "bldg:interiorRoom"),
+        "BuildingFurniture": ("bldg:BuildingFurniture", "bldg:interiorFurniture"),
+    },
+    "3.0": {
+        "Building": ("bldg:Building", ""),
+        "BuildingPart": ("bldg:BuildingPart", "bldg:buildingPart"),
+        "BuildingInstallation": ("bldg:BuildingInstallation", "bldg:buildingInstallation"),
+        "BuildingConstructiveElement": (
+            "bldg:BuildingConstructiveElement", "bldg:buildingConstructiveElement",
+        ),
+        "BuildingRoom": ("bldg:BuildingRoom", "bldg:buildingRoom"),
+        "BuildingFurniture": ("bldg:BuildingFurniture", "bldg:buildingFurniture"),
+        "BuildingStorey": ("bldg:Storey", "bldg:buildingSubdivision"),
+        "BuildingUnit": ("bldg:BuildingUnit", "bldg:buildingSubdivision"),
+    },
+}  # fmt: skip
+
+
+class CityGmlWriter:
+    """Writes a city as CityGML.
+
+    Args:
+        model: The city; read with ``ReadOptions(has_details=True)`` it has attributes and solids.
+        version: ``"2.0"`` or ``"3.0"``.
+
+    Attributes:
+        notes: How often something could not be said, by what; complete once all is written.
+    """
+
+    def __init__(self, model: CityModel, version: str = "2.0") -> None:
+        self.notes: Counter[str] = Counter()
+        self._model, self._dialect = model, DIALECTS[version]
+        self._objects = model.objects or buildings_only(model.building_ids)
+        taken: set[str] = set()
+        self._ids = _xml_ids(self._objects.ids, taken, self.notes)
+        named = model.polygon_ids or [""] * len(model.polygons)
+        owners = model.polygons.building if model.polygons.part is None else model.polygons.part
+        wanted = [
+            name or f"{self._ids[owner]}-p{n}"
+            for n, (name, owner) in enumerate(zip(named, owners.tolist(), strict=True))
+        ]
+        self._geometry = GeometryXml(model, self._dialect, _xml_ids(wanted, taken, Counter()), self.notes)
+        self._of_building = group_by(self._objects.building)
+
+    def chunks(self) -> Iterator[bytes]:
+        """Yields the document piece by piece, a building at a time."""
+        yield self._head().encode()
+        for building in range(len(self._model.building_ids)):
+            members = self._of_building.get(building, [])
+            children = {n: [k for k in members if self._objects.parents[k] == n] for n in members}
+            for root in [n for n in members if self._objects.parents[n] < 0]:
+                xml = self._object(root, "", children)
+                if xml:
+                    yield f"<core:cityObjectMember>{xml}</core:cityObjectMember>\n".encode()
+        yield b"</core:CityModel>\n"
+
+    def _head(self) -> str:
+        spaces = "".join(f' xmlns:{prefix}="{uri}"' for prefix, uri in self._dialect.namespaces.items())
+        head = f'<?xml version="1.0" encoding="UTF-8"?>\n<core:CityModel{spaces}>\n'
+        points = self._model.polygons.points
+        if len(points) == 0:
+            return head
+        low, high = points.min(axis=0) + self._model.origin, points.max(axis=0) + self._model.origin
+        corners = "".join(
+            tag(f"gml:{name}", " ".join(f"{x:.4f}" for x in corner))
+            for name, corner in (("lowerCorner", low), ("upperCorner", high))
+        )
+        srs = srs_name(self._model.crs)
+        if srs is None and self._model.crs is not None:
+            self.notes[f"reference system {self._model.crs}, which has no EPSG code"] += 1
+        told = {} if srs is None else {"srsName": srs}
+        return head + tag("gml:boundedBy", tag("gml:Envelope", corners, srsDimension="3", **told)) + "\n"
+
+    def _object(self, n: int, parent_type: str, children: dict[int, list[int]]) -> str:
+        """Returns an object and all that belongs to it, its properties in the order of the schema."""
+        table, version = self._objects, self._dialect.version
+        type_ = table.types[n]
+        if type_ not in _ELEMENTS[version] and "Building" in type_:
+            plain = "Building" if table.parents[n] < 0 else "BuildingPart"
+            if type_ not in _ELEMENTS["3.0"]:
+                self.notes[f"type {type_} of an extension written as {plain}"] += 1
+                type_ = plain
+        if type_ not in _ELEMENTS[version]:
+            self.notes[f"{type_}, which lodbench does not write as CityGML {version}"] += 1
+            return ""
+        element, _ = self._holder(n, type_, parent_type)
+        rank = self._dialect.rank
+        found: list[Property] = list(self._geometry.properties(n, self._ids[n], type_))
+        if table.attributes:
+            found += properties_of(table.attributes[n], type_, self._dialect)
+        for child in children[n]:
+            xml = self._object(child, type_, children)
+            if xml:
+                _, holder = self._holder(child, table.types[child], type_)
+                found.append((holder, tag(holder, xml)))
+        found.sort(key=lambda one: rank.get(one[0], len(rank)))
+        return tag(element, "".join(xml for _, xml in found), gml__id=self._ids[n])
+
+    def _holder(self, n: int, type_: str, parent_type: str) -> tuple[str, str]:
+        """Returns the element of an object, and the property of its parent that holds it."""
+        known = _ELEMENTS[self._dialect.version]
+        element, holder = known.get(type_, known["BuildingPart"])
+        if self._dialect.version == "3.0":
+            return element, holder
+        is_inside = type_ == "BuildingFurniture" or (type_ == "BuildingInstallation" and self._is_interior(n))
+        if is_inside and parent_type == "BuildingRoom" and type_ == "BuildingInstallation":
+            return "bldg:IntBuildingInstallation", "bldg:roomInstallation"
+        if is_inside and parent_type != "BuildingRoom":
+            return "bldg:IntBuildingInstallation", "bldg:interiorBuildingInstallation"
+        return element, holder
+
+    def _is_interior(self, n: int) -> bool:
+        polygons = self._model.polygons
+        own = polygons.kind[polygons.part == n] if polygons.part is not None else np.zeros(0)
+        return len(own) > 0 and bool((own == SurfaceKind.INTERIOR).all())
+
+
+def srs_name(crs: str | None) -> str | None:
+    """Returns the name of a reference system as CityGML files have it, or None where it has no code.
+
+    Coordinates are written east first. Names that promise the order of the authority stand only where that
+    is east first too; else the short form, which promises nothing.
+
+    Example:
+        >>> srs_name("EPSG:25832+7837")
+        'urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::7837'
+        >>> srs_name("EPSG:31468")
+        'EPSG:31468'
+    """
+    if crs is None:
+        return None
+    codes = epsg_codes(crs)
+    if not codes:
+        return None
+    from pyproj import CRS
+
+    is_east_first = CRS.from_epsg(codes[0]).axis_info[0].direction.lower() == "east"
+    if not is_east_first:
+        return f"EPSG:{'+'.join(map(str, codes))}"
+    if len(codes) == 1:
+        return f"http://www.opengis.net/def/crs/EPSG/0/{codes[0]}"
+    return "urn:ogc:def:crs," + ",".join(f"crs:EPSG::{code}" for code in codes)
+
+
+def _xml_ids(names: Iterable[str], taken: set[str], notes: Counter[str]) -> list[str]:
+    """Returns ids that XML allows, none of them twice; ``taken`` grows."""
+    result: list[str] = []
+    for name in names:
+        own = name if _NAME.fullmatch(name) else f"id_{_NOT_IN_NAMES.sub('_', name)}"
+        number = 1
+        while own in taken:
+            number += 1
+            own = f"{name if _NAME.fullmatch(name) else 'id_' + _NOT_IN_NAMES.sub('_', name)}_{number}"
+        if own != name:
+            notes["id that XML does not allow, written otherwise"] += 1
+        taken.add(own)
+        result.append(own)
+    return result

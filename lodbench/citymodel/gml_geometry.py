@@ -1,0 +1,212 @@
+"""Polygons, boundary surfaces and solids of an object as CityGML."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+
+import numpy as np
+
+from lodbench.citymodel.gml_dialect import Dialect, tag
+from lodbench.citymodel.gml_properties import Property
+from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.raw import group_by
+
+Face = tuple[int, bool]  # a polygon, and whether it is seen from behind
+
+_FILLINGS = (SurfaceKind.OPENING, SurfaceKind.DOOR)
+_INSTALLED = ("BuildingInstallation", "BuildingConstructiveElement", "BuildingFurniture")
+
+
+class GeometryXml:
+    """Writes the geometry of objects of a city.
+
+    Args:
+        model: The city.
+        dialect: The version.
+        polygon_ids: An id for each polygon that XML allows, no two equal.
+        notes: Counts what could not be said.
+    """
+
+    def __init__(
+        self, model: CityModel, dialect: Dialect, polygon_ids: list[str], notes: Counter[str]
+    ) -> None:
+        polygons = model.polygons
+        self._points, self._origin = polygons.points, model.origin
+        self._rings = polygons.ring_starts.tolist()
+        self._polygon_rings = polygons.polygon_starts.tolist()
+        self._kinds: list[int] = polygons.kind.tolist()
+        self._dialect, self._ids, self._notes = dialect, polygon_ids, notes
+        self._solids = model.solids
+        self._levels = [level_of(name, dialect) for name in model.lods]
+        self._lods: list[int] = polygons.lod.tolist()
+        self._of_part = group_by(polygons.building if polygons.part is None else polygons.part)
+        self._solids_of_part = {} if model.solids is None else group_by(model.solids.part)
+        self._is_left_out = _left_out(model, self._levels, notes)
+
+    def properties(self, part: int, object_id: str, type_: str) -> Iterator[Property]:
+        """Yields the geometry of an object as properties, each with the name that tells its place."""
+        by_level: dict[int, list[int]] = defaultdict(list)
+        for polygon in self._of_part.get(part, ()):
+            if not self._is_left_out[self._lods[polygon]]:
+                by_level[self._levels[self._lods[polygon]]].append(polygon)
+        solids: dict[int, list[list[list[Face]]]] = defaultdict(list)
+        for solid in self._solids_of_part.get(part, ()):
+            shells = [] if self._solids is None else self._solids.shells_of(solid)
+            if shells and not self._is_left_out[self._lods[shells[0][0][0]]]:
+                solids[self._levels[self._lods[shells[0][0][0]]]].append(shells)
+        for level, polygons in sorted(by_level.items()):
+            yield from self._level(level, polygons, solids[level], object_id, type_)
+
+    def _level(
+        self, level: int, polygons: list[int], solids: list[list[list[Face]]], object_id: str, type_: str
+    ) -> Iterator[Property]:
+        """Yields the geometry of one level: surfaces by kind, solids that refer to them, and the rest."""
+        own, fillings = self._by_kind(level, polygons, type_)
+        bound = {n for group in (*own.values(), *fillings.values()) for n in group}
+        for kind, members in sorted(own.items()):
+            held = fillings if kind == SurfaceKind.WALL else {}
+            yield self._surface(level, kind, members, held, object_id)
+        enclosed = {face for shells in solids for shell in shells for face, _ in shell}
+        loose = [n for n in polygons if n not in bound and n not in enclosed]
+        if self._dialect.version == "3.0":
+            if solids and level == 0:  # where it has no solids
+                loose, solids = loose + sorted(enclosed - bound), []
+            if solids:
+                yield (
+                    f"core:lod{level}Solid",
+                    tag(f"core:lod{level}Solid", self._volumes(solids, bound, polygons)),
+                )
+            if loose:
+                yield self._loose_3(level, loose)
+        elif type_ in _INSTALLED:
+            shapes = [self._volumes(solids, bound, polygons)] if solids else []
+            shapes += [self._multi_surface(loose)] if loose else []
+            if shapes:
+                members_ = "".join(tag("gml:geometryMember", shape) for shape in shapes)
+                shape = shapes[0] if len(shapes) == 1 else tag("gml:MultiGeometry", members_)
+                name = f"bldg:lod{max(level, 2)}Geometry"
+                yield name, tag(name, shape)
+        else:
+            space = "room" if type_ == "BuildingRoom" else "bldg"
+            if solids:
+                yield (
+                    f"{space}:lod{level}Solid",
+                    tag(f"bldg:lod{level}Solid", self._volumes(solids, bound, polygons)),
+                )
+            if loose:
+                name = "lod0FootPrint" if level == 0 else f"lod{level}MultiSurface"
+                yield f"{space}:{name}", tag(f"bldg:{name}", self._multi_surface(loose))
+
+    def _by_kind(
+        self, level: int, polygons: list[int], type_: str
+    ) -> tuple[dict[int, list[int]], dict[int, list[int]]]:
+        """Returns the polygons that boundary surfaces take, and those of windows and doors, by kind."""
+        own: dict[int, list[int]] = defaultdict(list)
+        fillings: dict[int, list[int]] = defaultdict(list)
+        dialect = self._dialect
+        for polygon in polygons:
+            kind = self._kinds[polygon]
+            if kind == SurfaceKind.INTERIOR and type_ in (*_INSTALLED, "BuildingRoom"):
+                continue  # the inside of what is inside needs no saying
+            if kind in dialect.surfaces or kind in _FILLINGS:
+                if level not in dialect.surface_levels:
+                    what = f"surface without its kind, which CityGML {dialect.version} has not at LoD{level}"
+                    self._notes[what] += 1
+                elif kind in _FILLINGS:
+                    fillings[kind].append(polygon)
+                else:
+                    own[kind].append(polygon)
+        if fillings:
+            own[int(SurfaceKind.WALL)]  # what holds them, if need be without a surface of its own
+        return own, fillings
+
+    def _loose_3(self, level: int, polygons: list[int]) -> Property:
+        """Returns surfaces that bound nothing, which an object of CityGML 3 has none of at level 1."""
+        surfaces = self._multi_surface(polygons)
+        if level in self._dialect.loose_levels:
+            return f"core:lod{level}MultiSurface", tag(f"core:lod{level}MultiSurface", surfaces)
+        shape = tag("core:lod1MultiSurface", surfaces)
+        return "core:boundary", tag("core:boundary", tag("gen:GenericThematicSurface", shape))
+
+    def _surface(
+        self, level: int, kind: int, polygons: list[int], fillings: dict[int, list[int]], object_id: str
+    ) -> Property:
+        """Returns the boundary surface of a kind, with the openings that it holds."""
+        dialect = self._dialect
+        prefix = "bldg" if dialect.version == "2.0" else "core"
+        name = f"{prefix}:lod{level}MultiSurface"
+        content = tag(name, self._multi_surface(polygons)) if polygons else ""
+        for filling, members in sorted(fillings.items()):
+            for polygon in members:
+                shape = tag(dialect.openings[filling], tag(name, self._multi_surface([polygon])))
+                content += tag(dialect.opening, shape)
+        label = dialect.surfaces[kind]
+        own_id = f"{object_id}-lod{level}-{label.partition(':')[2]}"
+        return dialect.boundary, tag(dialect.boundary, tag(label, content, gml__id=own_id))
+
+    def _multi_surface(self, polygons: list[int]) -> str:
+        members = "".join(tag("gml:surfaceMember", self._polygon(n)) for n in polygons)
+        return tag("gml:MultiSurface", members)
+
+    def _volumes(self, solids: list[list[list[Face]]], bound: set[int], own: list[int]) -> str:
+        """Returns one solid, or several as one; what a surface, or a face before, has is referred to."""
+        faces_of_others = {n for shells in solids for shell in shells for n, _ in shell}.difference(own)
+        written = bound | faces_of_others
+        shapes = []
+        for shells in solids:
+            sides = []
+            for number, shell in enumerate(shells):
+                faces = "".join(self._face(face, written) for face in shell)
+                surface = tag(
+                    "gml:CompositeSurface" if self._dialect.version == "2.0" else "gml:Shell", faces
+                )
+                sides.append(tag("gml:interior" if number else "gml:exterior", surface))
+            shapes.append(tag("gml:Solid", "".join(sides)))
+        if len(shapes) == 1:
+            return shapes[0]
+        return tag("gml:CompositeSolid", "".join(tag("gml:solidMember", shape) for shape in shapes))
+
+    def _face(self, face: Face, written: set[int]) -> str:
+        polygon, is_flipped = face
+        holder = "gml:baseSurface" if is_flipped else "gml:surfaceMember"
+        if polygon in written:
+            member = tag(holder, xlink__href=f"#{self._ids[polygon]}")
+        else:
+            written.add(polygon)
+            member = tag(holder, self._polygon(polygon))
+        if not is_flipped:
+            return member
+        return tag("gml:surfaceMember", tag("gml:OrientableSurface", member, orientation="-"))
+
+    def _polygon(self, polygon: int) -> str:
+        sides = []
+        first = self._polygon_rings[polygon]
+        for ring in range(first, self._polygon_rings[polygon + 1]):
+            points = self._points[self._rings[ring] : self._rings[ring + 1]]
+            closed = np.concatenate([points, points[:1]]) + self._origin
+            text = " ".join(["%.4f"] * closed.size) % tuple(closed.ravel().tolist())
+            line = tag("gml:LinearRing", tag("gml:posList", text, srsDimension="3"))
+            sides.append(tag("gml:exterior" if ring == first else "gml:interior", line))
+        return tag("gml:Polygon", "".join(sides), gml__id=self._ids[polygon])
+
+
+def level_of(name: str, dialect: Dialect) -> int:
+    """Returns the whole level that a level of detail is written as."""
+    whole = int(name[:1]) if name[:1].isdigit() else 2
+    return min(whole, dialect.levels[-1])
+
+
+def _left_out(model: CityModel, levels: list[int], notes: Counter[str]) -> list[bool]:
+    """Tells which levels of detail another, finer one takes the place of: CityGML has whole levels only."""
+    finest = {level: name for name, level in sorted(zip(model.lods, levels, strict=True))}
+    is_left_out = []
+    for n, (name, level) in enumerate(zip(model.lods, levels, strict=True)):
+        is_lost = finest[level] != name
+        is_left_out.append(is_lost)
+        if is_lost:
+            count = int((model.polygons.lod == n).sum())
+            notes[f"LoD{name}, {count} polygons: at level {level} CityGML has LoD{finest[level]}"] += 1
+        elif name != str(level):
+            notes[f"LoD{name or ' unnamed'} written as LoD{level}"] += 1
+    return is_left_out
