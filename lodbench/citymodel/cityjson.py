@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.cityjson_geometry import GeometryReader
-from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
+from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.gml_names import INTERIOR_NAMES
 from lodbench.citymodel.layers import types_of
@@ -51,7 +51,7 @@ def read_cityjson(
     """
     reader = _Reader(source, is_strict, has_details, layers)
     with _paused_collector(), open_stream() as stream:
-        documents = _documents(stream, source)
+        documents = _documents(stream, source, reader.repeated)
         header = next(documents)
         reader.read_header(header)
         is_sequence = False
@@ -75,6 +75,7 @@ class _Reader:
         self._transform: Json | None = None
         self._templates: Json = {}
         self._others: Counter[str] = Counter()
+        self.repeated: list[str] = []  # keys of objects that one mapping has twice
 
     def read_header(self, document: Any) -> None:
         kind = document.get("type") if isinstance(document, dict) else None
@@ -200,6 +201,8 @@ class _Reader:
         return len(self._collector.building_ids) - 1
 
     def result(self, format: str) -> RawCity:
+        for name in self.repeated:
+            self._collector.findings.add(DUPLICATE_ID, name, "names two objects; the later gets ~2 and so on")
         for name, count in sorted(self._others.items()):
             self._collector.findings.add(NOT_A_BUILDING, name, f"{count} of them")
         if not self._collector.building_ids:
@@ -236,27 +239,31 @@ def _line_of(object_id: str, parents: dict[str, str], objects: dict[str, Json]) 
     return line
 
 
-def _documents(stream: BinaryIO, source: str) -> Iterator[Any]:
+def _documents(stream: BinaryIO, source: str, repeated: list[str]) -> Iterator[Any]:
     """Yields one JSON document per line of a sequence, or the one document that fills the file."""
     first = stream.readline(_MAX_LINE_BYTES)
     try:
-        yield _parse(first, source, 1)
+        yield _parse(first, source, 1, repeated)
     except CityModelError:
         rest = stream.read()
         if not rest.strip():
             raise
         # Not one document per line: a single one over many lines.
-        yield _parse(first + rest, source, None)
+        yield _parse(first + rest, source, None, repeated)
         return
     for number, line in enumerate(iter(lambda: stream.readline(_MAX_LINE_BYTES), b""), start=2):
         if line.strip():
-            yield _parse(line, source, number)
+            yield _parse(line, source, number, repeated)
 
 
-def _parse(data: bytes, source: str, line: int | None) -> Any:
+def _parse(data: bytes, source: str, line: int | None, repeated: list[str]) -> Any:
     where = f"{source}, line {line}" if line is not None else source
     try:
-        return json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
+        return json.loads(
+            data.decode("utf-8-sig"),
+            parse_constant=_refuse_constant,
+            object_pairs_hook=lambda pairs: _mapping(pairs, repeated),
+        )
     except RecursionError:
         raise CityModelError(
             f"{where}: the JSON is nested too deeply.",
@@ -271,6 +278,24 @@ def _parse(data: bytes, source: str, line: int | None) -> Any:
             f"{where} is not well-formed JSON: {error}.",
             "The file is damaged or cut off: download or export it again.",
         ) from None
+
+
+def _mapping(pairs: list[tuple[str, Any]], repeated: list[str]) -> Json:
+    """Returns a JSON object; city objects of one id stay apart, the later as ``id~2``."""
+    values = dict(pairs)
+    if len(values) == len(pairs):
+        return values
+    values = {}
+    for key, value in pairs:
+        own, number = key, 1
+        if isinstance(value, dict) and "type" in value:
+            while own in values:
+                number += 1
+                own = f"{key}~{number}"
+            if number > 1:
+                repeated.append(key)
+        values[own] = value
+    return values
 
 
 def _refuse_constant(name: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from typing import Any
@@ -27,11 +28,16 @@ _SURFACE_NAMES = {
 _TYPES = frozenset(
     {
         "Building", "BuildingPart", "BuildingInstallation", "BuildingConstructiveElement",
-        "BuildingFurniture",
-        "BuildingStorey", "BuildingRoom", "BuildingUnit",
+        "BuildingFurniture", "BuildingStorey", "BuildingRoom", "BuildingUnit",
+        "Bridge", "BridgePart", "BridgeInstallation", "BridgeConstructiveElement", "BridgeRoom",
+        "BridgeFurniture", "Tunnel", "TunnelPart", "TunnelInstallation", "TunnelConstructiveElement",
+        "TunnelHollowSpace", "TunnelFurniture", "OtherConstruction", "SolitaryVegetationObject",
+        "PlantCover", "CityFurniture", "TINRelief", "Road", "Railway", "Waterway", "TransportSquare",
+        "WaterBody", "LandUse", "GenericCityObject",
     }
 )  # fmt: skip
 _MILLIMETRE = 0.001
+_LOD = re.compile(r"[0-3](\.[0-3])?")
 
 Json = dict[str, Any]
 
@@ -47,13 +53,17 @@ def cityjson_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
     for building in range(len(model.building_ids)):
         objects |= writer.objects_of(building)
     document = writer.header() | {"CityObjects": objects, "vertices": writer.vertices.tolist()}
-    return json.dumps(document, separators=(",", ":")).encode(), note_lines(writer.notes)
+    return json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode(), note_lines(writer.notes)
 
 
 def cityjsonseq_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
     """Returns a city as a sequence of CityJSON features, a building to a line; see ``cityjson_text``."""
     writer = _Writer(model)
-    lines = [json.dumps(writer.header() | {"CityObjects": {}, "vertices": []}, separators=(",", ":"))]
+    lines = [
+        json.dumps(
+            writer.header() | {"CityObjects": {}, "vertices": []}, separators=(",", ":"), ensure_ascii=False
+        )
+    ]
     for building, building_id in enumerate(model.building_ids):
         objects = writer.objects_of(building)
         used = sorted(
@@ -69,7 +79,7 @@ def cityjsonseq_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
             "CityObjects": objects,
             "vertices": writer.vertices[used].tolist(),
         }
-        lines.append(json.dumps(feature, separators=(",", ":")))
+        lines.append(json.dumps(feature, separators=(",", ":"), ensure_ascii=False))
     return ("\n".join(lines) + "\n").encode(), note_lines(writer.notes)
 
 
@@ -100,6 +110,16 @@ class _Writer:
         if model.solids is not None:
             self._solids_of_part = group_by(model.solids.part)
         self.notes: Counter[str] = Counter()
+        self._lod_names = [self._lod_name(name) for name in model.lods]
+
+    def _lod_name(self, name: str) -> str:
+        """Returns the name of a level as CityJSON allows it: 0 to 3, and what refines them."""
+        own = name if _LOD.fullmatch(name) else "1"
+        if name.startswith("4"):  # of CityGML 2: the inside of level 3
+            own = "3.3" if "3" in self._model.lods else "3"
+        if own != name:
+            self.notes[f"LoD{name or ' unnamed'} written as LoD{own}"] += 1
+        return own
 
     def header(self) -> Json:
         """Returns what comes before the objects: version, transform, reference system."""
@@ -125,9 +145,9 @@ class _Writer:
             attributes = dict(table.attributes[n]) if table.attributes else {}
             address = attributes.pop("address", None)
             if address:
-                item["address"] = address if isinstance(address, list) else [address]
+                item["address"] = [self._address(one) for one in _listed(address)]
             if attributes:
-                item["attributes"] = attributes
+                item["attributes"] = {key: _fitting(key, value) for key, value in attributes.items()}
             children = [table.ids[k] for k in members if table.parents[k] == n]
             if children:
                 item["children"] = children
@@ -138,6 +158,13 @@ class _Writer:
                 item["geometry"] = geometry
             result[table.ids[n]] = item
         return result
+
+    def _address(self, address: Any) -> Any:
+        """Returns an address without its point, whose indices were of another list of vertices."""
+        if not isinstance(address, dict) or "location" not in address:
+            return address
+        self.notes["point of an address"] += 1
+        return {key: value for key, value in address.items() if key != "location"}
 
     def _type(self, n: int) -> str:
         type_ = self._objects.types[n]
@@ -162,13 +189,14 @@ class _Writer:
             if len(volumes) == 1:
                 yield self._shape("Solid", lod, shapes[0], values[0])
             else:
-                yield self._shape("MultiSolid", lod, shapes, values)
+                yield self._shape("CompositeSolid", lod, shapes, values)
         loose: dict[int, list[tuple[int, bool]]] = defaultdict(list)
         for polygon in self._of_part.get(part, ()):
             if polygon not in enclosed:
                 loose[self._lods[polygon]].append((polygon, False))
         for lod, faces in sorted(loose.items()):
-            yield self._shape("MultiSurface", lod, [self._surface(*face) for face in faces], faces)
+            kind = "CompositeSurface" if self._objects.types[part] == "TINRelief" else "MultiSurface"
+            yield self._shape(kind, lod, [self._surface(*face) for face in faces], faces)
 
     def _surface(self, polygon: int, is_flipped: bool) -> list[list[int]]:
         rings = range(self._polygon_rings[polygon], self._polygon_rings[polygon + 1])
@@ -189,10 +217,25 @@ class _Writer:
             return None if name is None else surfaces.setdefault(name, len(surfaces))
 
         values = label(faces)
-        shape: Json = {"type": type_, "lod": self._model.lods[lod] or "1", "boundaries": boundaries}
+        shape: Json = {"type": type_, "lod": self._lod_names[lod], "boundaries": boundaries}
         if surfaces:
             shape["semantics"] = {"surfaces": [{"type": name} for name in surfaces], "values": values}
         return shape
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _fitting(key: str, value: Any) -> Any:
+    """Returns an attribute of the type that CityJSON asks for, where it asks for one and it can be."""
+    if key in ("class", "function", "usage"):
+        return ", ".join(map(str, _listed(value)))
+    if key.startswith("storeyHeights") and isinstance(value, int | float):
+        return [value]
+    if key.startswith("storeys") and str(value).isdigit():
+        return int(value)
+    return value
 
 
 def note_lines(notes: Counter[str]) -> tuple[str, ...]:

@@ -17,7 +17,9 @@ from lodbench.citymodel.mesh import CityMesh, mesh_model
 from lodbench.citymodel.mesh_frames import MeshFrame
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.selection import polygon_blocks
 from lodbench.citymodel.subset import keep_level
+from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 from lodbench.storage import write_chunks
@@ -95,6 +97,7 @@ def convert_city(
     if keeps_details(target):
         if lod is not None:
             model = keep_level(model, lod, roof_height, findings)
+        check_surfaces(model, findings)
         if suffix in _CITYJSON_WRITERS:
             content, left_out = _CITYJSON_WRITERS[suffix](model)
             chunks = (content,)
@@ -115,6 +118,13 @@ def convert_city(
             f"{target} cannot be written: {error.strerror}.", "Choose another place or name."
         ) from None
     return Conversion(model, mesh, findings, left_out if writer is None else note_lines(writer.notes))
+
+
+def check_surfaces(model: CityModel, findings: Findings) -> None:
+    """Adds what meshing would say of polygons: those that are bent, cross themselves or have no area."""
+    every = np.arange(len(model.polygons))
+    for num_before, block in polygon_blocks(model.polygons, every, CHUNK_POLYGONS):
+        triangulate(block, model.building_ids, findings, num_before=num_before)
 
 
 def obj_text(scene: Scene) -> str:

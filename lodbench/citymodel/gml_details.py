@@ -36,6 +36,7 @@ _NO_ATTRIBUTES = frozenset(
 )  # fmt: skip
 _GENERIC = ("attribute", "attributeset")
 _GENERIC_KINDS = {"doubleAttribute": float, "intAttribute": int, "measureAttribute": float}
+_DAYS = ("creationDate", "terminationDate")
 _MAX_DEPTH = 8
 # Lines, points and terrain intersections: geometry too, which no scene has.
 _LINES = re.compile(r"lod\d\w+")
@@ -66,6 +67,10 @@ def read_attributes(element: Element) -> dict[str, Any]:
             _put_generic(values, child, 0)
         elif name not in _NO_ATTRIBUTES and not (is_citygml(child.tag) and _LINES.fullmatch(name)):
             value = _value(child, 0)
+            if name in _DAYS:
+                value = str(value).removesuffix("T00:00:00")  # a day, which CityGML 3 writes as a moment
+            elif name.startswith("storey"):
+                value = _storeys(name, str(child.text or ""))
             if value not in (None, "", {}):
                 _put(values, name, value)
     height = values.get("height")
@@ -76,6 +81,14 @@ def read_attributes(element: Element) -> dict[str, Any]:
         if ends == ("lowestGroundPoint", "highestRoofEdge"):
             del values["height"]
     return values
+
+
+def _storeys(name: str, text: str) -> Any:
+    """Returns the number of storeys, or a list of their heights; the text where it is neither."""
+    try:
+        return int(text) if name.startswith("storeys") else [float(word) for word in text.split()]
+    except ValueError:
+        return text.strip()
 
 
 def _put_generic(values: dict[str, Any], element: Element, depth: int) -> None:
