@@ -44,7 +44,7 @@ $(VENV)/.base: $(VENV)/bin/python pyproject.toml constraints.txt
 	touch $@
 
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,render,vector,download,torch,models,tensorboard,cluster]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,render,vector,download,torch,models,pnp,xfeat,tensorboard,cluster]'
 	touch $@ $(VENV)/.base
 
 clean:

@@ -42,6 +42,7 @@ KINDS = {
     "segmenters": Kind("segmenter", ("params_type", "segment", "fingerprint")),
     "feature_extractors": Kind("feature-extractor", ("params_type", "extract")),
     "matchers": Kind("matcher", ("params_type", "match")),
+    "pose_solvers": Kind("pose-solver", ("params_type", "solve")),
     "datasets": Kind("dataset"),
     "priors": Kind("prior", ("name", "apply", "describe")),
     "pose_formats": Kind("pose-format"),

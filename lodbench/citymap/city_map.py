@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lodbench.citymap.usage import MapUsage
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_mesh import TexturedMesh
+from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, ViewEdges, make_renderer
 from lodbench.rendering.bits import Words
@@ -113,6 +114,16 @@ class CityMap:
         depths = [renderer.depth(camera, pose) for pose in _poses(rotations, centers)]
         return np.array(depths, dtype=np.float32).reshape(-1, camera.height, camera.width)
 
+    def surface_depth(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
+        """Returns (N, H, W) depths of what ``colour`` shows: of a textured map its ground and trees too.
+
+        Metres along the optical axis; 0 where there is nothing. Without a textured map it is ``depth``.
+        """
+        if self._textured_mesh is None:
+            return self.depth(camera, rotations, centers)
+        self.usage.add("surface_depth", len(centers))
+        return self._textured_raster.depths(camera, rotations, centers)
+
     def normals(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
         """Returns (N, H, W, 3) unit normals, world axes, on the camera's side; 0 where there is nothing."""
         self.usage.add("normals", len(centers))
@@ -173,10 +184,15 @@ class CityMap:
 
     @cached_property
     def _textured(self) -> TexturedRenderer | PyrenderTextured | None:
-        mesh = self._textured_mesh
-        if mesh is None:
+        if self._textured_mesh is None:
             return None
-        return PyrenderTextured(mesh) if self.name == "pyrender" else TexturedRenderer(mesh, self._threads)
+        return PyrenderTextured(self._textured_mesh) if self.name == "pyrender" else self._textured_raster
+
+    @cached_property
+    def _textured_raster(self) -> TexturedRenderer:
+        if self._textured_mesh is None:
+            raise RenderingError("This map has no textures.")
+        return TexturedRenderer(self._textured_mesh, self._threads)
 
     @cached_property
     def _photos(self) -> PhotoRenderer:

@@ -96,7 +96,7 @@ def run_config(values: dict[str, Any]) -> Run:
     named = named_segmenter(section(values, "segmenter"))
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     dataset = with_source(opener(dataset_params), section(values, "source"))
-    segmenter, segmenter_params = named or default_segmenter(dataset, needs_segmenter(configured.kind))
+    segmenter, segmenter_params = named or default_segmenter(dataset, needs_segmenter(configured.make()))
     dataset, prior = with_prior(dataset, section(values, "prior"), options.seed)
     config = {
         **asdict(options),

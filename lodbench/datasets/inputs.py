@@ -20,6 +20,7 @@ class Input(StrEnum):
         TEXTURED_MAP: A city model with photographed surfaces.
         TILT: Pitch and roll of the prior, measured and not just assumed.
         HEIGHT: The prior's height, likewise.
+        TRUE_PIXELS: Where points are in the photo in truth: what bounds of methods are made from.
         MAP: Of a segmenter: the city and the query's prior, beside the photo.
     """
 
@@ -30,6 +31,7 @@ class Input(StrEnum):
     TEXTURED_MAP = "textured_map"
     TILT = "tilt"
     HEIGHT = "height"
+    TRUE_PIXELS = "true_pixels"
     MAP = "map"
 
 
@@ -42,6 +44,7 @@ _WORDS = {
     Input.TEXTURED_MAP: ("a textured map", "Set dataset.textured_map=FILE."),
     Input.TILT: ("a measured pitch and roll of the priors", "Take a method that finds them."),
     Input.HEIGHT: ("a measured height of the priors", "Take a method that finds it."),
+    Input.TRUE_PIXELS: ("true poses", "Take another matcher than the oracle."),
     Input.MAP: ("a city model", "Set dataset.city_model=FILE."),
 }
 
@@ -77,9 +80,10 @@ def inputs_of(dataset: Dataset, entries: Sequence[Entry]) -> frozenset[Input]:
         Input.TEXTURED_MAP: dataset.textured_map is not None,
         Input.TILT: Input.TILT not in dataset.assumed,
         Input.HEIGHT: Input.HEIGHT not in dataset.assumed,
+        Input.TRUE_PIXELS: bool(dataset.truth),
         Input.MAP: dataset.city_model is not None,
     }
-    return frozenset(kind for kind, is_there in has.items() if is_there)
+    return frozenset(kind for kind, is_there in has.items() if is_there or kind in dataset.on_demand)
 
 
 def require_inputs(who: str, requires: Collection[Input], has: Collection[Input], lacking: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,6 +31,8 @@ class Query:
         instances: (N, H, W) bool, a mask of each building in the photo, for a method that requires them.
         segment: Returns the mask again, guided by the map from a better pose (scene frame), where the
             segmenter is one that looks at the map; None otherwise. Raises QueryFault.
+        true_pixels: Returns where (N, 3) points of the scene are in the photo in truth, (N, 2) COLMAP
+            pixels, NaN behind the camera: for a method that requires it, which is an oracle and told as one.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Query:
     hypotheses: tuple[Pose, ...] = ()
     instances: NDArray[np.bool_] | None = None
     segment: Callable[[Pose], NDArray[np.float32]] | None = None
+    true_pixels: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
 
     @property
     def mask(self) -> NDArray[np.float32]:
@@ -124,6 +127,8 @@ class Dataset:
         segmenter: Segmenter to run where none is named; None for masks, or photos, as there are.
         references: Pictures of the place whose poses are known; no queries.
         textured_map: File or folder of a textured map, which ``CityMap.colour`` then shows; or None.
+        on_demand: What is made only for a method that requires it, by the name of the ``Input``: a function
+            that makes it, or finds it made, and returns the file or folder; textured map and references.
         assumed: Of ``tilt`` and ``height``, what the priors only assume: methods that require it do not run.
     """
 
@@ -146,6 +151,7 @@ class Dataset:
     segmenter: str | None = None
     references: tuple[Reference, ...] = ()
     textured_map: Path | None = None
+    on_demand: Mapping[str, Callable[[], Path]] = field(default_factory=dict)
     assumed: frozenset[str] = frozenset()
 
     def __repr__(self) -> str:

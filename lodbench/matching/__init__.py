@@ -9,6 +9,7 @@ from lodbench.matching.protocol import (
     match_images,
     open_extractor,
     open_matcher,
+    open_matching,
 )
 
 __all__ = [
@@ -20,4 +21,5 @@ __all__ = [
     "match_images",
     "open_extractor",
     "open_matcher",
+    "open_matching",
 ]

@@ -1,4 +1,4 @@
-"""``mutual_nn``: two features match where each is the other's nearest, and by far the nearest."""
+"""``mutual_nn``, ``sift_nn``: two features match where each is the other's nearest, and clearly so."""
 
 from __future__ import annotations
 
@@ -57,3 +57,9 @@ class MutualNn:
             if len(found) == 1 or found[0].distance <= self.params.ratio * found[1].distance:
                 index[number], distance[number] = found[0].trainIdx, found[0].distance
         return index, distance
+
+
+class SiftNn(MutualNn):
+    """Mutual nearest neighbours of SIFT's features: the classical matcher."""
+
+    extractor = "sift"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -82,6 +83,7 @@ class Matcher(Protocol):
 
     Attributes:
         takes: ``features``: ``match`` is given the features of both pictures; ``images``: the pictures.
+        extractor: Optional: the name of the extractor whose features it is made for.
     """
 
     takes: str
@@ -113,6 +115,25 @@ def open_matcher(name: str, **settings: Any) -> Matcher:
     if matcher.takes not in (FEATURES, IMAGES):
         raise ConfigError(f"Matcher {name!r} takes {matcher.takes!r}.", f"Known: {FEATURES}, {IMAGES}.")
     return matcher
+
+
+def open_matching(
+    name: str, settings: Mapping[str, Any] | None = None
+) -> tuple[Matcher, FeatureExtractor | None]:
+    """Returns a matcher and the extractor of the features it takes; None for one that takes pictures.
+
+    Raises:
+        ConfigError: As for ``open_matcher``, or the matcher names no extractor for its features.
+    """
+    matcher = open_matcher(name, **(settings or {}))
+    if matcher.takes == IMAGES:
+        return matcher, None
+    extractor = getattr(matcher, "extractor", None)
+    if extractor is None:
+        raise ConfigError(
+            f"Matcher {name!r} says not whose features it takes.", "Take sift_nn, or set its ``extractor``."
+        )
+    return matcher, open_extractor(extractor)
 
 
 def match_images(

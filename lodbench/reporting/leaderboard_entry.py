@@ -144,6 +144,8 @@ def reasons_against(config: dict[str, Any], sizes: Mapping[str, int] | None = No
         reasons.append("oracle: the true pitch and roll were given (tilt=truth)")
     if "oracle" in str(config["segmenter"]["name"]):
         reasons.append(f"oracle: masks made from the truth (segmenter={config['segmenter']['name']})")
+    if config.get("method", {}).get("matcher") == "oracle":
+        reasons.append("oracle: correspondences made from the truth (method.matcher=oracle)")
     if config["segmenter"]["name"] == "unstated":
         reasons.append("a pose file made elsewhere: its protocol is its author's word")
     limit = config.get("limit")

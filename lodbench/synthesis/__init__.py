@@ -5,6 +5,7 @@ room                   what it makes
 =====================  ===========================================================================
 ``town``               the demo town: streets, blocks, buildings in three levels of detail, CityGML
 ``surroundings``       ground, land cover, trees, cars, clutter around a city model that has none
+``survey``             the demo town years before: textured map, made when a method asks for it
 ``objects``            what stands in pictures: classes of surfaces, mesh builder, trees, cars
 ``photo``              pictures of all that: looks, surfaces, sun, camera response, render scene
 ``building_boxes``     where buildings are, and what is clear of them

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset
 from lodbench.storage.paths import cache_root
 
@@ -53,13 +56,21 @@ def open_demo(params: DemoParams) -> Dataset:
     city = root / (FINE_CITY_FILE if is_fine else CITY_FILE)
     folder = open_folder(FolderParams(str(root), str(city), lod=params.lod, name=params.name))
     look = "" if params.look == "test" else f", look {params.look}"
+    on_demand: dict[str, Callable[[], Path]] = {Input.TEXTURED_MAP: partial(_textured_map, root, params)}
     # From pixels: its masks are drawn from the truth, as wrong as a network's, to compare with.
-    return replace(folder, version=f"town {TOWN_VERSION}{look}, seed {params.town_seed}", segmenter="compact")
+    version = f"town {TOWN_VERSION}{look}, seed {params.town_seed}"
+    return replace(folder, version=version, segmenter="compact", on_demand=on_demand)
 
 
 def open_demo_train(params: DemoTrainParams) -> Dataset:
     """Returns the demo's town to train on; see ``open_demo``."""
     return open_demo(params)
+
+
+def _textured_map(root: Path, params: DemoParams) -> Path:
+    from lodbench.synthesis.survey.assets import textured_map_of_demo
+
+    return textured_map_of_demo(root, params.town_seed, params.look)
 
 
 def demo_folder(params: DemoParams) -> Path:

@@ -13,6 +13,7 @@ from lodbench.errors import LodbenchError
 from lodbench.harness.conformance.city import fit_rules, reader_rules, renderer_rules
 from lodbench.harness.conformance.data import dataset_rules, metric_rules, pose_format_rules, prior_rules
 from lodbench.harness.conformance.pictures import extractor_rules, matcher_rules, segmenter_rules
+from lodbench.harness.conformance.solving import solver_rules
 from lodbench.harness.conformance.trial import Rules, Tried, check_rules, trial_dataset
 from lodbench.params import to_params
 from lodbench.plugins import PlugIn
@@ -21,6 +22,7 @@ CHECKED: dict[str, Callable[[Tried], Rules]] = {
     "segmenters": segmenter_rules,
     "feature_extractors": extractor_rules,
     "matchers": matcher_rules,
+    "pose_solvers": solver_rules,
     "datasets": dataset_rules,
     "priors": prior_rules,
     "pose_formats": pose_format_rules,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -25,6 +26,8 @@ from lodbench.segmentation import (
 )
 from lodbench.segmentation.oracle import Oracle
 
+Points = NDArray[np.float64]
+
 TILTS = ("prior", "truth")
 
 
@@ -37,7 +40,8 @@ class Preparation:
         scene: The city; queries are moved into its local frame.
         segmenter: Makes the masks.
         tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
-        needs: What the method needs of the segmenter, ``mask`` and ``instances``; no more is asked of it.
+        needs: What the method needs of the segmenter, ``mask`` and ``instances``, and of the truth,
+            ``true_pixels``; no more is made.
         city_map: The map that a segmenter may look at; one of its own if None.
     """
 
@@ -99,7 +103,14 @@ class Preparation:
             ),
             instances=self._instances(entry, camera) if Input.INSTANCES in self.needs else None,
             segment=partial(self._probability, entry, camera) if guided and needs_mask else None,
+            true_pixels=self._true_pixels(entry, camera) if Input.TRUE_PIXELS in self.needs else None,
         )
+
+    def _true_pixels(self, entry: Entry, camera: Camera) -> Callable[[Points], Points]:
+        if entry.key not in self.dataset.truth:
+            raise QueryFault(NO_TRUTH)
+        truth = self.local(self.dataset.truth[entry.key])
+        return lambda points: camera.project((points - truth.center) @ truth.rotation.T)
 
     def _probability(self, entry: Entry, camera: Camera, pose: Pose) -> NDArray[np.float32]:
         """Returns the checked mask of a query, guided from a pose (scene frame) where the segmenter is."""

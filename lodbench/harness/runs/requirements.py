@@ -24,6 +24,12 @@ def segmented_inputs(method: object) -> frozenset[Input]:
     return declared_inputs(method, "requires", {Input.MASK}) & _SEGMENTED
 
 
+def made_inputs(method: object) -> frozenset[Input]:
+    """Returns what is made for a method query by query: by the segmenter, and of the truth for an oracle."""
+    truth = declared_inputs(method, "requires", {Input.MASK}) & {Input.TRUE_PIXELS}
+    return segmented_inputs(method) | truth
+
+
 def require_run_inputs(
     method: Method, segmenter: Segmenter, dataset: Dataset, entries: Sequence[Entry]
 ) -> None:

@@ -16,6 +16,8 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.texture_files import open_textured_map
 from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.folder import select_splits
+from lodbench.datasets.inputs import Input, declared_inputs
+from lodbench.datasets.on_demand import with_inputs
 from lodbench.datasets.pose_direction import require_direction
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
@@ -28,7 +30,7 @@ from lodbench.harness.runs.code_digest import code_digest
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_tilt
-from lodbench.harness.runs.requirements import require_run_inputs, segmented_inputs
+from lodbench.harness.runs.requirements import made_inputs, require_run_inputs
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
@@ -100,11 +102,12 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     require_tilt(settings.tilt, dataset)
     load_plugin("renderers", settings.renderer)
     require_run_inputs(method, segmenter, dataset, entries)
+    dataset = with_inputs(dataset, declared_inputs(method, "requires", {Input.MASK}))
     scene, dataset = _open_city(dataset)
     require_direction(dataset, entries, scene)
     textured, dataset = _open_textured(dataset, scene)
     city_map = CityMap(scene, settings.renderer, settings.threads, textured)
-    preparation = Preparation(dataset, scene, segmenter, settings.tilt, segmented_inputs(method), city_map)
+    preparation = Preparation(dataset, scene, segmenter, settings.tilt, made_inputs(method), city_map)
     inputs = {
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),

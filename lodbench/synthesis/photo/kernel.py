@@ -58,7 +58,7 @@ def _shading_normal(skin, triangle, x, y, z, back):  # type: ignore[no-untyped-d
 
 
 @per_pixel
-def _lit(albedo, mirrored, x, y, z, normal, ray, look, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def surface_light(albedo, mirrored, x, y, z, normal, ray, look, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the light a surface sends to the camera.
 
     Args:
@@ -129,7 +129,7 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, shading):  # typ
     cosine = abs(ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2])
     pixel_m = 2.0 * depth / f[0] / max(0.25, np.sqrt(cosine))
     albedo, mirrored = surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, cover, tables)
-    light = _lit(albedo, mirrored, x, y, z, normal, ray, look, sun_map)
+    light = surface_light(albedo, mirrored, x, y, z, normal, ray, look, sun_map)
     clear = np.exp(-depth * length * look.haze_per_m)
     return mix(look.haze_rgb, light, clear)
 

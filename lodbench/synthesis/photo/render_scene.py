@@ -115,6 +115,15 @@ def make_render_scene(
     return RenderScene(mesh, skin, is_occluder, casters, make_charts(textured))
 
 
+def make_skin(props: SceneProps) -> Skin:
+    """Returns what the triangles of props look like, in their order."""
+    loose = _of_props(props)
+    normal = _normals(loose.corners)
+    place = _wall_places(loose, normal)
+    _add_crowns(place, loose)
+    return Skin(normal.astype(np.float32), loose.surface, loose.number, loose.tint, place)
+
+
 def _casters(loose: _Loose, scene: Scene) -> Scene | None:
     """Returns the triangles that cast shadows: not the ground, nor what lies on a wall or a texture."""
     corners = loose.corners[~np.isin(loose.surface, _NO_CASTERS)]

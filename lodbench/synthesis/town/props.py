@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +23,8 @@ from lodbench.synthesis.town.town import Town
 from lodbench.synthesis.town.trees_and_cars import add_greenery, add_traffic
 
 Points = NDArray[np.float64]
+# A body, and the class of all its surfaces where they have one.
+Body = tuple[Solid, SurfaceClass | None]
 
 _FLAT_COSINE = 0.985  # roofs that lean less are flat: ten degrees
 _CLASSES = {
@@ -47,15 +52,42 @@ def demo_props(town: Town) -> SceneProps:
     return builder.build(ORIGIN_M)
 
 
+class BuildingSurfaces(NamedTuple):
+    """The surfaces of buildings as triangles.
+
+    Attributes:
+        points: (P, 3) local metres.
+        triangles: (T, 3) indices into ``points``, counter-clockwise seen from outside.
+        polygon: (T,) planar polygon that a triangle is part of.
+        surface: (T,) ``SurfaceClass``.
+        building: (T,) number of the building, in the order given.
+    """
+
+    points: Points
+    triangles: NDArray[np.int64]
+    polygon: NDArray[np.int64]
+    surface: NDArray[np.uint8]
+    building: NDArray[np.int64]
+
+
 def _add_buildings(builder: MeshBuilder, town: Town) -> None:
     """Adds walls, roofs, windows, doors, chimneys and balconies, each building in colours of its own."""
+    names = tuple(building.identifier for building in town.standing)
+    found = building_surfaces([fine_bodies(building) for building in town.standing], names)
+    colours = np.stack([building_colours(town.look, town.seed, name) for name in names])
+    tint = colours[found.building, found.surface - SurfaceClass.WALL]
+    builder.add(found.surface, found.points, found.triangles, tint, found.building)
+
+
+def building_surfaces(buildings: Sequence[Sequence[Body]], names: tuple[str, ...]) -> BuildingSurfaces:
+    """Returns the surfaces of buildings, each one or more bodies with the class of all their surfaces."""
     points: list[Points] = []
     rings: list[int] = []
     polygon_rings: list[int] = []
     owners: list[int] = []
     surfaces: list[int] = []
-    for number, building in enumerate(town.standing):
-        for solid, part in _solids(building):
+    for number, bodies in enumerate(buildings):
+        for solid, part in bodies:
             for face in solid.faces:
                 for ring in face.rings:
                     points.append(solid.points[list(ring)])
@@ -72,20 +104,19 @@ def _add_buildings(builder: MeshBuilder, town: Town) -> None:
         lod=np.zeros(len(owners), np.int16),
         kind=np.array(surfaces, np.uint8),
     )
-    names = tuple(building.identifier for building in town.standing)
     result = triangulate(polygons, names, Findings())
     surface = polygons.kind[result.polygon]
     surface = np.where(
         _is_flat_roof(polygons.points[result.triangles], surface), SurfaceClass.ROOF_FLAT, surface
     )
     owner = polygons.building[result.polygon].astype(np.int64)
-    colours = np.stack([_colours(town.look, town.seed, name) for name in names])
-    tint = colours[owner, surface - SurfaceClass.WALL]
-    builder.add(surface.astype(np.uint8), polygons.points, result.triangles, tint, owner)
+    return BuildingSurfaces(
+        polygons.points, result.triangles, result.polygon, surface.astype(np.uint8), owner
+    )
 
 
-def _solids(building: Building) -> list[tuple[Solid, SurfaceClass | None]]:
-    """Returns the bodies of a building, and the class of all surfaces of those that have one."""
+def fine_bodies(building: Building) -> list[Body]:
+    """Returns the bodies of a building at LoD3, and the class of all surfaces of those that have one."""
     eave = building.lod2.points[:, 2].min() + building.plan.roof.eave_m
     extra = [
         (solid, SurfaceClass.CHIMNEY if solid.points[:, 2].max() > eave + 0.3 else SurfaceClass.FRAME)
@@ -100,7 +131,7 @@ def _is_flat_roof(corners: Points, surface: NDArray[np.uint8]) -> NDArray[np.boo
     return np.asarray(upright & (surface == SurfaceClass.ROOF_TILE))
 
 
-def _colours(look: TownLook, seed: int, name: str) -> Points:
+def building_colours(look: TownLook, seed: int, name: str) -> Points:
     """Returns the colours of a building, (8, 3) RGB by surface class from ``WALL`` on."""
     chances = random_stream(seed, "demo", name, "colour")
 

@@ -1,0 +1,61 @@
+"""Settings of methods that match a photo with rendered views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lodbench.errors import ConfigError
+from lodbench.plugins import find_plugin
+
+ORACLE = "oracle"
+
+
+@dataclass(frozen=True, slots=True)
+class RenderAndMatchParams:
+    """Settings of ``method=uavd4l`` and ``method=cadloc``.
+
+    Attributes:
+        name: Name to report.
+        matcher: Entry point under ``lodbench.matchers``; or ``oracle``: true correspondences with noise and
+            outliers, to bound what any matcher can bring. It needs the truth, and is told in every table.
+        pnp: Entry point under ``lodbench.pose_solvers``.
+        views: Views rendered in the first round: the prior's, then others beside it.
+        spread_m: How far beside it.
+        rounds: Rounds of rendering and solving, each from the pose of the last; one view from the second on.
+        width: Of the photo as it is matched, pixels; at most its own.
+        canvas: Size of a view against the photo's, in each direction: what the prior's error moves out of the
+            picture is still in the view.
+        threshold_px: A match this far off at most speaks for a pose; pixels at ``width``.
+        min_inliers: Fewer matches than this are no answer.
+        oracle_matches: Correspondences of ``matcher=oracle`` in a view.
+        oracle_noise_px: Standard deviation of their error, pixels at ``width``.
+        oracle_outliers: Share of them that are wrong.
+
+    Raises:
+        ConfigError: A name is unknown, or a value out of range.
+    """
+
+    name: str = "uavd4l"
+    matcher: str = "sift_nn"
+    pnp: str = "opencv"
+    views: int = 1
+    spread_m: float = 20.0
+    rounds: int = 2
+    width: int = 1204
+    canvas: float = 1.3
+    threshold_px: float = 8.0
+    min_inliers: int = 12
+    oracle_matches: int = 1000
+    oracle_noise_px: float = 1.0
+    oracle_outliers: float = 0.3
+
+    def __post_init__(self) -> None:
+        if self.matcher != ORACLE:
+            find_plugin("matchers", self.matcher)
+        find_plugin("pose_solvers", self.pnp)
+        if min(self.views, self.rounds, self.oracle_matches) < 1 or self.min_inliers < 4:
+            raise ConfigError("method.views and rounds are at least 1, min_inliers at least 4.")
+        if not 64 <= self.width <= 8192 or not 1.0 <= self.canvas <= 4.0 or not self.spread_m >= 0:
+            raise ConfigError("method.width is 64 to 8192 px, method.canvas 1 to 4, method.spread_m >= 0.")
+        if not self.threshold_px > 0 or not self.oracle_noise_px >= 0 or not 0 <= self.oracle_outliers < 1:
+            raise ConfigError("method.threshold_px is > 0, oracle_noise_px >= 0, oracle_outliers in [0, 1).")

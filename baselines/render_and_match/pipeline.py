@@ -1,0 +1,123 @@
+"""Render views of the map around a pose, match the photo with them, lift the matches, solve for the pose."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.geometry import Camera, Pose
+from lodbench.matching.pose_solver import PoseSolver, SolvedPose, open_pose_solver
+from lodbench.methods import Estimate, Input, Streams
+
+from .correspondences import (
+    Correspondences,
+    Matched,
+    Oracle,
+    Source,
+)
+from .params import ORACLE, RenderAndMatchParams
+from .view import View, canvas_camera, views_around
+
+Floats = NDArray[np.float64]
+
+
+class RenderAndMatch(ABC):
+    """Localises by matching a photo with rendered views; what a view shows is the subclass's business.
+
+    Its score is the number of matches that the pose explains.
+    """
+
+    params_type: ClassVar[type[RenderAndMatchParams]]
+    name: ClassVar[str]
+    requires: frozenset[Input] = frozenset({Input.IMAGE})
+
+    def __init__(self, params: RenderAndMatchParams) -> None:
+        self.params = params
+        if params.matcher == ORACLE:
+            self.requires = (self.requires - {Input.IMAGE}) | {Input.TRUE_PIXELS}
+
+    @abstractmethod
+    def draw(
+        self, city_map: CityMap, camera: Camera, rotations: Floats, centers: Floats
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Returns (N, H, W, 3) RGB pictures of N views and their (N, H, W) depths; 0 for none."""
+
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
+        """Returns the pose that most matches agree on.
+
+        Raises:
+            QueryFault: The photo cannot be read, or no pose explains enough matches.
+        """
+        started = time.perf_counter()
+        width = min(self.params.width, query.camera.width)
+        camera = query.camera.scaled(width, max(1, round(width * query.camera.height / query.camera.width)))
+        source: Source
+        if self.params.matcher == ORACLE:
+            source = Oracle(query, camera, self.params, streams("oracle", 0))
+        else:
+            source = Matched(query, camera, self.params.matcher)
+        seconds = {"photo": time.perf_counter() - started}
+        scale = width / self.params.width
+        solver = open_pose_solver(self.params.pnp, threshold_px=self.params.threshold_px * scale)
+        best = self._solved(
+            query, camera, source, solver, self._views(query.prior, city_map, camera, self.params.views)
+        )
+        seconds["first round"] = time.perf_counter() - started - seconds["photo"]
+        trace = [float(best.inliers.sum())]
+        for _ in range(1, self.params.rounds):
+            try:
+                found = self._solved(
+                    query, camera, source, solver, self._views(best.pose, city_map, camera, 1)
+                )
+            except QueryFault:
+                break
+            trace.append(float(found.inliers.sum()))
+            if trace[-1] <= trace[-2]:
+                break
+            best = found
+        seconds["further rounds"] = time.perf_counter() - started - sum(seconds.values())
+        return Estimate(
+            best.pose, float(best.inliers.sum()), seconds=seconds, trace={"inliers": tuple(trace)}
+        )
+
+    def _views(self, pose: Pose, city_map: CityMap, camera: Camera, count: int) -> list[View]:
+        poses = views_around(pose, count, self.params.spread_m)
+        wide = canvas_camera(camera, self.params.canvas)
+        rotations = np.stack([each.rotation for each in poses])
+        centers = np.stack([each.center for each in poses])
+        pictures, depths = self.draw(city_map, wide, rotations, centers)
+        return [View(wide, *view) for view in zip(poses, pictures, depths, strict=True)]
+
+    def _solved(
+        self, query: Query, camera: Camera, source: Source, solver: PoseSolver, views: list[View]
+    ) -> SolvedPose:
+        """Returns the pose that the matches with some views agree on.
+
+        Raises:
+            QueryFault: There is none.
+        """
+        if not any(view.depth.any() for view in views):
+            raise QueryFault("no building is in view from the prior")
+        found = [source.with_view(view) for view in views]
+        joined = Correspondences(
+            np.concatenate([each.points for each in found]),
+            np.concatenate([each.pixels for each in found]),
+            sum(each.matched for each in found),
+        )
+        if len(joined.points) < self.params.min_inliers:
+            raise QueryFault(
+                f"{joined.matched} matches, {len(joined.points)} of them where the map has a depth: "
+                f"fewer than {self.params.min_inliers}"
+            )
+        solved = solver.solve(joined.points, joined.pixels, camera, query.prior)
+        agreed = 0 if solved is None else int(solved.inliers.sum())
+        if solved is None or agreed < self.params.min_inliers:
+            raise QueryFault(f"{agreed} of {len(joined.points)} matches agree on a pose")
+        return solved

@@ -1,0 +1,151 @@
+"""The textured map of the demo town: its surfaces then, painted, as one GLB file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import RenderingError
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.storage import write_bytes
+from lodbench.synthesis.objects.scene_props import SurfaceClass
+from lodbench.synthesis.photo.camera_response import apply_camera_response
+from lodbench.synthesis.photo.ground import no_land_cover
+from lodbench.synthesis.photo.render_scene import make_render_scene, make_skin
+from lodbench.synthesis.photo.sunlight import SunMap, draw_sun_map, no_sun_map
+from lodbench.synthesis.photo.surfaces import palettes
+from lodbench.synthesis.survey.baking import baked, corner_light
+from lodbench.synthesis.survey.charts import lay_out_faces, lay_out_ground
+from lodbench.synthesis.survey.town_then import survey_look, town_then
+from lodbench.synthesis.town.town import Town
+
+Floats = NDArray[np.float64]
+
+# The map is a square of tiles round the middle of town; what lies around it has plain colours.
+_TILES, _TILE_M, _AROUND_M = 4, 325.0, 1500.0
+# Ground triangles hang over a tile's edge.
+_HANG_M = 24.0
+_SUN_MAP, _BAND = 2048, 256
+_GROUND = [kind for kind in SurfaceClass if not kind.is_building and not kind.is_occluder]
+
+
+class Patch(NamedTuple):
+    """Triangles of the map that share a picture, or have colours at their corners.
+
+    Attributes:
+        name: Unique.
+        corners: (N, 3, 3) metres.
+        texels: (N, 3, 2) places on the picture, or None.
+        colours: (H, W, 3) picture, or (N, 3, 3) colours, uint8 RGB.
+    """
+
+    name: str
+    corners: Floats
+    texels: Floats | None
+    colours: NDArray[np.uint8]
+
+
+def write_textured_map(path: Path, town: Town, scene: Scene) -> None:
+    """Writes the map of a town at the time of its survey, in the local frame of its scene.
+
+    Args:
+        path: A ``.glb`` file, made whole or not at all.
+        town: The town.
+        scene: Any level of detail, as read from the town's file: its origin is the map's.
+    """
+    write_bytes(path, _glb(map_patches(town, scene)), survives_power_cut=False)
+
+
+def map_patches(town: Town, scene: Scene) -> Iterator[Patch]:
+    """Yields the map's triangles with their pictures, tile by tile, then what has colours only."""
+    painter = _Painter(town, scene)
+    for cell in np.ndindex(_TILES, _TILES):
+        yield from painter.tile(np.array(cell))
+    yield painter.around()
+
+
+class _Painter:
+    """The town then, ready to be painted tile by tile."""
+
+    def __init__(self, town: Town, scene: Scene) -> None:
+        then = town_then(town)
+        props = then.props.in_frame(scene.origin)
+        self.corners = props.vertices[props.triangles].astype(np.float64)
+        self.polygon = then.polygon
+        self.is_ground = np.isin(props.surface, _GROUND)
+        self.look, self.response = survey_look(town.seed)
+        self.skin, self.palettes = make_skin(props), palettes()
+        self.middle = (then.props.origin - scene.origin)[:2]
+        place = (self.corners.mean(axis=1)[:, :2] - self.middle) / _TILE_M + _TILES / 2
+        self.tile_of = np.floor(place).astype(np.int64)
+        self.in_town = ((self.tile_of >= 0) & (self.tile_of < _TILES)).all(axis=1)
+        heights = self.corners[self.in_town, :, 2]
+        self.levels = float(heights.min()), float(heights.max())
+        casters = make_render_scene(scene, props).casters
+        if casters is None:
+            raise RenderingError("There is nothing to picture.", "Take another seed.")
+        self.casters = RasterRenderer(casters, band=_BAND)
+
+    def tile(self, cell: NDArray[np.int64]) -> Iterator[Patch]:
+        """Yields ground, faces of houses, and what is too small for a picture, of one tile."""
+        corner, name = self.middle + (cell - _TILES / 2) * _TILE_M, f"{cell[0]} {cell[1]}"
+        seen = [(*(corner + _TILE_M * np.array(c)), z) for c in np.ndindex(2, 2) for z in self.levels]
+        shading = self._shading(draw_sun_map(self.casters, np.array(self.look.sun), np.array(seen), _SUN_MAP))
+        here = np.flatnonzero((self.tile_of == cell).all(axis=1))
+        west, south = corner - _HANG_M
+        square = (float(west), float(south), _TILE_M + 2 * _HANG_M)
+        ground = lay_out_ground(self.corners, here[self.is_ground[here]], square)
+        faces = lay_out_faces(self.corners, here[self.polygon[here] >= 0], self.polygon)
+        for kind, layout in (("ground", ground), ("houses", faces)):
+            if len(layout.triangle):
+                picture = apply_camera_response(baked(layout, self.corners, shading), self.response)
+                yield Patch(f"{kind} {name}", self.corners[layout.triangle], layout.texels, picture)
+        rest = np.setdiff1d(here, np.concatenate([ground.triangle, faces.triangle]))
+        if len(rest):
+            yield self._plain(f"small {name}", rest, shading)
+
+    def around(self) -> Patch:
+        """Returns the land around the town, without shadows."""
+        is_near = np.abs(self.corners.mean(axis=1)[:, :2] - self.middle).max(axis=1) < _AROUND_M
+        return self._plain("around", np.flatnonzero(is_near & ~self.in_town), self._shading(no_sun_map()))
+
+    def _plain(self, name: str, triangle: NDArray[np.int64], shading: tuple[Any, ...]) -> Patch:
+        light = corner_light(triangle, self.corners, shading)
+        sharp = self.response._replace(blur_px=0.0, noise=0.0)
+        return Patch(name, self.corners[triangle], None, apply_camera_response(light, sharp))
+
+    def _shading(self, sun_map: SunMap) -> tuple[Any, ...]:
+        return self.skin, self.look, no_land_cover(), sun_map, self.palettes
+
+
+def _glb(patches: Iterator[Patch]) -> bytes:
+    """Returns patches as a binary glTF file, y up, pictures as JPEG."""
+    from PIL import Image
+
+    trimesh: Any = import_module("trimesh")
+    scene = trimesh.Scene()
+    for patch in patches:
+        points = patch.corners.reshape(-1, 3)[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
+        visual: Any
+        if patch.texels is None:
+            visual = trimesh.visual.ColorVisuals(vertex_colors=patch.colours.reshape(-1, 3))
+        else:
+            height, width = patch.colours.shape[:2]
+            uv = patch.texels.reshape(-1, 2) / (width, height)
+            uv[:, 1] = 1.0 - uv[:, 1]
+            image = Image.fromarray(patch.colours)
+            image.format = "JPEG"
+            material = trimesh.visual.material.PBRMaterial(
+                name=patch.name, baseColorTexture=image, metallicFactor=0.0, roughnessFactor=1.0
+            )
+            visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+        faces = np.arange(len(points)).reshape(-1, 3)
+        mesh = trimesh.Trimesh(points, faces, visual=visual, process=False)
+        scene.add_geometry(mesh, node_name=patch.name, geom_name=patch.name)
+    return bytes(scene.export(file_type="glb"))

@@ -1,0 +1,162 @@
+"""Render and match: bounds by the oracle, answers of SIFT, and every way a query has no answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import cv2
+import numpy as np
+import pytest
+from lodbench.baselines.cadloc import Cadloc, CadlocParams
+from lodbench.baselines.render_and_match.lifting import lift
+from lodbench.baselines.render_and_match.view import canvas_camera, views_around
+from lodbench.baselines.uavd4l import Uavd4l, Uavd4lParams
+
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.evaluation.errors import pose_error
+from lodbench.geometry import EulerAngles, Pose
+from lodbench.methods import Input
+from lodbench.storage import random_stream
+from tests.town import CAMERA
+
+STREAMS = partial(random_stream, 0, "test")
+BLURRED_OUT = np.full((CAMERA.height, CAMERA.width, 3), 117, np.uint8)
+
+
+def errors(method, queries, city_map, truths):
+    found = [method.localize(query, city_map, STREAMS) for query in queries]
+    return np.array([pose_error(e.pose, truth) for e, truth in zip(found, truths, strict=True)])
+
+
+@pytest.mark.parametrize("pnp", ["opencv", "poselib", "pycolmap"])
+def test_the_oracle_finds_every_pose_on_a_textured_map(pnp, queries, city_map, truths):
+    method = Uavd4l(Uavd4lParams(matcher="oracle", pnp=pnp, oracle_outliers=0.5))
+    assert errors(method, queries, city_map, truths).max(axis=0) == pytest.approx([0, 0], abs=0.5)
+
+
+def test_the_oracle_finds_every_pose_on_the_plain_model(queries, city_map, truths):
+    method = Cadloc(CadlocParams(name="cadloc", matcher="oracle"))
+    assert errors(method, queries, city_map, truths).max(axis=0) == pytest.approx([0, 0], abs=0.5)
+
+
+def test_sift_finds_poses_on_a_textured_map_and_a_second_round_helps(queries, city_map, truths):
+    once = errors(Uavd4l(Uavd4lParams(rounds=1)), queries, city_map, truths)
+    twice = errors(Uavd4l(Uavd4lParams(rounds=3)), queries, city_map, truths)
+    assert once[:, 0].max() < 5.0
+    assert twice[:, 0].max() < 1.0
+    assert np.median(twice[:, 0]) <= np.median(once[:, 0])
+
+
+def test_the_score_counts_matches_that_agree(queries, city_map):
+    found = Uavd4l(Uavd4lParams()).localize(queries[0], city_map, STREAMS)
+    assert found.score == max(found.trace["inliers"]) >= 12
+
+
+def test_the_oracle_needs_the_truth_instead_of_a_photo():
+    assert Uavd4l(Uavd4lParams()).requires == {Input.IMAGE, Input.TEXTURED_MAP}
+    assert Uavd4l(Uavd4lParams(matcher="oracle")).requires == {Input.TRUE_PIXELS, Input.TEXTURED_MAP}
+    assert Cadloc(CadlocParams()).requires == {Input.IMAGE}
+
+
+def one_colour(query, city_map, folder):
+    cv2.imwrite(str(folder / "grey.png"), BLURRED_OUT)
+    return replace(query, image=folder / "grey.png")
+
+
+def no_file(query, city_map, folder):
+    return replace(query, image=folder / "none.png")
+
+
+def no_photo(query, city_map, folder):
+    return replace(query, image=None)
+
+
+def other_place(query, city_map, folder):
+    noise = np.random.default_rng(0).integers(0, 255, BLURRED_OUT.shape, np.uint8)
+    cv2.imwrite(str(folder / "noise.png"), cv2.GaussianBlur(noise, (0, 0), 2.0))
+    return replace(query, image=folder / "noise.png")
+
+
+def nothing_in_view(query, city_map, folder):
+    return replace(query, prior=Pose.from_euler(EulerAngles(180.0, 0.0, 0.0), query.prior.center))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (one_colour, "0 matches"),
+        (no_file, "cannot be read"),
+        (no_photo, "no photo"),
+        (other_place, "agree on a pose|fewer than 12"),
+        (nothing_in_view, "in view from the prior"),
+    ],
+)
+def test_what_cannot_be_matched_is_a_failure_with_its_reason(spoil, reason, queries, city_map, tmp_path):
+    with pytest.raises(QueryFault, match=reason):
+        Uavd4l(Uavd4lParams()).localize(spoil(queries[0], city_map, tmp_path), city_map, STREAMS)
+
+
+def test_the_oracle_without_a_truth_is_a_failure(queries, city_map):
+    with pytest.raises(QueryFault, match="no true pose"):
+        Uavd4l(Uavd4lParams(matcher="oracle")).localize(
+            replace(queries[0], true_pixels=None), city_map, STREAMS
+        )
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"matcher": "sfit_nn"},
+        {"pnp": "posselib"},
+        {"views": 0},
+        {"canvas": 0.5},
+        {"oracle_outliers": 1.0},
+        {"width": 8},
+        {"threshold_px": 0.0},
+    ],
+)
+def test_wrong_settings_end_before_any_work(wrong):
+    with pytest.raises(ConfigError):
+        Uavd4lParams(**wrong)
+
+
+def test_lifted_pixels_project_back_and_edges_are_left_out(city_map, truths):
+    truth = truths[0]
+    depth = city_map.surface_depth(CAMERA, truth.rotation[None], truth.center[None])[0]
+    pixels = np.random.default_rng(1).uniform((1, 1), (CAMERA.width - 1, CAMERA.height - 1), (500, 2))
+    points, has_depth = lift(depth, CAMERA, truth, pixels)
+    back = CAMERA.project((points - truth.center) @ truth.rotation.T)
+    assert np.abs(back - pixels)[has_depth].max() < 1e-6
+    assert 0.8 < has_depth.mean() < 1.0
+    # On the ground a point's height is the ground's.
+    on_ground = has_depth & (np.abs(points[:, 2] - points[has_depth, 2].min()) < 0.05)
+    assert on_ground.sum() > 50
+
+
+def test_a_pixel_between_two_depths_has_none():
+    depth = np.full((4, 6), 50.0, np.float32)
+    depth[:, 3:] = 80.0
+    depth[0, 0] = 0.0
+    camera = CAMERA.scaled(6, 4)
+    pose = Pose.from_center(np.eye(3), np.zeros(3))
+    pixels = np.array([[1.7, 2.0], [3.0, 2.0], [4.6, 2.2], [0.7, 0.7]])
+    points, has_depth = lift(depth, camera, pose, pixels)
+    assert has_depth.tolist() == [True, False, True, False]
+    assert points[[0, 2], 2].tolist() == [50.0, 80.0]
+
+
+def test_a_canvas_shows_more_at_the_same_scale():
+    wide = canvas_camera(CAMERA, 1.5)
+    point = np.array([[3.0, -2.0, 90.0]])
+    inner = CAMERA.project(point) + (np.array([wide.width, wide.height]) - (CAMERA.width, CAMERA.height)) / 2
+    assert wide.project(point) == pytest.approx(inner)
+
+
+def test_views_beside_a_pose_keep_height_and_direction(truths):
+    views = views_around(truths[0], 11, 20.0)
+    assert views[0] is truths[0]
+    for view in views[1:]:
+        assert np.array_equal(view.rotation, truths[0].rotation)
+        assert view.center[2] == pytest.approx(truths[0].center[2])
+    assert len({tuple(np.round(view.center, 6)) for view in views}) == 11
