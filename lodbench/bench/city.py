@@ -20,12 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench.city_peers import naive_mesh, project_plainly, project_tuned, time_cjio
-from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.convert import obj_text
 from lodbench.citymodel.model import CityModel
 from lodbench.errors import CityModelError, ConfigError
-from lodbench.reporting.columns import format_columns
 
 _MEGABYTE = 1e6
 _NAIVE_WAYS = {
@@ -73,35 +72,7 @@ class CityOptions:
             raise ConfigError("repeats is at least 1 and large_mb at least 0.")
 
 
-@dataclass(frozen=True, slots=True)
-class CityBench:
-    """Figures of one city file.
-
-    Attributes:
-        city: Its name.
-        rows: The figures, in order.
-    """
-
-    city: str
-    rows: tuple[Figure, ...]
-
-    def figures(self) -> list[Figure]:
-        """Returns the figures."""
-        return list(self.rows)
-
-    def to_text(self) -> str:
-        """Returns the figures as a table."""
-        table = [[self.city, "value", "unit", "peer", "peer's value", "ratio"]]
-        for row in self.rows:
-            peer = "" if row.peer_value is None else _in_words(row.peer_value)
-            ratio = "" if row.ratio is None else f"{row.ratio:.1f}x"
-            table.append([row.figure, _in_words(row.value), row.unit, row.peer, peer, ratio])
-        return format_columns(table)
-
-
-def measure_city(
-    city: Path, options: CityOptions | None = None, progress: Progress = no_progress
-) -> CityBench:
+def measure_city(city: Path, options: CityOptions | None = None, progress: Progress = no_progress) -> Report:
     """Returns the figures of a city file.
 
     CityGML stands beside the naive way, at the same level of detail; CityJSON beside cjio's export
@@ -134,11 +105,7 @@ def measure_city(
     if options.large_mb and model.format == "CityGML" and _CLEAR_REFS.exists():
         rows += _memory(city, lod, options.large_mb)
     progress(4, 4)
-    return CityBench(city.name, tuple(rows))
-
-
-def _in_words(value: float) -> str:
-    return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
+    return plain_report(city.name, rows)
 
 
 def _best(job: Callable[[], object], repeats: int) -> float:

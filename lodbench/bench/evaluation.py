@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
@@ -19,7 +19,6 @@ from lodbench.harness.runs.report import run_report
 from lodbench.harness.runs.result import Result, queries_digest
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import verify_run
-from lodbench.reporting.columns import format_columns
 from lodbench.reporting.table_formats import format_csv
 from lodbench.reporting.tables import tables_of
 from lodbench.storage import random_stream
@@ -47,43 +46,11 @@ class EvaluationOptions:
             raise ConfigError("There must be at least one query and one method.")
 
 
-@dataclass(frozen=True, slots=True)
-class EvaluationReport:
-    """Seconds that evaluating took.
-
-    Attributes:
-        options: What was asked for.
-        score_s: Errors, recalls, medians and intervals of all methods, from their poses to one table.
-        read_s: Reading one stored run back and summarising it.
-        page_s: Verifying one run and writing its page.
-        page_mb: The page's size.
-    """
-
-    options: EvaluationOptions
-    score_s: float
-    read_s: float
-    page_s: float
-    page_mb: float
-
-    def figures(self) -> list[Figure]:
-        """Returns one figure per number."""
-        return [
-            Figure("evaluate all methods", self.score_s, "s"),
-            Figure("read one run", self.read_s, "s"),
-            Figure("verify and report one run", self.page_s, "s"),
-            Figure("page", self.page_mb, "MB"),
-        ]
-
-    def to_text(self) -> str:
-        """Returns the report as a table."""
-        size = f"{self.options.num_queries} queries, {self.options.num_methods} methods"
-        return f"{size}\n" + format_columns([[f.figure, f"{f.value:.2f} {f.unit}"] for f in self.figures()])
-
-
-def measure_evaluation(
-    options: EvaluationOptions | None = None, progress: Progress = no_progress
-) -> EvaluationReport:
+def measure_evaluation(options: EvaluationOptions | None = None, progress: Progress = no_progress) -> Report:
     """Returns how long evaluating seeded poses takes; needs no city.
+
+    Scored are errors, recalls, medians and intervals of all methods, from their poses to one table; one run
+    is read back and summarised, verified, and its page written.
 
     Args:
         options: What to measure.
@@ -112,7 +79,13 @@ def measure_evaluation(
         verdict = verify_run(stored.folder, stored.config, dataset)
         page = run_report(verdict, "prior")
         page_s = time.perf_counter() - started
-    return EvaluationReport(options, score_s, read_s, page_s, len(page.encode()) / 1e6)
+    figures = [
+        Figure("evaluate all methods", score_s, "s"),
+        Figure("read one run", read_s, "s"),
+        Figure("verify and report one run", page_s, "s"),
+        Figure("page", len(page.encode()) / 1e6, "MB"),
+    ]
+    return plain_report(f"{options.num_queries} queries, {options.num_methods} methods", figures)
 
 
 def _dataset(options: EvaluationOptions) -> Dataset:

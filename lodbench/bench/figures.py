@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lodbench.reporting.columns import format_columns
 from lodbench.storage import make_folder, write_bytes
 
 if TYPE_CHECKING:
@@ -56,20 +57,32 @@ class Report:
     Attributes:
         text: A table and what must be known of it, for people.
         figures: The numbers, for machines.
-        data: The measurements behind them, a row each.
+        data: The measurements behind them, a row each; None where none are kept.
         draw: Returns pictures by file name, drawn when they are asked for.
     """
 
     text: str
     figures: Sequence[Figure]
-    data: pd.DataFrame
+    data: pd.DataFrame | None = None
     draw: Callable[[], dict[str, bytes]] = dict
 
     def write_pictures(self, folder: Path) -> None:
         """Writes the pictures, if there are any, into a folder that is made."""
         for name, content in self.draw().items():
-            make_folder(folder)
+            make_folder((folder / name).parent)
             write_bytes(folder / name, content)
+
+
+def plain_report(title: str, figures: Sequence[Figure], *notes: str) -> Report:
+    """Returns a report that is a table of figures, each beside its peer's, with lines of notes below."""
+    import pandas as pd
+
+    rows = [[title, "value", "unit", "peer", "peer's value", "ratio"]]
+    for each in figures:
+        beside = "" if each.peer_value is None else _in_words(each.peer_value)
+        ratio = "" if each.ratio is None else f"{each.ratio:.1f}x"
+        rows.append([each.figure, _in_words(each.value), each.unit, each.peer, beside, ratio])
+    return Report("\n".join([format_columns(rows), *notes]), figures, pd.DataFrame(map(asdict, figures)))
 
 
 def no_progress(done: int, total: int) -> None:
@@ -78,3 +91,7 @@ def no_progress(done: int, total: int) -> None:
 
 def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
+
+
+def _in_words(value: float) -> str:
+    return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.4g}"

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.mask_quality_report import MaskQualityReport, ViewQuality
-from lodbench.reporting.overlays import draw_outline, write_picture
+from lodbench.reporting.overlays import draw_outline, png_bytes
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photos import read_photo
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Picture = NDArray[np.uint8]
 SHEET_FILE = "masks.png"
@@ -22,40 +24,41 @@ _INK, _PAPER = (235, 235, 235), (32, 28, 26)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def write_sheet(report: MaskQualityReport, folder: Path) -> Path:
-    """Writes the sheet as PNG and returns its file: rows of worst, median and best views.
+def draw_sheet(views: pd.DataFrame, title: str) -> dict[str, bytes]:
+    """Returns the sheet, ``masks.png``: rows of worst, median and best views.
 
     The true mask's outline is white; what was found beside it is orange, what was missed violet.
+
+    Args:
+        views: As ``report_masks`` wants them.
+        title: Whose masks of what.
     """
-    ordered = sorted(report.views, key=lambda view: (view.with_mask.iou, view.key))
+    ious = (views["mask shared"] / views["mask union"].clip(lower=1)).rename("iou")
+    ordered = views.join(ious).sort_values(["iou", "key"])
     count = min(_PER_GROUP, len(ordered))
     middle = (len(ordered) - count) // 2
-    groups = {
-        "worst": ordered[:count],
-        "median": ordered[middle : middle + count],
-        "best": ordered[-count:],
-    }
-    rows = [
-        np.hstack([_tile(view, f"{name}: IoU {view.with_mask.iou:.3f}  {view.key}") for view in views])
-        for name, views in groups.items()
-    ]
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / SHEET_FILE
-    write_picture(path, np.vstack([_legend(report, rows[0].shape[1]), *rows]))
-    return path
+    groups = {"worst": ordered[:count], "median": ordered[middle : middle + count], "best": ordered[-count:]}
+    rows = [np.hstack([_tile(name, view) for _, view in mine.iterrows()]) for name, mine in groups.items()]
+    return {SHEET_FILE: png_bytes(np.vstack([_legend(title, rows[0].shape[1]), *rows]))}
 
 
-def _tile(view: ViewQuality, caption: str) -> Picture:
-    """Returns a view's photo with what is wrong tinted, and a line of text below; all of one size."""
-    truth = read_mask(view.mask) >= 0.5
-    height, width = truth.shape
-    photo = cv2.resize(read_photo(view.photo)[..., ::-1], (width, height), interpolation=cv2.INTER_AREA)
-    canvas = np.ascontiguousarray(photo, np.uint8)
-    for wrong, colour in ((view.found & ~truth, _EXTRA), (truth & ~view.found, _MISSED)):
+def tinted(photo: Picture, found: NDArray[np.bool_], truth: NDArray[np.bool_], thickness: int) -> Picture:
+    """Returns an (H, W, 3) BGR photo with its true outline, and what is wrongly found or missed tinted."""
+    canvas = np.ascontiguousarray(photo)
+    for wrong, colour in ((found & ~truth, _EXTRA), (truth & ~found, _MISSED)):
         canvas[wrong] = (0.35 * canvas[wrong] + 0.65 * np.array(colour)).astype(np.uint8)
-    draw_outline(canvas, truth, _OUTLINE, 1)
-    framed = _framed(canvas, _TILE, _TILE * 3 // 4)
+    draw_outline(canvas, truth, _OUTLINE, thickness)
+    return canvas
+
+
+def _tile(group: str, view: pd.Series[Any]) -> Picture:
+    """Returns a view's photo with what is wrong tinted, and a line of text below; all of one size."""
+    truth = read_mask(view["mask"]) >= 0.5
+    height, width = truth.shape
+    photo = cv2.resize(read_photo(view["photo"])[..., ::-1], (width, height), interpolation=cv2.INTER_AREA)
+    framed = _framed(tinted(np.asarray(photo, np.uint8), view["found"], truth, 1), _TILE, _TILE * 3 // 4)
     strip = np.full((24, _TILE, 3), _PAPER, np.uint8)
+    caption = f"{group}: IoU {view['iou']:.3f}  {view['key']}"
     cv2.putText(strip, caption, (6, 17), _FONT, 0.42, _INK, 1, cv2.LINE_AA)
     return np.pad(np.vstack([framed, strip]), ((2, 2), (2, 2), (0, 0)))
 
@@ -71,11 +74,11 @@ def _framed(picture: Picture, width: int, height: int) -> Picture:
     return framed
 
 
-def _legend(report: MaskQualityReport, width: int) -> Picture:
+def _legend(title: str, width: int) -> Picture:
     strip = np.full((34, width, 3), _PAPER, np.uint8)
     x = 8
     for words, colour in (
-        (f"{report.segmenter} on {len(report.views)} views of {report.data}", None),
+        (title, None),
         ("outline of the true mask", _OUTLINE),
         ("found, not in the mask", _EXTRA),
         ("in the mask, not found", _MISSED),

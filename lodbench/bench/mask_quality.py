@@ -8,14 +8,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Progress, no_progress
-from lodbench.bench.mask_quality_report import MaskQualityReport, Overlap, ViewQuality
+from lodbench.bench.figures import Progress, Report, no_progress
+from lodbench.bench.mask_quality_report import report_masks
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.segmentation import binary_mask, notes_of
 from lodbench.segmentation.masks import read_mask
@@ -52,7 +52,7 @@ class _Truth(NamedTuple):
 
 def measure_masks(
     segmenter: PhotoSegmenter, options: MaskQualityOptions, progress: Progress = no_progress
-) -> MaskQualityReport:
+) -> Report:
     """Returns how well a segmenter's masks agree with those of a training set, and how long one takes.
 
     Masks are compared at their own size, thresholded as a run does. Nothing is taken from the cache.
@@ -65,6 +65,8 @@ def measure_masks(
     Raises:
         LodbenchError: A set is missing or broken, or the two sets do not show the same views.
     """
+    import pandas as pd
+
     samples = [sample for split in _SPLITS for sample in find_samples(options.data, split)]
     if not samples:
         raise DatasetError(f"{options.data} holds no views.", "lodbench generate-training-data makes some.")
@@ -80,15 +82,13 @@ def measure_masks(
             f"None of the {len(samples)} views of {options.data} shows "
             f"{100 * options.least_share:g} % buildings or more."
         )
-    return MaskQualityReport(
-        segmenter=segmenter.name,
-        weights=segmenter.weights_digest[:12],
-        data=options.data.name,
-        num_views=len(samples),
-        least_share=options.least_share,
-        views=tuple(views),
-        notes=notes_of(segmenter),
+    height, width = views[0]["found"].shape
+    which = (
+        f"{segmenter.name}, weights {segmenter.weights_digest[:12]}: {len(views)} of the {len(samples)} "
+        f"views of {options.data.name}, those with {100 * options.least_share:g} % buildings or more, "
+        f"{width} x {height}"
     )
+    return report_masks(pd.DataFrame(views), which, segmenter.name, notes_of(segmenter))
 
 
 def require_photo_segmenter(segmenter: object, name: str) -> PhotoSegmenter:
@@ -124,21 +124,16 @@ def found_mask(segmenter: PhotoSegmenter, photo: Path, shape: Sequence[int]) -> 
     return binary_mask(probability, shape[1], shape[0])
 
 
-def _measured(segmenter: PhotoSegmenter, sample: Sample, truth: _Truth) -> ViewQuality:
+def _measured(segmenter: PhotoSegmenter, sample: Sample, truth: _Truth) -> dict[str, Any]:
+    """Returns a row as ``report_masks`` wants it."""
     started = time.process_time()
     found = found_mask(segmenter, sample.photo, truth.mask.shape)
     seconds = time.process_time() - started
-    visible = truth.visible
-    return ViewQuality(
-        key=sample.key,
-        photo=sample.photo,
-        mask=sample.mask,
-        found=found,
-        with_mask=_overlap(found, truth.mask),
-        ceiling=None if visible is None else _overlap(visible, truth.mask),
-        with_visible=None if visible is None else _overlap(found, visible),
-        seconds=seconds,
-    )
+    row = {"key": sample.key, "photo": sample.photo, "mask": sample.mask, "found": found, "seconds": seconds}
+    row |= _overlap("mask", found, truth.mask)
+    if truth.visible is not None:
+        row |= _overlap("ceiling", truth.visible, truth.mask) | _overlap("visible", found, truth.visible)
+    return row
 
 
 def _truth(sample: Sample, options: MaskQualityOptions) -> _Truth:
@@ -164,5 +159,5 @@ def _read(path: Path) -> Mask:
         raise DatasetError(f"{path}: {fault.message}", "Delete it and generate the set again.") from fault
 
 
-def _overlap(first: Mask, second: Mask) -> Overlap:
-    return Overlap(int((first & second).sum()), int((first | second).sum()))
+def _overlap(kind: str, first: Mask, second: Mask) -> dict[str, int]:
+    return {f"{kind} shared": int((first & second).sum()), f"{kind} union": int((first | second).sum())}

@@ -2,59 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.bench.figures import Figure
+from lodbench.bench.figures import Figure, Report
+from lodbench.bench.mask_pictures import draw_sheet
 from lodbench.evaluation.statistics import Interval, bootstrap_means, bootstrap_ratio
 from lodbench.reporting.columns import format_columns
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-class Overlap(NamedTuple):
-    """How far two masks agree, in pixels.
-
-    Attributes:
-        shared: In both.
-        union: In either.
-    """
-
-    shared: int
-    union: int
-
-    @property
-    def iou(self) -> float:
-        """Returns intersection over union; 0 where both are empty."""
-        return self.shared / self.union if self.union else 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ViewQuality:
-    """One view measured.
-
-    Attributes:
-        key: Split and name.
-        photo: Its file.
-        mask: File of the true mask.
-        found: (H, W) mask that the segmenter made.
-        with_mask: Agreement with the true mask.
-        ceiling: Agreement of the visible part, the best that can be seen, with the true mask; or None.
-        with_visible: Agreement with the visible part; or None.
-        seconds: CPU time from the file to the mask.
-    """
-
-    key: str
-    photo: Path
-    mask: Path
-    found: NDArray[np.bool_]
-    with_mask: Overlap
-    ceiling: Overlap | None
-    with_visible: Overlap | None
-    seconds: float
+# Kinds of overlaps by the name of their columns; their names in figures, and in words.
+KINDS = {
+    "mask": ("mask_iou", "IoU with the mask"),
+    "ceiling": ("mask_iou_ceiling", "  ceiling: what is visible of it"),
+    "visible": ("visible_iou", "IoU with the visible part"),
+}
 
 
 class IouSummary(NamedTuple):
@@ -73,96 +40,45 @@ class IouSummary(NamedTuple):
     pooled_interval: Interval
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MaskQualityReport:
-    """What was measured.
+def report_masks(views: pd.DataFrame, which: str, segmenter: str, notes: Sequence[str]) -> Report:
+    """Returns the report of views: a table, the time per photo, and what must be known of the segmenter.
 
-    Attributes:
+    Args:
+        views: A row per view: ``key`` (split and name), ``photo`` and ``mask`` (their files), ``found``
+            ((H, W) bool, what the segmenter made), ``seconds`` (CPU time from the file to the mask), and for
+            each kind of ``KINDS`` there is its ``shared`` and ``union``, pixels in both masks and in either.
+        which: Views and their data in words.
         segmenter: Its name.
-        weights: Start of the SHA-256 of its weights, or ``random``.
-        data: Name of the set.
-        num_views: Views in it.
-        least_share: Least share of buildings in the views that count.
-        views: Those that count.
         notes: What the segmenter says of itself.
     """
-
-    segmenter: str
-    weights: str
-    data: str
-    num_views: int
-    least_share: float
-    views: tuple[ViewQuality, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def seconds(self) -> float:
-        """Returns the median CPU time of a photo on one core."""
-        return float(np.median([view.seconds for view in self.views]))
-
-    def rows(self) -> list[tuple[str, str, IouSummary]]:
-        """Returns per kind of IoU its name in figures, in words, and its numbers."""
-        kinds: list[tuple[str, str, Callable[[ViewQuality], Overlap | None]]] = [
-            ("mask_iou", "IoU with the mask", lambda view: view.with_mask),
-            ("mask_iou_ceiling", "  ceiling: what is visible of it", lambda view: view.ceiling),
-            ("visible_iou", "IoU with the visible part", lambda view: view.with_visible),
-        ]
-        rows = []
-        for name, words, of in kinds:
-            overlaps = [overlap for view in self.views if (overlap := of(view)) is not None]
-            if overlaps:
-                rows.append((name, words, summary_of(overlaps)))
-        return rows
-
-    def figures(self) -> list[Figure]:
-        """Returns mean and pooled IoUs, the number of views, and the time."""
-        found = []
-        for name, _, summary in self.rows():
-            found.append(Figure(f"{name}_mean", summary.mean, ""))
-            found.append(Figure(f"{name}_pooled", summary.pooled, ""))
-        return [
-            *found,
-            Figure("views", float(len(self.views)), ""),
-            Figure("cpu_seconds_per_photo", self.seconds, "s"),
-        ]
-
-    def to_text(self) -> str:
-        """Returns a table, the time per photo, and what must be known of the segmenter."""
-        cells = [["", "mean per view", "(95 %)", "pooled", "(95 %)"]]
-        for _, words, s in self.rows():
-            cells.append(
-                [
-                    words,
-                    f"{s.mean:.3f}",
-                    _words(s.mean_interval),
-                    f"{s.pooled:.3f}",
-                    _words(s.pooled_interval),
-                ]
-            )
-        height, width = self.views[0].found.shape
-        which = f"{len(self.views)} of the {self.num_views} views of {self.data}"
-        return "\n".join(
-            [
-                f"{self.segmenter}, weights {self.weights}: {which}, "
-                f"those with {100 * self.least_share:g} % buildings or more, {width} x {height}",
-                format_columns(cells),
-                f"{1000 * self.seconds:.0f} ms a photo on one core, from file to mask (median CPU time)",
-                *(f"note: {note}" for note in self.notes),
-            ]
-        )
+    summaries = {kind: summary_of(views, kind) for kind in KINDS if f"{kind} shared" in views}
+    seconds = float(views["seconds"].median())
+    cells = [["", "mean per view", "(95 %)", "pooled", "(95 %)"]]
+    figures = []
+    for kind, s in summaries.items():
+        name, words = KINDS[kind]
+        figures += [Figure(f"{name}_mean", s.mean, ""), Figure(f"{name}_pooled", s.pooled, "")]
+        mean, pooled = f"{s.mean:.3f}", f"{s.pooled:.3f}"
+        cells.append([words, mean, in_words(s.mean_interval), pooled, in_words(s.pooled_interval)])
+    figures += [Figure("views", float(len(views)), ""), Figure("cpu_seconds_per_photo", seconds, "s")]
+    time = f"{1000 * seconds:.0f} ms a photo on one core, from file to mask (median CPU time)"
+    text = "\n".join([which, format_columns(cells), time, *(f"note: {note}" for note in notes)])
+    return Report(text, figures, views, partial(draw_sheet, views, f"{segmenter} on {len(views)} views"))
 
 
-def summary_of(overlaps: list[Overlap]) -> IouSummary:
-    """Returns mean and pooled IoU of some views, with their intervals."""
-    ious = np.array([overlap.iou for overlap in overlaps])
-    shared, union = np.array(overlaps, dtype=np.float64).T
+def summary_of(views: pd.DataFrame, kind: str) -> IouSummary:
+    """Returns mean and pooled IoU of some views, of a kind of overlap, with their intervals."""
+    shared, union = (views[f"{kind} {part}"].to_numpy(np.float64) for part in ("shared", "union"))
+    union = np.maximum(union, 1.0)
+    ious = shared / union
     return IouSummary(
         mean=float(ious.mean()),
         mean_interval=bootstrap_means(ious[:, None])[0],
-        pooled=float(shared.sum() / max(union.sum(), 1.0)),
-        pooled_interval=bootstrap_ratio(shared, np.maximum(union, 1.0)),
+        pooled=float(shared.sum() / union.sum()),
+        pooled_interval=bootstrap_ratio(shared, union),
     )
 
 
-def _words(interval: Interval) -> str:
+def in_words(interval: Interval) -> str:
+    """Returns ``(0.881 to 0.902)``."""
     return f"({interval[0]:.3f} to {interval[1]:.3f})"

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from lodbench.bench.figures import Progress, no_progress
-from lodbench.bench.real_report import MethodOutcome, RealReport, Trial
+from lodbench.bench.figures import Progress, Report, no_progress
+from lodbench.bench.real_report import report_real
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.priors import UniformPrior
@@ -18,11 +20,13 @@ from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import ConfigError, DatasetError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.errors import FAILED
+from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
 from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method
 from lodbench.methods.asking import localize_query
+from lodbench.methods.protocol import Streams
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream
 
@@ -55,10 +59,11 @@ def measure_real(
     methods: Sequence[Method],
     options: RealOptions,
     progress: Progress = no_progress,
-) -> RealReport:
+) -> Report:
     """Returns where methods end from redrawn priors of photos whose pose is known.
 
     All methods start from the same priors. The truth draws them and scores the answers; no method sees it.
+    ``data`` has the columns of ``report_real``.
 
     Args:
         dataset: Photos with poses.
@@ -71,27 +76,27 @@ def measure_real(
     Raises:
         DatasetError: No photo has a pose.
     """
+    import pandas as pd
+
     city_map = CityMap(scene)
     known = [entry for entry in dataset.entries if entry.key in dataset.truth]
     if not known:
         raise DatasetError(f"None of the {len(dataset.entries)} photos of {dataset.name} has a true pose.")
-    outcomes: dict[str, list[Trial]] = {method.name: [] for method in methods}
-    total, done = len(methods) * len(known) * (options.priors + options.is_published_too), 0
+    rows: list[dict[str, Any]] = []
+    total = len(methods) * len(known) * (options.priors + options.is_published_too)
     for method in methods:
         preparation = Preparation(dataset, scene, segmenter, "prior", segmented_inputs(method), city_map)
         for entry in known:
             query = preparation.query(entry)
             truth = preparation.local(dataset.truth[entry.key])
             for number, prior in enumerate(_priors(query, truth, options)):
-                trial = _tried(
-                    method, replace(query, prior=prior, hypotheses=(prior,)), truth, city_map, number, options
-                )
-                outcomes[method.name].append(trial)
-                done += 1
-                progress(done, total)
-    return RealReport(
-        dataset.name, options.prior.describe(), tuple(MethodOutcome(n, tuple(t)) for n, t in outcomes.items())
-    )
+                asked = replace(query, prior=prior, hypotheses=(prior,))
+                streams = partial(random_stream, options.seed, "bench real", query.name, number, "search")
+                found = {"method": method.name, "photo": query.name}
+                found["prior"] = str(number) if number < options.priors else "published"
+                rows.append(found | _tried(method, asked, truth, city_map, streams))
+                progress(len(rows), total)
+    return report_real(pd.DataFrame(rows), f"{dataset.name}: priors {options.prior.describe()}")
 
 
 def _priors(query: Query, truth: Pose, options: RealOptions) -> list[Pose]:
@@ -102,32 +107,26 @@ def _priors(query: Query, truth: Pose, options: RealOptions) -> list[Pose]:
     return [*drawn, query.prior] if options.is_published_too else drawn
 
 
-def _tried(
-    method: Method, query: Query, truth: Pose, city_map: CityMap, number: int, options: RealOptions
-) -> Trial:
-    streams = partial(random_stream, options.seed, "bench real", query.name, number, "search")
+def _tried(method: Method, query: Query, truth: Pose, city_map: CityMap, streams: Streams) -> dict[str, Any]:
     wall, cpu = time.perf_counter(), time.process_time()
     pose: Pose | None = None
-    score, failure = 0.0, ""
-    probability: float | None = None
+    # No answer is an answer that nobody will trust.
+    answer: dict[str, Any] = {"score": 0.0, "probability": 0.0, "failure": ""}
     try:
         estimate = localize_query(method, query, city_map, streams)
     except QueryFault as fault:
-        # No answer is an answer that nobody will trust.
-        probability, failure = 0.0, fault.message
+        answer["failure"] = fault.message
     else:
-        pose, score, probability = estimate.pose, float(estimate.score), estimate.probability
-    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    return Trial(
-        photo=query.name,
-        number=number if number < options.priors else None,
-        prior_offset_m=query.prior.center - truth.center,
-        offset_m=np.full(3, np.nan) if pose is None else pose.center - truth.center,
-        prior_error=pose_error(query.prior, truth),
-        error=FAILED if pose is None else pose_error(pose, truth),
-        score=score,
-        probability=probability,
-        seconds=wall,
-        cpu_seconds=cpu,
-        failure=failure,
-    )
+        pose = estimate.pose
+        probability = math.nan if estimate.probability is None else estimate.probability
+        answer |= {"score": float(estimate.score), "probability": probability}
+    seconds = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
+    errors = (*pose_error(query.prior, truth), *(FAILED if pose is None else pose_error(pose, truth)))
+    starts, ends = query.prior.center, np.full(3, np.nan) if pose is None else pose.center
+    return {
+        **dict(zip((*PRIOR_ERROR, *ERROR), errors, strict=True)),
+        **dict(zip(("prior_east_m", "prior_north_m"), starts - truth.center, strict=False)),
+        **dict(zip(("east_m", "north_m"), ends - truth.center, strict=False)),
+        **answer,
+        **seconds,
+    }

@@ -2,199 +2,140 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Figure
-from lodbench.evaluation import PoseError
+from lodbench.bench.figures import Figure, Report
+from lodbench.evaluation.queries import ERROR
+from lodbench.evaluation.recall import Threshold, hits_of
 from lodbench.evaluation.statistics import wilson_interval
 from lodbench.reporting.columns import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
-from lodbench.storage.atomic import write_bytes
 
 if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
-Floats = NDArray[np.float64]
-
-LIMITS = ((2.0, 1.0), (2.0, 2.0), (3.0, 3.0), (5.0, 5.0))
+LIMITS = (Threshold(2, 1), Threshold(2, 2), Threshold(3, 3), Threshold(5, 5))
 # A right answer, and the share of them that a threshold on the probability lets through.
-_RIGHT = (2.0, 2.0)
+_RIGHT = Threshold(2, 2)
 _KEPT = 0.9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """One prior and what became of it.
+def report_real(trials: pd.DataFrame, title: str) -> Report:
+    """Returns the report of trials: a table of methods, one of trials, and a picture of basins.
 
-    Attributes:
-        photo: Its name.
-        number: Of the drawn prior; None for the dataset's own.
-        prior_offset_m: (3,) prior less truth, metres east, north and up.
-        offset_m: (3,) answer less truth; NaN without an answer.
-        prior_error: Of the prior.
-        error: Of the answer; infinite without one.
-        score: The method's.
-        probability: That the answer is within 2 m and 2 degrees, by the method; None where it says none.
-        seconds: Wall time.
-        cpu_seconds: Time on all cores.
-        failure: Why there is no answer, or nothing.
+    Args:
+        trials: A row per method, photo and prior: ``method``, ``photo``, ``prior`` (the number of a drawn
+            one, or ``published``), ``prior_translation_error_m``, ``prior_rotation_error_deg``,
+            ``translation_error_m``, ``rotation_error_deg`` (infinite without an answer), ``prior_east_m``,
+            ``prior_north_m``, ``east_m``, ``north_m`` (less the truth's), ``score``, ``probability`` (of
+            being within 2 m and 2 degrees; NaN where the method says none), ``seconds``, ``cpu_seconds``,
+            ``failure``.
+        title: Data and protocol in words.
     """
-
-    photo: str
-    number: int | None
-    prior_offset_m: Floats
-    offset_m: Floats
-    prior_error: PoseError
-    error: PoseError
-    score: float
-    probability: float | None
-    seconds: float
-    cpu_seconds: float
-    failure: str
-
-    def is_within(self, limit: tuple[float, float]) -> bool:
-        """Tells whether the answer is nearer than metres and degrees."""
-        return self.error.translation_m < limit[0] and self.error.rotation_deg < limit[1]
+    by_method = {str(name): rows for name, rows in trials.groupby("method", sort=False)}
+    figures = [figure for name, rows in by_method.items() for figure in _figures(name, rows)]
+    text = "\n".join([title, _summary(by_method), "", _table(trials)])
+    return Report(text, figures, trials, partial(_pictures, by_method))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MethodOutcome:
-    """All trials of one method."""
-
-    method: str
-    trials: tuple[Trial, ...]
-
-    def found(self, limit: tuple[float, float]) -> NDArray[np.bool_]:
-        """Returns (N,) which answers are nearer than metres and degrees."""
-        return np.array([trial.is_within(limit) for trial in self.trials])
-
-    def medians(self) -> tuple[float, float]:
-        """Returns the median errors, metres and degrees."""
-        errors = np.array([(t.error.translation_m, t.error.rotation_deg) for t in self.trials])
-        return float(np.median(errors[:, 0])), float(np.median(errors[:, 1]))
-
-    def flagged(self) -> float | None:
-        """Returns the share of wrong answers below the threshold that 90 % of right ones pass.
-
-        None where the method says no probability, or nothing is wrong or nothing right.
-        """
-        said = np.array([np.nan if t.probability is None else t.probability for t in self.trials])
-        right = self.found(_RIGHT)
-        if np.isnan(said).any() or right.all() or not right.any():
-            return None
-        return float(np.mean(said[~right] < np.quantile(said[right], 1.0 - _KEPT)))
+def found(trials: pd.DataFrame, limit: Threshold) -> NDArray[np.bool_]:
+    """Returns (N,) which answers are nearer than metres and degrees."""
+    return hits_of(trials[list(ERROR)].to_numpy(), limit)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RealReport:
-    """What was measured.
+def flagged(trials: pd.DataFrame) -> float | None:
+    """Returns the share of a method's wrong answers below the threshold that 90 % of right ones pass.
 
-    Attributes:
-        data: Name of the dataset.
-        protocol: The priors in words.
-        outcomes: One per method.
+    None where the method says no probability, or nothing is wrong or nothing right.
     """
+    probability, right = trials["probability"].to_numpy(np.float64), found(trials, _RIGHT)
+    if np.isnan(probability).any() or right.all() or not right.any():
+        return None
+    return float(np.mean(probability[~right] < np.quantile(probability[right], 1.0 - _KEPT)))
 
-    data: str
-    protocol: str
-    outcomes: tuple[MethodOutcome, ...]
 
-    def figures(self) -> list[Figure]:
-        """Returns recall, medians and times by method."""
-        figures = []
-        for outcome in self.outcomes:
-            name, count = outcome.method, len(outcome.trials)
-            for limit in LIMITS:
-                share = 100.0 * float(outcome.found(limit).mean())
-                figures.append(Figure(f"{name}: recall {limit[0]:g}m-{limit[1]:g}deg", share, "%"))
-            metres, degrees = outcome.medians()
-            figures += [
-                Figure(f"{name}: median translation", metres, "m"),
-                Figure(f"{name}: median rotation", degrees, "deg"),
-                Figure(f"{name}: priors", float(count), ""),
-                Figure(f"{name}: seconds", float(np.median([t.seconds for t in outcome.trials])), "s"),
-                Figure(
-                    f"{name}: CPU seconds", float(np.median([t.cpu_seconds for t in outcome.trials])), "s"
-                ),
+def _figures(name: str, rows: pd.DataFrame) -> Iterator[Figure]:
+    for limit in LIMITS:
+        yield Figure(f"{name}: recall {limit.label}", 100.0 * float(found(rows, limit).mean()), "%")
+    middle = rows[[*ERROR, "seconds", "cpu_seconds"]].median()
+    yield Figure(f"{name}: median translation", float(middle[ERROR[0]]), "m")
+    yield Figure(f"{name}: median rotation", float(middle[ERROR[1]]), "deg")
+    yield Figure(f"{name}: priors", float(len(rows)), "")
+    yield Figure(f"{name}: seconds", float(middle["seconds"]), "s")
+    yield Figure(f"{name}: CPU seconds", float(middle["cpu_seconds"]), "s")
+    share = flagged(rows)
+    if share is not None:
+        yield Figure(f"{name}: wrong answers flagged, 90 % of right kept", 100.0 * share, "%")
+
+
+def _summary(by_method: dict[str, pd.DataFrame]) -> str:
+    head = [f"{limit.translation_m:g} m, {limit.rotation_deg:g} deg" for limit in LIMITS]
+    cells = [["method", *head, "95 % at 2 m, 2 deg", "median", "s", "CPU s", "wrong flagged"]]
+    for name, rows in by_method.items():
+        middle = rows[[*ERROR, "seconds", "cpu_seconds"]].median()
+        low, high = wilson_interval(found(rows, _RIGHT))
+        share = flagged(rows)
+        cells.append(
+            [
+                name,
+                *(f"{int(found(rows, limit).sum())} of {len(rows)}" for limit in LIMITS),
+                f"{low:.0f} to {high:.0f} %",
+                f"{middle[ERROR[0]]:.2f} m, {middle[ERROR[1]]:.2f} deg",
+                f"{middle['seconds']:.2f}",
+                f"{middle['cpu_seconds']:.2f}",
+                "-" if share is None else f"{100 * share:.0f} %",
             ]
-            flagged = outcome.flagged()
-            if flagged is not None:
-                figures.append(
-                    Figure(f"{name}: wrong answers flagged, 90 % of right kept", 100.0 * flagged, "%")
-                )
-        return figures
-
-    def to_text(self) -> str:
-        """Returns a table of methods, and one of trials."""
-        return "\n".join([f"{self.data}: priors {self.protocol}", self._summary(), "", self._trials()])
-
-    def _summary(self) -> str:
-        head = [f"{m:g} m, {d:g} deg" for m, d in LIMITS]
-        cells = [["method", *head, "95 % at 2 m, 2 deg", "median", "s", "CPU s", "wrong flagged"]]
-        for outcome in self.outcomes:
-            count, metres = len(outcome.trials), outcome.medians()
-            low, high = wilson_interval(outcome.found(_RIGHT))
-            flagged = outcome.flagged()
-            cells.append(
-                [
-                    outcome.method,
-                    *(f"{int(outcome.found(limit).sum())} of {count}" for limit in LIMITS),
-                    f"{low:.0f} to {high:.0f} %",
-                    f"{metres[0]:.2f} m, {metres[1]:.2f} deg",
-                    f"{np.median([t.seconds for t in outcome.trials]):.2f}",
-                    f"{np.median([t.cpu_seconds for t in outcome.trials]):.2f}",
-                    "-" if flagged is None else f"{100 * flagged:.0f} %",
-                ]
-            )
-        return format_columns(cells)
-
-    def _trials(self) -> str:
-        cells = [["method", "photo", "prior", "off by", "error", "score", "probability", ""]]
-        for outcome in self.outcomes:
-            for t in outcome.trials:
-                cells.append(
-                    [
-                        outcome.method,
-                        t.photo,
-                        "published" if t.number is None else str(t.number),
-                        f"{t.prior_error.translation_m:.1f} m, {t.prior_error.rotation_deg:.1f} deg",
-                        f"{t.error.translation_m:.2f} m, {t.error.rotation_deg:.2f} deg",
-                        f"{t.score:.3f}",
-                        "-" if t.probability is None else f"{t.probability:.2f}",
-                        t.failure,
-                    ]
-                )
-        return format_columns(cells)
-
-    def write_picture(self, folder: Path) -> None:
-        """Writes ``basins.png`` and ``basins.svg``: from each prior to where it ended, seen from above."""
-        folder.mkdir(parents=True, exist_ok=True)
-
-        def draw(canvas: Canvas) -> None:
-            axes = canvas.subplots(1, len(self.outcomes), squeeze=False)[0]
-            for axis, outcome in zip(axes, self.outcomes, strict=True):
-                _draw_basins(axis, outcome)
-
-        for kind, picture in draw_figure(5.0 * len(self.outcomes), 5.0, draw).items():
-            write_bytes(folder / f"basins.{kind}", picture)
+        )
+    return format_columns(cells)
 
 
-def _draw_basins(axis, outcome: MethodOutcome) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    for trial in outcome.trials:
-        start, end = trial.prior_offset_m[:2], trial.offset_m[:2]
-        colour = SERIES[0] if trial.is_within(_RIGHT) else SERIES[1]
+def _table(trials: pd.DataFrame) -> str:
+    cells = [["method", "photo", "prior", "off by", "error", "score", "probability", ""]]
+    for _, t in trials.iterrows():
+        cells.append(
+            [
+                t["method"],
+                t["photo"],
+                t["prior"],
+                f"{t['prior_translation_error_m']:.1f} m, {t['prior_rotation_error_deg']:.1f} deg",
+                f"{t['translation_error_m']:.2f} m, {t['rotation_error_deg']:.2f} deg",
+                f"{t['score']:.3f}",
+                "-" if np.isnan(t["probability"]) else f"{t['probability']:.2f}",
+                t["failure"],
+            ]
+        )
+    return format_columns(cells)
+
+
+def _pictures(by_method: dict[str, pd.DataFrame]) -> dict[str, bytes]:
+    """Returns, for each method, from each prior to where it ended, seen from above."""
+
+    def draw(canvas: Canvas) -> None:
+        axes = canvas.subplots(1, len(by_method), squeeze=False)[0]
+        for axis, (name, rows) in zip(axes, by_method.items(), strict=True):
+            _draw_basins(axis, name, rows)
+
+    return {f"basins.{kind}": png for kind, png in draw_figure(5.0 * len(by_method), 5.0, draw).items()}
+
+
+def _draw_basins(axis: Axes, name: str, rows: pd.DataFrame) -> None:
+    right = found(rows, _RIGHT)
+    places = rows[["prior_east_m", "prior_north_m", "east_m", "north_m"]].to_numpy().reshape(-1, 2, 2)
+    for (start, end), is_right in zip(places, right, strict=True):
+        colour = SERIES[0] if is_right else SERIES[1]
         axis.plot(*np.column_stack([start, end]), color=colour, alpha=0.4, linewidth=1.0)
         axis.plot(*start, "o", color=colour, markersize=3, fillstyle="none")
         axis.plot(*end, "o", color=colour, markersize=4)
     axis.plot(0.0, 0.0, "+", color="black", markersize=12)
-    right = int(outcome.found(_RIGHT).sum())
     axis.set(
-        title=f"{outcome.method}: {right} of {len(outcome.trials)} within 2 m and 2 deg",
+        title=f"{name}: {int(right.sum())} of {len(rows)} within 2 m and 2 deg",
         xlabel="east of the truth, m",
         ylabel="north of the truth, m",
         aspect="equal",

@@ -10,14 +10,14 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Progress, no_progress
+from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
-from lodbench.bench.opening import open_apart
-from lodbench.bench.scale_report import ScaleReport, ScaleTimings
+from lodbench.bench.opening import Opening, open_apart
 from lodbench.bench.silhouettes import SilhouetteOptions, Swarm, make_swarm
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene
@@ -25,7 +25,11 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera
 from lodbench.rendering.engine_store import arrays_folder
 from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.reporting.columns import format_columns
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 
@@ -63,10 +67,11 @@ class ScaleOptions:
             raise ConfigError("num_views, hypotheses, horizon_hypotheses and repeats are at least 1.")
 
 
-def measure_scale(options: ScaleOptions | None = None, progress: Progress = no_progress) -> ScaleReport:
+def measure_scale(options: ScaleOptions | None = None, progress: Progress = no_progress) -> Report:
     """Returns what a large city costs: to open, on disk, and per hypothesis beside its core.
 
-    The large city is made and stored in the cache when it is not there.
+    The large city is made and stored in the cache when it is not there. ``data`` is what ``time_views``
+    returns.
 
     Args:
         options: What to measure.
@@ -76,6 +81,8 @@ def measure_scale(options: ScaleOptions | None = None, progress: Progress = no_p
         DatasetError: Hardly any view keeps its footprint within the core.
         OSError: The cache cannot be written.
     """
+    import pandas as pd
+
     options = options or ScaleOptions()
     started = time.perf_counter()
     folder = open_grown_city(options.buildings, options.seed, progress)
@@ -88,20 +95,50 @@ def measure_scale(options: ScaleOptions | None = None, progress: Progress = no_p
     inside, rejections = swarms_inside(core, camera, options)
     few = replace(options, hypotheses=options.horizon_hypotheses)
     horizon = _swarms(core, camera, few, HORIZON_DEG, options.num_views)[0]
-    timings = []
-    for name, swarms in (("footprint in the core", inside), ("to the horizon", horizon)):
-        timings.append(_time_views(name, core, whole, camera, swarms, options.repeats, progress))
-    return ScaleReport(
-        buildings=options.buildings,
-        triangles=len(whole.scene.triangles),
-        hypotheses=options.hypotheses,
-        horizon_hypotheses=options.horizon_hypotheses,
-        making_s=making,
-        disk_mb=_size_mb(folder) + _size_mb(arrays_folder(whole.scene)),
-        opening=opening,
-        rejections=rejections,
-        timings=tuple(timings),
+    timings = pd.concat(
+        time_views(name, core, whole, camera, swarms, options.repeats, progress)
+        for name, swarms in (("footprint in the core", inside), ("to the horizon", horizon))
     )
+    disk_mb = _size_mb(folder) + _size_mb(arrays_folder(whole.scene))
+    text = (
+        f"{options.buildings:,} buildings, {len(whole.scene.triangles):,} triangles, beside their first "
+        f"thousand.\n{options.num_views} views of each kind ({rejections} rejected), {options.hypotheses} "
+        f"hypotheses around each ({options.horizon_hypotheses} to the horizon), one thread, best pass per "
+        f"view, the cities in turn.\nOpened in {opening.seconds:.2f} s, resident then {_memory(opening)}; "
+        f"{disk_mb:,.0f} MB on disk; made or found in {making:.1f} s."
+    )
+    figures = [*figures_of(timings, options.buildings), Figure("opening", opening.seconds, "s")]
+    if opening.resident_mb is not None:
+        figures.append(Figure("resident once open", opening.resident_mb, "MB"))
+    figures += [Figure("on disk", disk_mb, "MB"), Figure("views rejected", rejections, "")]
+    return Report(f"{_table(timings)}\n{text}", figures, timings)
+
+
+def figures_of(timings: pd.DataFrame, buildings: int) -> list[Figure]:
+    """Returns the costs in the whole city beside those in its core, by kind of views."""
+    figures = []
+    for name, mine in timings.groupby("views", sort=False):
+        core, whole = mine["core_us"].mean(), mine["whole_us"].mean()
+        title = f"render and IoU, {buildings:,} buildings, {name}"
+        figures.append(Figure(title, whole, "us", "the core alone", core, core / whole))
+        figures.append(Figure(f"hypotheses that count differently, {name}", int(mine["different"].sum()), ""))
+    return figures
+
+
+def _table(timings: pd.DataFrame) -> str:
+    rows = [["views", "core us/hypothesis", "whole us/hypothesis", "cost ratio", "count differently"]]
+    for name, mine in timings.groupby("views", sort=False):
+        core, whole = mine["core_us"].mean(), mine["whole_us"].mean()
+        rows.append(
+            [str(name), f"{core:.1f}", f"{whole:.1f}", f"{whole / core:.2f}", str(mine["different"].sum())]
+        )
+    return format_columns(rows)
+
+
+def _memory(opening: Opening) -> str:
+    if opening.resident_mb is None:
+        return "unknown"
+    return f"{opening.resident_mb:,.0f} MB ({opening.before_mb:,.0f} before)"
 
 
 def swarms_inside(core: SilhouetteRenderer, camera: Camera, options: ScaleOptions) -> tuple[list[Swarm], int]:
@@ -147,7 +184,7 @@ def _swarms(
     return [make_swarm(pose, i, asked) for i, pose in enumerate(views.poses)], views.rejections
 
 
-def _time_views(
+def time_views(
     name: str,
     core: SilhouetteRenderer,
     whole: SilhouetteRenderer,
@@ -155,24 +192,29 @@ def _time_views(
     swarms: list[Swarm],
     repeats: int,
     progress: Progress,
-) -> ScaleTimings:
-    """Times both cities on the same views, in turns, and compares their counts."""
-    microseconds = np.full((2, len(swarms)), np.inf)
-    different = 0
-    for i, swarm in enumerate(swarms):
+) -> pd.DataFrame:
+    """Returns what the same views cost in both cities, timed in turns, a row each.
+
+    Columns are ``views`` (their kind, ``name``), ``core_us`` and ``whole_us`` (microseconds per hypothesis,
+    of the fastest pass), and ``different``: hypotheses whose counts differ between the two.
+    """
+    import pandas as pd
+
+    rows = []
+    for number, swarm in enumerate(swarms, start=1):
         mask = core.render(camera, swarm.pose)
+        best = [np.inf, np.inf]
         for _ in range(repeats):
             counts = []
             for k, engine in enumerate((core, whole)):
                 started = time.perf_counter()
                 counts.append(engine.counts(camera, swarm.rotations, swarm.centers, mask))
-                taken = (time.perf_counter() - started) / len(swarm.centers) * 1e6
-                microseconds[k, i] = min(microseconds[k, i], taken)
-        different += int(
-            ((counts[0].intersection != counts[1].intersection) | (counts[0].union != counts[1].union)).sum()
-        )
-        progress(i + 1, len(swarms))
-    return ScaleTimings(name, tuple(microseconds[0]), tuple(microseconds[1]), different)
+                best[k] = min(best[k], (time.perf_counter() - started) / len(swarm.centers) * 1e6)
+        first, second = counts
+        differs = (first.intersection != second.intersection) | (first.union != second.union)
+        rows.append((name, *best, int(differs.sum())))
+        progress(number, len(swarms))
+    return pd.DataFrame(rows, columns=["views", "core_us", "whole_us", "different"])
 
 
 def _size_mb(folder: Path) -> float:

@@ -13,13 +13,15 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Progress, no_progress
-from lodbench.bench.silhouette_report import HORIZON, STEEP, SilhouetteReport, Timing
+from lodbench.bench.figures import Progress, Report, no_progress
+from lodbench.bench.silhouette_report import HORIZON, STEEP, report_silhouettes
 from lodbench.citymodel import Scene, open_scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, RenderingError
@@ -106,10 +108,17 @@ class Contender:
     threads: int | None
     count: int
 
+    @property
+    def words(self) -> str:
+        """Returns the renderer and its threads in words."""
+        if self.threads is None:
+            return self.scorer.name
+        return f"{self.scorer.name}, {self.threads} thread{'s' if self.threads > 1 else ''}"
+
 
 def measure_silhouettes(
     city: Path, options: SilhouetteOptions | None = None, progress: Progress = no_progress
-) -> SilhouetteReport:
+) -> Report:
     """Returns the time per hypothesis, rendering and IoU together, of the engine and its peers.
 
     Args:
@@ -120,41 +129,37 @@ def measure_silhouettes(
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
+    import pandas as pd
+
     options = options or SilhouetteOptions()
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     scene = open_scene(city)
     engine = make_renderer(ENGINE, scene, 1)
-    sets = {kind: make_swarms(scene, engine, options, kind) for kind in _kinds(options)}
+    sets = {
+        kind: make_swarms(scene, engine, options, kind)
+        for kind in PITCHES
+        if kind == STEEP or options.num_horizon
+    }
     contenders, absent = _contenders(scene, options)
     jobs = [
         (kind, size) for kind in sets for size in options.sizes if kind == STEEP or size == options.sizes[0]
     ]
-    total, done = sum(len(sets[kind][0]) for kind, _ in jobs), 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        progress(done, total)
-
-    timings: list[Timing] = []
+    total, done = sum(len(sets[kind][0]) for kind, _ in jobs), count(1)
+    rows: list[dict[str, Any]] = []
     for kind, size in jobs:
         camera = RGB_CAMERA.scaled(*size)
-        timings += _time_views(kind, contenders, sets[kind][0], camera, options.repeats, step)
-    return SilhouetteReport(
-        city=Path(city).name,
-        num_triangles=len(scene.triangles),
-        hypotheses=options.hypotheses,
-        peer_hypotheses=options.peer_hypotheses,
-        rejections={kind: rejections for kind, (_, rejections) in sets.items()},
-        cores=os.cpu_count() or 1,
-        load=load,
-        timings=tuple(timings),
-        absent=absent,
+        rows += _time_views(
+            kind, contenders, sets[kind][0], camera, options.repeats, lambda: progress(next(done), total)
+        )
+    return report_silhouettes(
+        pd.DataFrame(rows),
+        {kind: rejections for kind, (_, rejections) in sets.items()},
+        absent,
+        f"{Path(city).name}, {len(scene.triangles):,} triangles; {options.hypotheses:,} hypotheses around "
+        f"each view, peers the first {options.peer_hypotheses}; best pass per view.",
+        f"{os.cpu_count()} cores, load {'unknown' if load is None else f'{load:.1f}'} before the start: "
+        "a busy machine slows renderers unequally.",
     )
-
-
-def _kinds(options: SilhouetteOptions) -> list[str]:
-    return [STEEP, HORIZON] if options.num_horizon else [STEEP]
 
 
 def make_swarms(
@@ -206,31 +211,30 @@ def _time_views(
     camera: Camera,
     repeats: int,
     step: Callable[[], None],
-) -> list[Timing]:
-    """Times every contender on every view at one size; the first one makes the masks."""
-    microseconds: list[list[float]] = [[] for _ in contenders]
-    busy: list[list[float]] = [[] for _ in contenders]
-    different: list[list[float]] = [[] for _ in contenders]
+) -> list[dict[str, Any]]:
+    """Times every contender on every view at one size; the first one makes the masks.
+
+    Returns rows as ``report_silhouettes`` wants them.
+    """
+    rows = []
     for swarm in swarms:
         mask = contenders[0].scorer.render(camera, swarm.pose)
-        for i, contender in enumerate(contenders):
-            different[i].append(float((contender.scorer.render(camera, swarm.pose) != mask).mean()))
+        for contender in contenders:
+            different = float((contender.scorer.render(camera, swarm.pose) != mask).mean())
             taken, cores = _best_pass(contender, camera, swarm, mask, repeats)
-            microseconds[i].append(taken)
-            busy[i].append(cores)
+            rows.append(
+                {
+                    "name": contender.words,
+                    "is_peer": contender.threads is None,
+                    "size": f"{camera.width}x{camera.height}",
+                    "views": kind,
+                    "us": taken,
+                    "cores": cores,
+                    "different": different,
+                }
+            )
         step()
-    return [
-        Timing(
-            renderer=contender.scorer.name,
-            threads=contender.threads,
-            size=(camera.width, camera.height),
-            views=kind,
-            microseconds=tuple(microseconds[i]),
-            cores=float(np.mean(busy[i])),
-            different=float(np.mean(different[i])),
-        )
-        for i, contender in enumerate(contenders)
-    ]
+    return rows
 
 
 def _best_pass(

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import encoded_mask
@@ -45,46 +45,9 @@ class TrainingDataOptions:
             raise ConfigError(f"views={self.views} is too few to measure.", "24 is usual.")
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingDataReport:
-    """What was measured.
-
-    Attributes:
-        city: File name.
-        triangles: Of the city and its surroundings, as pictured.
-        workers: Processes.
-        load: Load average before the start, None if unknown.
-        rows: Figures, in the order measured.
-    """
-
-    city: str
-    triangles: int
-    workers: int
-    load: float | None
-    rows: tuple[Figure, ...]
-
-    def figures(self) -> list[Figure]:
-        """Returns the figures."""
-        return list(self.rows)
-
-    def to_text(self) -> str:
-        """Returns the report as a table with a line of small print."""
-        lines = []
-        for row in self.rows:
-            peer = "" if not row.peer else f"   {row.peer}"
-            peer += "" if row.peer_value is None else f" {row.peer_value:.1f} {row.unit} ({row.ratio:.1f}x)"
-            lines.append(f"{row.figure:<54}{row.value:>9.2f} {row.unit}{peer}")
-        load = "unknown" if self.load is None else f"{self.load:.1f}"
-        lines.append(
-            f"{self.city}, {self.triangles:,} triangles in pictures, {self.workers} processes on "
-            f"{os.cpu_count()} cores, load {load} before the start. Written to disk, file by file."
-        )
-        return "\n".join(lines)
-
-
 def measure_training_data(
     city: Path, options: TrainingDataOptions | None = None, progress: Progress = no_progress
-) -> TrainingDataReport:
+) -> Report:
     """Returns how many masks and photos are made per second, and in how much memory.
 
     Every figure is taken after one view per process, so that compiling and reading do not count.
@@ -123,7 +86,12 @@ def measure_training_data(
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     triangles = len(picture.triangles) + (0 if parts.props is None else len(parts.props))
-    return TrainingDataReport(city.name, triangles, workers, load, tuple(rows))
+    words = "unknown" if load is None else f"{load:.1f}"
+    note = (
+        f"{city.name}, {triangles:,} triangles in pictures, {workers} processes on {os.cpu_count()} cores, "
+        f"load {words} before the start. Written to disk, file by file."
+    )
+    return plain_report(city.name, rows, note)
 
 
 def _masks(

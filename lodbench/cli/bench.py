@@ -7,19 +7,15 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from lodbench.bench.accuracy import measure_accuracy
 from lodbench.bench.budget import measure_budget
-from lodbench.bench.city import CityBench, CityOptions, measure_city
-from lodbench.bench.evaluation import EvaluationOptions, EvaluationReport, measure_evaluation
+from lodbench.bench.city import CityOptions, measure_city
+from lodbench.bench.evaluation import EvaluationOptions, measure_evaluation
 from lodbench.bench.figures import Report
 from lodbench.bench.scale import ScaleOptions, measure_scale
-from lodbench.bench.scale_report import ScaleReport
-from lodbench.bench.silhouette_pictures import write_pictures
-from lodbench.bench.silhouette_report import SilhouetteReport
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
-from lodbench.bench.training_data import TrainingDataOptions, TrainingDataReport, measure_training_data
+from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
 from lodbench.bench.wide_priors import measure_wide_priors
 from lodbench.cli import bench_real
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
@@ -34,18 +30,14 @@ def main(argv: Sequence[str]) -> int:
     options = _parser().parse_args(argv)
     with ProgressCallback(f"bench {options.what}") as steps:
         report = MEASURES[options.what](options, steps)
-    if isinstance(report, Report):
-        figures, text = report.figures, report.text
-        if getattr(options, "pictures", None) is not None:
-            report.write_pictures(options.pictures)
-    else:
-        figures, text = report.figures(), report.to_text()
-    lines = [json.dumps(figure.to_json()) for figure in figures] if options.json else [text]
+    if getattr(options, "pictures", None) is not None:
+        report.write_pictures(options.pictures)
+    lines = [json.dumps(each.to_json()) for each in report.figures] if options.json else [report.text]
     sys.stdout.write("\n".join(lines) + "\n")
     return 0
 
 
-def _silhouettes(options: argparse.Namespace, steps: ProgressCallback) -> SilhouetteReport:
+def _silhouettes(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     peers = tuple(options.peers.split(",")) if options.peers else ()
     asked = SilhouetteOptions(
         num_views=options.views,
@@ -54,13 +46,10 @@ def _silhouettes(options: argparse.Namespace, steps: ProgressCallback) -> Silhou
         peers=peers,
         seed=options.seed,
     )
-    report = measure_silhouettes(_city_file(options), asked, steps)
-    if options.pictures is not None:
-        write_pictures(report, options.pictures)
-    return report
+    return measure_silhouettes(_city_file(options), asked, steps)
 
 
-def _scale(options: argparse.Namespace, steps: ProgressCallback) -> ScaleReport:
+def _scale(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     asked = ScaleOptions(
         buildings=options.buildings, num_views=options.views, hypotheses=options.hypotheses, seed=options.seed
     )
@@ -103,17 +92,17 @@ def _whole(text: str) -> int:
         raise ConfigError(f"A seed is a whole number, not {text!r}.", "Write --seeds 0,1,2") from error
 
 
-def _city(options: argparse.Namespace, steps: ProgressCallback) -> CityBench:
+def _city(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     asked = CityOptions(lod=options.lod, repeats=options.repeats, large_mb=options.large_mb)
     return measure_city(_city_file(options), asked, steps)
 
 
-def _evaluation(options: argparse.Namespace, steps: ProgressCallback) -> EvaluationReport:
+def _evaluation(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     asked = EvaluationOptions(options.queries, options.methods, options.seed)
     return measure_evaluation(asked, steps)
 
 
-def _training_data(options: argparse.Namespace, steps: ProgressCallback) -> TrainingDataReport:
+def _training_data(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     city = _city_file(options)
     props = options.props
     if options.city is None:
@@ -122,7 +111,7 @@ def _training_data(options: argparse.Namespace, steps: ProgressCallback) -> Trai
     return measure_training_data(city, asked, steps)
 
 
-MEASURES: dict[str, Callable[..., Any]] = {
+MEASURES: dict[str, Callable[[argparse.Namespace, ProgressCallback], Report]] = {
     "silhouettes": _silhouettes,
     "scale": _scale,
     "accuracy": _accuracy,

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from lodbench.bench.figures import Report
 from lodbench.bench.real import RealOptions, measure_real
-from lodbench.bench.real_report import RealReport
 from lodbench.cli.segmenters import default_segmenter, segmenter_of
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input, declared_inputs
@@ -50,8 +50,8 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
     return parser
 
 
-def measure(options: argparse.Namespace, steps: ProgressCallback) -> RealReport:
-    """Returns what was asked for, its picture written."""
+def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    """Returns what was asked for."""
     if not options.city.exists():
         raise ConfigError(f"The city model {options.city} does not exist.", "Write --city FILE.")
     dataset = open_folder(
@@ -76,7 +76,4 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> RealReport:
     city = open_city(options.city, dataset.lod, dataset.city_options, dataset.roof_height)
     # Priors of another width than the dataset's own leave its own out.
     asked = RealOptions(options.priors, width, is_published_too=width == UniformPrior(), seed=options.seed)
-    report = measure_real(dataset, city.scene, segmenter, methods, asked, steps)
-    if options.pictures is not None:
-        report.write_picture(options.pictures)
-    return report
+    return measure_real(dataset, city.scene, segmenter, methods, asked, steps)

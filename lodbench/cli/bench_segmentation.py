@@ -8,9 +8,8 @@ from typing import Any
 
 from lodbench.bench.figures import Report
 from lodbench.bench.iou_recall import measure_iou_recall
-from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
-from lodbench.bench.mask_quality_report import MaskQualityReport
-from lodbench.bench.photo_masks import PhotoMaskReport, measure_photo_masks
+from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks, require_photo_segmenter
+from lodbench.bench.photo_masks import measure_photo_masks
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
@@ -57,10 +56,8 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
     return parser
 
 
-def measure_segmentation(
-    options: argparse.Namespace, steps: ProgressCallback
-) -> MaskQualityReport | Report | PhotoMaskReport:
-    """Returns what was asked for, its picture written."""
+def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    """Returns what was asked for."""
     if options.photos is not None:
         if options.city is not None or options.data is not None or options.views is not None:
             raise ConfigError("--photos are measured by themselves.", "Leave out --city, --data and --views.")
@@ -74,14 +71,12 @@ def measure_segmentation(
     return _masks(options, steps)
 
 
-def _photos(options: argparse.Namespace, steps: ProgressCallback) -> PhotoMaskReport:
-    from lodbench.bench.mask_quality import require_photo_segmenter
-
+def _photos(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     segmenter = segmenter_of(options.segmenter, options.segmenter_option)
     report = measure_photo_masks(require_photo_segmenter(segmenter, options.segmenter), options.photos, steps)
     if options.pictures is not None:
         report.write_pictures(options.pictures)
-    return report
+    return Report(report.to_text(), report.figures())
 
 
 def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:
@@ -90,9 +85,7 @@ def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     return measure_iou_recall(views, [make_method(name) for name in options.method.split(",")], steps)
 
 
-def _masks(options: argparse.Namespace, steps: ProgressCallback) -> MaskQualityReport:
-    from lodbench.bench.mask_pictures import write_sheet
-    from lodbench.bench.mask_quality import require_photo_segmenter
+def _masks(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     from lodbench.bench.mask_town import town_sets
 
     segmenter = require_photo_segmenter(
@@ -103,7 +96,4 @@ def _masks(options: argparse.Namespace, steps: ProgressCallback) -> MaskQualityR
         data, visible = town_sets(options.town, _VIEWS_OF_TOWN if options.views is None else options.views)
     elif options.views is not None:
         raise ConfigError("--views is for a town or a city.", "All views of --data count.")
-    report = measure_masks(segmenter, MaskQualityOptions(data, visible), steps)
-    if options.pictures is not None:
-        write_sheet(report, options.pictures)
-    return report
+    return measure_masks(segmenter, MaskQualityOptions(data, visible), steps)

@@ -76,11 +76,16 @@ def draw_outline(canvas: Picture, mask: Mask, colour: tuple[int, int, int], thic
     cv2.drawContours(canvas, outlines, -1, colour, thickness, cv2.LINE_AA)
 
 
-def write_picture(path: Path, picture: Picture | NDArray[np.uint16]) -> None:
-    """Writes a picture, grey or BGR, 8 or 16 bits, as PNG, atomically."""
+def png_bytes(picture: Picture | NDArray[np.uint16]) -> bytes:
+    """Returns a picture, grey or BGR, 8 or 16 bits, as a PNG file."""
     import cv2
 
-    write_bytes(path, cv2.imencode(".png", picture)[1].tobytes())
+    return bytes(cv2.imencode(".png", picture)[1])
+
+
+def write_picture(path: Path, picture: Picture | NDArray[np.uint16]) -> None:
+    """Writes a picture, grey or BGR, 8 or 16 bits, as PNG, atomically."""
+    write_bytes(path, png_bytes(picture))
 
 
 def is_readable_picture(path: Path) -> bool:

@@ -43,7 +43,7 @@ def city(tmp_path: Path) -> Path:
 
 def test_figures(city: Path) -> None:
     bench = measure_city(city, CityOptions(repeats=1, large_mb=1))
-    figures = {row.figure: row for row in bench.figures()}
+    figures = {row.figure: row for row in bench.figures}
     reading = figures["read and mesh LoD1"]
     assert reading.peer_value is not None
     assert reading.ratio == pytest.approx(reading.peer_value / reading.value)
@@ -51,8 +51,8 @@ def test_figures(city: Path) -> None:
     assert figures["area lost"].value == 0
     memory = next(row for name, row in figures.items() if "peak memory" in name)
     assert memory.value < 100
-    assert json.dumps([row.to_json() for row in bench.figures()])
-    assert "read and mesh LoD1" in bench.to_text()
+    assert json.dumps([row.to_json() for row in bench.figures])
+    assert "read and mesh LoD1" in bench.text
 
 
 @pytest.mark.parametrize("project", [project_plainly, project_tuned])
@@ -102,7 +102,7 @@ def test_options_are_checked() -> None:
 def test_real_tile_is_faster_than_the_naive_way(shared_data: Path) -> None:
     tile = shared_data / "city/plateau/51311568_bldg_6697_op.gml"
     bench = measure_city(tile, CityOptions(lod="1", repeats=3, large_mb=0))
-    ratio = bench.figures()[0].ratio
+    ratio = bench.figures[0].ratio
     # 5 to 6 on an idle machine; the bound leaves room for a busy one.
     assert ratio is not None
     assert ratio > 2.0

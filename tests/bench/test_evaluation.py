@@ -10,8 +10,8 @@ def test_the_bench_scores_reads_and_reports():
     steps = []
     report = measure_evaluation(EvaluationOptions(30, 2), lambda *step: steps.append(step))
     assert steps == [(1, 2), (2, 2)]
-    assert all(figure.value > 0 for figure in report.figures())
-    assert "30 queries, 2 methods" in report.to_text()
+    assert all(figure.value > 0 for figure in report.figures)
+    assert "30 queries, 2 methods" in report.text
 
 
 def test_nothing_to_measure_is_refused():

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
-from lodbench.bench.mask_pictures import write_sheet
 from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
-from lodbench.bench.mask_quality_report import Overlap, summary_of
+from lodbench.bench.mask_quality_report import summary_of
 from lodbench.cli import main
 from lodbench.errors import DatasetError
 from lodbench.evaluation.statistics import bootstrap_ratio
@@ -58,12 +58,10 @@ def report(sets):
 
 
 def test_overlaps_are_those_counted_by_hand(report):
-    assert [view.key for view in report.views] == ["train/00", "train/01", "train/02"]
-    for view in report.views:
-        assert view.with_mask == Overlap(300, 450)
-        assert view.ceiling == Overlap(300, 400)
-        assert view.with_visible == Overlap(300, 350)
-    figures = {figure.figure: figure.value for figure in report.figures()}
+    assert report.data["key"].tolist() == ["train/00", "train/01", "train/02"]
+    for kind, overlap in {"mask": (300, 450), "ceiling": (300, 400), "visible": (300, 350)}.items():
+        assert (report.data[[f"{kind} shared", f"{kind} union"]] == overlap).all(axis=None)
+    figures = {figure.figure: figure.value for figure in report.figures}
     assert figures["mask_iou_mean"] == figures["mask_iou_pooled"] == pytest.approx(300 / 450)
     assert figures["mask_iou_ceiling_mean"] == pytest.approx(0.75)
     assert figures["visible_iou_pooled"] == pytest.approx(300 / 350)
@@ -72,7 +70,8 @@ def test_overlaps_are_those_counted_by_hand(report):
 
 
 def test_mean_and_pooled_weigh_views_differently():
-    found = summary_of([Overlap(10, 20), Overlap(900, 1000)])
+    views = pd.DataFrame({"mask shared": [10, 900], "mask union": [20, 1000]})
+    found = summary_of(views, "mask")
     assert found.mean == pytest.approx(0.7)
     assert found.pooled == pytest.approx(910 / 1020)
     assert found.mean_interval[0] <= found.mean <= found.mean_interval[1]
@@ -95,7 +94,7 @@ def test_a_ratio_is_resampled_in_pairs():
 
 
 def test_the_text_says_what_was_measured(report):
-    told = report.to_text()
+    told = report.text
     assert "3 of the 4 views of data, those with 5 % buildings or more, 40 x 30" in told
     assert "0.667" in told
     assert "0.750" in told
@@ -103,7 +102,8 @@ def test_the_text_says_what_was_measured(report):
 
 
 def test_the_sheet_tints_what_is_wrong(report, tmp_path):
-    sheet = cv2.imread(str(write_sheet(report, tmp_path / "new")))
+    report.write_pictures(tmp_path / "new")
+    sheet = cv2.imread(str(tmp_path / "new" / "masks.png"))
     for bgr in ((30, 120, 255), (255, 60, 190)):
         tint = 0.65 * np.array(bgr)
         assert (abs(sheet - tint).max(axis=2) < 90).mean() > 0.01
@@ -111,7 +111,7 @@ def test_the_sheet_tints_what_is_wrong(report, tmp_path):
 
 def test_without_a_visible_set_there_is_no_ceiling(sets):
     found = measure_masks(Reddish(CompactParams()), MaskQualityOptions(sets / "data"))
-    assert [figure.figure for figure in found.figures()][:3] == ["mask_iou_mean", "mask_iou_pooled", "views"]
+    assert [figure.figure for figure in found.figures][:3] == ["mask_iou_mean", "mask_iou_pooled", "views"]
 
 
 def test_sets_that_do_not_belong_together_are_refused(sets, tmp_path):

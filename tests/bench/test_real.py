@@ -6,37 +6,45 @@ import json
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from lodbench.bench.real_report import MethodOutcome, RealReport, Trial
+from lodbench.bench.real_report import flagged, found, report_real
 from lodbench.cli.bench import main
-from lodbench.evaluation import PoseError
+from lodbench.evaluation.queries import ERROR
+from lodbench.evaluation.recall import Threshold
 from tests.town import write_dataset
 
 
-def trial(metres, probability, degrees=0.1):
-    return Trial(
-        "photo.jpg", 0, np.zeros(3), np.zeros(3), PoseError(20.0, 3.0), PoseError(metres, degrees), 0.1,
-        probability, 1.0, 1.0, "",
-    )  # fmt: skip
+def trials(*ends):
+    """Returns trials of one method that end so many metres and degrees off, with their probabilities."""
+    rows = [dict(zip((*ERROR, "probability"), end, strict=True)) for end in ends]
+    common = {
+        "photo": "photo.jpg",
+        "prior": "0",
+        "score": 0.1,
+        "seconds": 1.0,
+        "cpu_seconds": 1.0,
+        "failure": "",
+    }
+    common |= {"prior_translation_error_m": 20.0, "prior_rotation_error_deg": 3.0}
+    return pd.DataFrame(rows).assign(method="m", **common)
 
 
 class TestTheReport:
     def test_wrong_answers_are_flagged_by_what_right_ones_pass(self):
-        right = [trial(1.0, p) for p in np.linspace(0.5, 1.0, 11)]
+        right = [(1.0, 0.1, p) for p in np.linspace(0.5, 1.0, 11)]
         # The lowest tenth of the right ones lies below 0.55.
-        wrong = [trial(9.0, p) for p in (0.1, 0.2, 0.54, 0.9)]
-        assert MethodOutcome("m", (*right, *wrong)).flagged() == 0.75
-        assert MethodOutcome("m", tuple(right)).flagged() is None
-        assert MethodOutcome("m", (*right, trial(9.0, None))).flagged() is None
+        wrong = [(9.0, 0.1, p) for p in (0.1, 0.2, 0.54, 0.9)]
+        assert flagged(trials(*right, *wrong)) == 0.75
+        assert flagged(trials(*right)) is None
+        assert flagged(trials(*right, (9.0, 0.1, math.nan))) is None
 
     def test_limits_are_strict_and_failures_count(self):
-        outcome = MethodOutcome(
-            "m", (trial(1.9, 0.5), trial(2.0, 0.5), trial(1.0, 0.5, 1.5), trial(math.inf, 0.0, 180))
-        )
-        assert outcome.found((2.0, 1.0)).tolist() == [True, False, False, False]
-        assert outcome.found((2.0, 2.0)).tolist() == [True, False, True, False]
-        figures = {f.figure: f.value for f in RealReport("d", "p", (outcome,)).figures()}
+        ends = trials((1.9, 0.1, 0.5), (2.0, 0.1, 0.5), (1.0, 1.5, 0.5), (math.inf, 180.0, 0.0))
+        assert found(ends, Threshold(2, 1)).tolist() == [True, False, False, False]
+        assert found(ends, Threshold(2, 2)).tolist() == [True, False, True, False]
+        figures = {f.figure: f.value for f in report_real(ends, "data").figures}
         assert figures["m: recall 2m-2deg"] == 50.0
         assert figures["m: priors"] == 4.0
 

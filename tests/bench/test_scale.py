@@ -4,12 +4,11 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from lodbench.bench.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
-from lodbench.bench.opening import Opening
-from lodbench.bench.scale import ScaleOptions, is_inside, measure_scale, swarms_inside
-from lodbench.bench.scale_report import ScaleReport, ScaleTimings
+from lodbench.bench.scale import ScaleOptions, figures_of, is_inside, measure_scale, swarms_inside
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.cli import main
 from lodbench.errors import ConfigError
@@ -98,28 +97,24 @@ def test_both_cities_count_alike(tmp_path, monkeypatch):
     monkeypatch.setattr(engine_store, "_STORED_FROM_TRIANGLES", 1000)
     steps = []
     report = measure_scale(QUICK, lambda *step: steps.append(step))
-    inside, horizon = report.timings
-    assert inside.different == 0
-    assert len(inside.core) == len(inside.whole) == len(horizon.core) == 2
-    assert min(inside.core + inside.whole + horizon.core + horizon.whole) > 0
-    assert report.opening.seconds > 0
-    assert report.disk_mb > 2300 * 22 * 12 / 1e6
+    assert report.data["views"].tolist() == ["footprint in the core"] * 2 + ["to the horizon"] * 2
+    assert (report.data["different"][:2] == 0).all()
+    assert (report.data[["core_us", "whole_us"]] > 0).all(axis=None)
+    figures = {figure.figure: figure.value for figure in report.figures}
+    assert figures["opening"] > 0
+    assert figures["on disk"] > 2300 * 22 * 12 / 1e6
+    assert "Opened in" in report.text
     assert len(list((tmp_path / "engine").iterdir())) == 1
     assert steps == [(1, 3), (2, 3), (3, 3), (1, 2), (2, 2), (1, 2), (2, 2)]
-    json.dumps([figure.to_json() for figure in report.figures()], allow_nan=False)
+    json.dumps([figure.to_json() for figure in report.figures], allow_nan=False)
 
 
-def test_the_report():
-    timings = ScaleTimings("footprint in the core", (100.0, 200.0), (120.0, 240.0), 3)
-    report = ScaleReport(5000, 110000, 14, 2, 9.0, 70.0, Opening(0.5, 300.0, 120.0), 4, (timings,))
-    figure = report.figures()[0]
-    assert (figure.value, figure.peer_value, figure.ratio) == (180.0, 150.0, pytest.approx(1 / 1.2))
-    assert report.figures()[1].value == 3
-    text = report.to_text()
-    assert "1.20" in text
-    assert "0.50 s, resident then 300 MB (120 before)" in text
-    unknown = ScaleReport(5000, 110000, 14, 2, 9.0, 70.0, Opening(0.5, None, None), 4, (timings,))
-    assert "resident then unknown" in unknown.to_text()
+def test_costs_are_means_beside_the_cores():
+    rows = [("footprint in the core", 100.0, 120.0, 1), ("footprint in the core", 200.0, 240.0, 2)]
+    timings = pd.DataFrame(rows, columns=["views", "core_us", "whole_us", "different"])
+    cost, different = figures_of(timings, 5000)
+    assert (cost.value, cost.peer_value, cost.ratio) == (180.0, 150.0, pytest.approx(1 / 1.2))
+    assert different.value == 3
 
 
 @pytest.mark.parametrize("values", [{"buildings": 999}, {"num_views": 0}, {"repeats": 0}])

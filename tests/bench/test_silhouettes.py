@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
 from lodbench.bench import silhouettes
-from lodbench.bench.silhouette_pictures import write_pictures
-from lodbench.bench.silhouette_report import HORIZON, STEEP, SilhouetteReport, Timing
+from lodbench.bench.silhouette_report import HORIZON, STEEP, report_silhouettes
 from lodbench.bench.silhouettes import SilhouetteOptions, make_swarms, measure_silhouettes
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError, RenderingError
@@ -35,18 +35,18 @@ class TestMeasure:
     def test_every_thread_count_and_size(self, city):
         steps = []
         report = measure_silhouettes(city, QUICK, lambda *step: steps.append(step))
-        assert [(t.threads, t.size, t.views) for t in report.timings] == [
-            (1, (602, 448), STEEP),
-            (2, (602, 448), STEEP),
-            (1, (301, 224), STEEP),
-            (2, (301, 224), STEEP),
-            (1, (602, 448), HORIZON),
-            (2, (602, 448), HORIZON),
-        ]
-        for t in report.timings:
-            assert len(t.microseconds) == (2 if t.views == STEEP else 1)
-            assert min(t.microseconds) > 0
-            assert t.different == 0
+        rows = report.data.groupby(["name", "size", "views"], sort=False)["us"]
+        one, two = "silhouette, 1 thread", "silhouette, 2 threads"
+        assert rows.count().to_dict() == {
+            (one, "602x448", STEEP): 2,
+            (two, "602x448", STEEP): 2,
+            (one, "301x224", STEEP): 2,
+            (two, "301x224", STEEP): 2,
+            (one, "602x448", HORIZON): 1,
+            (two, "602x448", HORIZON): 1,
+        }
+        assert (report.data["us"] > 0).all()
+        assert (report.data["different"] == 0).all()
         assert steps == [(n, 5) for n in range(1, 6)]
 
     def test_views_are_of_their_kind(self, city):
@@ -73,11 +73,11 @@ class TestMeasure:
             peer_hypotheses=1,
         )
         report = measure_silhouettes(city, options)
-        figure = report.figures()[0]
+        figure = report.figures[0]
         assert figure.peer == "reference"
         assert figure.ratio == pytest.approx(figure.peer_value / figure.value)
-        assert report.peers_of(report.ours[0])[0].different == 0
-        assert "x reference" in report.to_text()
+        assert (report.data["different"] == 0).all()
+        assert "x reference" in report.text
 
     def test_an_absent_peer_is_named_with_the_reason(self, city, monkeypatch):
         def without_peers(name, scene, threads=None):
@@ -92,38 +92,34 @@ class TestMeasure:
                 num_views=1, num_horizon=0, hypotheses=2, threads=(1,), repeats=1, peers=("pyrender",)
             ),
         )
-        assert "pyrender is absent: The pyrender back end cannot be imported." in report.to_text()
-        figure = report.figures()[0]
+        assert "pyrender is absent: The pyrender back end cannot be imported." in report.text
+        figure = report.figures[0]
         assert "cannot be imported" in figure.peer
         assert figure.ratio is None
 
 
 class TestReport:
-    SIZE, HALF = (602, 448), (301, 224)
-    REPORT = SilhouetteReport(
-        "city.obj",
-        45774,
-        2000,
-        20,
-        {STEEP: 4, HORIZON: 7},
-        2,
-        1.5,
-        (
-            Timing("silhouette", 1, SIZE, STEEP, (100.0, 300.0), 0.99, 0.0),
-            Timing("pyrender", None, SIZE, STEEP, (8000.0, 12000.0), 1.9, 0.005),
-            Timing("silhouette", 1, HALF, STEEP, (60.0, 100.0), 0.99, 0.0),
-            Timing("silhouette", 1, SIZE, HORIZON, (500.0,), 0.99, 0.0),
-            Timing("pyrender", None, SIZE, HORIZON, (9000.0,), 1.9, 0.01),
-        ),
+    COLUMNS = ("name", "is_peer", "size", "views", "us", "cores", "different")
+    ROWS = (
+        ("silhouette, 1 thread", False, "602x448", STEEP, 100.0, 0.99, 0.0),
+        ("silhouette, 1 thread", False, "602x448", STEEP, 300.0, 0.99, 0.0),
+        ("pyrender", True, "602x448", STEEP, 8000.0, 1.9, 0.005),
+        ("pyrender", True, "602x448", STEEP, 12000.0, 1.9, 0.005),
+        ("silhouette, 1 thread", False, "301x224", STEEP, 60.0, 0.99, 0.0),
+        ("silhouette, 1 thread", False, "301x224", STEEP, 100.0, 0.99, 0.0),
+        ("silhouette, 1 thread", False, "602x448", HORIZON, 500.0, 0.99, 0.0),
+        ("pyrender", True, "602x448", HORIZON, 9000.0, 1.9, 0.01),
     )
+    DATA = pd.DataFrame(ROWS, columns=COLUMNS)
+    REPORT = report_silhouettes(DATA, {STEEP: 4, HORIZON: 7}, {}, "city.obj, 45,774 triangles", "2 cores")
 
     def test_the_ratio_is_that_of_the_means(self):
-        figure = self.REPORT.figures()[0]
+        figure = self.REPORT.figures[0]
         assert (figure.value, figure.peer_value, figure.ratio) == (200.0, 10000.0, 50.0)
         assert figure.figure == "render and IoU, 602x448, silhouette, 1 thread"
 
     def test_figures_are_json(self):
-        figures = [f.to_json() for f in self.REPORT.figures()]
+        figures = [f.to_json() for f in self.REPORT.figures]
         json.dumps(figures, allow_nan=False)
         assert {"figure", "value", "unit", "peer", "peer_value", "ratio"} == set(figures[0])
         rejected = {f["figure"]: f["value"] for f in figures[-2:]}
@@ -132,33 +128,32 @@ class TestReport:
         assert len(names) == len(set(names))
 
     def test_views_to_the_horizon_stand_apart(self):
-        figure = self.REPORT.figures()[2]
+        figure = self.REPORT.figures[2]
         assert figure.figure == "render and IoU, 602x448, pitch 60 to 75, silhouette, 1 thread"
         assert (figure.value, figure.peer_value, figure.ratio) == (500.0, 9000.0, 18.0)
 
     def test_the_smaller_size_beside_the_larger(self):
-        figure = self.REPORT.figures()[3]
+        figure = self.REPORT.figures[3]
         assert figure.figure == "render and IoU, 301x224 beside 602x448, silhouette, 1 thread"
         assert (figure.value, figure.peer_value, figure.ratio) == (80.0, 200.0, 2.5)
-        assert "301x224 takes 0.40 of the time of 602x448, 2.50x as fast" in self.REPORT.to_text()
+        assert "301x224 takes 0.40 of the time of 602x448, 2.50x as fast" in self.REPORT.text
 
     def test_pictures(self, tmp_path):
-        files = write_pictures(self.REPORT, tmp_path / "new")
-        assert [file.name for file in files] == ["costs.png", "ratios.png"]
-        for file in files:
-            picture = cv2.imread(str(file))
+        self.REPORT.write_pictures(tmp_path / "new")
+        for name in ("costs.png", "ratios.png"):
+            picture = cv2.imread(str(tmp_path / "new" / name))
             assert picture.shape[0] > 400
             assert picture.shape[1] > 900
             assert 0.02 < (picture < 250).any(axis=2).mean() < 0.5
-        alone = replace(self.REPORT, timings=tuple(self.REPORT.ours))
-        assert [file.name for file in write_pictures(alone, tmp_path)] == ["costs.png"]
+        alone = report_silhouettes(self.DATA[~self.DATA["is_peer"]], {STEEP: 4, HORIZON: 7}, {})
+        assert sorted(alone.draw()) == ["costs.png", "costs.svg"]
 
     def test_text(self):
-        text = self.REPORT.to_text()
+        text = self.REPORT.text
         assert "50.0" in text
         assert "45,774 triangles" in text
         assert "0.50% of pixels differ" in text
-        assert "2 cores, load 1.5" in text
+        assert "2 cores" in text
         assert "2 views of pitch 20 to 60 deg (4 draws rejected)" in text
 
 
