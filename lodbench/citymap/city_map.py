@@ -137,8 +137,8 @@ class CityMap:
         self.usage.add("colour", len(centers))
         if self._textured is not None:
             return self._textured.colours(camera, rotations, centers)
-        look, development = draw_look(PLAIN_LOOK, random_stream(0, "city map", "colour"))
-        photos = [self._photos.photo(camera, pose, look, development) for pose in _poses(rotations, centers)]
+        look, response = draw_look(PLAIN_LOOK, random_stream(0, "city map", "colour"))
+        photos = [self._photos.photo(camera, pose, look, response) for pose in _poses(rotations, centers)]
         return np.array(photos, dtype=np.uint8).reshape(-1, camera.height, camera.width, 3)
 
     def edges(

@@ -9,7 +9,6 @@ it, so the same numbers give the same interval.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -170,12 +169,6 @@ def _median_distance(first: Floats, second: Floats, axis: int = -1) -> Floats:
         apart = np.abs(np.median(second, axis=axis) - np.median(first, axis=axis))
     # Both medians infinite: no difference that can be told; one of them: further than anything.
     return np.nan_to_num(apart, nan=0.0, posinf=1e12)
-
-
-def mean_and_spread(values: Sequence[float]) -> tuple[float, float]:
-    """Returns mean and sample standard deviation of runs that differ in their seed; NaN spread for one."""
-    spread = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
-    return float(np.mean(values)), spread
 
 
 @lru_cache(maxsize=8)

@@ -154,9 +154,7 @@ def _together(*common: Any) -> tuple[Any, ...]:
     return common
 
 
-def _on_worker(
-    common: tuple[str, Callable[[Any], Any], Callable[..., None], tuple[Any, ...]], item: Any
-) -> Any:
+def _on_worker(common: _Common, item: Any) -> Any:
     token, work, prepare, prepare_with = common
     if _prepared != [token]:
         prepare(*prepare_with)

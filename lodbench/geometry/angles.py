@@ -1,4 +1,4 @@
-"""Angle conventions: the datasets' (pitch, roll, yaw), and those of DJI, Blender and OpenSceneGraph.
+"""Angle conventions: the datasets' (pitch, roll, yaw), and those of DJI and Blender.
 
 The datasets' convention. Let ``R`` turn Blender camera axes (x right, y up, looking along -z) into
 the world (x east, y north, z up). Then ``R = Rz(yaw) Ry(roll) Rx(pitch)``: pitch 0 looks straight
@@ -113,12 +113,6 @@ def blender_from_opencv(world_from_cam: Matrix) -> Matrix:
     flip = np.eye(4)
     flip[:3, :3] = _FLIP_YZ
     return np.asarray(world_from_cam @ flip)
-
-
-def osg_angles(cam_from_world: Matrix) -> EulerAngles:
-    """Returns OpenSceneGraph-style angles: of OpenCV's camera-to-world, with 180 added to the first."""
-    first, second, third = _angles_of(cam_from_world.T)
-    return EulerAngles(first + 180.0, second, third)
 
 
 def heading_from_yaw(yaw_deg: float) -> float:

@@ -1,8 +1,8 @@
-"""Coverage by counting layers: edges leave marks, one sweep down the columns sums them up.
+"""Coverage by counting layers: edges leave marks, one pass down the columns adds them up.
 
 For every triangle the engine adds the winding number it has on the screen, turned positive. So the
 sum at a pixel is the number of layers over it, and the silhouette is where that is not zero. It is
-enough to mark, in every column an edge meets, the row where the sum changes; the sweep then adds
+enough to mark, in every column an edge meets, the row where the sum changes; the pass then adds
 up each column from the top. Along an edge shared by two triangles that face alike the two marks
 cancel, so only the edges of the outline are marked at all. This is exact whatever the mesh: open,
 closed, or with faces turned the wrong way; and buildings need not be kept apart.
@@ -25,7 +25,7 @@ from lodbench.rendering.bits import words_per_row
 from lodbench.rendering.simd import LANES
 from lodbench.rendering.simd_marks import mark_lines, set_up_lines
 
-# A sum is read as 16 bits: it is looked at before more triangles than this could pile up.
+# A sum is read as 16 bits: it is looked at before more triangles than this could add up.
 MAX_LAYERS = 30_000
 
 _STRIP = 64
@@ -151,7 +151,7 @@ def mark_edges(lists, lane, width, height, marks):  # type: ignore[no-untyped-de
 
 
 @intrinsic
-def _sweep_strip(
+def _accumulate_strip(
     _context: Any, marks: Any, start: Any, rows: Any, words: Any, place: Any, stride: Any
 ) -> tuple[Signature, Any]:
     """Adds up ``rows`` rows of 64 marks each, clears them, and sets a bit per sum that is not zero.
@@ -183,7 +183,7 @@ def _sweep_strip(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sweep(coverage, lane, height, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def accumulate(coverage, lane, height, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Sets the bits of ``words``, (H, S) uint64, where a hypothesis's sums are not zero; clears all marks."""
     strips = coverage.low.shape[1]
     for strip in range(strips):
@@ -193,7 +193,7 @@ def sweep(coverage, lane, height, words):  # type: ignore[no-untyped-def]  # noq
         start = strip * (height + 1) * _STRIP
         # The row below the view takes marks but is not looked at.
         rows = min(high, height - 1) + 1 - low
-        _sweep_strip(coverage.marks, start + low * _STRIP, rows, words, low * strips + strip, strips)  # type: ignore[call-arg]
+        _accumulate_strip(coverage.marks, start + low * _STRIP, rows, words, low * strips + strip, strips)  # type: ignore[call-arg]
         coverage.marks[start + height * _STRIP : start + (height + 1) * _STRIP] = 0
         coverage.low[lane, strip] = height
         coverage.high[lane, strip] = -1

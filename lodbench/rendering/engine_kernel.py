@@ -14,10 +14,10 @@ from lodbench.rendering.bits import intersect_and_clear
 from lodbench.rendering.clipping import MAX_CORNERS, clip_polygon
 from lodbench.rendering.coverage import (
     MAX_LAYERS,
+    accumulate,
     append_edge,
     expect_marks,
     mark_edges,
-    sweep,
 )
 from lodbench.rendering.projection import camera_axes, snap
 from lodbench.rendering.raster_rule import GUARD_PX, NEAR_M
@@ -41,7 +41,7 @@ def _flush(view, scratch, words):  # type: ignore[no-untyped-def]  # noqa: ANN00
     """Draws the edges gathered so far into each hypothesis's words."""
     for lane in range(words.shape[0]):
         mark_edges(scratch.lists, lane, view.width, view.height, scratch.coverage.marks)
-        sweep(scratch.coverage, lane, view.height, words[lane])
+        accumulate(scratch.coverage, lane, view.height, words[lane])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -149,7 +149,7 @@ def view_of(target: NDArray[np.float64], height_m: float, angles: EulerAngles) -
 
 
 class ViewCheck:
-    """Judges views of a city: free of buildings at the camera, and enough of them in the picture."""
+    """Tells which views of a city will do: clear of buildings, and with enough of them in the picture."""
 
     def __init__(
         self, scene: Scene, renderer: Renderer, camera: Camera, building_share: tuple[float, float]

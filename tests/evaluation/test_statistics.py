@@ -14,7 +14,6 @@ from lodbench.evaluation.statistics import (
     bootstrap_means,
     bootstrap_median,
     mcnemar,
-    mean_and_spread,
     paired_medians,
 )
 
@@ -111,8 +110,3 @@ def test_runs_that_mostly_fail_have_no_difference_to_tell():
     assert math.isnan(test.difference)
     assert math.isnan(test.p)
     assert paired_medians(lost, np.ones(5)).difference == -math.inf
-
-
-def test_spread_is_the_sample_standard_deviation():
-    assert mean_and_spread([1.0, 2.0, 3.0]) == (2.0, 1.0)
-    assert math.isnan(mean_and_spread([4.0])[1])

@@ -15,7 +15,7 @@ from lodbench.geometry import (
     rotations_at_yaws,
     wrap_deg,
 )
-from lodbench.geometry.angles import blender_from_opencv, heading_from_yaw, osg_angles, rotation_from_dji
+from lodbench.geometry.angles import blender_from_opencv, heading_from_yaw, rotation_from_dji
 
 S = np.diag([1.0, -1.0, -1.0])
 angles_deg = st.floats(-180, 180)
@@ -130,18 +130,6 @@ class TestOtherConventions:
         found = Rotation.from_matrix(blender[:3, :3]).as_euler("xyz", degrees=True)
         for value, wanted in zip(found, (pitch, roll, yaw), strict=True):
             assert abs(wrap_deg(value - wanted)) < 1e-6
-
-    @given(st.floats(1, 89), st.floats(-30, 30), angles_deg)
-    def test_osg_is_scipy_of_the_opencv_matrix_plus_half_a_turn(self, pitch, roll, yaw):
-        rotation = rotation_from_euler(EulerAngles(pitch, roll, yaw))
-        expected = Rotation.from_matrix(rotation.T).as_euler("xyz", degrees=True)
-        expected[0] += 180.0
-        for found, wanted in zip(osg_angles(rotation), expected, strict=True):
-            assert abs(wrap_deg(found - wanted)) < 1e-9
-
-    def test_osg_angles_of_a_tilted_camera_are_the_datasets(self):
-        found = osg_angles(rotation_from_euler(EulerAngles(45.0, 2.0, -65.0)))
-        np.testing.assert_allclose(found, (45.0, 2.0, -65.0), atol=1e-9)
 
     @pytest.mark.parametrize(("yaw", "heading"), [(0, 0), (-90, 90), (90, 270), (180, 180), (-360, 0)])
     def test_headings_run_clockwise(self, yaw, heading):

@@ -1,4 +1,4 @@
-"""The sweep: sums down the columns, and the limit of its 16 bits."""
+"""Accumulation: sums down the columns, and the limit of its 16 bits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lodbench.citymodel.scene import build_scene
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering.bits import unpack_mask, words_per_row
-from lodbench.rendering.coverage import blank_coverage, expect_marks, sweep
+from lodbench.rendering.coverage import accumulate, blank_coverage, expect_marks
 from lodbench.rendering.reference import ReferenceRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 
@@ -19,7 +19,7 @@ POSE = Pose.from_euler(EulerAngles(20, 0, 10), (0, 0, 30))
 
 
 @given(st.integers(1, 130), st.integers(1, 20), st.integers(0, 2**32 - 1))
-def test_sweep_is_a_cumulative_sum_and_clears_up(width, height, seed):
+def test_it_is_a_cumulative_sum_and_clears_up(width, height, seed):
     generator = np.random.default_rng(seed)
     changes = generator.integers(-1, 2, (height, width)) * (generator.random((height, width)) < 0.3)
     coverage = blank_coverage(width, height)
@@ -28,7 +28,7 @@ def test_sweep_is_a_cumulative_sum_and_clears_up(width, height, seed):
     for row, column in np.argwhere(changes):
         marks[column // 64, row, column % 64] = changes[row, column]
     words = np.zeros((height, words_per_row(width)), dtype=np.uint64)
-    sweep(coverage, 3, height, words)
+    accumulate(coverage, 3, height, words)
     np.testing.assert_array_equal(unpack_mask(words, width), np.cumsum(changes, axis=0) != 0)
     assert not coverage.marks.any()
     assert (coverage.high == -1).all()

@@ -88,13 +88,13 @@ def plan_views(
         params: What to generate.
         scene: The city of the masks.
         ground: Its ground.
-        progress: Called for every candidate judged.
+        progress: Called for every candidate looked at.
 
     Raises:
         DatasetError: No view is left.
     """
-    judge = _Judge(params, scene, ground)
-    poses = candidates(params, Place(judge.boxes.bases, ground, scene.origin))
+    view_filter = _ViewFilter(params, scene, ground)
+    poses = candidates(params, Place(view_filter.boxes.bases, ground, scene.origin))
     order = np.arange(len(poses))
     if params.limit is not None:
         order = random_stream(params.seed, "training", "choice").permutation(len(poses))
@@ -103,7 +103,7 @@ def plan_views(
     for index in order:
         if params.limit is not None and len(taken) == params.limit:
             break
-        split, reason = judge.verdict(poses[index])
+        split, reason = view_filter.split_of(poses[index])
         if split is None:
             skipped[reason] += 1
         else:
@@ -120,8 +120,8 @@ def plan_views(
     return ViewPlan(tuple(views), dict(sorted(skipped.items())), len(poses))
 
 
-class _Judge:
-    """Decides on views; its pictures are small."""
+class _ViewFilter:
+    """Says which views are taken, of which split; its pictures are small."""
 
     def __init__(self, params: GenerateParams, scene: Scene, ground: Ground) -> None:
         self._params, self._ground, self.boxes = params, ground, building_boxes(scene)
@@ -132,7 +132,7 @@ class _Judge:
         self._region = np.zeros(scene.num_buildings, dtype=np.int64)
         self._region[self.boxes.building] = regions_of(self.boxes.bases, params.val_share, params.test_share)
 
-    def verdict(self, pose: Pose) -> tuple[str | None, str]:
+    def split_of(self, pose: Pose) -> tuple[str | None, str]:
         """Returns the split of a view and "", or None and why it is not taken."""
         center = pose.center[None]
         if center[0, 2] < self._ground.at(center)[0] + _CLEARANCE_M:

@@ -1,0 +1,132 @@
+"""One query asked of a method: the estimate, or why there is none, as it is stored."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.query import Entry, Query
+from lodbench.errors import ConfigError, LodbenchError, QueryFault
+from lodbench.evaluation.predictions import Prediction, encoded_mask
+from lodbench.geometry import Pose
+from lodbench.harness.runs.method_inputs import keep_traceback
+from lodbench.harness.runs.prepare import Preparation
+from lodbench.methods import Estimate, Method
+from lodbench.methods.asking import localize_queries, localize_query
+from lodbench.methods.protocol import Streams, SupportsBatches
+from lodbench.segmentation import binary_mask
+
+# Masks are stored, and compared with the truth, at most at this width, pixels: the paper's fine size.
+_MASK_WIDTH = 602
+
+
+@dataclass(slots=True)
+class Asked:
+    """A query on its way to a prediction.
+
+    Attributes:
+        entry: As the dataset stores it.
+        streams: Its random numbers.
+        query: As the method sees it, once it is made.
+        prepare_s: How long that took, seconds.
+        estimate: The method's, if there is one.
+        failure: Why there is none.
+    """
+
+    entry: Entry
+    streams: Streams
+    query: Query | None = None
+    prepare_s: float = 0.0
+    estimate: Estimate | None = None
+    failure: str = ""
+
+    def prediction(self, preparation: Preparation, folder: Path) -> Prediction:
+        """Returns what is stored: the estimate, or why there is none; an odd estimate is a fault too."""
+        mask = "" if self.query is None else _stored_mask(self.query)
+        if self.estimate is not None:
+            with _failing(self, folder):
+                return _stored_estimate(self.estimate, self.prepare_s, mask, preparation)
+        return Prediction(None, self.failure, hypotheses=0, mask_png=mask)
+
+
+def _stored_estimate(
+    found: Estimate, prepare_s: float, mask_png: str, preparation: Preparation
+) -> Prediction:
+    return Prediction(
+        pose=Pose.from_matrix(preparation.in_dataset_frame(found.pose).cam_from_world),
+        score=float(found.score) if math.isfinite(found.score) else None,
+        hypotheses=int(found.hypotheses),
+        seconds={"prepare": prepare_s, **found.seconds},
+        trace={stage: tuple(map(float, scores)) for stage, scores in found.trace.items()},
+        probability=None if found.probability is None else float(found.probability),
+        covariance=_upper_triangle(found.covariance),
+        mask_png=mask_png,
+    )
+
+
+def answer(
+    method: Method, preparation: Preparation, city_map: CityMap, asked: Sequence[Asked], folder: Path
+) -> None:
+    """Fills in estimates, or why there are none."""
+    for each in asked:
+        with _failing(each, folder):
+            started = time.perf_counter()
+            each.query = preparation.query(each.entry)
+            each.prepare_s = time.perf_counter() - started
+    ready = [(each, each.query) for each in asked if each.query is not None]
+    if isinstance(method, SupportsBatches) and len(ready) > 1:
+        try:
+            answers = localize_queries(
+                method, [query for _, query in ready], city_map, [each.streams for each, _ in ready]
+            )
+        except ConfigError:
+            raise
+        except Exception as error:  # one by one it shows which query it is
+            keep_traceback(folder, f"batch {ready[0][0].entry.key}", error)
+        else:
+            for (each, _), answer in zip(ready, answers, strict=True):
+                with _failing(each, folder):
+                    if isinstance(answer, QueryFault):
+                        raise answer
+                    each.estimate = answer
+            return
+    for each, query in ready:
+        with _failing(each, folder):
+            each.estimate = localize_query(method, query, city_map, each.streams)
+
+
+@contextmanager
+def _failing(each: Asked, folder: Path) -> Iterator[None]:
+    """Turns what is raised into a query's failure, but for wrong settings; keeps a plug-in's traceback."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except LodbenchError as fault:
+        each.failure = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")
+    except Exception as error:
+        keep_traceback(folder, each.entry.key, error)
+        each.failure = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+
+
+def _stored_mask(query: Query) -> str:
+    """Returns a query's mask at its own size, or at 602 pixels' width if it is larger; "" for none."""
+    if query.building_probability is None:
+        return ""
+    height, width = query.building_probability.shape
+    if width > _MASK_WIDTH:
+        height, width = max(1, round(_MASK_WIDTH * height / width)), _MASK_WIDTH
+    return encoded_mask(binary_mask(query.building_probability, width, height))
+
+
+def _upper_triangle(covariance: NDArray[np.float64] | None) -> tuple[float, ...]:
+    """Returns the 21 numbers of a (6, 6) covariance on and above its diagonal, row by row; () for none."""
+    return () if covariance is None else tuple(float(v) for v in covariance[np.triu_indices(6)])
