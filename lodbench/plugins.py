@@ -39,13 +39,14 @@ class Kind:
 # By group: methods are entry points of the group ``lodbench.methods``.
 KINDS = {
     "methods": Kind("method", ("name", "params_type", "localize")),
-    "segmenters": Kind("segmenter", ("params_type", "segment", "fingerprint")),
+    "segmenters": Kind("segmenter", ("params_type", "fingerprint")),
     "feature_extractors": Kind("feature-extractor", ("params_type", "extract")),
     "matchers": Kind("matcher", ("params_type", "match")),
     "pose_solvers": Kind("pose-solver", ("params_type", "solve")),
     "datasets": Kind("dataset"),
     "priors": Kind("prior", ("name", "apply", "describe")),
     "pose_formats": Kind("pose-format"),
+    "export_formats": Kind("export-format", ("file_name", "requires", "write")),
     "city_readers": Kind("city-reader"),
     "renderers": Kind("renderer", ("name", "render")),
     "fits": Kind("fit"),

@@ -12,9 +12,9 @@ from lodbench.cli.verify import add_path_options, reopen_dataset
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
 from lodbench.harness.city import open_city
-from lodbench.harness.export.export import FORMATS, Exported, export_run, needs_cameras
-from lodbench.harness.export.rerun import export_rerun, require_rerun
+from lodbench.harness.export.export import CITY, CRS, Export, Exported, ExportFormat, export_run
 from lodbench.harness.runs.stored import read_run
+from lodbench.plugins import load_plugin, plugin_names
 
 _EPILOG = """\
 Poses are written in the dataset's coordinates; queries without one are named, not written (in GeoJSON they
@@ -28,17 +28,14 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
     run = read_run(asked.run)
-    cameras, crs = {}, asked.crs
-    wants_cameras = needs_cameras(asked.format)
-    if asked.format == "rerun":
-        require_rerun()
-        dataset = reopen_dataset(asked.run, asked.dataset_root, asked.city_model)
-        return _report(export_rerun(run, dataset, _city_of(dataset), asked.out))
-    if wants_cameras or (asked.format == "geojson" and crs is None):
-        dataset = reopen_dataset(asked.run, asked.dataset_root, asked.city_model)
-        cameras = {entry.key: entry.camera for entry in dataset.entries if entry.camera is not None}
-        crs = _crs_of(dataset) if asked.format == "geojson" else None
-    return _report(export_run(run, asked.format, asked.out, cameras=cameras, crs=crs))
+    form: ExportFormat = load_plugin("export_formats", asked.format)()
+    needs = set(form.requires) - ({CRS} if asked.crs is not None else set())
+    dataset = reopen_dataset(asked.run, asked.dataset_root, asked.city_model) if needs else None
+    city = None
+    if dataset is not None and (CITY in needs or (CRS in needs and dataset.city_model is not None)):
+        city = _city_of(dataset)
+    crs = asked.crs if asked.crs is not None or city is None else city.crs
+    return _report(export_run(Export(run, dataset, city, crs), form, asked.out))
 
 
 def _report(done: Exported) -> int:
@@ -48,11 +45,6 @@ def _report(done: Exported) -> int:
         names = ", ".join(done.without_pose[:3]) + (", ..." if len(done.without_pose) > 3 else "")
         sys.stdout.write(f"  {len(done.without_pose)} queries have no pose: {names}\n")
     return 0
-
-
-def _crs_of(dataset: Dataset) -> str | None:
-    """Returns the reference system of a dataset's poses: its city's, unless they are shifted."""
-    return None if dataset.city_model is None else _city_of(dataset).crs
 
 
 def _city_of(dataset: Dataset) -> Scene:
@@ -77,7 +69,8 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
-    parser.add_argument("--format", required=True, metavar="FORMAT", help=", ".join(FORMATS))
+    names = ", ".join(plugin_names("export_formats"))
+    parser.add_argument("--format", required=True, metavar="FORMAT", help=names)
     parser.add_argument("--out", type=Path, metavar="PATH", help="file or folder to write (RUN/export/...)")
     parser.add_argument("--crs", help="reference system of the poses, for geojson (the city model's)")
     add_path_options(parser)

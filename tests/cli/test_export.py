@@ -16,7 +16,6 @@ from lodbench.citymodel.cache import open_cached_scene
 from lodbench.cli import main
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_poses
-from lodbench.harness.export.export import FORMATS
 from tests.town import CAMERA, write_dataset
 
 # Where the boxes could stand: export needs a reference system, and boxes have none.
@@ -35,7 +34,7 @@ def run(tmp_path_factory) -> Path:
     return found
 
 
-@pytest.mark.parametrize("name", sorted({*FORMATS} - {"geojson", "rerun", "csv", "parquet"}))
+@pytest.mark.parametrize("name", ["colmap", "kapture", "nerfstudio", "tum", "visuallocalization"])
 def test_every_format_is_read_back(capsys, tmp_path, run, name):
     assert main(["export", str(run), "--format", name, "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out

@@ -12,7 +12,9 @@ from lodbench.checks import FAULT, OK, Check
 from lodbench.errors import LodbenchError
 from lodbench.harness.conformance.city import fit_rules, reader_rules, renderer_rules
 from lodbench.harness.conformance.data import dataset_rules, metric_rules, pose_format_rules, prior_rules
-from lodbench.harness.conformance.pictures import extractor_rules, matcher_rules, segmenter_rules
+from lodbench.harness.conformance.export import export_rules
+from lodbench.harness.conformance.pictures import extractor_rules, matcher_rules
+from lodbench.harness.conformance.segmenters import segmenter_rules
 from lodbench.harness.conformance.solving import solver_rules
 from lodbench.harness.conformance.trial import Rules, Tried, check_rules, trial_dataset
 from lodbench.params import to_params
@@ -26,6 +28,7 @@ CHECKED: dict[str, Callable[[Tried], Rules]] = {
     "datasets": dataset_rules,
     "priors": prior_rules,
     "pose_formats": pose_format_rules,
+    "export_formats": export_rules,
     "city_readers": reader_rules,
     "renderers": renderer_rules,
     "fits": fit_rules,

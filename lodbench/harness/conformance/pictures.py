@@ -1,105 +1,17 @@
-"""Rules of what looks at pictures: segmenters, feature extractors, matchers."""
+"""Rules of what finds the same in two pictures: feature extractors, matchers."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import QueryFault
 from lodbench.harness.conformance.trial import CAMERA, Rules, Tried, refuses, require
 from lodbench.matching import Features, Matches, check_image
 from lodbench.matching.protocol import FEATURES, IMAGES
 from lodbench.plugins import load_plugin
-from lodbench.segmentation import check_mask
-from lodbench.storage import file_digest
-
-
-def segmenter_rules(tried: Tried) -> Rules:
-    """Returns the rules of a segmenter."""
-    entries = tried.entries
-
-    def masks() -> list[NDArray[np.float32] | str]:
-        return [_mask_or_reason(tried.make(), entry) for entry in entries]
-
-    def answers() -> str:
-        found = masks()
-        given = [mask for mask in found if not isinstance(mask, str)]
-        if not given:
-            return f"none, each with its reason: {found[0]}"
-        for mask in given:
-            require(mask.dtype == np.float32, f"a mask of {mask.dtype}", "Return float32.")
-            check_mask(mask, CAMERA)
-        return f"{len(given)} of {len(found)} masks, (H, W) float32 in [0, 1], of the photo's aspect"
-
-    def same_again() -> str:
-        for first, again in zip(masks(), masks(), strict=True):
-            require(np.array_equal(first, again), "another mask of the same photo", "Fix the seeds.")
-        return "the same photos, the same masks to the bit"
-
-    def read_only() -> str:
-        before = [file_digest(entry.image) for entry in entries if entry.image]
-        masks()
-        after = [file_digest(entry.image) for entry in entries if entry.image]
-        require(before == after, "a photo was written to")
-        return "photos are as they were"
-
-    def nothing_to_see() -> str:
-        bare = replace(entries[0], image=None, mask=None)
-        try:
-            check_mask(tried.make().segment(bare), CAMERA)
-        except QueryFault as fault:
-            return f"QueryFault: {fault.message}"
-        return "a mask all the same"
-
-    return [
-        ("masks", answers),
-        ("same again", same_again),
-        ("photos", read_only),
-        ("fingerprint", lambda: _fingerprint(tried)),
-        ("neither photo nor mask", nothing_to_see),
-    ]
-
-
-def _fingerprint(tried: Tried) -> str:
-    """A fingerprint is the same for the same photos, and another where the masks are."""
-    entries, changed = tried.entries, _repainted(tried)
-    first, again = tried.make().fingerprint(entries), tried.make().fingerprint(entries)
-    require(isinstance(first, str), f"fingerprint returned {type(first).__name__}", "Return text.")
-    require(first == again, "another fingerprint of the same queries")
-    pairs = zip(entries, changed, strict=True)
-    segmenter = tried.make()
-    if all(np.array_equal(_mask_or_reason(segmenter, a), _mask_or_reason(segmenter, b)) for a, b in pairs):
-        return "the same again; these photos do not matter to it"
-    require(
-        tried.make().fingerprint(changed) != first,
-        "other photos give other masks and the same fingerprint, so a run would not be made anew",
-        "Take the photos' content in: lodbench.storage.file_digest(entry.image).",
-    )
-    return "the same again, and another where photos give other masks"
-
-
-def _mask_or_reason(segmenter: Any, entry: Any) -> NDArray[np.float32] | str:
-    try:
-        mask: NDArray[np.float32] = segmenter.segment(entry)
-    except QueryFault as fault:
-        return fault.message
-    return mask
-
-
-def _repainted(tried: Tried) -> tuple[Any, ...]:
-    """Returns the queries with other photos of the same names."""
-    folder = tried.folder / "repainted"
-    folder.mkdir(exist_ok=True)
-    changed = []
-    for entry in tried.entries:
-        photo = np.asarray(cv2.imread(str(entry.image)), np.uint8)
-        cv2.imwrite(str(folder / entry.name), 255 - photo[::-1])
-        changed.append(replace(entry, image=folder / entry.name))
-    return tuple(changed)
 
 
 def _picture(tried: Tried, number: int = 0) -> NDArray[np.uint8]:

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import read_picture
-from lodbench.datasets.query import Dataset, Entry
+from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.export.export import Exported, names_without_pose
+from lodbench.harness.export.export import CITY, DATASET, Export
 from lodbench.harness.runs.prepare import prior_of
-from lodbench.harness.runs.stored import StoredRun
 from lodbench.reporting.overlays import ESTIMATE_COLOUR, PRIOR_COLOUR
 from lodbench.storage import write_bytes
 
@@ -31,58 +30,52 @@ _PICTURE_M = 20.0
 _TIMELINE = "query"
 
 
-def require_rerun() -> None:
-    """Makes sure that Rerun's package is there.
-
-    Raises:
-        ConfigError: It is not.
-    """
-    try:
-        import rerun  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            f"--format rerun needs rerun, which is not installed ({error}).", "pip install 'lodbench[rerun]'"
-        ) from error
-
-
-def export_rerun(run: StoredRun, dataset: Dataset, scene: Scene, out: Path | None = None) -> Exported:
-    """Writes a recording in the city's local frame, one step of the timeline ``query`` per query.
-
-    Photos and the dataset's masks lie in the estimate's camera; why a query has none is told.
-
-    Args:
-        run: The run.
-        dataset: Its dataset: cameras, priors, truth, pictures.
-        scene: Its city.
-        out: File to write; by default in the run's folder ``export``.
+class Rerun:
+    """A recording for the Rerun viewer, in the city's local frame.
 
     Raises:
         ConfigError: Rerun's package is missing.
     """
-    require_rerun()
-    import rerun as rr
 
-    record = rr.RecordingStream("lodbench", recording_id=f"lodbench {run.folder.name}")
-    memory = record.memory_recording()
-    record.send_blueprint(_layout())
-    record.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    record.log("city", _mesh(scene), static=True)
-    tilt = "truth" if "truth" in set(run.queries["tilt"]) else "prior"
-    entries = {entry.key: entry for entry in dataset.entries}
-    for number, (key, row) in enumerate(run.queries.iterrows()):
-        record.set_time(_TIMELINE, sequence=number)
-        record.log("about", rr.TextDocument(_about(row), media_type="text/markdown"))
-        entry = entries[str(key)]
-        poses = {
-            "prior": prior_of(entry, dataset, tilt),
-            "truth": dataset.truth.get(entry.key),
-            "estimate": run.poses.get(entry.key),
-        }
-        _log_query(record, entry, poses, scene.origin)
-    path = out or run.folder / "export" / "run.rrd"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, memory.drain_as_bytes())
-    return Exported(path, len(run.poses), names_without_pose(run))
+    file_name = "run.rrd"
+    requires = (DATASET, CITY)
+
+    def __init__(self) -> None:
+        try:
+            import rerun  # noqa: F401
+        except ImportError as error:
+            raise ConfigError(
+                f"--format rerun needs rerun, which is not installed ({error}).",
+                "pip install 'lodbench[rerun]'",
+            ) from error
+
+    def write(self, export: Export, path: Path) -> None:
+        """Writes a recording with one step of the timeline ``query`` per query.
+
+        Photos and the dataset's masks lie in the estimate's camera; why a query has none is told.
+        """
+        import rerun as rr
+
+        run, dataset, city = export.run, export.dataset, export.city
+        assert dataset is not None and city is not None  # noqa: PT018, S101 - required
+        record = rr.RecordingStream("lodbench", recording_id=f"lodbench {run.folder.name}")
+        memory = record.memory_recording()
+        record.send_blueprint(_layout())
+        record.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        record.log("city", _mesh(city), static=True)
+        tilt = "truth" if "truth" in set(run.queries["tilt"]) else "prior"
+        entries = {entry.key: entry for entry in dataset.entries}
+        for number, (key, row) in enumerate(run.queries.iterrows()):
+            record.set_time(_TIMELINE, sequence=number)
+            record.log("about", rr.TextDocument(_about(row), media_type="text/markdown"))
+            entry = entries[str(key)]
+            poses = {
+                "prior": prior_of(entry, dataset, tilt),
+                "truth": dataset.truth.get(entry.key),
+                "estimate": run.poses.get(entry.key),
+            }
+            _log_query(record, entry, poses, city.origin)
+        write_bytes(path, memory.drain_as_bytes())
 
 
 def _log_query(record: Any, entry: Entry, poses: dict[str, Pose | None], origin: NDArray[np.float64]) -> None:
