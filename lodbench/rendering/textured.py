@@ -10,6 +10,7 @@ from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.geometry import Camera
 from lodbench.rendering.appearance import plain_appearance
 from lodbench.rendering.compiled import per_pixel, pixel_loop
+from lodbench.rendering.pixel_samples import same_samples
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
 from lodbench.rendering.texture_charts import make_charts, texture_colour
@@ -126,7 +127,6 @@ def _resolve(band, buffer, rotation, center, charts, background, out):  # type: 
         background: (3,) RGB.
         out: (H, W, 3) uint8.
     """
-    winner, inverse = buffer.winner, buffer.inverse
     for column in range(band.first // 2, band.stop // 2):
         left = 2 * column - band.first
         for row in range(band.height // 2):
@@ -134,22 +134,17 @@ def _resolve(band, buffer, rotation, center, charts, background, out):  # type: 
             red = green = blue = 0.0
             to_do = 15
             while to_do:
-                # All samples that show the same triangle as the first that is left.
-                first = 0 if to_do & 1 else (1 if to_do & 2 else (2 if to_do & 4 else 3))
-                triangle = winner[left + (first & 1), top + (first >> 1)]
-                count, depth, x, y = 0, 0.0, 0.0, 0.0
-                for k in range(first, 4):
-                    u, v = left + (k & 1), top + (k >> 1)
-                    if winner[u, v] == triangle:
-                        to_do &= ~(1 << k)
-                        count += 1
-                        depth += inverse[u, v]
-                        x += u
-                        y += v
-                share = 1.0 / count
-                x, y = x * share + 0.5 + band.first, y * share + 0.5
+                triangle, to_do, count, inverse, x, y = same_samples(buffer, left, top, to_do)
                 colour = _sample(
-                    triangle, depth * share, x, y, band.intrinsics, rotation, center, charts, background
+                    triangle,
+                    inverse,
+                    x + band.first,
+                    y,
+                    band.intrinsics,
+                    rotation,
+                    center,
+                    charts,
+                    background,
                 )
                 red += 0.25 * count * colour[0]
                 green += 0.25 * count * colour[1]

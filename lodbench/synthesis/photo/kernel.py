@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lodbench.rendering.compiled import per_pixel, pixel_loop
+from lodbench.rendering.pixel_samples import same_samples
 from lodbench.rendering.texture_charts import texture_light
 from lodbench.synthesis.photo.ground import TEXTURED
 from lodbench.synthesis.photo.noise import mix
@@ -148,30 +149,17 @@ def resolve_photo(band, buffer, rotation, center, shading, out):  # type: ignore
         shading: (skin, look, cover, sun map, palettes, charts).
         out: (H, W, 3) float32.
     """
-    winner, inverse = buffer.winner, buffer.inverse
     # Columns lie along memory in the buffer, as for the raster.
     for column in range(band.first // 2, band.stop // 2):
         left = 2 * column - band.first
         for row in range(band.height // 2):
             top = 2 * row
             red = green = blue = 0.0
-            left_to_do = 15
-            while left_to_do:
-                # All samples that show the same triangle as the first that is left.
-                first = 0 if left_to_do & 1 else (1 if left_to_do & 2 else (2 if left_to_do & 4 else 3))
-                triangle = winner[left + (first & 1), top + (first >> 1)]
-                count, depth, x, y = 0, 0.0, 0.0, 0.0
-                for k in range(first, 4):
-                    u, v = left + (k & 1), top + (k >> 1)
-                    if winner[u, v] == triangle:
-                        left_to_do &= ~(1 << k)
-                        count += 1
-                        depth += inverse[u, v]
-                        x += u
-                        y += v
-                share = 1.0 / count
-                x, y = x * share + 0.5 + band.first, y * share + 0.5
-                colour = _pixel(triangle, depth * share, x, y, band.intrinsics, rotation, center, shading)
+            to_do = 15
+            while to_do:
+                triangle, to_do, count, inverse, x, y = same_samples(buffer, left, top, to_do)
+                x += band.first
+                colour = _pixel(triangle, inverse, x, y, band.intrinsics, rotation, center, shading)
                 red += 0.25 * count * colour[0]
                 green += 0.25 * count * colour[1]
                 blue += 0.25 * count * colour[2]
