@@ -36,7 +36,7 @@ class Correspondences(NamedTuple):
     matched: int
 
 
-class Source(Protocol):
+class CorrespondenceFinder(Protocol):
     """Finds correspondences of one photo with views."""
 
     def with_view(self, view: View) -> Correspondences:

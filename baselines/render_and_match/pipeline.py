@@ -17,10 +17,10 @@ from lodbench.matching.pose_solver import PoseSolver, SolvedPose, open_pose_solv
 from lodbench.methods import Estimate, Input, Streams
 
 from .correspondences import (
+    CorrespondenceFinder,
     Correspondences,
     Matched,
     Oracle,
-    Source,
 )
 from .params import ORACLE, RenderAndMatchParams
 from .view import View, canvas_camera, views_around
@@ -58,23 +58,23 @@ class RenderAndMatch(ABC):
         started = time.perf_counter()
         width = min(self.params.width, query.camera.width)
         camera = query.camera.scaled(width, max(1, round(width * query.camera.height / query.camera.width)))
-        source: Source
+        finder: CorrespondenceFinder
         if self.params.matcher == ORACLE:
-            source = Oracle(query, camera, self.params, streams("oracle", 0))
+            finder = Oracle(query, camera, self.params, streams("oracle", 0))
         else:
-            source = Matched(query, camera, self.params.matcher)
+            finder = Matched(query, camera, self.params.matcher)
         seconds = {"photo": time.perf_counter() - started}
         scale = width / self.params.width
         solver = open_pose_solver(self.params.pnp, threshold_px=self.params.threshold_px * scale)
         best = self._solved(
-            query, camera, source, solver, self._views(query.prior, city_map, camera, self.params.views)
+            query, camera, finder, solver, self._views(query.prior, city_map, camera, self.params.views)
         )
         seconds["first round"] = time.perf_counter() - started - seconds["photo"]
         trace = [float(best.inliers.sum())]
         for _ in range(1, self.params.rounds):
             try:
                 found = self._solved(
-                    query, camera, source, solver, self._views(best.pose, city_map, camera, 1)
+                    query, camera, finder, solver, self._views(best.pose, city_map, camera, 1)
                 )
             except QueryFault:
                 break
@@ -96,7 +96,12 @@ class RenderAndMatch(ABC):
         return [View(wide, *view) for view in zip(poses, pictures, depths, strict=True)]
 
     def _solved(
-        self, query: Query, camera: Camera, source: Source, solver: PoseSolver, views: list[View]
+        self,
+        query: Query,
+        camera: Camera,
+        finder: CorrespondenceFinder,
+        solver: PoseSolver,
+        views: list[View],
     ) -> SolvedPose:
         """Returns the pose that the matches with some views agree on.
 
@@ -105,7 +110,7 @@ class RenderAndMatch(ABC):
         """
         if not any(view.depth.any() for view in views):
             raise QueryFault("no building is in view from the prior")
-        found = [source.with_view(view) for view in views]
+        found = [finder.with_view(view) for view in views]
         joined = Correspondences(
             np.concatenate([each.points for each in found]),
             np.concatenate([each.pixels for each in found]),

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.cli.named_dataset import add_dataset_options, open_named
-from lodbench.datasets.prior_sources import PriorSource, prior_digest, prior_text
+from lodbench.datasets.prior_sources import Priors, prior_digest, prior_text
 from lodbench.errors import ConfigError
 from lodbench.harness.dataset_check import prior_errors_in_words
 from lodbench.params import to_params
@@ -49,15 +49,13 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, metavar="FILE", required=True)
     options = parser.parse_args(argv[1:])
-    source: PriorSource = to_params(
-        dict(map(_pair, options.set)), load_plugin("priors", options.kind), "--set"
-    )
+    priors: Priors = to_params(dict(map(_pair, options.set)), load_plugin("priors", options.kind), "--set")
     if options.out.is_dir():
         raise ConfigError(f"{options.out} is a folder.", "Name a file.")
-    dataset = source.apply(open_named(options), options.seed)
-    write_text(options.out, prior_text(dataset.entries, source.describe(), options.seed))
+    dataset = priors.apply(open_named(options), options.seed)
+    write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))
     made = sum(entry.prior is not None for entry in dataset.entries)
-    lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {source.describe()}"]
+    lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {priors.describe()}"]
     lines += [f"digest {prior_digest(dataset.entries)}"]
     lines += [f"{split}: {words}" for split, words in prior_errors_in_words(dataset).items()]
     lines += [f"note: {note}" for note in dataset.notes]

@@ -8,7 +8,7 @@ from inspect import signature
 from typing import Any
 
 from lodbench.cli.sources import profile_of
-from lodbench.datasets.prior_sources import FilePrior, PriorSource, prior_digest
+from lodbench.datasets.prior_sources import FilePrior, Priors, prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
@@ -37,9 +37,9 @@ def with_prior(dataset: Dataset, values: dict[str, Any], seed: int) -> tuple[Dat
         LodbenchError: The kind of prior is unknown, a setting is wrong, or the priors cannot be had.
     """
     name, settings = str(values.get("name", "")), {key: v for key, v in values.items() if key != "name"}
-    source: PriorSource = to_params(settings, load_plugin("priors", name), "prior")
-    dataset = source.apply(dataset, seed)
-    stated = {"name": name, **asdict(source)}  # type: ignore[call-overload]
+    priors: Priors = to_params(settings, load_plugin("priors", name), "prior")
+    dataset = priors.apply(dataset, seed)
+    stated = {"name": name, **asdict(priors)}  # type: ignore[call-overload]
     if name == FilePrior.name:
         stated = {"name": name}
         if settings.get("path") is not None:

@@ -26,7 +26,7 @@ from lodbench.geometry import Pose
 from lodbench.storage import digest_of
 
 
-class PriorSource(Protocol):
+class Priors(Protocol):
     """Gives each query of a dataset its prior; a frozen dataclass of settings."""
 
     name: ClassVar[str]
