@@ -16,7 +16,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import read_city_model
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_scene, write_scene
-from lodbench.citymodel.source import open_sources
+from lodbench.citymodel.source import Source, open_sources
 from lodbench.errors import CityModelError
 from lodbench.storage import digest_of, file_digest, make_folder
 from lodbench.storage.paths import cache_limit_bytes, cache_root
@@ -150,7 +150,16 @@ def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: st
             f"{error.filename or path} cannot be read: {error.strerror}.", "Check its permissions."
         ) from None
     settings = [lod, {**asdict(options), "terrain": None}, roof_height]
-    return digest_of([FORMAT_VERSION, _code_digest(), digests, *settings], length=24)
+    return digest_of([FORMAT_VERSION, code_digest(), digests, *settings], length=24)
+
+
+def source_digest(source: Source) -> object:
+    """Returns what tells a tile's content: of a member of an archive, what the archive says of it.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    return source.stamp or _digest(source.path)
 
 
 def _open_scene_folder(folder: Path, lod: str | None) -> OpenCity:
@@ -173,7 +182,7 @@ def _load(folder: Path) -> OpenCity:
 
 
 @cache
-def _code_digest() -> str:
+def code_digest() -> str:
     """Returns a digest of the code that makes scenes: no version number has to be remembered."""
     modules = [file_digest(file) for file in sorted(Path(__file__).parent.glob("*.py"))]
     return digest_of([modules, [version(name) for name in _LIBRARIES]])

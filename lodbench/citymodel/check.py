@@ -12,8 +12,9 @@ from lodbench.citymodel.codes import VAL3DITY
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.mesh import mesh_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
-from lodbench.citymodel.plane_check import check_parts, check_planes
+from lodbench.citymodel.plane_check import check_folds, check_parts, check_planes
 from lodbench.citymodel.shells import check_shells
+from lodbench.citymodel.solid_check import check_solids
 from lodbench.errors import CityModelError
 from lodbench.findings import Finding, FindingCode, Findings, Severity
 
@@ -151,7 +152,9 @@ def check_city(model: CityModel) -> CityReport:
         areas.append(LevelAreas(lod, mesh.area_m2, mesh.meshed_m2, mesh.lost_m2))
     geometry = Findings()
     check_planes(model, geometry)
+    check_folds(model, geometry)
     check_shells(model, geometry)
+    check_solids(model, geometry)
     check_parts(model, geometry)
     found += [_defect(model, item) for item in geometry.items]
     return CityReport(model.source, _rows(found), tuple(areas), model.crs, time.perf_counter() - start)

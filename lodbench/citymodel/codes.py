@@ -60,6 +60,9 @@ INTERIOR_SPLIT = _code(115, "INTERIOR_SPLIT", _W, "The holes of a polygon cut it
 HOLE_OUTSIDE = _code(116, "HOLE_OUTSIDE", _W, "A hole of a polygon lies outside of its outline.")
 HOLES_NESTED = _code(117, "HOLES_NESTED", _W, "A hole of a polygon lies inside another.")
 HOLE_TURNED = _code(118, "HOLE_TURNED", _W, "A hole runs the same way round as its outline.")
+FOLDED = _code(
+    119, "FOLDED", _W, "A piece of a polygon is turned from its plane by over 20 degrees, within 1 cm of it."
+)
 
 UNDECLARED_PREFIX = _code(201, "UNDECLARED_PREFIX", _W, "XML uses a namespace prefix it never declares.")
 XLINK_UNRESOLVED = _code(202, "XLINK_UNRESOLVED", _E, "A reference to a geometry has no target in the file.")
@@ -135,6 +138,14 @@ SHELL_IN_PIECES = _code(605, "SHELL_IN_PIECES", _W, "The faces of a shell do not
 FACE_TURNED = _code(606, "FACE_TURNED", _W, "A face of a shell looks the other way than its neighbour.")
 SHELL_INSIDE_OUT = _code(607, "SHELL_INSIDE_OUT", _W, "The faces of a shell all look the wrong way.")
 PARTS_OVERLAP = _code(608, "PARTS_OVERLAP", _W, "Two parts of a building overlap.")
+SHELL_SELF_INTERSECTION = _code(
+    609, "SHELL_SELF_INTERSECTION", _W, "An edge of a shell passes through a face of it."
+)
+SHELLS_INTERSECT = _code(610, "SHELLS_INTERSECT", _W, "Two shells of a solid cut each other.")
+SHELLS_EQUAL = _code(611, "SHELLS_EQUAL", _W, "Two shells of a solid have the same corners.")
+SHELL_OUTSIDE = _code(612, "SHELL_OUTSIDE", _W, "A hole of a solid lies outside of it.")
+SOLIDS_INTERSECT = _code(613, "SOLIDS_INTERSECT", _W, "Two solids of an object cut each other.")
+SOLIDS_EQUAL = _code(614, "SOLIDS_EQUAL", _W, "Two solids of an object have the same corners.")
 
 # The published error codes of val3dity, the usual validator of 3D city models, for what it reports too.
 VAL3DITY: dict[FindingCode, str] = {
@@ -148,6 +159,7 @@ VAL3DITY: dict[FindingCode, str] = {
     RINGS_EQUAL: "202",
     NOT_PLANAR: "203",
     FAR_FROM_PLANAR: "203",
+    FOLDED: "204",
     INTERIOR_SPLIT: "205",
     HOLE_OUTSIDE: "206",
     HOLES_NESTED: "207",
@@ -157,8 +169,14 @@ VAL3DITY: dict[FindingCode, str] = {
     NON_MANIFOLD_VERTEX: "303",
     NON_MANIFOLD_EDGE: "304",
     SHELL_IN_PIECES: "305",
+    SHELL_SELF_INTERSECTION: "306",
     FACE_TURNED: "307",
+    SHELLS_INTERSECT: "401",
+    SHELLS_EQUAL: "402",
+    SHELL_OUTSIDE: "403",
     SHELL_INSIDE_OUT: "405",
+    SOLIDS_INTERSECT: "501",
+    SOLIDS_EQUAL: "502",
     PARTS_OVERLAP: "601",
     BUILDING_EMPTY: "902",
 }

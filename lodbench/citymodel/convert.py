@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
@@ -19,6 +20,7 @@ from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.selection import polygon_blocks
 from lodbench.citymodel.subset import keep_level
+from lodbench.citymodel.tiling import cut_into_tiles, tile_index
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
@@ -44,12 +46,14 @@ class Conversion:
     """What was written.
 
     Attributes:
+        target: Where.
         model: The city written: its buildings, levels and polygons.
         mesh: The mesh written, with its account of area; None where the polygons are written.
         findings: What was met on the way, reading included.
         left_out: A line for each thing the format could not say.
     """
 
+    target: Path
     model: CityModel
     mesh: CityMesh | None
     findings: Findings
@@ -117,7 +121,29 @@ def convert_city(
         raise CityModelError(
             f"{target} cannot be written: {error.strerror}.", "Choose another place or name."
         ) from None
-    return Conversion(model, mesh, findings, left_out if writer is None else note_lines(writer.notes))
+    return Conversion(target, model, mesh, findings, left_out if writer is None else note_lines(writer.notes))
+
+
+def convert_tiles(
+    model: CityModel, target: Path, size_m: float, write: Callable[[CityModel, Path], Conversion]
+) -> list[Conversion]:
+    """Writes a city as square tiles, ``NAME_EAST_NORTH.SUFFIX``, and their index, ``NAME.geojson``.
+
+    Args:
+        model: The city.
+        target: Names folder, first part of the names and format; the folder is made where it is not there.
+        size_m: Side of a tile, metres.
+        write: Writes one of them.
+
+    Raises:
+        CityModelError: As for ``convert_city``.
+    """
+    stem, dot, ending = target.name.partition(".")
+    tiles = [(tile, f"{stem}_{tile.name}{dot}{ending}") for tile in cut_into_tiles(model, size_m)]
+    done = [write(tile.model, target.with_name(file)) for tile, file in tiles]
+    index = json.dumps(tile_index(tiles, model.crs), indent=1)
+    write_chunks(target.with_name(f"{stem}.geojson"), (index.encode(),))
+    return done
 
 
 def check_surfaces(model: CityModel, findings: Findings) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import (
+    FOLDED,
     HOLE_OUTSIDE,
     HOLE_TURNED,
     HOLES_NESTED,
@@ -20,7 +21,12 @@ from lodbench.citymodel.codes import (
 from lodbench.citymodel.derive import part_blocks
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.selection import select_polygons
-from lodbench.citymodel.triangulate import newell
+from lodbench.citymodel.triangulate import (
+    CHUNK_POLYGONS,
+    PLANAR_TOLERANCE_M,
+    newell,
+    triangulate,
+)
 from lodbench.findings import FindingCode, Findings
 
 # What GEOS says is wrong, by the beginning of its reason.
@@ -34,6 +40,8 @@ _REASONS: tuple[tuple[str, FindingCode], ...] = (
     ("Duplicate Rings", RINGS_EQUAL),
 )
 _PLACE = re.compile(r"\[(\S+) (\S+)\]")
+# As val3dity has it; smaller pieces have no plane worth the name.
+_MAX_TURN_DEG, _MIN_FOLD_M2 = 20.0, 1e-5
 _MIN_OVERLAP_M2, _MIN_OVERLAP_M = 0.1, 0.1
 
 
@@ -91,6 +99,33 @@ def check_planes(model: CityModel, findings: Findings) -> None:
     is_turned = is_hole & shapely.is_ccw(rings) & has_area[ring_polygon]
     for n in np.unique(ring_polygon[is_turned]).tolist():
         add(HOLE_TURNED, n, "a hole runs the way of its outline", np.zeros(2))
+
+
+def check_folds(model: CityModel, findings: Findings) -> None:
+    """Adds polygons with a piece that is turned from their plane although no corner is a centimetre off it.
+
+    Args:
+        model: The city.
+        findings: Receives one finding per polygon.
+    """
+    outer = np.flatnonzero(model.polygons.kind != SurfaceKind.INTERIOR)
+    for first in range(0, len(outer), CHUNK_POLYGONS):
+        own = outer[first : first + CHUNK_POLYGONS]
+        polygons = select_polygons(model.polygons, own)
+        result = triangulate(polygons, model.building_ids, Findings())
+        corners = polygons.points[result.triangles]
+        vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        sizes = np.linalg.norm(vectors, axis=1)
+        normals, _ = newell(polygons)
+        unit = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+        along = np.einsum("ij,ij->i", vectors, unit[result.polygon])
+        is_folded = (np.abs(along) < np.cos(np.radians(_MAX_TURN_DEG)) * sizes) & (sizes > _MIN_FOLD_M2)
+        is_folded &= result.deviation_m[result.polygon] <= PLANAR_TOLERANCE_M
+        at, where = np.unique(result.polygon[is_folded], return_index=True)
+        spots = corners[is_folded][where].mean(axis=1) + model.origin
+        for n, spot in zip(at.tolist(), spots.tolist(), strict=True):
+            building = model.building_ids[polygons.building[n]]
+            findings.add(FOLDED, building, "a fold", polygon=int(own[n]), place=tuple(spot))
 
 
 def check_parts(model: CityModel, findings: Findings) -> None:

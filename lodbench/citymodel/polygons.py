@@ -18,6 +18,8 @@ from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.naming import unique_ids, unique_objects
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity
+from lodbench.citymodel.selection import select_polygons
+from lodbench.citymodel.triangulate import newell
 from lodbench.errors import CityModelError
 from lodbench.geometry.frames import ShiftedEcef
 
@@ -61,13 +63,18 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     rank[order] = np.arange(len(order))
     polygons = replace(polygons, lod=rank[polygons.lod])
     first_kept = kept_as = np.arange(len(polygons))
+    given = polygons
     if raw.lods != ("",):  # a mesh is what its triangles are: of two parts that touch, both have their wall
         polygons, kept_as, first_kept = drop_repeats(polygons, raw.building_ids, raw.findings)
     solids = raw.solids
     if solids is not None:
         places = np.full(num_polygons + 1, -1, np.int64)
         places[kept] = kept_as
-        solids = replace(solids, faces=places[solids.faces])
+        is_turned = np.zeros(num_polygons + 1, np.bool_)
+        is_turned[kept] = _is_turned(given, first_kept[kept_as])
+        solids = replace(
+            solids, faces=places[solids.faces], is_flipped=solids.is_flipped ^ is_turned[solids.faces]
+        )
     return CityModel(
         source=raw.source,
         format=raw.format,
@@ -85,6 +92,16 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         polygon_ids=tuple(raw.polygon_ids[n] for n in kept[first_kept].tolist()) if raw.polygon_ids else (),
         has_interiors=INTERIORS in options.layers,
     )
+
+
+def _is_turned(polygons: Polygons, stand_in: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tells which polygons look the other way than the one of the same corners that is kept for them."""
+    is_turned = np.zeros(len(polygons), np.bool_)
+    dropped = np.flatnonzero(stand_in != np.arange(len(polygons)))
+    if len(dropped):
+        own, other = (newell(select_polygons(polygons, which))[0] for which in (dropped, stand_in[dropped]))
+        is_turned[dropped] = np.einsum("ij,ij->i", own, other) < 0
+    return is_turned
 
 
 def _largest(points: NDArray[np.float64]) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -25,7 +25,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def read_city_model(
-    path: str | Path,
+    path: str | Path | Sequence[Path],
     *,
     crs: str | None = None,
     options: ReadOptions | None = None,
@@ -34,7 +34,7 @@ def read_city_model(
     """Returns a city model in metres, in a local frame.
 
     Args:
-        path: A file, a ``.gz``, a ``.zip``, or a folder of tiles, which become one model.
+        path: A file, a ``.gz``, a ``.zip``, or a folder of tiles, which become one model; or several of them.
         crs: Reference system of its coordinates, instead of the one it declares.
         options: All else that the source does not say itself; ``crs`` goes before its ``crs``.
         progress: Called with bytes read and their total, 0 where compression hides the total.
@@ -46,10 +46,12 @@ def read_city_model(
     options = options or ReadOptions()
     if crs is not None:
         options = replace(options, crs=crs)
-    sources = open_sources(Path(path), options.layers)
+    paths = [Path(path)] if isinstance(path, str | Path) else path
+    sources = tuple(source for each in paths for source in open_sources(each, options.layers))
+    name = " + ".join(map(str, paths))
     if progress is not None:
         sources = count_bytes(sources, progress)
-    raw = _read_raw(sources[0], options) if len(sources) == 1 else _read_tiles(str(path), sources, options)
+    raw = read_source(sources[0], options) if len(sources) == 1 else _read_tiles(name, sources, options)
     return finish_model(raw, options)
 
 
@@ -96,7 +98,7 @@ def parse_city_model(data: bytes, name: str = "city", options: ReadOptions | Non
     """
     options = options or ReadOptions()
     source = Source(name, lambda: io.BytesIO(data), Path(name))
-    return finish_model(_read_raw(source, options), options)
+    return finish_model(read_source(source, options), options)
 
 
 def _read_tiles(name: str, sources: tuple[Source, ...], options: ReadOptions) -> RawCity:
@@ -105,7 +107,7 @@ def _read_tiles(name: str, sources: tuple[Source, ...], options: ReadOptions) ->
     skipped = Findings()
     for source in sources:
         try:
-            tiles.append(_read_raw(source, options))
+            tiles.append(read_source(source, options))
         except NotACity as error:
             if source is sources[-1] and not tiles:
                 raise
@@ -115,7 +117,7 @@ def _read_tiles(name: str, sources: tuple[Source, ...], options: ReadOptions) ->
     return city
 
 
-def _read_raw(source: Source, options: ReadOptions) -> RawCity:
+def read_source(source: Source, options: ReadOptions) -> RawCity:
     """Returns what the reader that is asked for, or else the one for a file's content, makes of it."""
     name = options.reader or reader_of(source)
     return cast(RawCity, load_plugin("city_readers", name)(source, options))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -43,19 +44,38 @@ def write_scene(
     Raises:
         OSError: The parent folder is missing or not writable, or something else is there already.
     """
+    about = {
+        "building_ids": scene.building_ids,
+        "lod": scene.lod,
+        "crs": scene.crs,
+        "origin": scene.origin.tolist(),
+        "extra": extra or {},
+    }
+    arrays = {name: getattr(scene, name) for name in _ARRAYS}
+    scene_folder(folder, about, lambda partial: write_arrays(partial, arrays), survives_power_cut)
+
+
+def scene_folder(
+    folder: Path,
+    about: dict[str, Any],
+    write: Callable[[Path], dict[str, str]],
+    survives_power_cut: bool = True,
+) -> None:
+    """Writes a scene folder whose arrays somebody else fills in.
+
+    Args:
+        folder: As for ``write_scene``.
+        about: What is told of the scene: ``building_ids``, ``lod``, ``crs``, ``origin``, ``extra``.
+        write: Writes the arrays into a folder, and returns their digests by name.
+        survives_power_cut: As for ``write_bytes``.
+
+    Raises:
+        OSError: As for ``write_scene``.
+    """
     if folder.exists() and not _is_ours(folder):
         raise FileExistsError(errno.EEXIST, "something else is there already")
     with new_folder(folder, survives_power_cut) as partial:
-        arrays = {name: getattr(scene, name) for name in _ARRAYS}
-        about = {
-            "building_ids": scene.building_ids,
-            "lod": scene.lod,
-            "crs": scene.crs,
-            "origin": scene.origin.tolist(),
-            "arrays": write_arrays(partial, arrays),
-            "extra": extra or {},
-        }
-        body = json.dumps(about)
+        body = json.dumps({**about, "arrays": write(partial)})
         head = f'{{"version": {FORMAT_VERSION}, "check": "{text_check(body)}"'
         write_text(partial / _META, f"{head}{_BODY}{body}}}", survives_power_cut=False)
 
@@ -78,7 +98,7 @@ def read_scene(folder: Path) -> tuple[Scene, dict[str, Any]]:
         CityModelError: The folder holds no scene, one of another version, or one that is damaged: a file is
             not the one that was written, or an index points out of its array.
     """
-    about = _read_meta(folder)
+    about = read_about(folder)
     try:
         digests = about["arrays"]
         scene = Scene(
@@ -100,7 +120,12 @@ def read_scene(folder: Path) -> tuple[Scene, dict[str, Any]]:
     return scene, extra
 
 
-def _read_meta(folder: Path) -> dict[str, Any]:
+def read_about(folder: Path) -> dict[str, Any]:
+    """Returns what is told of a scene, without a look at its arrays: ids, level, system, origin, extra.
+
+    Raises:
+        CityModelError: The folder holds no scene, one of another version, or what is told is damaged.
+    """
     try:
         text = (folder / _META).read_text(encoding="utf-8")
         meta = json.loads(text)

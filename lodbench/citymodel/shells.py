@@ -64,7 +64,7 @@ def check_shells(model: CityModel, findings: Findings) -> None:
     edges = _edges(model.polygons, solids)
     num_shells = len(solids.face_starts) - 1
     shell_solid = np.repeat(np.arange(len(solids.part)), np.diff(solids.shell_starts))
-    report = _Report(model, findings, solids.part[shell_solid])
+    report = ShellReport(model, findings, solids.part[shell_solid])
 
     num_faces = np.diff(solids.face_starts)
     for shell in np.flatnonzero(num_faces < _MIN_FACES).tolist():
@@ -89,7 +89,7 @@ def check_shells(model: CityModel, findings: Findings) -> None:
     _check_volumes(report, model.polygons, solids, ~has_fault)
 
 
-class _Report:
+class ShellReport:
     """Adds findings of shells under the ids of their buildings."""
 
     def __init__(self, model: CityModel, findings: Findings, part: NDArray[np.int32]) -> None:
@@ -98,6 +98,7 @@ class _Report:
         self._part = part
 
     def add(self, code: FindingCode, shell: int, point: int, detail: str) -> None:
+        """Adds a finding of a shell, at one of the polygons' points or nowhere (-1)."""
         model = self._model
         part = int(self._part[shell])
         name = model.objects.ids[part] if model.objects is not None else model.building_ids[part]
@@ -150,7 +151,7 @@ def _edges(polygons: Polygons, solids: Solids) -> _Edges:
 
 
 def _report_edges(
-    report: _Report, code: FindingCode, edges: _Edges, is_met: NDArray[np.bool_], words: str
+    report: ShellReport, code: FindingCode, edges: _Edges, is_met: NDArray[np.bool_], words: str
 ) -> None:
     met = np.flatnonzero(is_met)
     met = met[np.unique(edges.group[met], return_index=True)[1]]  # one half of each edge
@@ -167,7 +168,7 @@ def _pairs(edges: _Edges, is_sound: NDArray[np.bool_]) -> tuple[NDArray[np.int64
     return order[0::2], order[1::2]
 
 
-def _check_vertices(report: _Report, edges: _Edges, is_sound: NDArray[np.bool_]) -> None:
+def _check_vertices(report: ShellReport, edges: _Edges, is_sound: NDArray[np.bool_]) -> None:
     """Reports vertices whose faces hang together in more than one fan."""
     first, second = _pairs(edges, is_sound)
     is_opposite = edges.start[first] != edges.start[second]
@@ -190,7 +191,7 @@ def _check_vertices(report: _Report, edges: _Edges, is_sound: NDArray[np.bool_])
         report.add(NON_MANIFOLD_VERTEX, number, point, f"vertices where fans of faces touch: {count}")
 
 
-def _check_pieces(report: _Report, edges: _Edges, solids: Solids, is_sound: NDArray[np.bool_]) -> None:
+def _check_pieces(report: ShellReport, edges: _Edges, solids: Solids, is_sound: NDArray[np.bool_]) -> None:
     """Reports shells whose faces do not all hang together by edges."""
     first, second = _pairs(edges, is_sound)
     piece = connected_components(int(edges.face.max(initial=-1)) + 1, edges.face[first], edges.face[second])
@@ -202,7 +203,9 @@ def _check_pieces(report: _Report, edges: _Edges, solids: Solids, is_sound: NDAr
         report.add(SHELL_IN_PIECES, shell, point, f"pieces: {int(counts[shells == shell][0])}")
 
 
-def _check_volumes(report: _Report, polygons: Polygons, solids: Solids, is_sound: NDArray[np.bool_]) -> None:
+def _check_volumes(
+    report: ShellReport, polygons: Polygons, solids: Solids, is_sound: NDArray[np.bool_]
+) -> None:
     """Reports outer shells that enclose a negative volume, and inner ones a positive one."""
     rings = np.diff(polygons.ring_starts)
     origin = polygons.points[polygons.ring_starts[:-1]]

@@ -10,6 +10,7 @@ import gzip
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path, PurePath, PurePosixPath
 from typing import BinaryIO, TypeVar
 
@@ -40,12 +41,14 @@ class Source:
         open: Opens a fresh stream of its bytes; the caller closes it.
         path: The file on disk that holds it.
         vector_path: What GDAL opens, for a vector file; None for all others.
+        stamp: Checksum and size of a member of an archive; empty for files.
     """
 
     name: str
     open: Callable[[], BinaryIO]
     path: Path
     vector_path: str | None = None
+    stamp: tuple[int, ...] = ()
 
     def head(self) -> bytes:
         """Returns the first bytes.
@@ -192,7 +195,8 @@ def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[st
     for member in _of_layers(sorted(chosen, key=lambda pair: str(pair[0])), layers):
         if member.filename.lower().endswith(_VECTOR_SUFFIXES):
             inside = f"/vsizip/{path}/{member.filename}"
-            yield Source(f"{path}!{member.filename}", lambda: path.open("rb"), path, inside)
+            stamp = (member.CRC, member.file_size)
+            yield Source(f"{path}!{member.filename}", lambda: path.open("rb"), path, inside, stamp)
         else:
             yield _zip_source(path, member)
 
@@ -202,10 +206,16 @@ def _zip_source(path: Path, member: zipfile.ZipInfo) -> Source:
 
     def open_stream() -> BinaryIO:
         try:
-            stream = zipfile.ZipFile(path).open(member)
+            stream = _archive(path, path.stat().st_mtime_ns).open(member)
         except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError) as error:
             hint = "Take the password off." if member.flag_bits & 1 else "Download the file again."
             raise CityModelError(f"{name} cannot be unpacked ({error}).", hint) from None
         return BoundedStream(stream, name, member.compress_size)  # type: ignore[return-value, arg-type]
 
-    return Source(name, open_stream, path)
+    return Source(name, open_stream, path, stamp=(member.CRC, member.file_size))
+
+
+@lru_cache(maxsize=4)
+def _archive(path: Path, modified_ns: int) -> zipfile.ZipFile:
+    """Returns an archive that stays open: its list of members is long where it has thousands of tiles."""
+    return zipfile.ZipFile(path)

@@ -77,7 +77,7 @@ def choose_buildings(
                 )
         is_kept &= np.isin(np.arange(len(is_kept)), [number[name] for name in ids])
     if bbox is not None:
-        low, high = _boxes(model)
+        low, high = building_boxes(model)
         middle = 0.5 * (low + high) + model.origin[:2]
         is_kept &= np.all((middle >= bbox[:2]) & (middle <= bbox[2:]), axis=1)
     for key, value in where:
@@ -86,7 +86,7 @@ def choose_buildings(
         raise CityModelError(
             "No building fulfils the conditions.", "See what there is: lodbench city info FILE."
         )
-    return model if is_kept.all() else _keep_buildings(model, is_kept)
+    return model if is_kept.all() else keep_buildings(model, is_kept)
 
 
 def reproject(model: CityModel, crs: str) -> CityModel:
@@ -120,7 +120,7 @@ def reproject(model: CityModel, crs: str) -> CityModel:
     return replace(model, crs=label, origin=origin, polygons=replace(model.polygons, points=points - origin))
 
 
-def _boxes(model: CityModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def building_boxes(model: CityModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Returns (B, 2) lower and upper corners of all buildings; infinite where one has no polygon."""
     polygons = model.polygons
     owner = np.repeat(polygons.building, np.diff(polygons.ring_starts[polygons.polygon_starts]))
@@ -147,7 +147,7 @@ def _having(model: CityModel, key: str, value: str) -> NDArray[np.bool_]:
     return is_met
 
 
-def _keep_buildings(model: CityModel, is_kept: NDArray[np.bool_]) -> CityModel:
+def keep_buildings(model: CityModel, is_kept: NDArray[np.bool_]) -> CityModel:
     """Returns a city with some buildings, numbered anew."""
     rank = np.cumsum(is_kept) - 1
     model = _keep_polygons(model, np.flatnonzero(is_kept[model.polygons.building]))

@@ -13,13 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.layers import LAYERS
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.source import open_sources
 from lodbench.cli.flags import hints_in_flags
 from lodbench.cli.sources import load_profile
 from lodbench.errors import CityModelError
 from lodbench.execution import ProgressCallback
+from lodbench.storage import make_folder
 
 if TYPE_CHECKING:
     from lodbench.citymodel import CityModel
+    from lodbench.citymodel.convert import Conversion
 
 _EXAMPLES = """\
 FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet) or a mesh
@@ -35,6 +38,9 @@ examples:
   lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
   lodbench city convert tiles/ centre.city.jsonl --to-crs EPSG:25832 --bbox 691000 5335000 692000 5336000
   lodbench city convert lod2.gml churches.json --where function=31001_3041
+  lodbench city convert a.gml b.gml -o both.gml --citygml 3.0
+  lodbench city convert big.gml tiles/town.city.json --tiles 500      tiles/town_691000_5335000.city.json ...
+  lodbench city convert tiles/ town.scene --lod 2 --workers 4         goes on where it was stopped
 
 options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
   axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
@@ -74,7 +80,19 @@ def _parser() -> argparse.ArgumentParser:
         action = actions.add_parser(
             name, help=help_, description=help_, epilog=_EXAMPLES, formatter_class=raw
         )
-        action.add_argument("file", type=Path, metavar="FILE", help="city model: file, archive or folder")
+        if name == "convert":
+            action.add_argument(
+                "files",
+                nargs="+",
+                type=Path,
+                metavar="FILE",
+                help="city models, read as one; without -o the last one is OUT",
+            )
+            action.add_argument("-o", "--out", type=Path, metavar="OUT", help="its ending names the format")
+        else:
+            action.add_argument(
+                "file", type=Path, metavar="FILE", help="file, archive, folder of tiles or scene"
+            )
         if name == "check":
             action.add_argument(
                 "--geojson",
@@ -83,7 +101,15 @@ def _parser() -> argparse.ArgumentParser:
                 help="write the findings as points, for QGIS",
             )
         if name == "convert":
-            action.add_argument("out", type=Path, metavar="OUT", help="its ending names the format")
+            action.add_argument(
+                "--tiles", type=float, metavar="M", help="write squares of this side, and their index"
+            )
+            action.add_argument(
+                "--executor", choices=("serial", "process", "dask"), default="process",
+                help="where the tiles of a .scene are read (process)",
+            )  # fmt: skip
+            action.add_argument("--workers", type=int, help="how many processes (one per core)")
+            action.add_argument("--address", help="of Dask's scheduler")
             action.add_argument(
                 "--lod",
                 help="the one level to write, or finest: each building's own (meshes: lowest; CityJSON: all)",
@@ -131,10 +157,15 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _info(asked: argparse.Namespace, options: ReadOptions) -> int:
-    from lodbench.citymodel import city_info
-    from lodbench.cli.city_text import format_info
+    from lodbench.citymodel.info import city_info, scene_info
+    from lodbench.citymodel.scene_file import is_scene
+    from lodbench.cli.city_text import format_info, format_scene
 
-    info = city_info(_read(asked.file, replace(options, is_strict=False)))
+    if is_scene(asked.file):
+        told = scene_info(asked.file)
+        _write(asked, told, lambda: format_scene(str(asked.file), told))
+        return 0
+    info = city_info(_read([asked.file], replace(options, is_strict=False)))
     _write(asked, info, lambda: format_info(str(asked.file), info))
     return 0
 
@@ -144,7 +175,7 @@ def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
     from lodbench.storage import write_bytes
 
     start = time.perf_counter()
-    model = _read(asked.file, replace(options, is_strict=False, has_details=True))
+    model = _read([asked.file], replace(options, is_strict=False, has_details=True))
     read_seconds = time.perf_counter() - start
     report = check_city(model)
     if asked.geojson is not None:
@@ -156,23 +187,69 @@ def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
 
 
 def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -> int:
-    from lodbench.citymodel.convert import check_target, convert_city, keeps_details
-    from lodbench.citymodel.subset import choose_buildings, reproject
+    from lodbench.citymodel.convert import check_target, convert_city, convert_tiles, keeps_details
     from lodbench.cli.city_text import conversion_summary, format_conversion
 
-    check_target(asked.out)
-    if asked.out.resolve() == asked.file.resolve():
-        raise CityModelError(f"{asked.out} is the city itself.", "Choose another name to write to.")
-    where = [pair.partition("=")[::2] for pair in asked.where]
-    has_details = keeps_details(asked.out) or bool(where)
-    model = _read(asked.file, replace(options, has_details=has_details))
+    files, out = (asked.files, asked.out) if asked.out is not None else (asked.files[:-1], asked.files[-1])
+    if not files:
+        raise CityModelError(
+            f"There is nothing to convert {out} from.", "lodbench city convert FILE... -o OUT"
+        )
+    if asked.tiles is not None and out.parent.parent.is_dir():
+        make_folder(out.parent)
+    check_target(out)
+    if any(out.resolve() == file.resolve() for file in files):
+        raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
+    is_whole = not (asked.id or asked.where or asked.bbox or asked.to_crs or asked.tiles)
+    if (
+        out.suffix == ".scene"
+        and len(files) == 1
+        and is_whole
+        and len(open_sources(files[0], options.layers)) > 1
+    ):
+        return _compile(asked, files[0], out, options, lod)
+    has_details = keeps_details(out) or bool(asked.where)
+    model = _chosen(asked, _read(files, replace(options, has_details=has_details)))
+
+    def write(part: CityModel, target: Path) -> Conversion:
+        return convert_city(part, target, lod=lod, roof_height=asked.roof_height, citygml=asked.citygml)
+
+    if asked.tiles is None:
+        summaries = [conversion_summary(str(out), write(model, out))]
+    else:
+        done = convert_tiles(model, out, asked.tiles, write)
+        summaries = [conversion_summary(str(each.target), each) for each in done]
+    values = summaries[0] if asked.tiles is None else {"tiles": summaries}
+    _write(asked, values, lambda: "\n".join(map(format_conversion, summaries)))
+    return 0
+
+
+def _chosen(asked: argparse.Namespace, model: CityModel) -> CityModel:
+    """Returns the buildings asked for, in the reference system asked for."""
+    from lodbench.citymodel.subset import choose_buildings, reproject
+
     if asked.to_crs is not None:
         model = reproject(model, asked.to_crs)
     bbox = None if asked.bbox is None else tuple(asked.bbox)
-    model = choose_buildings(model, ids=asked.id, bbox=bbox, where=where)
-    done = convert_city(model, asked.out, lod=lod, roof_height=asked.roof_height, citygml=asked.citygml)
-    summary = conversion_summary(str(asked.out), done)
-    _write(asked, summary, lambda: format_conversion(summary))
+    where = [pair.partition("=")[::2] for pair in asked.where]
+    return choose_buildings(model, ids=asked.id, bbox=bbox, where=where)
+
+
+def _compile(asked: argparse.Namespace, tiles: Path, out: Path, options: ReadOptions, lod: str | None) -> int:
+    """Makes a scene of many tiles; goes on where it was stopped."""
+    from lodbench.citymodel.info import scene_info
+    from lodbench.cli.city_text import format_scene
+    from lodbench.execution.executor import ExecutorParams
+    from lodbench.harness.prepared import compile_tiles
+
+    executor = ExecutorParams(asked.executor, asked.workers, None, asked.address)
+    with ProgressCallback(f"compiling {tiles.name}", "tiles") as progress:
+        compile_tiles(
+            tiles, out, lod=lod, roof_height=asked.roof_height, options=options, executor=executor,
+            progress=progress,
+        )  # fmt: skip
+    told = scene_info(out)
+    _write(asked, {"written": str(out), **told}, lambda: format_scene(str(out), told))
     return 0
 
 
@@ -181,8 +258,8 @@ def _write(asked: argparse.Namespace, values: dict[str, Any], as_text: Callable[
     sys.stdout.write(text + "\n")
 
 
-def _read(file: Path, options: ReadOptions) -> CityModel:
+def _read(files: Sequence[Path], options: ReadOptions) -> CityModel:
     from lodbench.citymodel import read_city_model
 
-    with ProgressCallback(f"reading {file.name}", "MB", 1_000_000) as progress:
-        return read_city_model(file, options=options, progress=progress)
+    with ProgressCallback(f"reading {files[0].name}", "MB", 1_000_000) as progress:
+        return read_city_model(files, options=options, progress=progress)

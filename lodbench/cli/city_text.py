@@ -41,6 +41,22 @@ def format_info(name: str, info: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def format_scene(name: str, told: dict[str, Any]) -> str:
+    """Returns the data of ``scene_info`` as lines of text."""
+    extent = told["extent_m"]
+    lines = [
+        name,
+        f"format     scene, {lod_in_words(told['lod']) if told['lod'] else 'one level'}",
+        f"CRS        {crs_in_words(told['crs'])}",
+        *([] if extent is None else ["extent     {:,.1f} m x {:,.1f} m, {:,.1f} m high".format(*extent)]),
+        f"buildings  {told['buildings']:,}",
+        *(f"{key:10} {told[key]:,}" for key in ("tiles", "triangles") if told[key] is not None),
+        "",
+        *_finding_lines(told["findings"], told["finding_objects"]),
+    ]
+    return "\n".join(lines)
+
+
 def crs_in_words(crs: str | None) -> str:
     """Returns a reference system with its name: ``EPSG:28992 (Amersfoort / RD New)``."""
     if crs is None:

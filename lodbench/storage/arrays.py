@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xxhash
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from lodbench.storage.disk import disk
 
@@ -25,6 +25,32 @@ def write_arrays(folder: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, 
         OSError: The disk is full.
     """
     return {name: _write(folder / f"{name}.npy", array) for name, array in arrays.items()}
+
+
+def write_blocks(path: Path, blocks: Iterable[NDArray[Any]], dtype: DTypeLike, shape: tuple[int, ...]) -> str:
+    """Writes an array of which a block is in memory at a time; returns the digest of the file.
+
+    Args:
+        path: The ``.npy`` file, which nobody reads yet.
+        blocks: Its rows, in order; all together ``shape[0]``.
+        dtype: Of the array.
+        shape: Likewise.
+
+    Raises:
+        OSError: The disk is full.
+    """
+    header = io.BytesIO()
+    plain: dict[str, Any] = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False}
+    np.lib.format.write_array_header_1_0(header, plain | {"shape": shape})
+    state = xxhash.xxh3_128(header.getvalue())
+    with path.open("wb", buffering=0) as stream:
+        disk().write(stream, header.getvalue(), path)
+        for block in blocks:
+            content = np.ascontiguousarray(block, dtype)
+            if content.size:
+                state.update(content.data)
+                disk().write(stream, content.data, path)
+    return state.hexdigest()
 
 
 def map_array(path: Path, digest: str) -> NDArray[Any]:

@@ -1,0 +1,236 @@
+"""A city of many tiles as one scene: compiled a tile at a time, in parallel, resumable, in little memory.
+
+Every tile becomes a part beside the scene that is being made; what a killed process has finished stays and
+is found again. Parts are then joined by copying, never more than one of them in memory.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lodbench.citymodel.cache import code_digest, source_digest
+from lodbench.citymodel.codes import CRS_MIXED, FILE_SKIPPED, LOD_ABSENT
+from lodbench.citymodel.lods import COARSEST, FINEST, choose_lod, has_lod
+from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.naming import unique_ids
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.polygons import finish_model
+from lodbench.citymodel.raw import NotACity
+from lodbench.citymodel.read import read_source
+from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.scene_file import is_scene, read_about, write_scene
+from lodbench.citymodel.scene_join import join_scenes
+from lodbench.citymodel.source import Source, open_sources
+from lodbench.citymodel.subset import reproject
+from lodbench.errors import CityModelError
+from lodbench.execution.executor import ExecutorParams, spread
+from lodbench.execution.lock import only_one_in
+from lodbench.findings import Findings
+from lodbench.storage import digest_of, make_folder, remove_leftovers
+
+_TILES_PER_FOLDER = 100
+Steps = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class TileJob:
+    """What is made of every tile.
+
+    Attributes:
+        path: Folder or archive of the tiles.
+        parts: Folder for what is made of them.
+        lod: Level asked for, or None for the lowest that has walls.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+        options: How to read.
+        crs: Reference system that all tiles go to; "" until the first one is read.
+    """
+
+    path: str
+    parts: str
+    lod: str | None
+    roof_height: str | None
+    options: ReadOptions
+    crs: str | None = ""
+
+
+def compile_tiles(
+    path: Path,
+    target: Path,
+    *,
+    lod: str | None = None,
+    roof_height: str | None = None,
+    options: ReadOptions | None = None,
+    executor: ExecutorParams | None = None,
+    progress: Steps | None = None,
+) -> dict[str, Any]:
+    """Makes one scene of a folder or archive of tiles; returns what is told of it, see ``read_about``.
+
+    The scene is that of ``mesh_model`` over all tiles read at once, up to the rounding of float32: the same
+    buildings in the same order, at one level of detail. Called again after it was stopped, it goes on with
+    the tiles that are missing; tiles that have changed since are read again.
+
+    Args:
+        path: The tiles.
+        target: The scene folder to write; ``TARGET.parts`` beside it is there while it is made.
+        lod: Level, as for ``mesh_model``.
+        roof_height: As for ``mesh_model``.
+        options: How to read.
+        executor: Where the tiles are read; the scene does not depend on it.
+        progress: Called with tiles done and their number.
+
+    Raises:
+        CityModelError: A tile cannot be read, none has a building, or none has the level.
+        OSError: The disk is full, or the target is something else.
+    """
+    options, executor = options or ReadOptions(), executor or ExecutorParams()
+    sources = open_sources(path, options.layers)
+    parts = target.with_name(f"{target.name}.parts")
+    make_folder(parts)
+    with only_one_in(parts):
+        remove_leftovers(parts)
+        job = TileJob(str(path), str(parts), lod, roof_height, options)
+        told: dict[int, dict[str, Any]] = {}
+        job = _settle(job, sources, told)
+        _compile(job, range(len(sources)), executor, told, progress)
+        level = _common_level(job, told)
+        wrong = [n for n, about in told.items() if about["extra"]["lods"] and about["lod"] != level]
+        if wrong:  # their own lowest level is not that of the city
+            job = replace(job, lod=level)
+            _compile(job, wrong, executor, told, progress)
+        meta = _join([told[n] for n in sorted(told)], target)
+    shutil.rmtree(parts)
+    return meta
+
+
+def _settle(job: TileJob, sources: tuple[Source, ...], told: dict[int, dict[str, Any]]) -> TileJob:
+    """Returns the job with the reference system of the first tile that is a city, which all others go to."""
+    for n in range(len(sources)):
+        about = _tile(job, sources, n)
+        if about["extra"]["skipped"] is None:
+            return replace(job, crs=about["crs"])
+        told[n] = about
+    raise CityModelError(f"{job.path} has no tile with a building.", "Is it the building part of the city?")
+
+
+def _compile(
+    job: TileJob,
+    numbers: range | list[int],
+    executor: ExecutorParams,
+    told: dict[int, dict[str, Any]],
+    progress: Steps | None,
+) -> None:
+    for done, (n, about) in enumerate(spread(executor, _compile_here, numbers, _open_here, (job,)), start=1):
+        told[n] = about
+        if progress is not None:
+            progress(done, len(numbers))
+
+
+# What this process compiles: the job, and the tiles; set once, before its first tile.
+_here: list[tuple[TileJob, tuple[Source, ...]]] = []
+
+
+def _open_here(job: TileJob) -> None:
+    _here[:] = [(job, open_sources(Path(job.path), job.options.layers))]
+
+
+def _compile_here(n: int) -> tuple[int, dict[str, Any]]:
+    job, sources = _here[0]
+    return n, _tile(job, sources, n)
+
+
+def _tile(job: TileJob, sources: tuple[Source, ...], n: int) -> dict[str, Any]:
+    """Returns what is told of the part of a tile, which is made where it is not there yet."""
+    source = sources[n]
+    settings = {**asdict(replace(job, parts="", path="")), "options": asdict(job.options)}
+    key = digest_of([code_digest(), source_digest(source), source.name, settings], length=24)
+    # A hundred to a folder: looking for leftovers in one of ten thousand, for each, takes minutes.
+    folder = Path(job.parts) / f"{n // _TILES_PER_FOLDER:04d}" / f"{n:06d}-{key}"
+    if not is_scene(folder):
+        scene, extra = _mesh_tile(job, source)
+        make_folder(folder.parent)
+        write_scene(scene, folder, extra, survives_power_cut=False)
+    about = read_about(folder)
+    # Ids are many, and on disk.
+    return {"folder": str(folder), **{key: about[key] for key in ("lod", "crs", "extra")}}
+
+
+def _mesh_tile(job: TileJob, source: Source) -> tuple[Scene, dict[str, Any]]:
+    """Returns one tile as a scene in a frame of its own, and what the whole city must know of it."""
+    findings = Findings()
+    try:
+        raw = read_source(source, job.options)
+    except NotACity as error:
+        findings.add(FILE_SKIPPED, source.name, error.message)
+        return _empty(None, ()), _extra(findings, (), error.message)
+    model = finish_model(raw, job.options)
+    if job.crs and model.crs is not None and model.crs != job.crs:
+        model.findings.add(CRS_MIXED, "", f"{model.crs} brought to {job.crs}")
+        model = reproject(model, job.crs)
+    findings.items += model.findings.items
+    walled = tuple(name for name in model.lods if not name.startswith("0")) or model.lods
+    try:
+        mesh = mesh_model(model, job.lod, roof_height=job.roof_height)
+    except CityModelError:
+        if job.lod is None or job.lod in (FINEST, COARSEST) or has_lod(model.lods, job.lod):
+            raise
+        for name in model.building_ids:  # other tiles may have the level
+            findings.add(LOD_ABSENT, name, f"no LoD{job.lod}")
+        return _empty(model, model.building_ids), _extra(findings, ())
+    findings.items += mesh.findings.items
+    areas = {"area_m2": mesh.area_m2, "lost_m2": mesh.lost_m2}
+    return mesh.scene, _extra(findings, walled) | areas
+
+
+def _empty(model: CityModel | None, ids: tuple[str, ...]) -> Scene:
+    origin = np.zeros(3) if model is None else model.origin
+    starts = np.zeros(len(ids) + 1, np.int64)
+    points, triangles = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
+    return Scene(points, triangles, starts, starts, ids, "", None if model is None else model.crs, origin)
+
+
+def _extra(findings: Findings, lods: tuple[str, ...], skipped: str | None = None) -> dict[str, Any]:
+    counts = {"findings": findings.counts(), "finding_objects": findings.objects()}
+    return {**counts, "area_m2": 0.0, "lost_m2": 0.0, "lods": list(lods), "skipped": skipped}
+
+
+def _common_level(job: TileJob, told: dict[int, dict[str, Any]]) -> str:
+    """Returns the level that the whole city has by the rule for one file."""
+    if job.lod in (FINEST, COARSEST):
+        return job.lod
+    if job.lod is not None:
+        levels = {about["lod"] for about in told.values() if about["extra"]["lods"]}
+        if not levels:
+            raise CityModelError(
+                f"No tile of {job.path} has a level of detail {job.lod}.", "See lodbench city info."
+            )
+        return str(min(levels))
+    return choose_lod(
+        sorted({name for about in told.values() for name in about["extra"]["lods"]}), None, Findings()
+    )
+
+
+def _join(parts: list[dict[str, Any]], target: Path) -> dict[str, Any]:
+    """Writes all parts as one scene, and returns what is told of it."""
+    findings = Findings()
+    folders = [Path(part["folder"]) for part in parts if part["extra"]["skipped"] is None]
+    ids = unique_ids([name for folder in folders for name in read_about(folder)["building_ids"]], findings)
+    counts: Counter[str] = Counter(findings.counts())
+    objects: Counter[str] = Counter(findings.objects())
+    for part in parts:
+        counts.update(part["extra"]["findings"])
+        objects.update(part["extra"]["finding_objects"])
+    extra = {
+        "findings": dict(sorted(counts.items())),
+        "finding_objects": dict(sorted(objects.items())),
+        **{key: sum(part["extra"][key] for part in parts) for key in ("area_m2", "lost_m2")},
+        "tiles": len(parts),
+    }
+    return join_scenes(folders, ids, target, extra)

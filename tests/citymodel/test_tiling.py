@@ -1,0 +1,65 @@
+"""Squares of a city: every building in one of them, and an index that says where."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel import mesh_model, read_city_model
+from lodbench.citymodel.tiling import cut_into_tiles
+from lodbench.cli import main
+from lodbench.errors import CityModelError
+
+from .gml_text import box_city, write
+
+NRW = "city/germany_lod2/LoD2_32_280_5657_1_NW.gml"
+
+
+@pytest.mark.parametrize("ending", [".gml", ".city.json"])
+def test_tiles_hold_all_and_read_as_one(ending: str, shared_data: Path, tmp_path: Path) -> None:
+    words = [
+        "city",
+        "convert",
+        str(shared_data / NRW),
+        str(tmp_path / f"tiles/town{ending}"),
+        "--tiles",
+        "200",
+    ]
+    assert main(words) == 0
+    index = json.loads((tmp_path / "tiles/town.geojson").read_text())
+    files = [feature["properties"]["file"] for feature in index["features"]]
+    assert sorted(files) == sorted(p.name for p in (tmp_path / "tiles").iterdir() if p.suffix != ".geojson")
+    whole = read_city_model(shared_data / NRW)
+    again = read_city_model([tmp_path / "tiles" / name for name in files])
+    assert set(again.building_ids) == set(whole.building_ids)
+    assert sum(f["properties"]["buildings"] for f in index["features"]) == len(whole.building_ids)
+    assert mesh_model(again).area_m2 == pytest.approx(mesh_model(whole).area_m2, rel=1e-5)
+    for feature in index["features"]:
+        assert 50 < feature["geometry"]["coordinates"][0][0][1] < 52  # latitudes
+        west, south, east, north = feature["properties"]["bbox"]
+        tile = read_city_model(tmp_path / "tiles" / feature["properties"]["file"])
+        middle = np.median(tile.polygons.points, axis=0) + tile.origin
+        assert west - 50 < middle[0] < east + 50
+        assert south - 50 < middle[1] < north + 50
+
+
+def test_files_become_one(tmp_path: Path) -> None:
+    first = write(tmp_path / "a.gml", box_city())
+    second = write(tmp_path / "b.gml", box_city(x=500100.0).replace('"b1"', '"b2"'))
+    target = tmp_path / "both.city.json"
+    assert main(["city", "convert", str(first), str(second), "-o", str(target)]) == 0
+    assert read_city_model(target).building_ids == ("b1", "b2")
+    assert (
+        main(["city", "convert", str(first), str(second), str(tmp_path / "c.gml"), "--citygml", "3.0"]) == 0
+    )
+    assert read_city_model(tmp_path / "c.gml").version == "3.0"
+
+
+def test_a_side_of_nothing(tmp_path: Path) -> None:
+    model = read_city_model(write(tmp_path / "a.gml", box_city()))
+    for side in (0.0, -5.0, 0.5):
+        with pytest.raises(CityModelError, match="is none"):
+            cut_into_tiles(model, side)
