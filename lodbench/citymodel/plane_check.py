@@ -40,8 +40,7 @@ _REASONS: tuple[tuple[str, FindingCode], ...] = (
     ("Duplicate Rings", RINGS_EQUAL),
 )
 _PLACE = re.compile(r"\[(\S+) (\S+)\]")
-# As val3dity has it; smaller pieces have no plane worth the name.
-_MAX_TURN_DEG, _MIN_FOLD_M2 = 20.0, 1e-5
+_MAX_TURN_DEG = 20.0  # as val3dity has it
 _MIN_OVERLAP_M2, _MIN_OVERLAP_M = 0.1, 0.1
 
 
@@ -119,7 +118,10 @@ def check_folds(model: CityModel, findings: Findings) -> None:
         normals, _ = newell(polygons)
         unit = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
         along = np.einsum("ij,ij->i", vectors, unit[result.polygon])
-        is_folded = (np.abs(along) < np.cos(np.radians(_MAX_TURN_DEG)) * sizes) & (sizes > _MIN_FOLD_M2)
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        # What is narrower than corners may be off their plane has no direction worth the name.
+        is_wide = 2.0 * sizes > PLANAR_TOLERANCE_M * longest
+        is_folded = (np.abs(along) < np.cos(np.radians(_MAX_TURN_DEG)) * sizes) & is_wide
         is_folded &= result.deviation_m[result.polygon] <= PLANAR_TOLERANCE_M
         at, where = np.unique(result.polygon[is_folded], return_index=True)
         spots = corners[is_folded][where].mean(axis=1) + model.origin

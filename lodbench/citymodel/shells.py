@@ -219,6 +219,8 @@ def _check_volumes(
         span = slice(solids.face_starts[shell], solids.face_starts[shell + 1])
         faces, turned = solids.faces[span], solids.is_flipped[span]
         faces, turned = faces[faces >= 0], turned[faces >= 0]
+        if len(faces) == 0:
+            continue  # of a level that was left out
         own, starts = take_segments(polygons.polygon_starts, faces)
         sign = np.repeat(np.where(turned, -1.0, 1.0), np.diff(starts))
         middle = origin[own[0]]

@@ -20,6 +20,7 @@ from lodbench.citymodel.codes import (
     SOLIDS_EQUAL,
     SOLIDS_INTERSECT,
 )
+from lodbench.citymodel.identity import number_rows
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.objects import Solids
 from lodbench.citymodel.raw import take_segments
@@ -109,12 +110,12 @@ def _faces(model: CityModel, solids: Solids) -> _Faces:
     edge_shell = np.repeat(np.repeat(face_shell, np.diff(ring_starts)), np.diff(point_starts))
     start, end = polygons.points[points], polygons.points[points[following]]
     # Two faces share an edge: one of them is enough.
-    snapped = np.rint(np.concatenate([start, end], axis=1) / _SNAP_M).astype(np.int64)
-    is_turned = np.array([tuple(row[:3]) > tuple(row[3:]) for row in snapped.tolist()], np.bool_)
-    snapped[is_turned] = snapped[is_turned][:, [3, 4, 5, 0, 1, 2]]
-    keys = np.concatenate([edge_shell[:, None], snapped], axis=1)
-    _, first = np.unique(keys, axis=0, return_index=True)
-    first.sort()
+    snapped = np.rint(np.stack([start, end]) / _SNAP_M).astype(np.int64).view(np.uint64)
+    corner = number_rows(
+        [edge_shell.repeat(2).astype(np.uint64), *snapped.transpose(1, 0, 2).reshape(-1, 3).T]
+    )[0]
+    ends = np.sort(corner.reshape(-1, 2), axis=1).astype(np.uint64)
+    _, first = number_rows([ends[:, 0], ends[:, 1]])
     return _Faces(corners, shell, start[first], end[first], edge_shell[first], points[first])
 
 
@@ -150,14 +151,16 @@ def _passes(start: Floats, end: Floats, corners: Floats, unit: Floats) -> NDArra
     """Tells which edges pass through the insides of their triangles, (N,)."""
     before = np.einsum("ij,ij->i", start - corners[:, 0], unit)
     after = np.einsum("ij,ij->i", end - corners[:, 0], unit)
-    is_cut: NDArray[np.bool_] = (before * after < 0) & (np.minimum(np.abs(before), np.abs(after)) > _TOUCH_M)
-    share = np.where(is_cut, before / np.where(is_cut, before - after, 1.0), 0.0)
-    place = start + share[:, None] * (end - start)
+    is_cut: NDArray[np.bool_] = before * after < 0
+    is_cut &= np.minimum(np.abs(before), np.abs(after)) > _TOUCH_M
+    chosen = np.flatnonzero(is_cut)  # a few: most edges stay on one side
+    share = before[chosen] / (before[chosen] - after[chosen])
+    place = start[chosen] + share[:, None] * (end[chosen] - start[chosen])
     for k in range(3):
-        side = corners[:, (k + 1) % 3] - corners[:, k]
-        inward = np.cross(unit, side)
+        side = corners[chosen, (k + 1) % 3] - corners[chosen, k]
+        inward = np.cross(unit[chosen], side)
         inward /= np.maximum(np.linalg.norm(inward, axis=1), 1e-300)[:, None]
-        is_cut &= np.einsum("ij,ij->i", place - corners[:, k], inward) > _TOUCH_M
+        is_cut[chosen] &= np.einsum("ij,ij->i", place - corners[chosen, k], inward) > _TOUCH_M
     return is_cut
 
 
@@ -165,10 +168,13 @@ def _check_twins(report: ShellReport, faces: _Faces, shell_solid: Ints, part: In
     """Reports shells of one object and level that have the same corners."""
     known: dict[tuple[int, int, bytes], int] = {}
     order = np.argsort(faces.edge_shell, kind="stable")
+    snapped = np.rint(np.stack([faces.start, faces.end], axis=1) / _SNAP_M).astype(np.int64)[order]
     shells, firsts = np.unique(faces.edge_shell[order], return_index=True)
-    for shell, own in zip(shells.tolist(), np.split(order, firsts[1:]), strict=True):
-        corners = np.unique(np.rint(np.concatenate([faces.start[own], faces.end[own]]) / _SNAP_M), axis=0)
-        other = known.setdefault((int(part[shell]), int(lod[shell]), corners.tobytes()), shell)
+    for shell, own, corners in zip(
+        shells.tolist(), np.split(order, firsts[1:]), np.split(snapped, firsts[1:]), strict=True
+    ):
+        told = b"".join(sorted({point.tobytes() for point in corners.reshape(-1, 3)}))
+        other = known.setdefault((int(part[shell]), int(lod[shell]), told), shell)
         if other != shell:
             is_one = shell_solid[other] == shell_solid[shell]
             code, words = (SHELLS_EQUAL, "shells") if is_one else (SOLIDS_EQUAL, "solids")
