@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench.city_peers import naive_mesh, project_plainly, project_tuned, time_cjio
+from lodbench.bench.city_tiles import measure_tiles
 from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.convert import obj_text
@@ -61,15 +62,20 @@ class CityOptions:
         lod: Level of detail for the reading figures; None for the lowest with walls.
         repeats: Passes; the fastest counts.
         large_mb: Size of the file made for the memory figure by repeating the city; 0 leaves it out.
+        tiles: How many tiles of the city's buildings to make one scene of; 0 for none, and no other figures
+            where it is more.
+        workers: Processes for the tiles; None for one per core.
     """
 
     lod: str | None = None
     repeats: int = 5
     large_mb: int = 137
+    tiles: int = 0
+    workers: int | None = None
 
     def __post_init__(self) -> None:
-        if self.repeats < 1 or self.large_mb < 0:
-            raise ConfigError("repeats is at least 1 and large_mb at least 0.")
+        if self.repeats < 1 or self.large_mb < 0 or self.tiles < 0:
+            raise ConfigError("repeats is at least 1, large_mb and tiles at least 0.")
 
 
 def measure_city(city: Path, options: CityOptions | None = None, progress: Progress = no_progress) -> Report:
@@ -89,6 +95,10 @@ def measure_city(city: Path, options: CityOptions | None = None, progress: Progr
     options = options or CityOptions()
     progress(0, 4)
     model = read_city_model(city)
+    if options.tiles:
+        with tempfile.TemporaryDirectory() as folder:
+            rows = measure_tiles(model, options.tiles, Path(folder), options.workers)
+        return plain_report(city.name, rows)
     mesh = mesh_model(model, options.lod)
     lod = mesh.scene.lod
     size_mb = city.stat().st_size / _MEGABYTE

@@ -130,7 +130,14 @@ def store_city(city: OpenCity, folder: Path, survives_power_cut: bool = True) ->
     Raises:
         OSError: As for ``write_scene``.
     """
-    extra = {"findings": city.findings, "area_m2": city.area_m2, "lost_m2": city.lost_m2}
+    low, high = (corner + city.scene.origin for corner in city.scene.extent_m)
+    extra = {
+        "findings": city.findings,
+        "area_m2": city.area_m2,
+        "lost_m2": city.lost_m2,
+        "extent": [low.tolist(), high.tolist()],
+        "triangles": len(city.scene.triangles),
+    }
     write_scene(city.scene, folder, extra, survives_power_cut)
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lodbench.citymodel.mesh import mesh_model
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.scene_file import read_about
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -61,34 +59,6 @@ def city_info(model: CityModel) -> dict[str, Any]:
         "lods": lods,
         "findings": findings.counts(),
         "finding_objects": findings.objects(),
-    }
-
-
-def scene_info(folder: Path) -> dict[str, Any]:
-    """Returns what is told of a scene, without a look at its arrays: cheap, however large the city.
-
-    Args:
-        folder: As ``lodbench city convert`` writes it.
-
-    Returns:
-        ``format, crs, lod, buildings, triangles, tiles, extent_m, area_m2, lost_m2, findings,
-        finding_objects``; None where an older scene does not say it.
-
-    Raises:
-        CityModelError: The folder holds no scene, or is damaged.
-    """
-    about = read_about(folder)
-    extra = about["extra"]
-    extent = extra.get("extent")
-    return {
-        "format": "scene",
-        "crs": about["crs"],
-        "lod": about["lod"],
-        "buildings": len(about["building_ids"]),
-        "extent_m": None if extent is None else [round(b - a, 3) for a, b in zip(*extent, strict=True)],
-        "findings": extra.get("findings", {}),
-        "finding_objects": extra.get("finding_objects", {}),
-        **{key: extra.get(key) for key in ("triangles", "tiles", "area_m2", "lost_m2")},
     }
 
 

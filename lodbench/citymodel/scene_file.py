@@ -140,6 +140,34 @@ def read_about(folder: Path) -> dict[str, Any]:
     return about
 
 
+def scene_info(folder: Path) -> dict[str, Any]:
+    """Returns what is told of a scene, without a look at its arrays: cheap, however large the city.
+
+    Args:
+        folder: As ``lodbench city convert`` writes it.
+
+    Returns:
+        ``format, crs, lod, buildings, triangles, tiles, extent_m, area_m2, lost_m2, findings,
+        finding_objects``; None where an older scene does not say it.
+
+    Raises:
+        CityModelError: The folder holds no scene, or is damaged.
+    """
+    about = read_about(folder)
+    extra = about["extra"]
+    extent = extra.get("extent")
+    return {
+        "format": "scene",
+        "crs": about["crs"],
+        "lod": about["lod"],
+        "buildings": len(about["building_ids"]),
+        "extent_m": None if extent is None else [round(b - a, 3) for a, b in zip(*extent, strict=True)],
+        "findings": extra.get("findings", {}),
+        "finding_objects": extra.get("finding_objects", {}),
+        **{key: extra.get(key) for key in ("triangles", "tiles", "area_m2", "lost_m2")},
+    }
+
+
 def _check(scene: Scene) -> None:
     """Makes sure that the arrays have their types and that no index points out of its building.
 

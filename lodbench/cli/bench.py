@@ -93,7 +93,7 @@ def _whole(text: str) -> int:
 
 
 def _city(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    asked = CityOptions(lod=options.lod, repeats=options.repeats, large_mb=options.large_mb)
+    asked = CityOptions(options.lod, options.repeats, options.large_mb, options.tiles, options.workers)
     return measure_city(_city_file(options), asked, steps)
 
 
@@ -177,6 +177,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     city.add_argument("--lod", help="level of detail, or finest (lowest with walls)")
     city.add_argument("--repeats", type=int, default=5, help="passes, the fastest counts (5)")
+    city.add_argument(
+        "--tiles",
+        type=int,
+        default=0,
+        help="instead: make one scene of so many tiles of its buildings (none)",
+    )
+    city.add_argument("--workers", type=int, help="processes for the tiles (one per core)")
     city.add_argument("--large-mb", type=int, default=137, help="file made for the memory figure; 0 for none")
     evaluation = actions.add_parser("evaluation", help="scoring many methods on many queries; a run's page")
     evaluation.add_argument("--queries", type=int, default=2192, help="as the largest published split (2192)")

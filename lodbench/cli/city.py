@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.layers import LAYERS
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.source import open_sources
 from lodbench.cli.flags import hints_in_flags
 from lodbench.cli.sources import load_profile
 from lodbench.errors import CityModelError
@@ -53,6 +52,8 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if `check` finds an error."""
     asked = _parser().parse_args(argv)
     with hints_in_flags():
+        if asked.action == "info" and (asked.file / "scene.json").is_file():
+            return _scene_info(asked)
         profile = load_profile(asked.source, asked.option, asked.crs)
         if asked.layers:
             profile = replace(profile, options=replace(profile.options, layers=asked.layers))
@@ -156,15 +157,20 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _info(asked: argparse.Namespace, options: ReadOptions) -> int:
-    from lodbench.citymodel.info import city_info, scene_info
-    from lodbench.citymodel.scene_file import is_scene
-    from lodbench.cli.city_text import format_info, format_scene
+def _scene_info(asked: argparse.Namespace) -> int:
+    """Tells of a scene, with as little loaded as that takes: a second is long."""
+    from lodbench.citymodel.scene_file import scene_info
+    from lodbench.cli.city_text import format_scene
 
-    if is_scene(asked.file):
-        told = scene_info(asked.file)
-        _write(asked, told, lambda: format_scene(str(asked.file), told))
-        return 0
+    told = scene_info(asked.file)
+    _write(asked, told, lambda: format_scene(str(asked.file), told))
+    return 0
+
+
+def _info(asked: argparse.Namespace, options: ReadOptions) -> int:
+    from lodbench.citymodel import city_info
+    from lodbench.cli.city_text import format_info
+
     info = city_info(_read([asked.file], replace(options, is_strict=False)))
     _write(asked, info, lambda: format_info(str(asked.file), info))
     return 0
@@ -188,6 +194,7 @@ def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
 
 def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -> int:
     from lodbench.citymodel.convert import check_target, convert_city, convert_tiles, keeps_details
+    from lodbench.citymodel.source import open_sources
     from lodbench.cli.city_text import conversion_summary, format_conversion
 
     files, out = (asked.files, asked.out) if asked.out is not None else (asked.files[:-1], asked.files[-1])
@@ -237,7 +244,7 @@ def _chosen(asked: argparse.Namespace, model: CityModel) -> CityModel:
 
 def _compile(asked: argparse.Namespace, tiles: Path, out: Path, options: ReadOptions, lod: str | None) -> int:
     """Makes a scene of many tiles; goes on where it was stopped."""
-    from lodbench.citymodel.info import scene_info
+    from lodbench.citymodel.scene_file import scene_info
     from lodbench.cli.city_text import format_scene
     from lodbench.execution.executor import ExecutorParams
     from lodbench.harness.prepared import compile_tiles

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.codes import finding_catalogue
-from lodbench.citymodel.convert import Conversion
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.reporting.columns import format_columns
+
+if TYPE_CHECKING:
+    from lodbench.citymodel.convert import Conversion
 
 _MEANINGS = {str(code): code for code in finding_catalogue()}
 

@@ -106,3 +106,9 @@ def test_real_tile_is_faster_than_the_naive_way(shared_data: Path) -> None:
     # 5 to 6 on an idle machine; the bound leaves room for a busy one.
     assert ratio is not None
     assert ratio > 2.0
+
+
+def test_tiles(city: Path) -> None:
+    figures = {row.figure: row.value for row in measure_city(city, CityOptions(tiles=3, workers=1)).figures}
+    assert figures["triangles of the scene"] == 3 * 4
+    assert "3 tiles" in next(iter(figures))

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_model, read_city_model
-from lodbench.citymodel.info import scene_info
-from lodbench.citymodel.scene_file import read_scene
+from lodbench.citymodel.scene_file import read_scene, scene_info
 from lodbench.errors import CityModelError
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness.prepared import compile_tiles
