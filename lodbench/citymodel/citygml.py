@@ -96,6 +96,7 @@ class _Reader:
         }
         if has_details:
             self._columns["serial"] = GrowingArray(np.int64)
+        self._has_textures = False
         self._version: str | None = None
         self._srs_name: str | None = None
 
@@ -156,7 +157,9 @@ class _Reader:
                 self.findings.add(BUILDING_EMPTY, building_id, "" if type_ == "Building" else f"a {type_}")
         if not met:
             self._others.update(local_name(child.tag) for child in member)
+            self._has_textures |= any(local_name(child.tag) == "Appearance" for child in member)
             return
+        self._has_textures |= member.find(".//{*}appearance") is not None and self._objects.has_details
         if self._objects.has_details:
             solids = SolidReader(member, self.walk, self._objects, self._num_walked)
             for element, part_of, own in met:
@@ -218,6 +221,7 @@ class _Reader:
             objects=None if is_plain else self._objects.finish(),
             solids=solids,
             polygon_ids=polygon_ids,
+            has_textures=self._has_textures,
         )
 
 

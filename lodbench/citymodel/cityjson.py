@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import gc
-import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -16,13 +13,12 @@ from lodbench.citymodel.cityjson_geometry import GeometryReader
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.gml_names import INTERIOR_NAMES
+from lodbench.citymodel.json_documents import documents_of, paused_collector
 from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.objects import ObjectTable
 from lodbench.citymodel.raw import NotACity, RawCity
 from lodbench.errors import CityModelError
 
-# A feature is one building with its parts; a line of this size is something else.
-_MAX_LINE_BYTES = 1 << 28
 _HINT = "Check it with a CityJSON validator."
 
 Json = dict[str, Any]
@@ -50,8 +46,8 @@ def read_cityjson(
             the object.
     """
     reader = _Reader(source, is_strict, has_details, layers)
-    with _paused_collector(), open_stream() as stream:
-        documents = _documents(stream, source, reader.repeated)
+    with paused_collector(), open_stream() as stream:
+        documents = documents_of(stream, source, reader.repeated)
         header = next(documents)
         reader.read_header(header)
         is_sequence = False
@@ -75,6 +71,7 @@ class _Reader:
         self._transform: Json | None = None
         self._templates: Json = {}
         self._others: Counter[str] = Counter()
+        self._has_textures = False
         self.repeated: list[str] = []  # keys of objects that one mapping has twice
 
     def read_header(self, document: Any) -> None:
@@ -110,6 +107,8 @@ class _Reader:
         objects: dict[str, Json] = document.get("CityObjects", {})
         if not objects:
             return
+        appearance = document.get("appearance")
+        self._has_textures |= isinstance(appearance, dict) and bool(appearance.get("textures"))
         vertices = self._vertices(document.get("vertices", []))
         geometry = GeometryReader(self._collector, vertices, self._templates, self._is_strict)
         numbers = self._number_objects(objects)
@@ -207,21 +206,11 @@ class _Reader:
             self._collector.findings.add(NOT_A_BUILDING, name, f"{count} of them")
         if not self._collector.building_ids:
             raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
-        return self._collector.finish(
+        city = self._collector.finish(
             source=self._source, format=format, version=self._version, srs_names=(self._srs_name,)
         )
-
-
-@contextmanager
-def _paused_collector() -> Iterator[None]:
-    """Keeps Python from looking for cycles: JSON has a million lists and none, and it doubles the time."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
+        city.has_textures = self._has_textures
+        return city
 
 
 def _is_building(kind: str) -> bool:
@@ -237,66 +226,3 @@ def _line_of(object_id: str, parents: dict[str, str], objects: dict[str, Json]) 
         visited.add(parent)
         line.append(parent)
     return line
-
-
-def _documents(stream: BinaryIO, source: str, repeated: list[str]) -> Iterator[Any]:
-    """Yields one JSON document per line of a sequence, or the one document that fills the file."""
-    first = stream.readline(_MAX_LINE_BYTES)
-    try:
-        yield _parse(first, source, 1, repeated)
-    except CityModelError:
-        rest = stream.read()
-        if not rest.strip():
-            raise
-        # Not one document per line: a single one over many lines.
-        yield _parse(first + rest, source, None, repeated)
-        return
-    for number, line in enumerate(iter(lambda: stream.readline(_MAX_LINE_BYTES), b""), start=2):
-        if line.strip():
-            yield _parse(line, source, number, repeated)
-
-
-def _parse(data: bytes, source: str, line: int | None, repeated: list[str]) -> Any:
-    where = f"{source}, line {line}" if line is not None else source
-    try:
-        return json.loads(
-            data.decode("utf-8-sig"),
-            parse_constant=_refuse_constant,
-            object_pairs_hook=lambda pairs: _mapping(pairs, repeated),
-        )
-    except RecursionError:
-        raise CityModelError(
-            f"{where}: the JSON is nested too deeply.",
-            "City models nest a dozen levels: do not trust this file.",
-        ) from None
-    except UnicodeDecodeError as error:
-        raise CityModelError(
-            f"{where} is not UTF-8 (byte {error.start}).", "CityJSON is UTF-8: convert the file."
-        ) from None
-    except ValueError as error:
-        raise CityModelError(
-            f"{where} is not well-formed JSON: {error}.",
-            "The file is damaged or cut off: download or export it again.",
-        ) from None
-
-
-def _mapping(pairs: list[tuple[str, Any]], repeated: list[str]) -> Json:
-    """Returns a JSON object; city objects of one id stay apart, the later as ``id~2``."""
-    values = dict(pairs)
-    if len(values) == len(pairs):
-        return values
-    values = {}
-    for key, value in pairs:
-        own, number = key, 1
-        if isinstance(value, dict) and "type" in value:
-            while own in values:
-                number += 1
-                own = f"{key}~{number}"
-            if number > 1:
-                repeated.append(key)
-        values[own] = value
-    return values
-
-
-def _refuse_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no JSON number")

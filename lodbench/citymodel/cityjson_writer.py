@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.crs import epsg_codes
+from lodbench.citymodel.cityjson_values import fitting, listed, reference_system
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.objects import CityObjects
 from lodbench.citymodel.raw import buildings_only, group_by
@@ -145,9 +145,9 @@ class _Writer:
             attributes = dict(table.attributes[n]) if table.attributes else {}
             address = attributes.pop("address", None)
             if address:
-                item["address"] = [self._address(one) for one in _listed(address)]
+                item["address"] = [self._address(one) for one in listed(address)]
             if attributes:
-                item["attributes"] = {key: _fitting(key, value) for key, value in attributes.items()}
+                item["attributes"] = {key: fitting(key, value) for key, value in attributes.items()}
             children = [table.ids[k] for k in members if table.parents[k] == n]
             if children:
                 item["children"] = children
@@ -223,46 +223,9 @@ class _Writer:
         return shape
 
 
-def _listed(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else [value]
-
-
-def _fitting(key: str, value: Any) -> Any:
-    """Returns an attribute of the type that CityJSON asks for, where it asks for one and it can be."""
-    if key in ("class", "function", "usage"):
-        return ", ".join(map(str, _listed(value)))
-    if key.startswith("storeyHeights") and isinstance(value, int | float):
-        return [value]
-    if key.startswith("storeys") and str(value).isdigit():
-        return int(value)
-    return value
-
-
 def note_lines(notes: Counter[str]) -> tuple[str, ...]:
     """Returns what was left out, a line each."""
     return tuple(f"{count} x {text}" if count > 1 else text for text, count in sorted(notes.items()))
-
-
-def reference_system(crs: str | None) -> tuple[str | None, str]:
-    """Returns the name in CityJSON's form, which has one code, and what of the system it cannot say.
-
-    Example:
-        >>> reference_system("EPSG:7415")
-        ('https://www.opengis.net/def/crs/EPSG/0/7415', '')
-    """
-    if crs is None:
-        return None, ""
-    codes = epsg_codes(crs)
-    if len(codes) == 1:
-        return _url(codes[0]), ""
-    if not codes:
-        return None, f"reference system {crs}, which has no EPSG code"
-    left_out = f"vertical reference system of {crs}: CityJSON names one EPSG code, and the two have none"
-    return _url(codes[0]), left_out
-
-
-def _url(code: int) -> str:
-    return f"https://www.opengis.net/def/crs/EPSG/0/{code}"
 
 
 def _leaves(shape: Json) -> Iterator[int]:

@@ -17,9 +17,12 @@ from lodbench.citymodel.cityjson_writer import cityjson_text, cityjsonseq_text, 
 from lodbench.citymodel.mesh import CityMesh, mesh_model
 from lodbench.citymodel.mesh_frames import MeshFrame
 from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.selection import polygon_blocks
 from lodbench.citymodel.subset import keep_level
+from lodbench.citymodel.texture_files import read_textured
+from lodbench.citymodel.textured_writer import write_textured
 from lodbench.citymodel.tiling import cut_into_tiles, tile_index
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
 from lodbench.errors import CityModelError
@@ -121,7 +124,34 @@ def convert_city(
         raise CityModelError(
             f"{target} cannot be written: {error.strerror}.", "Choose another place or name."
         ) from None
-    return Conversion(target, model, mesh, findings, left_out if writer is None else note_lines(writer.notes))
+    left_out = left_out if writer is None else note_lines(writer.notes)
+    return Conversion(target, model, mesh, findings, (*left_out, *_lost_textures(model)))
+
+
+def convert_textured(model: CityModel, source: Path, target: Path, options: ReadOptions) -> Conversion:
+    """Writes the photographed surfaces of a city as ``.glb`` or ``.obj``, each at its finest level.
+
+    Args:
+        model: The city as read: where it lies.
+        source: Its file, with the pictures that it names beside it.
+        target: Where to write.
+        options: How the file is read.
+
+    Raises:
+        CityModelError: The target is of another format.
+        DatasetError: The file has no textures, or their pictures are missing.
+    """
+    if target.suffix.lower() not in (".glb", ".obj"):
+        raise CityModelError(f"{target} has no room for pictures.", "Name it .glb or .obj.")
+    mesh = read_textured(source, options=options)
+    write_textured(mesh, MeshFrame(model.origin, model.crs), target)
+    findings = Findings(list(model.findings.items))
+    left_out = "names of buildings, and all levels but the finest: triangles stand by picture"
+    return Conversion(target, model, None, findings, (left_out, *mesh.notes))
+
+
+def _lost_textures(model: CityModel) -> tuple[str, ...]:
+    return ("pictures of surfaces (--textures keeps them in .glb and .obj)",) if model.has_textures else ()
 
 
 def convert_tiles(

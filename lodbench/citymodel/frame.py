@@ -21,10 +21,10 @@ from lodbench.citymodel.codes import (
     CRS_PROJECTED,
     CRS_UNKNOWN,
     HEIGHTS_ELLIPSOIDAL,
-    SCALE_OFF,
 )
 from lodbench.citymodel.crs import KnownCrs, metric_crs, require_crs, resolve_crs
 from lodbench.citymodel.options import AxisOrder
+from lodbench.citymodel.scale import is_true_to_scale
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -36,8 +36,6 @@ _SAMPLE_POINTS = 1 << 15
 _AREA_MARGIN_DEG = 0.5
 # No town lies further south or north; it tells latitudes from longitudes where the area is the world.
 _INHABITED_LATITUDES_DEG = (-56.0, 80.0)
-_MAX_SCALE_ERROR = 1e-3
-_MAX_KEPT_SCALE_ERROR = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,44 +90,10 @@ def to_metres(
         findings.add(HEIGHTS_ELLIPSOIDAL, "", known.label)
     is_metric = known.horizontal.is_projected and known.horizontal.axis_info[0].unit_conversion_factor == 1.0
     # Where the coordinates lie outside of the system, nobody knows what its metres are.
-    if is_metric and (not order.is_plausible or _is_true_to_scale(known, _middle(points), findings)):
+    if is_metric and (not order.is_plausible or is_true_to_scale(known, _middle(points), findings)):
         points[:, 2] *= known.vertical_to_m
         return known.label
     return _project(points, known, order, findings)
-
-
-def _is_true_to_scale(known: KnownCrs, middle: NDArray[np.float64], findings: Findings) -> bool:
-    """Tells whether the metres of a system are metres at a place (east, north), to a hundredth.
-
-    UTM is 4e-4 short in its middle and 1e-3 long at its rim; what is further off is told, and what is off by
-    a hundredth, as Mercator of the whole world is, does for no measuring: it is projected anew.
-    """
-    if known.horizontal.utm_zone is not None:
-        return True  # the data lies in its zone
-    scales = _scales(known, middle)
-    worst = max(abs(scale - 1.0) for scale in scales)
-    if not worst > _MAX_SCALE_ERROR:
-        return True
-    factors = f"a metre to the east is {scales[0]:.4f} m there, to the north {scales[1]:.4f} m"
-    is_kept = worst <= _MAX_KEPT_SCALE_ERROR
-    findings.add(SCALE_OFF, "", f"{known.label}: {factors}{'' if is_kept else '; projected anew'}")
-    return is_kept
-
-
-def _scales(known: KnownCrs, middle: NDArray[np.float64]) -> tuple[float, float]:
-    """Returns how long a metre on the ground is in a projected system, along x and y; NaN outside of it."""
-    from pyproj import Proj
-
-    geod, step_m = known.horizontal.get_geod(), 50.0
-    if geod is None:
-        return 1.0, 1.0
-    x, y = middle
-    ends = ((x - step_m, y), (x + step_m, y)), ((x, y - step_m), (x, y + step_m))
-    project, lengths = Proj(known.horizontal), []
-    for first, last in ends:
-        degrees = *project(*first, inverse=True), *project(*last, inverse=True)
-        lengths.append(geod.inv(*degrees)[2] if np.isfinite(degrees).all() else np.nan)
-    return 2 * step_m / lengths[0], 2 * step_m / lengths[1]
 
 
 def _settle_crs(

@@ -79,6 +79,7 @@ class CityModel:
         objects: Buildings and their parts; None where buildings are all there is.
         solids: Volumes that the polygons close; only with ``ReadOptions(has_details=True)``.
         polygon_ids: The source's id of each polygon, or ""; likewise, else empty.
+        has_textures: Whether the source has pictures of its surfaces, which a model does not hold.
         has_interiors: Whether rooms and furniture are asked for.
     """
 
@@ -97,6 +98,7 @@ class CityModel:
     solids: Solids | None = None
     polygon_ids: tuple[str, ...] = ()
     has_interiors: bool = False
+    has_textures: bool = False
 
     def types(self) -> tuple[str, ...]:
         """Returns what each of ``building_ids`` is, as CityJSON calls it; buildings where nothing is said."""

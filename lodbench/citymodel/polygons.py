@@ -91,6 +91,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         solids=solids,
         polygon_ids=tuple(raw.polygon_ids[n] for n in kept[first_kept].tolist()) if raw.polygon_ids else (),
         has_interiors=INTERIORS in options.layers,
+        has_textures=raw.has_textures,
     )
 
 

@@ -48,6 +48,7 @@ class RawCity:
         findings: What was met while reading.
         axis_orders: For each of ``srs_names``, which of the first two columns is the easting, where the
             format settles it; empty where it never does.
+        has_textures: Whether the file has pictures of its surfaces.
         part, objects, solids, polygon_ids: As in ``Polygons`` and ``CityModel``.
     """
 
@@ -72,6 +73,7 @@ class RawCity:
     objects: CityObjects | None = None
     solids: Solids | None = None
     polygon_ids: tuple[str, ...] = ()
+    has_textures: bool = False
 
     def systems(self) -> tuple[tuple[str | None, AxisOrder], ...]:
         """Returns name and axis order of each reference system; one without a name where there is none."""
@@ -124,6 +126,7 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         objects=objects,
         solids=solids,
         polygon_ids=polygon_ids,
+        has_textures=any(city.has_textures for city in cities),
     )
 
 

@@ -17,11 +17,13 @@ import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_model, parse_city_model, read_city_model
 from lodbench.citymodel.check import check_city
+from lodbench.citymodel.citygml_writer import CityGmlWriter
 from lodbench.citymodel.cityjson_writer import cityjson_text
 from lodbench.errors import LodbenchError
 
 from .footprint_files import squares
 from .gml_text import box_city
+from .test_layers import town, twin
 from .twins import documents
 
 _REAL = (
@@ -45,6 +47,7 @@ _WORDS = (
 def seeds(shared_data: Path | None) -> list[tuple[str, bytes]]:
     """Returns small files of every format, real ones where they are there."""
     found = [(name, text.encode()) for name, text in documents().items()] + [("box.gml", box_city().encode())]
+    found += [("town.gml", town().encode()), ("town.city.json", twin().encode())]
     if shared_data is not None:
         found += [(name, (shared_data / name).read_bytes()) for name in _REAL]
     return found
@@ -80,6 +83,7 @@ _CRS_NAMES = (
 )  # fmt: skip
 _CRS_PLACES = re.compile(rb'(srsName=")[^"]*|("referenceSystem": ?")[^"]*')
 _IDS = re.compile(rb'gml:id="[^"]*"')
+_KEYS = re.compile(rb'"[^"]*": ?\{"type": ?"B')
 _LINKED = re.compile(rb"<(?:\w+:)?surfaceMember>")
 _VALUES = re.compile(rb'"values": ?\[[^"]{0,4000}?\](?=[,}])')
 _LABELS = (b"[]", b"[null]", b"[[[[0]]]]", b"[0]", b"[-1, 99, true]", b'["0"]', b"[[0, 1], 0]", b"[{}]")
@@ -97,9 +101,10 @@ def mutate_structure(data: bytes, rng: np.random.Generator) -> bytes:
         name = _CRS_NAMES[int(rng.integers(0, len(_CRS_NAMES)))]
         return _replace_some(_CRS_PLACES, data, rng, lambda m: (m[1] or m[2]) + name)
     if kind == 1:  # one id for two objects, or for all
-        ids = _IDS.findall(data) or [b'gml:id="x"']
+        pattern = _KEYS if data.lstrip()[:1] == b"{" else _IDS
+        ids = pattern.findall(data) or [b'gml:id="x"']
         twin = ids[int(rng.integers(0, len(ids)))]
-        return _replace_some(_IDS, data, rng, lambda _: twin)
+        return _replace_some(pattern, data, rng, lambda _: twin)
     if kind == 2:  # chains and circles of links
         count = int(rng.integers(1, 400))
         steps = b"".join(_LINK % (k, int(rng.integers(0, count + 2))) for k in range(count))
@@ -170,7 +175,8 @@ def fuzz(count: int, files: list[tuple[str, bytes]], seed: int) -> tuple[int, in
         rng = np.random.default_rng([seed, number])
         name, data = files[number % len(files)]
         content = (mutate_structure if number % 2 else mutate)(data, rng)
-        options = ReadOptions(is_strict=number % 4 < 2, has_details=number % 3 == 0)
+        layers = ("bridges", "vegetation", "relief", "interiors") if number % 5 == 0 else ()
+        options = ReadOptions(is_strict=number % 4 < 2, has_details=number % 3 == 0, layers=layers)
         try:
             model = parse_city_model(content, name, options)
             for lod in model.lods:
@@ -178,6 +184,8 @@ def fuzz(count: int, files: list[tuple[str, bytes]], seed: int) -> tuple[int, in
             if options.has_details:
                 check_city(model)
                 parse_city_model(cityjson_text(model)[0], "again.json")
+                version = ("2.0", "3.0")[number % 2]
+                parse_city_model(b"".join(CityGmlWriter(model, version).chunks()), "again.gml", options)
             num_read += 1
         except LodbenchError:
             num_refused += 1

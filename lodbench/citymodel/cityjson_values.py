@@ -1,0 +1,45 @@
+"""Attributes and reference systems as CityJSON asks for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lodbench.citymodel.crs import epsg_codes
+
+
+def listed(value: Any) -> list[Any]:
+    """Returns a list as it is, and anything else as a list of one."""
+    return value if isinstance(value, list) else [value]
+
+
+def fitting(key: str, value: Any) -> Any:
+    """Returns an attribute of the type that CityJSON asks for, where it asks for one and it can be."""
+    if key in ("class", "function", "usage"):
+        return ", ".join(map(str, listed(value)))
+    if key.startswith("storeyHeights") and isinstance(value, int | float):
+        return [value]
+    if key.startswith("storeys") and str(value).isdigit():
+        return int(value)
+    return value
+
+
+def reference_system(crs: str | None) -> tuple[str | None, str]:
+    """Returns the name in CityJSON's form, which has one code, and what of the system it cannot say.
+
+    Example:
+        >>> reference_system("EPSG:7415")
+        ('https://www.opengis.net/def/crs/EPSG/0/7415', '')
+    """
+    if crs is None:
+        return None, ""
+    codes = epsg_codes(crs)
+    if len(codes) == 1:
+        return _url(codes[0]), ""
+    if not codes:
+        return None, f"reference system {crs}, which has no EPSG code"
+    left_out = f"vertical reference system of {crs}: CityJSON names one EPSG code, and the two have none"
+    return _url(codes[0]), left_out
+
+
+def _url(code: int) -> str:
+    return f"https://www.opengis.net/def/crs/EPSG/0/{code}"

@@ -1,0 +1,129 @@
+"""The arguments of `lodbench city`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from lodbench.citymodel.layers import LAYERS
+
+_EXAMPLES = """\
+FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet) or a mesh
+(.obj, .ply, .stl, .glb); a .gz or .zip of these, or a folder of tiles.
+
+examples:
+  lodbench city info 53394525_bldg_6697_op.gml
+  lodbench city check LoD2_32_280_5657_1_NW.gml --geojson findings.geojson
+  lodbench city info zurich.xml --crs EPSG:21781             the file says "CH1903", which is degrees
+  lodbench city info Massachusetts-25-000.zip --source open_city_model --option ground_m=12
+  lodbench city check houses.shp --option height_column=HOEHE --option ground_m=430
+  lodbench city convert tile.city.json town.glb --lod 2.2
+  lodbench city convert lod2.gml blocks.obj --lod 1 --roof-height median
+  lodbench city convert tiles/ centre.city.jsonl --to-crs EPSG:25832 --bbox 691000 5335000 692000 5336000
+  lodbench city convert lod2.gml churches.json --where function=31001_3041
+  lodbench city convert a.gml b.gml -o both.gml --citygml 3.0
+  lodbench city convert big.gml tiles/town.city.json --tiles 500      tiles/town_691000_5335000.city.json ...
+  lodbench city convert tiles/ town.scene --lod 2 --workers 4         goes on where it was stopped
+
+options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
+  axis_order=east_first|north_first  is_strict=false  origin=[E,N,UP]  up_axis=y|z  layer=NAME
+  height_column=NAME  storeys_column=NAME  storey_height_m=3  default_height_m=9
+  ground_column=NAME  ground_m=0  terrain=FILE  base=as_given|ground|sunk  sunk_m=3
+"""
+
+
+def city_parser() -> argparse.ArgumentParser:
+    """Returns the parser of `lodbench city`."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(
+        "lodbench city", description="Look into a city model.", epilog=_EXAMPLES, formatter_class=raw
+    )
+    actions = parser.add_subparsers(dest="action", required=True, metavar="info|check|convert")
+    for name, help_ in (
+        ("info", "format, place, levels of detail, counts, areas, findings"),
+        ("check", "every defect with its building, and where the area went; exit code 1 if data was lost"),
+        (
+            "convert",
+            "write it as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or for lodbench (.scene)",
+        ),
+    ):
+        action = actions.add_parser(
+            name, help=help_, description=help_, epilog=_EXAMPLES, formatter_class=raw
+        )
+        if name == "convert":
+            action.add_argument(
+                "files",
+                nargs="+",
+                type=Path,
+                metavar="FILE",
+                help="city models, read as one; without -o the last one is OUT",
+            )
+            action.add_argument("-o", "--out", type=Path, metavar="OUT", help="its ending names the format")
+        else:
+            action.add_argument(
+                "file", type=Path, metavar="FILE", help="file, archive, folder of tiles or scene"
+            )
+        if name == "check":
+            action.add_argument(
+                "--geojson",
+                type=Path,
+                metavar="OUT",
+                help="write the findings as points, for QGIS",
+            )
+        if name == "convert":
+            action.add_argument(
+                "--tiles", type=float, metavar="M", help="write squares of this side, and their index"
+            )
+            action.add_argument(
+                "--executor", choices=("serial", "process", "dask"), default="process",
+                help="where the tiles of a .scene are read (process)",
+            )  # fmt: skip
+            action.add_argument(
+                "--textures", action="store_true", help="keep the pictures of surfaces (.glb, .obj)"
+            )
+            action.add_argument("--workers", type=int, help="how many processes (one per core)")
+            action.add_argument("--address", help="of Dask's scheduler")
+            action.add_argument(
+                "--lod",
+                help="the one level to write, or finest: each building's own (meshes: lowest; CityJSON: all)",
+            )
+            action.add_argument(
+                "--citygml", choices=("2.0", "3.0"), default="2.0", help="version of a .gml (2.0)"
+            )
+            action.add_argument("--to-crs", metavar="CRS", help="project to another system in metres")
+            action.add_argument(
+                "--id", action="append", default=[], help="only the building of this id; may be repeated"
+            )
+            action.add_argument(
+                "--bbox",
+                nargs=4,
+                type=float,
+                metavar=("W", "S", "E", "N"),
+                help="only buildings whose middle lies inside, in the system written",
+            )
+            action.add_argument(
+                "--where",
+                action="append",
+                default=[],
+                metavar="ATTRIBUTE=VALUE",
+                help="only buildings with this attribute, or with a part that has it; may be repeated",
+            )
+            action.add_argument(
+                "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
+            )
+        action.add_argument("--crs", help="CRS of the coordinates, where the file says none or a wrong one")
+        action.add_argument(
+            "--source", default="folder", metavar="PROFILE", help="publisher, as in run source=PROFILE"
+        )
+        action.add_argument(
+            "--option", action="append", default=[], metavar="KEY=VALUE", help="see below; may be repeated"
+        )
+        action.add_argument(
+            "--layers",
+            type=lambda text: tuple(text.split(",")),
+            default=(),
+            metavar="NAME,...",
+            help=f"also: {', '.join(LAYERS)}",
+        )
+        action.add_argument("--json", action="store_true", help="for machines")
+    return parser
