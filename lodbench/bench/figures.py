@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -83,6 +84,11 @@ def plain_report(title: str, figures: Sequence[Figure], *notes: str) -> Report:
         ratio = "" if each.ratio is None else f"{each.ratio:.1f}x"
         rows.append([each.figure, _in_words(each.value), each.unit, each.peer, beside, ratio])
     return Report("\n".join([format_columns(rows), *notes]), figures, pd.DataFrame(map(asdict, figures)))
+
+
+def load_in_words() -> str:
+    """Returns how busy the machine is: ``load 1.5``, averaged over a minute."""
+    return f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "load unknown"
 
 
 def no_progress(done: int, total: int) -> None:

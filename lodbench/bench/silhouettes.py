@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Progress, Report, no_progress
+from lodbench.bench.figures import Progress, Report, load_in_words, no_progress
 from lodbench.bench.silhouette_report import HORIZON, STEEP, report_silhouettes
 from lodbench.citymodel import Scene, open_scene
 from lodbench.datasets.priors import UniformPrior
@@ -132,14 +132,11 @@ def measure_silhouettes(
     import pandas as pd
 
     options = options or SilhouetteOptions()
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    load = load_in_words()
     scene = open_scene(city)
     engine = make_renderer(ENGINE, scene, 1)
-    sets = {
-        kind: make_swarms(scene, engine, options, kind)
-        for kind in PITCHES
-        if kind == STEEP or options.num_horizon
-    }
+    kinds = PITCHES if options.num_horizon else (STEEP,)
+    sets = {kind: make_swarms(scene, engine, options, kind) for kind in kinds}
     contenders, absent = _contenders(scene, options)
     jobs = [
         (kind, size) for kind in sets for size in options.sizes if kind == STEEP or size == options.sizes[0]
@@ -157,8 +154,7 @@ def measure_silhouettes(
         absent,
         f"{Path(city).name}, {len(scene.triangles):,} triangles; {options.hypotheses:,} hypotheses around "
         f"each view, peers the first {options.peer_hypotheses}; best pass per view.",
-        f"{os.cpu_count()} cores, load {'unknown' if load is None else f'{load:.1f}'} before the start: "
-        "a busy machine slows renderers unequally.",
+        f"{os.cpu_count()} cores, {load} before the start: a busy machine slows renderers unequally.",
     )
 
 

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
+from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress, plain_report
+from lodbench.bench.opening import resident_mb
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import encoded_mask
@@ -61,7 +62,7 @@ def measure_training_data(
         LodbenchError: The city cannot be read, or shows too few buildings.
     """
     options = options or TrainingDataOptions()
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    load = load_in_words()
     workers = options.workers or os.cpu_count() or 1
     props = None if options.props is None else str(options.props)
     folder = Path(tempfile.mkdtemp(prefix="lodbench-bench-"))
@@ -86,10 +87,9 @@ def measure_training_data(
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     triangles = len(picture.triangles) + (0 if parts.props is None else len(parts.props))
-    words = "unknown" if load is None else f"{load:.1f}"
     note = (
         f"{city.name}, {triangles:,} triangles in pictures, {workers} processes on {os.cpu_count()} cores, "
-        f"load {words} before the start. Written to disk, file by file."
+        f"{load} before the start. Written to disk, file by file."
     )
     return plain_report(city.name, rows, note)
 
@@ -183,20 +183,11 @@ def _memory(params: GenerateParams, parts: PictureParts, views: tuple[PlannedVie
     tenth = max(1, len(views) // 10)
     for view in views[:tenth]:
         world.write(view, out)
-    before = _resident_mb()
+    before = resident_mb() or 0.0
     for view in views[tenth:]:
         world.write(view, out)
-    grown = _resident_mb() - before
+    grown = (resident_mb() or 0.0) - before
     return Figure(f"memory grown from view {tenth} to view {len(views)}, 256x256", grown, "MB")
-
-
-def _resident_mb() -> float:
-    """Returns the memory this process has in use; 0 where the system does not tell."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    except OSError:
-        return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def _size(params: GenerateParams) -> str:

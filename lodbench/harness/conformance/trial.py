@@ -16,37 +16,12 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import LodbenchError
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.methods.conformance.rules import Violation
+from lodbench.methods.conformance.trial import BLOCKS, TRUTHS
 from lodbench.rendering import LayerRenderer, open_renderer
 
-_BLOCKS = (
-    (-72.0, -48.0, -40.0, -12.0, 0.0, 16.0),
-    (-14.0, -60.0, 10.0, -44.0, 1.0, 33.0),
-    (34.0, -38.0, 66.0, -2.0, 0.0, 11.0),
-    (-50.0, 8.0, -31.0, 56.0, 0.0, 22.0),
-    (-4.0, 2.0, 20.0, 27.0, 2.0, 38.0),
-    (38.0, 24.0, 60.0, 70.0, 0.0, 14.0),
-    (-76.0, 66.0, -12.0, 82.0, 1.0, 8.0),
-)
-_TRUTHS = (
-    (22.0, 0.4, -70.0, 4.0, 9.0, 121.0),
-    (31.0, -0.3, 25.0, -11.0, 3.0, 128.0),
-    (26.0, 0.2, 140.0, 8.0, -10.0, 133.0),
-)
 # No multiple of 64 wide: packed rows end within a word.
 CAMERA = Camera(310, 230, 231.0, 229.0, 156.5, 113.0)
-
-
-class Violation(Exception):
-    """A rule is not kept.
-
-    Args:
-        detail: What is wrong.
-        hint: What to do about it.
-    """
-
-    def __init__(self, detail: str, hint: str = "") -> None:
-        super().__init__(detail)
-        self.hint = hint
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,10 +102,10 @@ def refuses(call: Callable[[], object], what: str) -> str:
 
 def trial_dataset(folder: Path) -> tuple[Scene, Dataset]:
     """Returns the blocks, and a dataset of three views; photos and masks are written to a folder."""
-    scene = scene_of_blocks(_BLOCKS)
+    scene = scene_of_blocks(BLOCKS)
     painter = cast(LayerRenderer, open_renderer("raster", scene, 1))
     entries, truth = [], {}
-    for k, (pitch, roll, yaw, *center) in enumerate(_TRUTHS):
+    for k, (pitch, roll, yaw, *center) in enumerate(TRUTHS):
         pose = Pose.from_euler(EulerAngles(pitch, roll, yaw), center)
         prior = Pose.from_euler(EulerAngles(pitch, roll, yaw + 3.0), pose.center + np.array([5.0, -4.0, 6.0]))
         photo, mask = folder / f"view_{k}.png", folder / f"mask_{k}.png"

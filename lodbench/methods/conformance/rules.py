@@ -30,7 +30,7 @@ class Violation(Exception):
         hint: What to do about it.
     """
 
-    def __init__(self, detail: str, hint: str) -> None:
+    def __init__(self, detail: str, hint: str = "") -> None:
         super().__init__(detail)
         self.hint = hint
 

@@ -23,7 +23,7 @@ from lodbench.rendering import LayerRenderer, open_renderer
 from lodbench.storage import random_stream
 
 # West, south, east, north, base, top, metres: nothing repeats, so that every pose is unique.
-_BLOCKS = (
+BLOCKS = (
     (-72.0, -48.0, -40.0, -12.0, 0.0, 16.0),
     (-14.0, -60.0, 10.0, -44.0, 1.0, 33.0),
     (34.0, -38.0, 66.0, -2.0, 0.0, 11.0),
@@ -36,7 +36,7 @@ _BLOCKS = (
 _ORIGIN = np.array([281_000.0, 5_657_000.0, 60.0])
 _CAMERA = Camera(320, 240, 231.0, 229.0, 161.5, 118.0)
 # Pitch, roll, yaw (degrees) and x, y, z (metres) of the cameras; the priors are off by a fixed step.
-_TRUTHS = (
+TRUTHS = (
     (22.0, 0.4, -70.0, 4.0, 9.0, 121.0),
     (31.0, -0.3, 25.0, -11.0, 3.0, 128.0),
     (26.0, 0.2, 140.0, 8.0, -10.0, 133.0),
@@ -102,7 +102,7 @@ def make_trial(folder: Path, method: object) -> Trial:
 
     A query has a mask only for a method that requires one.
     """
-    scene = scene_of_blocks(_BLOCKS, _ORIGIN)
+    scene = scene_of_blocks(BLOCKS, _ORIGIN)
     city_map = CityMap(scene, threads=1)
     painter = cast(LayerRenderer, open_renderer("raster", scene, 1))
     has_mask = Input.MASK in declared_inputs(method, "requires", {Input.MASK})
@@ -112,7 +112,7 @@ def make_trial(folder: Path, method: object) -> Trial:
         return folder / name
 
     queries, truths = [], []
-    for k, (pitch, roll, yaw, *center) in enumerate(_TRUTHS):
+    for k, (pitch, roll, yaw, *center) in enumerate(TRUTHS):
         truth = Pose.from_euler(EulerAngles(pitch, roll, yaw), center)
         angles = EulerAngles(pitch, roll, yaw + _PRIOR_OFF_YAW_DEG)
         prior = Pose.from_euler(angles, truth.center + np.array(_PRIOR_OFF))
