@@ -99,6 +99,7 @@ def protocol_of(views: ViewsParams, seeds: Sequence[int]) -> str:
         f"+-{views.tilt_deg:g} deg pitch and roll, seed{'s' if len(seeds) > 1 else ''} "
         + ", ".join(map(str, seeds))
         + (f", {views.area}ern half of the city" if views.area else "")
+        + (f", a world of {views.world.describe()}" if views.world.describe() else "")
     )
 
 

@@ -23,6 +23,7 @@ from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
 from lodbench.synthesis.views_dataset import AREAS, ViewsParams
+from lodbench.synthesis.world import World
 
 
 def main(argv: Sequence[str]) -> int:
@@ -68,6 +69,8 @@ def _views(options: argparse.Namespace) -> tuple[ViewsParams, list[int]]:
         area=options.area,
         lod=options.map_lod,
         mask_lod=options.mask_lod,
+        roof_height=options.roof_height,
+        world=World.parse(options.world),
     )
     return views, [_whole(seed) for seed in (options.seeds or str(options.seed)).split(",")]
 
@@ -172,6 +175,16 @@ def _parser() -> argparse.ArgumentParser:
             "--mask-lod", help="level of detail that views and masks are drawn from, or finest (the map's)"
         )
         action.add_argument("--map-lod", help="level of detail that is searched (the lowest)")
+        action.add_argument(
+            "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
+        )
+        action.add_argument(
+            "--world",
+            default="",
+            metavar="NAME=VALUE,...",
+            help="how what is seen differs from the map: shared_roofs and hidden_feet in metres, focal as a "
+            "share, tilt as a factor on the told one",
+        )
     city = actions.add_parser(
         "city", help="reading and meshing a city model, beside the naive way and cjio; memory on a large file"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +29,8 @@ class Prediction:
             pitch, roll and yaw (degrees); empty where the method tells none.
         mask_png: The query mask at 602 pixels' width or less, as a PNG of one bit per pixel in base64; ""
             where there is none.
+        alternatives: Other poses that fit nearly as well, best first, in the dataset's frame.
+        notes: What the method would have a reader know of its answer.
     """
 
     pose: Pose | None
@@ -39,6 +42,8 @@ class Prediction:
     probability: float | None = None
     covariance: tuple[float, ...] = ()
     mask_png: str = ""
+    alternatives: tuple[Pose, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def mask(self) -> NDArray[np.bool_] | None:
@@ -56,15 +61,16 @@ class Prediction:
             "trace": {stage: list(scores) for stage, scores in self.trace.items()},
             "probability": self.probability,
             "covariance": list(self.covariance),
+            "alternatives": [pose_numbers(pose) for pose in self.alternatives],
+            "notes": list(self.notes),
             "mask_png": self.mask_png,
         }
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> Prediction:
         """Returns what ``to_json`` made an object of; what an older one lacks is unknown."""
-        numbers = value["pose"]
         return cls(
-            pose=None if numbers is None else Pose.from_matrix(np.reshape([*numbers, 0, 0, 0, 1], (4, 4))),
+            pose=None if value["pose"] is None else _pose(value["pose"]),
             failure=value["failure"],
             score=value["score"],
             hypotheses=value["hypotheses"],
@@ -72,6 +78,8 @@ class Prediction:
             trace={stage: tuple(scores) for stage, scores in value.get("trace", {}).items()},
             probability=value.get("probability"),
             covariance=tuple(value.get("covariance", ())),
+            alternatives=tuple(_pose(numbers) for numbers in value.get("alternatives", ())),
+            notes=tuple(value.get("notes", ())),
             mask_png=value.get("mask_png", ""),
         )
 
@@ -79,6 +87,11 @@ class Prediction:
 def pose_numbers(pose: Pose | None) -> list[float] | None:
     """Returns the twelve numbers of a world-to-camera pose by rows: what digests and files keep."""
     return None if pose is None else [float(v) for v in pose.cam_from_world[:3].ravel()]
+
+
+def _pose(numbers: Sequence[float]) -> Pose:
+    """Returns the pose of the twelve numbers."""
+    return Pose.from_matrix(np.reshape([*numbers, 0, 0, 0, 1], (4, 4)))
 
 
 def encoded_mask(mask: NDArray[np.bool_]) -> str:

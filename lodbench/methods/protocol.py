@@ -35,6 +35,7 @@ class Estimate:
             method knows it.
         probability: That the pose is within 2 m and 2 degrees, where the method knows it.
         alternatives: Other poses that fit nearly as well, best first, where the method looks for them.
+        notes: What a reader should know of the answer, in sentences.
     """
 
     pose: Pose
@@ -45,6 +46,7 @@ class Estimate:
     covariance: NDArray[np.float64] | None = None
     probability: float | None = None
     alternatives: tuple[Pose, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class Method(Protocol):

@@ -29,11 +29,13 @@ def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction])
     lines = [_cells(str(key), predictions[str(key)]) for key in queries.index]
     answered = sum(predictions[str(key)].pose is not None for key in queries.index)
     is_said = any(predictions[str(key)].probability is not None for key in queries.index)
+    notes = [f"{key}: {note}" for key in queries.index for note in predictions[str(key)].notes]
     basis = "goes by the probability that the method gives of being within 2 m and 2 degrees"
     return (
         f"There is no truth to compare with: the answers themselves.\n\n{format_columns([head, *lines])}\n\n"
         f"{answered} of {len(lines)} queries have an answer, {len(lines) - answered} failed. "
         f"Trust {basis if is_said else 'is not known: this method gives no probability'}.\n"
+        + "".join(f"{plain_text(note)}\n" for note in notes)
     )
 
 

@@ -25,6 +25,7 @@ from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
 from lodbench.synthesis.queries import SyntheticQuery, write_queries
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
+from lodbench.synthesis.world import World
 
 # Raised whenever the same settings would draw something else.
 VIEWS_VERSION = 1
@@ -53,6 +54,7 @@ class ViewsParams:
         roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
         name: Name to report.
         layers: What to see besides buildings, see ``LAYERS``.
+        world: How what is seen differs from the map.
     """
 
     city_model: str
@@ -69,6 +71,7 @@ class ViewsParams:
     roof_height: str | None = None
     name: str = "views"
     layers: list[str] = field(default_factory=list)
+    world: World = field(default_factory=World)
 
     def __post_init__(self) -> None:
         if self.num_views < 1:
@@ -77,12 +80,11 @@ class ViewsParams:
             raise ConfigError(f"dataset.mask_iou lies in (0, 1], not {self.mask_iou}.")
         if not 0 <= self.tilt_deg <= 30:
             raise ConfigError(f"dataset.tilt_deg lies within 0 and 30, not {self.tilt_deg}.")
-
         if self.area is not None and self.area not in AREAS:
             raise ConfigError(f"dataset.area is one of {', '.join(AREAS)}, not {self.area}.")
 
     def prior(self, tilt: str = "prior") -> UniformPrior:
-        """Returns the errors of the priors: the published ones, with this tilt and range.
+        """Returns what is told of the priors' errors: the published ones, with this tilt and range.
 
         Args:
             tilt: ``truth`` for priors whose tilt has no error.
@@ -111,12 +113,16 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
     seed = params.views_seed
     sampling = ViewSampling(seed=seed, area_m=_area_m(scene, params.area))
     views = sample_views(scene, renderer, camera, sampling, params.num_views, "accuracy")
+    world, told = params.world, params.prior()
+    seen = world.seen(scene)
+    photographed = renderer if seen is scene else make_renderer("silhouette", seen, None)
+    prior = replace(told, pitch_deg=world.tilt * told.pitch_deg, roll_deg=world.tilt * told.roll_deg)
     queries = []
     for index, truth in enumerate(views.poses):
         name = f"view_{index:04d}"
-        clean = renderer.render(camera, truth)
+        clean = photographed.render(world.lens(camera, index), truth)
         rough, _ = degrade_mask(clean, params.mask_iou, random_stream(seed, "accuracy", name, "mask"))
-        start = params.prior().draw(truth, random_stream(seed, "accuracy", name, "prior"))
+        start = prior.draw(truth, random_stream(seed, "accuracy", name, "prior"))
         queries.append(SyntheticQuery(name, truth, start, rough, iou_of(rough, clean)))
     return queries, views.rejections
 

@@ -13,17 +13,18 @@ from lodbench.methods.contour_alignment.correlated import error_covariance, whit
 @pytest.fixture(scope="module")
 def points():
     generator = np.random.default_rng(3)
-    return generator.uniform(0, 300, (40, 2)), generator.normal(size=40), generator.integers(0, 4, 40)
+    rises, feet = generator.normal(size=(2, 40))
+    return generator.uniform(0, 300, (40, 2)), rises, feet, generator.integers(0, 4, 40)
 
 
 def test_covariance_is_the_sum_of_what_is_shared(points):
-    pixels, rises, buildings = points
-    matrix = error_covariance(*points, (2.0, 0.5), (30.0, 60.0), (4.0, 9.0))
+    pixels, rises, feet, buildings = points
+    matrix = error_covariance(*points, (2.0, 0.5), (30.0, 60.0), (4.0, 9.0, 2.5))
     apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
-    roofs = np.outer(rises, rises) * (4.0 + 9.0 * np.exp(-apart / 60.0))
+    own = np.outer(rises, rises) * (4.0 + 9.0 * np.exp(-apart / 60.0)) + 2.5 * np.outer(feet, feet)
     same = buildings[:, None] == buildings[None]
     lags = np.sqrt(3.0) * apart / 30.0
-    expected = 2.0 * (1.0 + lags) * np.exp(-lags) + np.where(same, roofs, 0.0) + 0.5 * np.eye(40)
+    expected = 2.0 * (1.0 + lags) * np.exp(-lags) + np.where(same, own, 0.0) + 0.5 * np.eye(40)
     np.testing.assert_allclose(matrix, np.tril(expected), rtol=1e-12)
 
 

@@ -272,7 +272,7 @@ def _segmenter_notes(request: PhotoRequest) -> tuple[str, ...]:
 
 def _notes(photo: PhotoMetadata, frame: MapFrame | None, view: PhotoView, estimate: Estimate) -> list[str]:
     datum = None if frame is None else datum_note(frame)
-    notes = [] if datum is None else [datum]
+    notes = [*estimate.notes] if datum is None else [*estimate.notes, datum]
     if photo.orientation > 1:
         notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
     if view.pixels is None:

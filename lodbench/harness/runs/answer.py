@@ -68,6 +68,8 @@ def _stored_estimate(
         trace={stage: tuple(map(float, scores)) for stage, scores in found.trace.items()},
         probability=None if found.probability is None else float(found.probability),
         covariance=_upper_triangle(found.covariance),
+        alternatives=tuple(preparation.in_dataset_frame(pose) for pose in found.alternatives),
+        notes=found.notes,
         mask_png=mask_png,
     )
 

@@ -1,4 +1,4 @@
-"""Outlines aligned by least squares: Gauss-Newton on six numbers under a prior, with a robust kernel.
+"""Outlines aligned by least squares: Gauss-Newton on seven numbers under a prior, with a robust kernel.
 
 A pose is judged by how far the outline of the model's silhouette lies from that of the mask. Points
 far off count less and less (Geman and McClure's kernel), so buildings that one of the two misses
@@ -10,7 +10,7 @@ roofs at other heights than a photo shows.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -37,8 +37,9 @@ from lodbench.segmentation import binary_mask
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# The longest step: a linearisation says little beyond it (metres, degrees; x, y, z, pitch, roll, yaw).
-_LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
+# The longest step: a linearisation says little beyond it (metres, degrees and
+# percent; x, y, z, pitch, roll, yaw, lens).
+_LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0, 2.0])
 # Fewer points than this say nothing about six numbers.
 _FEWEST_POINTS = 12
 # By how much the stairs of a mask's outline are smoothed.
@@ -69,7 +70,7 @@ class Residuals:
     Attributes:
         points: The outline, in pixels of the working size.
         distances: (N,) positive inside the mask.
-        slopes: (N, 7) their change per unit of the pose's numbers and per metre of the roof's height.
+        slopes: (N, 9) their change per unit of ``OutlinePoints.moves``.
         agreement: (N,) 1 where the mask's outline runs as the silhouette's does, 0 across or against it.
         scale: Pixels of the working size per pixel of the fine size.
         iou: Of silhouette and mask.
@@ -88,22 +89,23 @@ class Linearization:
     """What the outlines say about a pose, to second order; the prior included.
 
     Attributes:
-        information: (6, 6) of metres and degrees.
-        gradient: (6,) of the cost.
+        information: (7, 7) of metres, degrees and percent of the lens.
+        gradient: (7,) of the cost.
         iou: Of silhouette and mask.
-        evidence: Logarithm of the density of the distances, the pose integrated out, up to a constant; 0
-            where it is not looked for.
     """
 
     information: Floats
     gradient: Floats
     iou: float
-    evidence: float = 0.0
 
     def step(self) -> Floats:
-        """Returns (6,) the Gauss-Newton step, no longer than a linearisation is good for."""
-        step = -np.linalg.solve(self.information, self.gradient)
-        return np.asarray(step * min(1.0, float(1.0 / np.max(np.abs(step) / _LONGEST_STEP))))
+        """Returns (7,) the Gauss-Newton step, no longer than a linearisation is good for."""
+        return shortened(np.asarray(-np.linalg.solve(self.information, self.gradient)))
+
+
+def shortened(step: Floats) -> Floats:
+    """Returns a step of the camera's numbers, (7,), no longer than a linearisation is good for."""
+    return np.asarray(step * min(1.0, float(1.0 / np.max(np.abs(step) / _LONGEST_STEP))))
 
 
 class Aligner:
@@ -111,8 +113,8 @@ class Aligner:
 
     def __init__(self, query: Query, city_map: CityMap, params: Params) -> None:
         self._city_map, self._query, self._params = city_map, query, params
-        self._prior = vector_from_pose(query.prior)
-        self._precision = np.array(params.prior_sigmas()) ** -2.0
+        self._prior = np.append(vector_from_pose(query.prior), 0.0)
+        self._precision = np.array(params.start_sigmas()) ** -2.0
         # Full widths, where half would do: steps may lead out of the range, though the prior calls back.
         reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
         turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
@@ -120,7 +122,7 @@ class Aligner:
         self._levels: dict[tuple[int, int], Level] = {}
 
     def align(self, vector: Floats, reaches_px: tuple[float, ...], size: tuple[int, int]) -> Floats:
-        """Returns (6,) numbers after one Gauss-Newton step per entry of ``reaches_px``."""
+        """Returns (7,) numbers after one Gauss-Newton step per entry of ``reaches_px``."""
         for reach_px in reaches_px:
             here = self.linearize(vector, reach_px, size)
             if here is None:
@@ -132,7 +134,7 @@ class Aligner:
         """Returns what the outlines say at a pose; None if too little outline is seen.
 
         Args:
-            vector: (6,) centre in metres and angles in degrees.
+            vector: (7,) centre in metres, angles in degrees, and by how many percent the lens is longer.
             reach_px: Scale of the robust kernel, pixels of the fine size.
             size: Width and height of the silhouette, pixels.
         """
@@ -143,7 +145,7 @@ class Aligner:
         kernel = 1.0 / (1.0 + (here.distances / reach_px) ** 2)
         weights = lengths * kernel**2 / (self._params.correlation_px * self._params.noise_px**2)
         products, gradients = building_sums(
-            here.distances, here.slopes, weights, here.points.buildings, len(self.edges.rises)
+            here.distances, here.slopes[:, :8], weights, here.points.buildings, len(self.edges.rises)
         )
         information, gradient = _without_roofs(products, gradients, self._params.roof_m)
         prior_information, prior_gradient = self.prior_terms(vector)
@@ -152,25 +154,31 @@ class Aligner:
     def measure(self, vector: Floats, size: tuple[int, int]) -> Residuals | None:
         """Returns how far a pose's outline lies from the mask's; None if too little outline is seen."""
         level, pose = self._level(size), pose_from_vector(vector)
-        silhouette = self._city_map.render(level.camera, pose)
+        stretch = 1.0 + 0.01 * vector[6]
+        camera = replace(level.camera, fx=level.camera.fx * stretch, fy=level.camera.fy * stretch)
+        silhouette = self._city_map.render(camera, pose)
         union = int(np.count_nonzero(silhouette | level.mask))
         iou = int(np.count_nonzero(silhouette & level.mask)) / union if union else 0.0
         derivatives, spacing = rotation_derivatives(vector), self._params.spacing_px
-        points = sample_outline(self.edges, level.camera, pose, derivatives, silhouette, spacing)
+        points = sample_outline(self.edges, camera, pose, derivatives, silhouette, spacing)
         count = len(points)
         if count < _FEWEST_POINTS:
             return None
-        distances, slopes, agreement = np.empty(count), np.empty((count, 7)), np.empty(count)
+        distances, slopes, agreement = np.empty(count), np.empty((count, 9)), np.empty(count)
         measured = distances, slopes, agreement
         measure_distances(points.pixels, points.normals, points.moves, level.distance, *measured)
         distances, slopes = distances / level.scale, slopes / level.scale
         return Residuals(points, distances, slopes, agreement, level.scale, iou)
 
     def prior_terms(self, vector: Floats) -> tuple[Floats, Floats]:
-        """Returns the prior's information (6, 6) and gradient (6,)."""
-        offset = vector - self._prior
+        """Returns the prior's information (7, 7) and gradient (7,)."""
+        return np.diag(self._precision), self._precision * self.offset(vector)
+
+    def offset(self, vector: Floats) -> Floats:
+        """Returns (7,) how far from the prior."""
+        offset = np.asarray(vector - self._prior)
         offset[5] = (offset[5] + 180.0) % 360.0 - 180.0
-        return np.diag(self._precision), self._precision * offset
+        return offset
 
     def _level(self, size: tuple[int, int]) -> Level:
         if size not in self._levels:
@@ -197,16 +205,16 @@ def signed_distance(mask: Mask) -> NDArray[np.float32]:
 
 
 def _without_roofs(products: Floats, gradients: Floats, roof_m: float) -> tuple[Floats, Floats]:
-    """Returns information (6, 6) and gradient (6,) with each building's height eliminated.
+    """Returns information (7, 7) and gradient (7,) with each building's height eliminated.
 
     Args:
-        products: (B, 7, 7) weighted products of slopes by building; the height comes last.
-        gradients: (B, 7) of slopes and residuals.
+        products: (B, 8, 8) weighted products of slopes by building; the height comes last.
+        gradients: (B, 8) of slopes and residuals.
         roof_m: Standard deviation of a building's height, metres; 0 where the map is exact.
     """
-    information, gradient = products[:, :6, :6].sum(axis=0), gradients[:, :6].sum(axis=0)
+    information, gradient = products[:, :7, :7].sum(axis=0), gradients[:, :7].sum(axis=0)
     if roof_m > 0:
-        gain = products[:, :6, 6] / (products[:, 6, 6] + roof_m**-2.0)[:, None]
-        information = information - (gain[:, :, None] * products[:, None, :6, 6]).sum(axis=0)
-        gradient = gradient - (gain * gradients[:, 6:]).sum(axis=0)
+        gain = products[:, :7, 7] / (products[:, 7, 7] + roof_m**-2.0)[:, None]
+        information = information - (gain[:, :, None] * products[:, None, :7, 7]).sum(axis=0)
+        gradient = gradient - (gain * gradients[:, 7:]).sum(axis=0)
     return information, gradient

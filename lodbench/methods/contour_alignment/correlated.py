@@ -10,20 +10,21 @@ Floats = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def error_covariance(pixels, rises, buildings, noise, lengths, roofs):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def error_covariance(pixels, rises, feet, buildings, noise, lengths, errors):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the lower half of the points' error covariance, (N, N) square pixels.
 
     The mask's outline errs alike at points near each other in the picture: a curve that bends, without
     kinks (Matern's correlation of order 3/2). A building's roof errs as a
-    whole, and by parts: alike at points near each other.
+    whole, and by parts: alike at points near each other. So does where its walls end, as a whole.
 
     Args:
         pixels: (N, 2) points.
         rises: (N,) how a distance changes per metre that the roof is higher.
+        feet: (N,) how it changes per metre that the base is.
         buildings: (N,) which.
         noise: Square pixels of the outline's error that goes together, and of its rest.
         lengths: Pixels over which the outline's error goes together, and a roof's.
-        roofs: Square metres of a roof's error as a whole, and by parts.
+        errors: Square metres of a roof's error as a whole, by parts, and of a base's.
     """
     count = len(pixels)
     matrix = np.zeros((count, count))
@@ -34,7 +35,8 @@ def error_covariance(pixels, rises, buildings, noise, lengths, roofs):  # type: 
             lags = np.sqrt(3.0) * apart / lengths[0]
             value = noise[0] * (1.0 + lags) * np.exp(-lags)
             if buildings[i] == buildings[j]:
-                value += rises[i] * rises[j] * (roofs[0] + roofs[1] * np.exp(-apart / lengths[1]))
+                value += rises[i] * rises[j] * (errors[0] + errors[1] * np.exp(-apart / lengths[1]))
+                value += feet[i] * feet[j] * errors[2]
             matrix[i, j] = value
         matrix[i, i] += noise[1]
     return matrix

@@ -55,8 +55,8 @@ class OutlinePoints:
         pixels: (N, 2) where they are seen.
         normals: (N, 2) unit, pointing out of the silhouette.
         lengths: (N,) pixels of outline each stands for.
-        moves: (N, 7, 2) pixels per metre of x, y, z, per degree of pitch, roll, yaw, and per metre that
-            the building's roof is higher.
+        moves: (N, 9, 2) pixels per metre of x, y, z, per degree of pitch, roll, yaw, per percent of a
+            longer lens, and per metre that the building's roof is higher and that its base is.
         buildings: (N,) index into the arrays' buildings.
     """
 
@@ -114,14 +114,14 @@ def sample_outline(
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     room = _ROOM
     while True:
-        found = np.empty((room, 19)), np.empty(room, dtype=np.int64)
+        found = np.empty((room, 23)), np.empty(room, dtype=np.int64)
         view = rotation, center, derivatives, intrinsics
         count = sample_edges(edges, visible, *view, silhouette, spacing_px, *found)
         if count <= room:
             break
         room = count
     rows, buildings = found[0][:count], found[1][:count]
-    moves = np.ascontiguousarray(rows[:, 5:].reshape(count, 7, 2))
+    moves = np.ascontiguousarray(rows[:, 5:].reshape(count, 9, 2))
     return OutlinePoints(rows[:, 0:2], rows[:, 2:4], rows[:, 4], moves, buildings)
 
 

@@ -44,24 +44,26 @@ def _clip(u, v, du, dv, width, height):  # type: ignore[no-untyped-def]  # noqa:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _write_moves(rotation, derivatives, f, world, share, row):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Writes how a point's pixel moves with each of the six numbers, and with the roof's height.
+    """Writes how a point's pixel moves with each of the six numbers, and with what else may be wrong.
 
     Args:
         rotation: (3, 3) cam_from_world.
         derivatives: (3, 3, 3) of it.
         f: fx, fy, cx, cy.
         world: The point less the camera's centre, metres.
-        share: How much of a change of the roof's height the point takes part in.
-        row: (14,) to write into: u and v in turn.
+        share: How much of a change of the roof's height the point takes part in; the rest is the base's.
+        row: (18,) to write into, u and v in turn: the pose, the focal length, roof and base.
     """
     x, y, z = camera_axes(world[0], world[1], world[2], rotation, (0.0, 0.0, 0.0))
-    for k in range(7):
+    row[12], row[13] = 0.01 * f[0] * x / z, 0.01 * f[1] * y / z
+    for k in (0, 1, 2, 3, 4, 5, 7, 8):
         if k < 3:
             dx, dy, dz = -rotation[0, k], -rotation[1, k], -rotation[2, k]
         elif k < 6:
             dx, dy, dz = camera_axes(world[0], world[1], world[2], derivatives[k - 3], (0.0, 0.0, 0.0))
         else:
-            dx, dy, dz = rotation[0, 2] * share, rotation[1, 2] * share, rotation[2, 2] * share
+            part = share if k == 7 else 1.0 - share
+            dx, dy, dz = rotation[0, 2] * part, rotation[1, 2] * part, rotation[2, 2] * part
         row[2 * k] = f[0] * (dx - x / z * dz) / z
         row[2 * k + 1] = f[1] * (dy - y / z * dz) / z
 
@@ -125,10 +127,10 @@ def measure_distances(pixels, normals, moves, distance, residuals, slopes, agree
     Args:
         pixels: (N, 2).
         normals: (N, 2).
-        moves: (N, 7, 2).
+        moves: (N, 9, 2).
         distance: (H, W) float32 signed distance to the query's outline, pixels, positive inside.
         residuals: (N,) to write: distance at the point, bilinear.
-        slopes: (N, 7) to write: its change per unit of the pose's numbers and the roof's height.
+        slopes: (N, 9) to write: its change per unit of each of the moves.
         agreement: (N,) to write: 1 where the query's outline runs as the silhouette's does, 0 across or
             against it.
     """
@@ -143,19 +145,20 @@ def measure_distances(pixels, normals, moves, distance, residuals, slopes, agree
         residuals[i] = (1 - b) * ((1 - a) * d00 + a * d01) + b * ((1 - a) * d10 + a * d11)
         gx, gy = (1 - b) * (d01 - d00) + b * (d11 - d10), (1 - a) * (d10 - d00) + a * (d11 - d01)
         agreement[i] = min(1.0, max(0.0, -(gx * normals[i, 0] + gy * normals[i, 1])))
-        for k in range(7):
+        for k in range(slopes.shape[1]):
             slopes[i, k] = gx * moves[i, k, 0] + gy * moves[i, k, 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def building_sums(residuals, slopes, weights, buildings, count):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the sums of weighted products by building: (B, 7, 7) of slopes, (B, 7) with residuals."""
-    products, gradients = np.zeros((count, 7, 7)), np.zeros((count, 7))
+    """Returns the sums of weighted products by building: (B, K, K) of slopes, (B, K) with residuals."""
+    width = slopes.shape[1]
+    products, gradients = np.zeros((count, width, width)), np.zeros((count, width))
     for i in range(len(residuals)):
         b = buildings[i]
-        for j in range(7):
+        for j in range(width):
             weighted = weights[i] * slopes[i, j]
             gradients[b, j] += weighted * residuals[i]
-            for k in range(7):
+            for k in range(width):
                 products[b, j, k] += weighted * slopes[i, k]
     return products, gradients

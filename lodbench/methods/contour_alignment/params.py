@@ -26,7 +26,14 @@ _POSITIVE = (
     "outline_px",
     "outlier_sigmas",
     "roof_part_px",
+    "lens_percent",
+    "lens_doubt_percent",
+    "tilt_doubt_factor",
+    "heat",
 )
+_PROBABILITIES = ("lens_doubt", "tilt_doubt")
+# Between a lens as told and one in doubt.
+_START_LENS_PERCENT = 0.5
 # Grids of more poses than this are left for basins: four times those of the published priors' grid.
 _MOST_POSES = 2000
 
@@ -65,9 +72,16 @@ class Params:
         correlation_px: Length of outline that counts as one observation until then, pixels.
         outline_px: Distance over which the errors of a mask's outline go together, pixels of the fine size.
         outlier_sigmas: Scale of the robust kernel in the final steps, in standard deviations of the outline.
-        roof_m: Standard deviation of each building's height in the map, metres; 0 trusts the map.
-        roof_part_m: The same of parts of a roof, each for itself.
+        roof_m: Standard deviation of each building's height in the map until the final steps, which find it
+            from the view, metres; 0 trusts the map.
         roof_part_px: Distance over which a roof's error goes together, pixels of the fine size.
+        lens_percent: Standard deviation of the focal length, percent.
+        lens_doubt: Probability that the focal length is worse than that.
+        lens_doubt_percent: Its standard deviation then, percent.
+        tilt_doubt: Probability that the prior's tilt is worse than told.
+        tilt_doubt_factor: How many times as wide it is then.
+        heat: What the final steps' likelihood is divided by in its logarithm: 1 takes the model of errors for
+            the whole truth.
     """
 
     name: str = "contour_alignment"
@@ -88,7 +102,7 @@ class Params:
     basin_steps: int = 5
     starts: int = 8
     steps: int = 10
-    final_steps: int = 10
+    final_steps: int = 7
     spacing_px: float = 4.0
     reach_px: float = 24.0
     near_px: float = 3.0
@@ -97,22 +111,17 @@ class Params:
     outline_px: float = 40.0
     outlier_sigmas: float = 3.0
     roof_m: float = 2.0
-    roof_part_m: float = 2.0
     roof_part_px: float = 60.0
+    lens_percent: float = 0.2
+    lens_doubt: float = 0.3
+    lens_doubt_percent: float = 2.0
+    tilt_doubt: float = 0.05
+    tilt_doubt_factor: float = 5.0
+    heat: float = 2.5
 
     def __post_init__(self) -> None:
-        # OmegaConf hands over lists where a tuple is declared, and checks neither lengths nor ranges.
-        for name in ("coarse_size", "fine_size"):
-            size = tuple(int(side) for side in getattr(self, name))
-            if len(size) != 2 or min(size) < 8 or max(size) > GUARD_PX:
-                raise ConfigError(f"method.{name} is a width and a height, 8 to 8192 px, not {list(size)}.")
-            object.__setattr__(self, name, size)
-        for name in (*_RANGES, "roof_m", "roof_part_m"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
-        for name in _POSITIVE:
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigError(f"method.{name} is finite and above 0, not {getattr(self, name)}.")
+        self._set_sizes()
+        self._check_ranges()
         if self.search not in SEARCHES:
             raise ConfigError(
                 f"method.search={self.search} is not known.", nearest_names(self.search, SEARCHES)
@@ -121,6 +130,25 @@ class Params:
             raise ConfigError(f"method.basin_share lies in (0, 1], not {self.basin_share}.")
         if self.starts < 1 or min(self.steps, self.final_steps, self.basin_steps) < 0:
             raise ConfigError("method.starts is at least 1; the numbers of steps are at least 0.")
+
+    def _set_sizes(self) -> None:
+        # OmegaConf hands over lists where a tuple is declared, and checks neither lengths nor ranges.
+        for name in ("coarse_size", "fine_size"):
+            size = tuple(int(side) for side in getattr(self, name))
+            if len(size) != 2 or min(size) < 8 or max(size) > GUARD_PX:
+                raise ConfigError(f"method.{name} is a width and a height, 8 to 8192 px, not {list(size)}.")
+            object.__setattr__(self, name, size)
+
+    def _check_ranges(self) -> None:
+        for name in (*_RANGES, "roof_m"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
+        for name in _POSITIVE:
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(f"method.{name} is finite and above 0, not {getattr(self, name)}.")
+        for name in _PROBABILITIES:
+            if not 0 < getattr(self, name) < 1:
+                raise ConfigError(f"method.{name} lies between 0 and 1, not {getattr(self, name)}.")
 
     def grid(self) -> PoseGrid:
         """Returns the grid: samples at most a stride apart, ends included."""
@@ -148,6 +176,28 @@ class Params:
         place = [max(0.5 * w, 1e-3) for w in (self.range_x_m, self.range_y_m, self.range_z_m)]
         tilt = max(0.5 * self.range_tilt_deg / math.sqrt(3.0), 1e-4)
         return (*place, tilt, tilt, max(0.5 * self.range_yaw_deg, 1e-4))
+
+    def half_widths(self) -> tuple[float, ...]:
+        """Returns how far x, y, z (metres), pitch, roll and yaw (degrees) may be off by what was told."""
+        place = [0.5 * width for width in (self.range_x_m, self.range_y_m, self.range_z_m)]
+        tilt = 0.5 * self.range_tilt_deg
+        return (*place, tilt, tilt, 0.5 * self.range_yaw_deg)
+
+    def start_sigmas(self) -> tuple[float, ...]:
+        """Returns the same and the lens's, percent, until hypotheses of it are weighed."""
+        return (*self.prior_sigmas(), _START_LENS_PERCENT)
+
+    def camera_sigmas(self, *, is_tilt_free: bool, is_lens_free: bool) -> tuple[float, ...]:
+        """Returns the same under a hypothesis of tilt and lens."""
+        *place, pitch, roll, yaw = self.prior_sigmas()
+        wider = self.tilt_doubt_factor if is_tilt_free else 1.0
+        lens = self.lens_doubt_percent if is_lens_free else self.lens_percent
+        return (*place, wider * pitch, wider * roll, yaw, lens)
+
+    def camera_odds(self, is_tilt_free: bool, is_lens_free: bool) -> float:
+        """Returns how likely such a hypothesis is before the view is seen."""
+        tilt = self.tilt_doubt if is_tilt_free else 1.0 - self.tilt_doubt
+        return tilt * (self.lens_doubt if is_lens_free else 1.0 - self.lens_doubt)
 
     def reaches_px(self) -> tuple[float, ...]:
         """Returns the kernel's scale in each alignment step: falling evenly in proportion."""

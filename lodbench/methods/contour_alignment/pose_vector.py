@@ -27,7 +27,7 @@ def vector_from_pose(pose: Pose) -> Floats:
 
 def pose_from_vector(vector: Floats) -> Pose:
     """Returns the pose of (6,) centre in metres and angles in degrees."""
-    return Pose.from_euler(EulerAngles(*(float(v) for v in vector[3:])), vector[:3])
+    return Pose.from_euler(EulerAngles(*(float(v) for v in vector[3:6])), vector[:3])
 
 
 def rotation_derivatives(vector: Floats) -> Floats:
@@ -37,7 +37,7 @@ def rotation_derivatives(vector: Floats) -> Floats:
     innermost turn and yaw its outermost, so each derivative is the rotation times a cross product; roll
     turns about the world's y axis after yaw.
     """
-    rotation = rotation_from_euler(EulerAngles(*(float(v) for v in vector[3:])))
+    rotation = rotation_from_euler(EulerAngles(*(float(v) for v in vector[3:6])))
     yaw = float(vector[5]) * _DEG
     level_y = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     # Both flips of the cross product cancel, and a turn commutes with its own cross product.
@@ -52,7 +52,7 @@ def turn_per_angle(vector: Floats) -> Floats:
 
     The length of this matrix times three small angle errors is the rotation error of evaluation.
     """
-    rotation = rotation_from_euler(EulerAngles(*(float(v) for v in vector[3:])))
+    rotation = rotation_from_euler(EulerAngles(*(float(v) for v in vector[3:6])))
     columns = []
     for derivative in rotation_derivatives(vector):
         skew = derivative @ rotation.T / _DEG

@@ -1,41 +1,56 @@
-"""The last steps: least squares that know how the errors of an outline go together.
+"""The last steps: hypotheses of what is wrong with map and camera, followed side by side and weighed.
 
-A mask's outline leans over tens of pixels, so near points tell the same twice; how much it errs is
-found from the view itself. A roof of the map may be too high or too low, as a whole and by parts.
-Both are rows of one covariance matrix: what roofs or a leaning outline could explain moves the pose
-little, and widens the answer's own covariance.
+A hypothesis is a world (how roofs and bases err), a prior's tilt as told or worse, and a lens likewise.
+Each step is Gauss-Newton's to the optimum of the likeliest; at the end all that are left are a mixture of
+Gaussians, weighed by their evidence: the density of the outline with pose and errors integrated out.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.methods.contour_alignment.alignment import Aligner, Linearization, Residuals
-from lodbench.methods.contour_alignment.correlated import error_covariance, whiten
+from lodbench.methods.contour_alignment.alignment import Aligner, shortened
+from lodbench.methods.contour_alignment.likelihood import CAMERA, Sums, deal_out, sum_up
 from lodbench.methods.contour_alignment.params import Params
+from lodbench.methods.contour_alignment.world_errors import TRACKS, WorldErrors
 
 Floats = NDArray[np.float64]
 
-# Points in one matrix, which costs their number cubed; every so many-th point goes into one, the next into
-# the next, and what the matrices say is averaged. So all points count, and none depends on the start.
-_MOST_POINTS = 250
-_MOST_SUBSETS = 8
-# The outline's noise is looked for among points nearer than this, and is never less or more than that, px.
-_FAR_PX = 20.0
-_NOISE_PX = (0.5, 6.0)
-# Points that agree less with the mask's direction say nothing about its noise.
-_AGREES = 0.3
-# Share of the outline's variance that each point has for itself.
-_OWN_SHARE = 0.3
-# A point that weighs less than this has a variance that no factorisation feels.
-_LEAST_WEIGHT = 1e-8
-# Maps from nearly exact to as coarse as the parameters allow.
-_ROOF_SHARES = (0.1, 0.4, 1.0)
-# By how much the logarithm of the evidence for a better map must be larger.
-_CLEAR = 40.0
+# Steps before the prior's tilt and the lens are held as told.
+_FREE_STEPS = 3
+# By how much less evidence, in its logarithm, a world is given up after a step, a track after the free ones.
+_HOPELESS_WORLD, _HOPELESS_TRACK = 12.0, 15.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mode:
+    """One hypothesis: a Gaussian.
+
+    Attributes:
+        world: How the city differs from the map.
+        is_tilt_free: Whether the prior's tilt is worse than told.
+        is_lens_free: Whether the lens is.
+        step: (10,) from where it was linearised to its optimum: the camera's numbers and the shared errors.
+        information: (10, 10) there, the prior included.
+        evidence: Logarithm, odds included, up to a constant.
+    """
+
+    world: WorldErrors
+    is_tilt_free: bool
+    is_lens_free: bool
+    step: Floats
+    information: Floats
+    evidence: float
+
+    @property
+    def key(self) -> tuple[str, bool, bool]:
+        """Returns what tells it from others."""
+        return self.world.name, self.is_tilt_free, self.is_lens_free
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,97 +58,122 @@ class Refined:
     """A pose at the end of its steps.
 
     Attributes:
-        vector: (6,) centre in metres and angles in degrees.
-        at: What the outlines say there.
+        vector: (7,) centre in metres, angles in degrees and percent of the lens, which the modes' steps
+            lead away from.
+        modes: What is left of the hypotheses, the likeliest first.
+        weights: Their probabilities.
+        iou: Of silhouette and mask.
     """
 
     vector: Floats
-    at: Linearization
+    modes: tuple[Mode, ...]
+    weights: Floats
+    iou: float
+
+
+@dataclass(slots=True, eq=False)
+class _Track:
+    """Worlds that share a camera, with what is thought of their shared errors."""
+
+    vector: Floats
+    shared: dict[WorldErrors, Floats]
+    is_lens_free: bool
+    modes: list[Mode]
+    iou: float = 0.0
+
+    @property
+    def evidence(self) -> float:
+        return max(mode.evidence for mode in self.modes)
 
 
 def refine(aligner: Aligner, vector: Floats, params: Params) -> Refined | None:
-    """Returns a pose after the last steps; None if too little outline is seen.
-
-    How far roofs may be wrong is chosen halfway, by what explains the view.
-    """
-    at, share = None, 1.0
+    """Returns what is left of the hypotheses after the last steps; None if too little outline is seen."""
+    tracks = [_Track(vector, {w: w.shared_mean for w in worlds}, is_free, []) for worlds, is_free in TRACKS]
     for step in range(params.final_steps + 1):
-        here = aligner.measure(vector, params.fine_size)
-        if here is None:
+        tracks = [track for track in tracks if _weigh(aligner, track, params, step)]
+        if not tracks:
             return None
-        if step == params.final_steps // 2:
-            share = _roof_share(aligner, vector, here, params)
-        at = _linearize(aligner, vector, here, params, share)
-        if step < params.final_steps:
-            vector = vector + at.step()
-    return Refined(vector, at) if at is not None else None
+        if step >= min(_FREE_STEPS, params.final_steps):
+            best = max(track.evidence for track in tracks)
+            tracks = [track for track in tracks if track.evidence > best - _HOPELESS_TRACK]
+    return _mixture(tracks)
 
 
-def _roof_share(aligner: Aligner, vector: Floats, here: Residuals, params: Params) -> float:
-    """Returns the share of the parameters' roof errors that a view calls for: all of it unless it is clear.
-
-    A pose can make up for wrong roofs, so that little evidence for a good map is none.
-    """
-    evidence = {s: _linearize(aligner, vector, here, params, s).evidence for s in _ROOF_SHARES}
-    best = max(evidence, key=lambda s: evidence[s])
-    return best if evidence[best] > evidence[1.0] + _CLEAR else 1.0
-
-
-def outline_noise(here: Residuals) -> float:
-    """Returns the standard deviation of the mask's outline in pixels, from the median distance."""
-    near = np.abs(here.distances[(here.agreement > _AGREES) & (np.abs(here.distances) < _FAR_PX)])
-    low, high = _NOISE_PX
-    return float(np.clip(1.4826 * np.median(near), low, high)) if len(near) else high
+def _mixture(tracks: list[_Track]) -> Refined:
+    best = max(tracks, key=lambda track: track.evidence)
+    # A hypothesis followed on several tracks counts once: where it explains most.
+    found: dict[tuple[str, bool, bool], Mode] = {}
+    for track in tracks:
+        apart = np.append(track.vector - best.vector, np.zeros(3))
+        for mode in track.modes:
+            known = found.get(mode.key)
+            if known is None or known.evidence < mode.evidence:
+                found[mode.key] = replace(mode, step=mode.step + apart)
+    modes = sorted(found.values(), key=lambda mode: -mode.evidence)
+    weights = np.exp(np.array([mode.evidence for mode in modes]) - modes[0].evidence)
+    return Refined(best.vector, tuple(modes), weights / weights.sum(), best.iou)
 
 
-def _linearize(
-    aligner: Aligner, vector: Floats, here: Residuals, params: Params, roof_share: float
-) -> Linearization:
-    noise_px = outline_noise(here)
-    roofs_m = roof_share * params.roof_m, roof_share * params.roof_part_m
-    subsets = -(-len(here.distances) // _MOST_POINTS)
-    used = min(subsets, _MOST_SUBSETS)
-    information, gradient = aligner.prior_terms(vector)
-    evidence = 0.0
-    for k in range(used):
-        chosen = slice(k * subsets // used, None, subsets)
-        jacobian, residuals, log_determinant = _whitened(here, chosen, noise_px, roofs_m, params)
-        information = information + jacobian.T @ jacobian / used
-        gradient = gradient + jacobian.T @ residuals / used
-        evidence -= 0.5 * (float(residuals @ residuals) + log_determinant) / used
-    # The pose is integrated out: what is left of the misfit at the linearisation's own optimum.
-    evidence += 0.5 * float(gradient @ np.linalg.solve(information, gradient))
-    evidence -= 0.5 * float(np.linalg.slogdet(information)[1])
-    return Linearization(information, gradient, here.iou, evidence)
-
-
-def _whitened(
-    here: Residuals, chosen: slice, noise_px: float, roofs_m: tuple[float, float], params: Params
-) -> tuple[Floats, Floats, float]:
-    """Returns slopes (N, 6) and distances (N,) made independent, of unit variance, and the log determinant.
-
-    Args:
-        here: All points.
-        chosen: Which of them.
-        noise_px: Standard deviation of the mask's outline.
-        roofs_m: Standard deviations of a roof's height as a whole and by parts.
-        params: The method's.
-    """
-    distances, slopes = here.distances[chosen], here.slopes[chosen]
-    reach_px = params.outlier_sigmas * max(noise_px, 1.0)
-    kernel = 1.0 / (1.0 + (distances / reach_px) ** 2)
-    weights = np.maximum(kernel**2 * np.maximum(here.agreement[chosen], 1e-3), _LEAST_WEIGHT)
-    variance = noise_px**2
-    matrix = error_covariance(
-        here.points.pixels[chosen] / here.scale,
-        slopes[:, 6],
-        here.points.buildings[chosen],
-        ((1.0 - _OWN_SHARE) * variance, _OWN_SHARE * variance),
-        (params.outline_px, params.roof_part_px),
-        (roofs_m[0] ** 2, roofs_m[1] ** 2),
+def _weigh(aligner: Aligner, track: _Track, params: Params, step: int) -> bool:
+    """Weighs a track's hypotheses where it stands, and moves it on; False if no outline is seen."""
+    here = aligner.measure(track.vector, params.fine_size)
+    if here is None:
+        return False
+    points = deal_out(here)
+    sums = {world: sum_up(points, world, shared, params) for world, shared in track.shared.items()}
+    offset = aligner.offset(track.vector)
+    track.iou = here.iou
+    track.modes = [
+        mode
+        for world, said in sums.items()
+        for mode in _modes(offset, world, track.shared[world], said, params)
+    ]
+    if step == params.final_steps:
+        return True
+    is_free = step < _FREE_STEPS
+    mode = _likeliest(
+        track.modes, needs_tilt=is_free and not track.is_lens_free, needs_lens=is_free or track.is_lens_free
     )
-    # Outliers have an error of their own beside the shared one.
-    matrix[np.diag_indices(len(distances))] += variance * (1.0 / weights - 1.0)
-    columns = np.ascontiguousarray(np.column_stack([slopes[:, :6], distances]))
-    log_determinant = float(whiten(matrix, columns))
-    return columns[:, :6], columns[:, 6], log_determinant
+    move = shortened(mode.step[:CAMERA])
+    track.shared = {
+        world: track.shared[world] + _shared_step(world, track.shared[world], said, move)
+        for world, said in sums.items()
+    }
+    track.vector = track.vector + move
+    if step >= 1:
+        best = {world: max(m.evidence for m in track.modes if m.world is world) for world in sums}
+        track.shared = {
+            w: shared for w, shared in track.shared.items() if best[w] > track.evidence - _HOPELESS_WORLD
+        }
+    return True
+
+
+def _likeliest(modes: Iterable[Mode], *, needs_tilt: bool, needs_lens: bool) -> Mode:
+    allowed = (m for m in modes if m.is_tilt_free >= needs_tilt and m.is_lens_free >= needs_lens)
+    return max(allowed, key=lambda mode: mode.evidence)
+
+
+def _modes(offset: Floats, world: WorldErrors, shared: Floats, said: Sums, params: Params) -> list[Mode]:
+    """Returns a world's hypotheses of tilt and lens, given how far from the prior the camera stands, (7,)."""
+    away = np.concatenate([offset, shared - world.shared_mean])
+    modes = []
+    for is_tilt_free, is_lens_free in product((False, True), repeat=2):
+        camera = params.camera_sigmas(is_tilt_free=is_tilt_free, is_lens_free=is_lens_free)
+        precision = np.array([*camera, *world.shared_sigmas]) ** -2.0
+        information = said.information + np.diag(precision)
+        gradient = said.gradient + precision * away
+        step = -np.linalg.solve(information, gradient)
+        # Laplace: the height of the peak times its width, over the prior's.
+        evidence = said.log_density - 0.5 * float(precision @ away**2) - 0.5 * float(gradient @ step)
+        evidence -= 0.5 * float(np.linalg.slogdet(information)[1] - np.log(precision).sum())
+        evidence += float(np.log(world.odds * params.camera_odds(is_tilt_free, is_lens_free)))
+        modes.append(Mode(world, is_tilt_free, is_lens_free, step, information, evidence))
+    return modes
+
+
+def _shared_step(world: WorldErrors, shared: Floats, said: Sums, move: Floats) -> Floats:
+    """Returns (3,) the step of the shared errors to their optimum, given the camera's, (7,)."""
+    precision = world.shared_sigmas**-2.0
+    information = said.information[CAMERA:, CAMERA:] + np.diag(precision)
+    gradient = said.gradient[CAMERA:] + precision * (shared - world.shared_mean)
+    return np.asarray(-np.linalg.solve(information, gradient + said.information[CAMERA:, :CAMERA] @ move))

@@ -46,7 +46,8 @@ def _best_samples(
     if best <= 0:
         raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
     tilt = np.broadcast_to([score.pitch_deg, score.roll_deg], (len(order), 2))
-    return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order]]), best
+    lens = np.zeros(len(order))
+    return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order], lens]), best
 
 
 def _apart(vectors: Floats, scores: Floats, params: Params) -> list[int]:

@@ -1,12 +1,15 @@
-"""How sure an estimate is: its covariance, and the probability that it is within 2 m and 2 degrees."""
+"""How sure an estimate is: where the hypotheses that are left put the camera, and how likely each."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.methods.contour_alignment.alignment import Linearization
-from lodbench.methods.contour_alignment.pose_vector import turn_per_angle
+from lodbench.geometry import Pose
+from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, turn_per_angle
+from lodbench.methods.contour_alignment.refinement import Refined
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
@@ -15,28 +18,85 @@ Floats = NDArray[np.float64]
 WITHIN_M, WITHIN_DEG = 2.0, 2.0
 # Draws of the error: enough for a probability to a percent or two.
 _DRAWS = 2048
+# Hypotheses less likely than this are left out; answers less likely are no alternatives.
+_LEAST_WEIGHT, _LEAST_ALTERNATIVE = 0.002, 0.02
+# A mask and a model that overlap by no more than the one do not show the same thing, by the other they may.
+_NO_OVERLAP, _OVERLAP = 0.3, 0.5
 
 
-def covariance(at: Linearization) -> Floats:
-    """Returns the (6, 6) covariance of x, y, z (metres), pitch, roll and yaw (degrees)."""
-    inverse = np.linalg.inv(at.information)
-    return np.asarray(0.5 * (inverse + inverse.T))
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """The point of a mixture that is most likely near the truth.
+
+    Attributes:
+        vector: (6,) centre in metres and angles in degrees.
+        covariance: (6, 6) of the error there, what the hypotheses disagree about included.
+        probability: That it is within (2 m, 2 deg).
+        alternatives: Where other hypotheses put the camera, beyond that, the likeliest first.
+    """
+
+    vector: Floats
+    covariance: Floats
+    probability: float
+    alternatives: tuple[Pose, ...]
+
+
+def answer_of(refined: Refined) -> Answer:
+    """Returns the answer that a mixture of hypotheses gives."""
+    kept = int(np.count_nonzero(refined.weights >= _LEAST_WEIGHT))
+    modes, weights = refined.modes[:kept], refined.weights[:kept] / refined.weights[:kept].sum()
+    counts = np.maximum(8, np.rint(_DRAWS * weights).astype(int))
+    drawn = [_draws(mode.information, mode.step, n) for mode, n in zip(modes, counts, strict=True)]
+    errors, shares = np.concatenate(drawn), np.repeat(weights / counts, counts)
+    turn = turn_per_angle(refined.vector)
+    means = [mode.step[:6] for mode in modes]
+    chances = [_within(errors - mean, shares, turn) for mean in (*means, shares @ errors)]
+    best = int(np.argmax(chances))
+    center = (*means, shares @ errors)[best]
+    spread = (shares[:, None] * (errors - center)).T @ (errors - center)
+    overlap = (refined.iou - _NO_OVERLAP) / (_OVERLAP - _NO_OVERLAP)
+    others = [
+        pose_from_vector(refined.vector[:6] + mean)
+        for mean, weight in zip(means, weights, strict=True)
+        if weight >= _LEAST_ALTERNATIVE and not _is_near(mean - center, turn)
+    ]
+    return Answer(
+        refined.vector[:6] + center,
+        0.5 * (spread + spread.T),
+        chances[best] * float(np.clip(overlap, 0.0, 1.0)),
+        tuple(others),
+    )
 
 
 def probability_within(covariance_6: Floats, vector: Floats) -> float:
     """Returns the probability that an estimate with a Gaussian error lies within (2 m, 2 deg).
 
     Args:
-        covariance_6: (6, 6) as from ``covariance``.
+        covariance_6: (6, 6) of x, y, z (metres), pitch, roll and yaw (degrees).
         vector: (6,) the estimate.
     """
+    errors = _gaussian(covariance_6, _DRAWS)
+    return _within(errors, np.full(_DRAWS, 1.0 / _DRAWS), turn_per_angle(vector))
+
+
+def _draws(information: Floats, step: Floats, count: int) -> Floats:
+    """Returns (count, 6) draws of a hypothesis, lens and shared errors left out."""
+    inverse = np.linalg.inv(information)[:6, :6]
+    return np.asarray(step[:6] + _gaussian(0.5 * (inverse + inverse.T), count))
+
+
+def _gaussian(covariance_6: Floats, count: int) -> Floats:
     values, axes = np.linalg.eigh(covariance_6)
-    errors = _standard_errors() @ (axes * np.sqrt(np.maximum(values, 0.0))).T
+    # The same draws for every query: the answer is a function of the covariances alone.
+    standard = random_stream(0, "probability within").standard_normal((_DRAWS + 8, 6))[:count]
+    return np.asarray(standard @ (axes * np.sqrt(np.maximum(values, 0.0))).T)
+
+
+def _within(errors: Floats, shares: Floats, turn: Floats) -> float:
     away = np.linalg.norm(errors[:, :3], axis=1)
-    turned = np.linalg.norm(errors[:, 3:] @ turn_per_angle(vector).T, axis=1)
-    return float(np.mean((away < WITHIN_M) & (turned < WITHIN_DEG)))
+    turned = np.linalg.norm(errors[:, 3:] @ turn.T, axis=1)
+    return min(1.0, float(shares[(away < WITHIN_M) & (turned < WITHIN_DEG)].sum()))
 
 
-def _standard_errors() -> Floats:
-    # The same draws for every query: the answer is a function of the covariance alone.
-    return random_stream(0, "probability within").standard_normal((_DRAWS, 6))
+def _is_near(error: Floats, turn: Floats) -> bool:
+    return bool(np.linalg.norm(error[:3]) < WITHIN_M and np.linalg.norm(turn @ error[3:]) < WITHIN_DEG)
