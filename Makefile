@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo ablation test test-slow fuzz weights lint clean
+.PHONY: demo ablation test test-slow fuzz weights docs lint clean
 
 # Builds the demo town and localises its 40 photos from pixels, with the sensor's tilt, by three methods.
 demo: $(VENV)/.base
@@ -31,6 +31,10 @@ OUT ?= weights
 weights: $(VENV)/.test
 	PATH="$(abspath $(BIN)):$$PATH" recipes/compact.sh $(OUT) $(CITIES)
 
+# The documentation site, into site/: opens from disk, and nothing is fetched.
+docs: $(VENV)/.test
+	$(BIN)/python -m mkdocs build --quiet
+
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -44,8 +48,8 @@ $(VENV)/.base: $(VENV)/bin/python pyproject.toml constraints.txt
 	touch $@
 
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,render,vector,download,torch,models,pnp,xfeat,tensorboard,cluster]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,docs,render,vector,download,torch,models,pnp,xfeat,tensorboard,cluster]'
 	touch $@ $(VENV)/.base
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -20,6 +20,7 @@ _PUBLIC = {
     "LodLocV2": "lodbench.methods.lodlocv2",
     "LodbenchError": "lodbench.errors",
     "Pose": "lodbench.geometry",
+    "QueryFault": "lodbench.errors",
     "Scene": "lodbench.citymodel.scene",
     "compare": "lodbench.harness.results",
     "leaderboard": "lodbench.harness.results",
@@ -30,6 +31,7 @@ _PUBLIC = {
     "pose_error": "lodbench.evaluation",
     "read_mask": "lodbench.segmentation.masks",
     "read_poses": "lodbench.datasets.pose_text",
+    "run_method": "lodbench.harness.results",
 }
 __all__ = ["__version__", *sorted(_PUBLIC)]
 

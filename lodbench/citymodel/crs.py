@@ -220,3 +220,15 @@ def _plane_zones(first_code: int) -> tuple[_PlaneZone, ...]:
             meridian = next(p.value for p in operation.params if p.name.startswith("Longitude of natural"))
             zones.append(_PlaneZone(code, *area.bounds, float(meridian)))
     return tuple(zones)
+
+
+def is_same_plane(first: str, second: str) -> bool:
+    """Tells whether two reference systems have the same horizontal part.
+
+    Raises:
+        CityModelError: One of them is unknown.
+    """
+    if first == second:
+        return True
+    one, other = (require_crs(name).horizontal for name in (first, second))
+    return bool(one.equals(other, ignore_axis_order=True))

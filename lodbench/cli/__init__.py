@@ -11,7 +11,7 @@ from importlib import import_module
 COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
     "basin": ("lodbench.cli.basin", "recall over the error of the prior; the cost around the truth"),
-    "localize": ("lodbench.cli.localize", "find where one photo was taken: place, overlay, map"),
+    "localize": ("lodbench.cli.localize", "find where photos were taken: table, overlays, map, how sure"),
     "compare": ("lodbench.cli.compare", "put finished runs side by side, and test whether they differ"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
     "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),
@@ -46,6 +46,7 @@ COMMANDS = {
         "does any other plug-in? See docs/plugins.md",
     ),
     "doctor": ("lodbench.cli.doctor", "say what works on this machine, and what to install for the rest"),
+    "completion": ("lodbench.cli.completion", "print what makes bash or zsh complete these words"),
 }
 
 _USAGE = """\
@@ -57,7 +58,8 @@ Usage: lodbench COMMAND [...]        lodbench COMMAND --help
 
 Start here:
   lodbench run method=lodlocv2 dataset=demo
-  lodbench run dataset=folder dataset.root=DIR dataset.city_model=FILE
+  lodbench localize PHOTO ... --city FILE # where were they taken?
+  lodbench run dataset=folder dataset.root=DIR city=FILE
   lodbench city info FILE                 # is it read as it should be?
 """
 
@@ -91,6 +93,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(PlainFormatter())
     try:
+        if words[0] == "__complete":
+            from lodbench.cli.completion import answer
+
+            return answer(words[1:])
         if words[0] not in COMMANDS:
             raise LodbenchError(f"There is no command {words[0]!r}.", nearest_names(words[0], COMMANDS))
         # Names and texts of cities, photos and runs come from strangers.
@@ -110,7 +116,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         report_fault(LodbenchError(reason, "Check the path, its permissions and the free space."))
         return 2
     except KeyboardInterrupt:
-        is_resumed = words[0] in ("run", "basin", "generate-training-data", "train")
-        again = " The same command again goes on from here." if is_resumed else ""
+        resumed = dict.fromkeys(("run", "basin", "generate-training-data"), "goes on from here")
+        resumed["train"] = "goes on after the last epoch that was validated"
+        again = f" The same command again {resumed[words[0]]}." if words[0] in resumed else ""
         sys.stderr.write(f"\nlodbench: stopped.{again}\n")
         return 130

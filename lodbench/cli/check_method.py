@@ -13,6 +13,7 @@ from typing import Any
 from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.console import check_lines
 from lodbench.cli.hydra_app import explained, register_config_sources, section
+from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.methods.conformance import check_answers, check_class
 from lodbench.params import to_params
@@ -33,7 +34,7 @@ def main(argv: Sequence[str]) -> int:
     Raises:
         ConfigError: There is no such method or setting.
     """
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench check-method",
         description="Check a method against the protocol: its class, its configuration, its answers.",
         epilog=_EPILOG,

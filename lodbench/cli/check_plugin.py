@@ -12,6 +12,7 @@ from pathlib import Path
 from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.configs import config_files, read_config
 from lodbench.cli.console import check_lines
+from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.plugins import KINDS, find_plugin
 from lodbench.reporting.safe_text import plain_text
@@ -30,7 +31,7 @@ def main(argv: Sequence[str]) -> int:
         ConfigError: There is no such kind, or no such plug-in.
     """
     kinds = {kind.label: group for group, kind in KINDS.items()}
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench check-plugin",
         description="Check a plug-in against the protocol of its kind.",
         epilog=_EPILOG,

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from lodbench.citymodel.layers import LAYERS
+from lodbench.cli.parser import Parser
 
 _EXAMPLES = """\
 FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet) or a mesh
@@ -35,7 +36,7 @@ options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
 def city_parser() -> argparse.ArgumentParser:
     """Returns the parser of `lodbench city`."""
     raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench city", description="Look into a city model.", epilog=_EXAMPLES, formatter_class=raw
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="info|check|convert")

@@ -7,22 +7,28 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError
+from lodbench.evaluation.queries import has_truth
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.harness.results import summary_at
-from lodbench.harness.runs.compare import paired_comparison, require_same_queries
+from lodbench.harness.runs.compare import agreement, paired_comparison, require_same_queries
+from lodbench.harness.runs.comparison_page import comparison_page
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.harness.runs.verify import changed_files
-from lodbench.reporting.comparison import format_comparison
+from lodbench.reporting.answers import format_answers
+from lodbench.reporting.comparison import agreement_text, format_comparison
 from lodbench.reporting.table_columns import COLUMNS
 from lodbench.reporting.table_formats import FORMATS
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.tables import names_of, tables_of
+from lodbench.storage import write_text
 
 _FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
 _EPILOG = """\
 Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed agree; --free lets some of
 these differ, and the rows then say which they have. Examples:
   lodbench compare RUN RUN                               # side by side, and whether they differ
+  lodbench compare RUN RUN --format html --out page.html # a page with curves
   lodbench compare runs/demo/lodlocv2/* --over-seeds     # mean and spread over seeds
   lodbench compare RUN ... --free lod --columns details  # levels of detail in one table
 """
@@ -37,12 +43,32 @@ def main(argv: Sequence[str]) -> int:
             sys.stderr.write(f"lodbench: {run.folder}: {line}: edited by hand?\n")
     thresholds = parse_thresholds(options.thresholds)
     summaries = [summary_at(run, thresholds) for run in runs]
-    tables = tables_of(summaries, options.free, options.over_seeds)
+    scored = [summary for run, summary in zip(runs, summaries, strict=True) if has_truth(run.queries).any()]
+    tables = tables_of(scored, options.free, options.over_seeds)
     shown = [table.with_columns(columns) for table in tables for columns in options.columns]
-    sys.stdout.write("\n".join(FORMATS[options.format](table) for table in shown))
-    if options.format == "text" and len(runs) > 1 and not options.over_seeds:
-        sys.stdout.write(_tests(runs, options.runs, thresholds))
+    names = names_of(summaries, options.free)
+    if options.format == "html":
+        beside = Path() if options.out is None else options.out.parent
+        text = comparison_page(runs, names, shown, thresholds, beside)
+    else:
+        text = "\n".join(FORMATS[options.format](table) for table in shown)
+    if options.format == "text":
+        text += "".join(map(_answers, runs, names))
+        if len(runs) > 1 and not options.over_seeds:
+            text += _tests(runs, names, thresholds)
+    if options.out is None:
+        sys.stdout.write(text)
+    else:
+        write_text(options.out, text)
+        sys.stdout.write(f"{options.out}\n")
     return 0
+
+
+def _answers(run: StoredRun, name: str) -> str:
+    """Returns the answers of a run without a truth; "" for one that has one: its tables say more."""
+    if has_truth(run.queries).any():
+        return ""
+    return f"{name} ({run.folder})\n{format_answers(run.queries, run.predictions)}\n"
 
 
 def parse_thresholds(words: Sequence[str]) -> tuple[Threshold, ...]:
@@ -64,14 +90,15 @@ def parse_thresholds(words: Sequence[str]) -> tuple[Threshold, ...]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench compare",
         description="Put finished runs side by side.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
-    parser.add_argument("--format", choices=sorted(FORMATS), default="text")
+    parser.add_argument("--format", choices=sorted(FORMATS), default="text", help="html is a whole page")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write there, and not to the terminal")
     parser.add_argument(
         "--columns",
         nargs="+",
@@ -89,14 +116,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _tests(runs: Sequence[StoredRun], folders: Sequence[Path], thresholds: tuple[Threshold, ...]) -> str:
+def _tests(runs: Sequence[StoredRun], names: Sequence[str], thresholds: tuple[Threshold, ...]) -> str:
     """Returns the paired tests of each run against the first, or why there are none."""
     parts = []
-    for run, folder in zip(runs[1:], folders[1:], strict=True):
+    for run, name in zip(runs[1:], names[1:], strict=True):
         reason = require_same_queries(runs[0], run)
-        head = f"\n{folder} against {folders[0]}"
+        head = f"\n{name} ({run.folder}) against {names[0]} ({runs[0].folder})"
         if reason:
             parts.append(f"{head}: no paired test: {reason}\n")
         else:
             parts.append(f"{head}\n\n{format_comparison(paired_comparison(runs[0], run, thresholds))}\n")
+        together = agreement_text(agreement(runs[0], run))
+        parts.append(f"{together}\n" if together else "")
     return "".join(parts)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.cli.configs import config_files
+from lodbench.cli.parser import Parser
 from lodbench.datasets.cards import read_card
 from lodbench.datasets.croissant import croissant_text
 from lodbench.datasets.published.catalogue import SPECS
@@ -27,7 +27,7 @@ def main(argv: Sequence[str]) -> int:
     Raises:
         ConfigError: There is no card of that name.
     """
-    parser = argparse.ArgumentParser("lodbench dataset card", description="Print or write a dataset's card.")
+    parser = Parser("lodbench dataset card", description="Print or write a dataset's card.")
     parser.add_argument("dataset", metavar="NAME")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write NAME.md, and NAME.croissant.json for a download"

@@ -6,10 +6,13 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from lodbench.cli.dataset_card import plugin_card
+from lodbench.cli.flags import hints_in_flags, in_flags
 from lodbench.cli.named_dataset import add_dataset_options, open_named
+from lodbench.cli.parser import Parser
 from lodbench.findings import Findings, Severity
 from lodbench.harness.dataset_check import DatasetReport, SplitReport, check_dataset
 from lodbench.reporting.safe_text import plain_text
@@ -27,7 +30,7 @@ def main(argv: Sequence[str]) -> int:
     Raises:
         LodbenchError: The dataset is missing or cannot be read.
     """
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench dataset check",
         description="Look at every part of a dataset: files, counts, poses, priors, photos, city model.",
         epilog=_EPILOG,
@@ -37,9 +40,11 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--headers-only", action="store_true", help="do not decode the photos")
     parser.add_argument("--json", action="store_true", help="print plain values instead of text")
     options = parser.parse_args(argv[1:])
-    dataset, card = open_named(options), plugin_card(options.dataset)
-    counts = card.counts if card else {}
-    report = check_dataset(dataset, with_pixels=not options.headers_only, counts=counts)
+    with hints_in_flags():
+        dataset, card = open_named(options), plugin_card(options.dataset)
+        counts = card.counts if card else {}
+        dataset = replace(dataset, city_hint=in_flags(dataset.city_hint))
+        report = check_dataset(dataset, with_pixels=not options.headers_only, counts=counts)
     text = json.dumps(_values(report), indent=2) + "\n" if options.json else _text(report)
     sys.stdout.write(text)
     return 1 if report.findings.has_errors() else 0
@@ -64,7 +69,8 @@ def _split_lines(split: SplitReport) -> list[str]:
         f"{split.masks} masks"
     ]
     if split.prior is None:
-        lines.append("no priors" if split.truths else "priors cannot be judged without true poses")
+        there = f"{split.priors} priors, which cannot be judged without true poses"
+        lines.append(there if split.priors and not split.truths else "no priors")
     else:
         paper = split.paper_prior
         beside = "" if paper is None else f" (paper: {paper[0]:g} m / {paper[1]:g} deg)"
@@ -103,6 +109,7 @@ def _values(report: DatasetReport) -> dict[str, Any]:
                 "queries": split.queries,
                 "expected": split.expected,
                 "truths": split.truths,
+                "priors": split.priors,
                 "photos": split.photos,
                 "masks": split.masks,
                 "prior_median": None if split.prior is None else list(split.prior),

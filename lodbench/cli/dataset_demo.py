@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from lodbench.cli.parser import Parser
+
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    parser = argparse.ArgumentParser("lodbench dataset make-demo", description="Write the demo dataset.")
+    parser = Parser("lodbench dataset make-demo", description="Write the demo dataset.")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--num-queries", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
@@ -23,7 +24,5 @@ def main(argv: Sequence[str]) -> int:
 
     root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed, look=options.look)
     city = root / CITY_FILE
-    sys.stdout.write(
-        f"{root}\nTry: lodbench run dataset=folder dataset.root={root} dataset.city_model={city}\n"
-    )
+    sys.stdout.write(f"{root}\nTry: lodbench run dataset=folder dataset.root={root} city={city}\n")
     return 0

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from lodbench.cli.parser import Parser
 from lodbench.datasets.download import fetch
 from lodbench.datasets.published.catalogue import spec_of
 from lodbench.datasets.published.layout import survey
@@ -20,7 +20,7 @@ def main(argv: Sequence[str]) -> int:
     Raises:
         LodbenchError: The dataset is unknown, or a file cannot be fetched.
     """
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench dataset download",
         description="Fetch the files of a published dataset that have a stable address.",
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.cli.dataset_card import plugin_card
+from lodbench.cli.parser import Parser
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.datasets.published.layout import Survey, survey
 from lodbench.errors import LodbenchError
@@ -19,14 +19,14 @@ from lodbench.storage.paths import data_root
 
 _OTHERS = """\
 demo          built in: written on first use
-views         seeded views of any city model: dataset.city_model=FILE
-folder        your own photos and poses: dataset.root=DIR dataset.city_model=FILE
+views         seeded views of any city model: city=FILE
+folder        your own photos and poses: dataset.root=DIR city=FILE
 """
 
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    parser = argparse.ArgumentParser("lodbench dataset list", description="The datasets, and what is there.")
+    parser = Parser("lodbench dataset list", description="The datasets, and what is there.")
     parser.add_argument("--root", metavar="DIR", help="where to look; else LODBENCH_DATA")
     parser.add_argument("--json", action="store_true", help="print plain values instead of text")
     options = parser.parse_args(argv[1:])

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
 from lodbench.cli.sources import load_profile
 
@@ -24,7 +25,9 @@ examples:
   lodbench dataset init town --images flight1 --city city.gml --colmap sparse/0 --offset 280000 5657000 0
 """
 _IMPORT_EPILOG = """\
-FORMAT: colmap (text or binary), kapture, nerfstudio, tum, lines (visuallocalization.net), c2w, or auto.
+FORMAT: colmap (text or binary), kapture, nerfstudio, tum, lines (visuallocalization.net), c2w; Metashape's
+exported reference (metashape), Pix4D's calibrated external camera parameters (pix4d), ODM's geo.txt (odm),
+all three in the city's projected coordinates; or auto.
 The poses become the truth; kapture's and COLMAP's images without a pose are not part of it.
 
 examples:
@@ -35,7 +38,7 @@ examples:
 
 def main(argv: Sequence[str]) -> int:
     """Runs ``init`` or ``import``, whichever the first word is; returns the exit code."""
-    parser = argparse.ArgumentParser("lodbench dataset")
+    parser = Parser("lodbench dataset")
     _add_actions(parser.add_subparsers(dest="action", required=True))
     asked = parser.parse_args(argv)
     code: int = asked.make(asked)
@@ -139,9 +142,10 @@ def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
     words = [
         "dataset=folder",
         f"dataset.root={written.folder}",
-        f"dataset.city_model={asked.city or 'FILE'}",
+        # dataset.json names the city that is known.
+        "" if asked.city else "city=FILE",
         "" if made.num_priors else "prior=uniform",
-        "" if asked.masks else "segmenter=compact",
+        "method=contour_alignment" if asked.masks else "method=region",
         # The run must read the city as it was read here.
         f"dataset.crs={asked.crs}" if asked.crs else "",
         f"source={asked.source}" if asked.source != "folder" else "",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.cli.named_dataset import add_dataset_options, open_named
+from lodbench.cli.parser import Parser
 from lodbench.datasets.prior_sources import Priors, prior_digest, prior_text
 from lodbench.errors import ConfigError
 from lodbench.harness.dataset_check import prior_errors_in_words
@@ -32,7 +33,7 @@ def main(argv: Sequence[str]) -> int:
     Raises:
         LodbenchError: The dataset or a setting is wrong, or the priors cannot be had.
     """
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench dataset prior",
         description="Write a dataset's priors to a file.",
         epilog=_EPILOG,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -10,6 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.console import check_lines
+from lodbench.cli.parser import Parser
 
 if TYPE_CHECKING:
     from lodbench.checks import Check
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if the base install is broken."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench doctor", description="Say what works on this machine, and what to install for the rest."
     )
     parser.add_argument("--json", action="store_true", help="one check per line, for machines")

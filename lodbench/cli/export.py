@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lodbench.citymodel.scene import Scene
+from lodbench.cli.parser import Parser
 from lodbench.cli.verify import add_path_options, reopen_dataset
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
@@ -56,13 +57,13 @@ def _city_of(dataset: Dataset) -> Scene:
     if dataset.city_model is None or not dataset.city_model.exists():
         raise DatasetError(
             f"The city model {dataset.city_model or 'of this run'} does not exist.",
-            "Name it with --city-model; for geojson --crs will do.",
+            "Name it with --city; for geojson --crs will do.",
         )
     return open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench export",
         description="Write a run's poses for another program.",
         epilog=_EPILOG,
@@ -72,6 +73,8 @@ def _parser() -> argparse.ArgumentParser:
     names = ", ".join(plugin_names("export_formats"))
     parser.add_argument("--format", required=True, metavar="FORMAT", help=names)
     parser.add_argument("--out", type=Path, metavar="PATH", help="file or folder to write (RUN/export/...)")
-    parser.add_argument("--crs", help="reference system of the poses, for geojson (the city model's)")
+    parser.add_argument(
+        "--crs", help="reference system of the poses, for formats that state one (the city model's)"
+    )
     add_path_options(parser)
     return parser

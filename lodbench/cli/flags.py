@@ -10,9 +10,17 @@ from dataclasses import fields
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import LodbenchError
 
-_FLAGS = {"crs": "--crs", "lod": "--lod", "roof_height": "--roof-height"}
+_FLAGS = {
+    "crs": "--crs",
+    "lod": "--lod",
+    "roof_height": "--roof-height",
+    "city": "--city",
+    "dataset.root": "--root",
+    "dataset.crs": "--crs",
+    "dataset.lod": "--lod",
+}
 _OPTIONS = {field.name: f"--option {field.name}" for field in fields(ReadOptions)}
-_SETTING = re.compile(rf"(?<![\w.])({'|'.join([*_FLAGS, *_OPTIONS])})=")
+_SETTING = re.compile(rf"(?<![\w.])({'|'.join(map(re.escape, [*_FLAGS, *_OPTIONS]))})=")
 
 
 def in_flags(text: str) -> str:
@@ -31,7 +39,7 @@ def in_flags(text: str) -> str:
             return f"{_OPTIONS[name]}="
         return _FLAGS[name] + ("" if match.string[match.end() : match.end() + 1] in (" ", "") else " ")
 
-    return _SETTING.sub(flag, text)
+    return _SETTING.sub(flag, text).replace("Set --", "Give --")
 
 
 @contextmanager

@@ -78,5 +78,9 @@ def report(made: Generated) -> str:
     lines = [f"note: {note}" for note in made.notes]
     lines += [f"views: {views}{resumed}"]
     lines += [f"skipped: {count} {reason}" for reason, count in made.skipped.items()]
+    if made.views and not made.views.get("val"):
+        lines.append(
+            "note: no val views: training holds out every 20th view instead; a larger val_share gives some"
+        )
     lines += [f"folder: {made.out}", f"sheet:  {made.out / 'overview.png'}"]
     return "\n".join(lines) + "\n"

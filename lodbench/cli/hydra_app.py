@@ -12,6 +12,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from lodbench.cli.console import report_fault
+from lodbench.cli.setting_help import help_text
+from lodbench.cli.setting_words import settings_of, tell_old_names
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.plugins import config_folders
 
@@ -79,6 +81,10 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         except Exception as error:
             crashes.append(error)
 
+    if any(word in ("-h", "--help") for word in argv):
+        sys.stdout.write(help_text(command, config_name, argv))
+        return 0
+    typed, argv = argv, settings_of(command, argv)
     register_config_sources()
     # Hydra's parser wants its flags before the overrides; people write them anywhere.
     flags = [word for word in argv if word in _SWEEP_FLAGS]
@@ -99,9 +105,14 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         raise crashes[0]
     if faults and not flags:
         raise faults[0]
+    _report_faults(jobs, faults)
+    tell_old_names(command, typed)
+    return 2 if faults else 0
+
+
+def _report_faults(jobs: Sequence[Sequence[str]], faults: dict[int, LodbenchError]) -> None:
     for number, fault in faults.items():
         report_fault(LodbenchError(f"{_own_words(jobs, number)}: {fault.message}", fault.hint))
-    return 2 if faults else 0
 
 
 def _own_words(jobs: Sequence[Sequence[str]], number: int) -> str:

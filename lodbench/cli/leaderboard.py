@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from lodbench.cli.parser import Parser
 from lodbench.cli.verify import add_path_options, describe, read_config, verify_folder
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import DatasetError
@@ -25,7 +26,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("lodbench leaderboard", description="Rows people can trust.")
+    parser = Parser("lodbench leaderboard", description="Rows people can trust.")
     actions = parser.add_subparsers(dest="action", required=True)
     add = actions.add_parser(
         "add", help="verify a run and store its row; oracle and unverifiable runs are kept out of the ranking"

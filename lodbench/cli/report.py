@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from lodbench.cli.parser import Parser
 from lodbench.cli.verify import add_path_options, read_config, verify_folder
 from lodbench.harness.runs.report import run_report
 from lodbench.storage import write_text
@@ -14,7 +14,7 @@ from lodbench.storage import write_text
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if the run's numbers do not follow from its poses."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench report",
         description="Write one HTML page of a run, pictures inside; its numbers are verified on the way.",
     )

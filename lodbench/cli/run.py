@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -14,15 +15,15 @@ from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.run_dataset import data_identity, dataset_opener, with_prior, with_source
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.errors import ConfigError
-from lodbench.evaluation.queries import has_truth
+from lodbench.evaluation.queries import ERROR, has_truth, is_without_truth
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
-from lodbench.harness.runs.gallery import write_overlays
+from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
 from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
-from lodbench.reporting.answers import format_answers
+from lodbench.reporting.answers import format_answers, untrusted_note
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import RecallTable, tables_of
@@ -74,7 +75,7 @@ def main(argv: Sequence[str]) -> int:
     _flags.update(word for word in argv if word == RETRY)
     code = run_hydra("run", "run", task, [word for word in argv if word != RETRY])
     if _finished:
-        sys.stdout.write(report(_finished))
+        sys.stdout.write(report(_finished) + picture_to_open(_finished))
     return code or int(any(_is_fruitless(run) for run in _finished))
 
 
@@ -162,11 +163,29 @@ def report(runs: Sequence[Run]) -> str:
                 cost = f"{hypotheses:.0f} hypotheses and {seconds:.2f} s per query"
                 lines.append(f"{name}, tilt={run.config['tilt']}, {split}: {cost}")
         lines += _failure_lines(run)
+        untrusted = untrusted_note(run.predictions.values())
+        lines += [f"  {untrusted}"] if untrusted else []
         notes = (*notes_of(run.preparation.segmenter), *run.dataset.notes)
         lines += [f"  note: {plain_text(note)}" for note in notes]
         resumed = f" ({run.resumed} queries were there already)" if run.resumed else ""
         lines += [f"  results:  {run.folder}{resumed}", f"  pictures: {run.folder / 'overlays'}"]
     return "\n".join(parts) + "\n" + "\n".join(lines) + "\n"
+
+
+def picture_to_open(runs: Sequence[Run]) -> str:
+    """Returns a line that names one picture: the best query of the last split, of the run that did best."""
+
+    def middle(run: Run) -> float:
+        return float(run.queries[ERROR[0]].fillna(math.inf).median())
+
+    for run in sorted(runs, key=middle):
+        for split in reversed(run.splits):
+            for _, row in chosen_queries(run.queries, split)["best"][:1].iterrows():
+                path = run.folder / "overlays" / overlay_name(split, "best", 1, row["query"])
+                if path.is_file():
+                    name = run.config["method"]["name"]
+                    return f"Open {path}: the map's outlines at the prior and where {name} found it.\n"
+    return ""
 
 
 def _calibration_text(table: RecallTable) -> str:
@@ -181,6 +200,9 @@ def _calibration_text(table: RecallTable) -> str:
 def _failure_lines(run: Run) -> list[str]:
     """Returns a line per reason of failure: how many queries, and the first of their names."""
     failed = run.queries["failure"][run.queries["failure"] != ""].map(plain_text)
+    if not run.dataset.truth:
+        # That nothing is scored is said above; no answer failed for it.
+        failed = failed[~failed.map(is_without_truth).astype(bool)]
     reasons = {reason: list(failed.index[failed == reason]) for reason in sorted(failed.unique())}
     return [
         f"  {len(keys)} x {reason}: {', '.join(map(plain_text, keys[:3]))}"

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from lodbench.cli.parser import Parser
 from lodbench.execution.progress import format_seconds
-from lodbench.harness.runs.status import RunStatus, read_status
+from lodbench.harness.runs.status import RunStatus, find_runs, read_status
 from lodbench.reporting.safe_text import plain_text
 
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        "lodbench status", description="Say how far runs are; they may be going on meanwhile."
+    parser = Parser("lodbench status", description="Say how far runs are; they may be going on meanwhile.")
+    parser.add_argument(
+        "runs", nargs="+", type=Path, metavar="RUN", help="run folders, or one that holds them"
     )
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
     for folder in parser.parse_args(argv).runs:
-        sys.stdout.write(describe(read_status(folder)))
+        for run in find_runs(folder):
+            sys.stdout.write(describe(read_status(run)))
     return 0
 
 

@@ -11,6 +11,7 @@ from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.errors import ConfigError
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
+from lodbench.reporting.safe_text import plain_text
 from lodbench.training.train import Trained, train_network
 from lodbench.training.train_params import TrainParams
 
@@ -32,9 +33,16 @@ def task(config: DictConfig) -> None:
             f"segmenter={settings['name']} has no network to train.",
             "Trainable: compact, sam2_unet, sam1_adapter.",
         )
-    trained = train_network(part(to_params(settings, part.params_type, "segmenter")), params)
+    # Loading torch and the first step take a while: what is going on is said before.
+    _tell(f"training {settings['name']} on {params.data} into {params.out}")
+    trained = train_network(part(to_params(settings, part.params_type, "segmenter")), params, _tell)
     if trained.history:
         sys.stdout.write(report(trained))
+
+
+def _tell(line: str) -> None:
+    sys.stderr.write(f"{plain_text(line)}\n")
+    sys.stderr.flush()
 
 
 def report(trained: Trained) -> str:

@@ -13,6 +13,7 @@ from typing import Any, cast
 from omegaconf import OmegaConf
 from yaml import AliasToken, scan
 
+from lodbench.cli.parser import OldName, Parser
 from lodbench.cli.run_dataset import open_dataset, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError, LodbenchError
@@ -30,7 +31,7 @@ Where the dataset is not there only summary.json is compared with queries.csv: a
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench verify",
         description="Score a run again from its stored poses and compare.",
         epilog=_EPILOG,
@@ -47,7 +48,8 @@ def main(argv: Sequence[str]) -> int:
 def add_path_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say where the data lies now."""
     parser.add_argument("--dataset-root", metavar="DIR", help="where the dataset lies now")
-    parser.add_argument("--city-model", metavar="FILE", help="where the city model lies now")
+    parser.add_argument("--city", dest="city_model", metavar="FILE", help="where the city model lies now")
+    parser.add_argument("--city-model", dest="city_model", action=OldName)
 
 
 def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str | None = None) -> Verdict:

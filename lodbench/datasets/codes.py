@@ -69,3 +69,8 @@ GPS_IN_IMAGE = _code(
 PRIORS_UNLIKE_PAPER = _code(
     525, "PRIORS_UNLIKE_PAPER", _W, "The priors' median errors differ from the paper's by more than 10 %."
 )
+MASK_UNFIT = _code(526, "MASK_UNFIT", _E, "A mask cannot be read, or has another aspect than its photo.")
+CRS_DIFFERS = _code(
+    527, "CRS_DIFFERS", _E, "The dataset states another reference system than its city model has."
+)
+PRIOR_FAR = _code(528, "PRIOR_FAR", _E, "A prior lies kilometres outside the city model; its query fails.")

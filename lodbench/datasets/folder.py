@@ -8,16 +8,19 @@
         intrinsic.txt           name PINHOLE W H fx fy cx cy
         Query_image/            the photos (optional; or images/)
         masks/                  building masks, 255 = building (optional)
-        dataset.json            where it came from, and whether it has a truth and priors (optional)
+        dataset.json            where it came from: city model, reference system; and whether it has a
+                                truth and priors (optional)
 
 Truth and priors may be missing only where ``dataset.json`` says so: a misspelt file is an error.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.posed import read_json
@@ -50,7 +53,8 @@ class FolderParams:
 
     Attributes:
         root: The folder.
-        city_model: City model: a file, an archive, or a folder of tiles; None to score poses only.
+        city_model: City model: a file, an archive, or a folder of tiles; None for the one that
+            ``dataset.json`` names, if it is there, and else to score poses only.
         lod: Level of detail to localise against; None for the lowest.
         crs: CRS of the city model, where its file says none or a wrong one.
         roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
@@ -79,11 +83,8 @@ def open_folder(params: FolderParams) -> Dataset:
             malformed, or the references are not as ``read_references`` asks.
     """
     root = Path(params.root).expanduser()
-    city = None if params.city_model is None else Path(params.city_model).expanduser()
     if not root.is_dir():
         raise DatasetError(f"{root} is not a folder.", "Set dataset.root=FOLDER.")
-    if city is not None and not city.exists():
-        raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
     textured = None if params.textured_map is None else Path(params.textured_map).expanduser()
     if textured is not None and not textured.exists():
         raise DatasetError(f"The textured map {textured} does not exist.", "Set dataset.textured_map=FILE.")
@@ -92,6 +93,11 @@ def open_folder(params: FolderParams) -> Dataset:
     names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]
     if folders != [root]:
         _require_words(root, names)
+    about = read_about(folders[0])
+    city = _stated_city(folders[0], about) if params.city_model is None else Path(params.city_model)
+    city = None if city is None else city.expanduser()
+    if city is not None and not city.exists():
+        raise DatasetError(f"The city model {city} does not exist.", "Set city=FILE.")
     parts = [_read_split(folder, name) for folder, name in zip(folders, names, strict=True)]
     return Dataset(
         name=params.name,
@@ -107,7 +113,22 @@ def open_folder(params: FolderParams) -> Dataset:
         roof_height=params.roof_height,
         references=references,
         textured_map=textured,
+        crs=about.get("crs"),
     )
+
+
+def read_about(folder: Path) -> dict[str, Any]:
+    """Returns what ``dataset.json`` in a folder says; nothing where there is none."""
+    return read_json(folder / ABOUT_FILE) if (folder / ABOUT_FILE).is_file() else {}
+
+
+def _stated_city(folder: Path, about: Mapping[str, Any]) -> Path | None:
+    """Returns the city model that ``dataset.json`` names, relative to its folder; None if it is not there."""
+    stated = about.get("city_model")
+    if not isinstance(stated, str):
+        return None
+    path = Path(os.path.normpath(folder.absolute() / stated))
+    return path if path.exists() else None
 
 
 def _require_words(root: Path, splits: Sequence[str]) -> None:
@@ -175,7 +196,7 @@ def _is_split(folder: Path) -> bool:
 
 
 def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose], list[str]]:
-    about = read_json(folder / ABOUT_FILE) if (folder / ABOUT_FILE).is_file() else {}
+    about = read_about(folder)
     has_truth, has_priors = about.get("truth") is not False, about.get("priors") is not False
     truth_file = _truth_file(folder) or folder / TRUTH_FILE
     truth = read_poses(truth_file) if has_truth else {}

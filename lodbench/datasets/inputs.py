@@ -45,7 +45,7 @@ _WORDS = {
     Input.TILT: ("a measured pitch and roll of the priors", "Take a method that finds them."),
     Input.HEIGHT: ("a measured height of the priors", "Take a method that finds it."),
     Input.TRUE_PIXELS: ("true poses", "Take another matcher than the oracle."),
-    Input.MAP: ("a city model", "Set dataset.city_model=FILE."),
+    Input.MAP: ("a city model", "Set city=FILE."),
 }
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from lodbench.datasets.folder import ABOUT_FILE, write_poses
 from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.picture_faults import mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
@@ -166,7 +167,8 @@ def _write_pictures(folder: Path, name: str, image: OwnImage, pinhole: Camera) -
     """Writes an image's photo and mask; returns 1 if they were undistorted.
 
     Raises:
-        DatasetError: The photo is unreadable or of another size than its camera, or the mask is unreadable.
+        DatasetError: The photo is unreadable or of another size than its camera, or the mask is unreadable
+            or has another aspect.
     """
     is_straight = not image.camera.distortion
     contents: dict[Path, bytes] = {}
@@ -182,6 +184,9 @@ def _write_pictures(folder: Path, name: str, image: OwnImage, pinhole: Camera) -
             image.photo.read_bytes() if is_straight else _encoded(image.photo, image.camera, pinhole, target)
         )
     if image.mask is not None:
+        fault = mask_fault(image.mask, (image.camera.width, image.camera.height))
+        if fault:
+            raise DatasetError(fault)
         target = folder / "masks" / f"{Path(name).stem}.png"
         contents[target] = _encoded(image.mask, image.camera, pinhole, target)
     for target, content in contents.items():

@@ -12,7 +12,7 @@ from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import OwnImage, find_inside, find_mask, find_photos
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo
+from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
 
@@ -48,6 +48,7 @@ def images_from_photos(
         name = path.name
         try:
             photo = read_photo_metadata(path)
+            require_stated(photo, heights, knows_camera=camera is not None)
             found = camera or camera_from_photo(photo).camera
             prior = pose_from_photo(photo, frame, heights)
             images.append(OwnImage(name, found, prior=prior, photo=path, mask=find_mask(masks, name)))
@@ -56,7 +57,10 @@ def images_from_photos(
             left_out.append((name, fault.message))
             last = fault
     if not images:
-        raise DatasetError(f"No photo of {folder} can be used; {last.message}", last.hint)
+        hint = last.hint.replace(
+            "lodbench localize takes", "Poses from elsewhere: --colmap; one by one, localize takes"
+        )
+        raise DatasetError(f"No photo of {folder} can be used; {last.message}", hint)
     return images, left_out
 
 

@@ -49,6 +49,15 @@ class PhotoCamera:
     source: str
 
 
+def states_focal_length(photo: PhotoMetadata) -> bool:
+    """Tells whether a photo states anything that ``camera_from_photo`` can make a camera of."""
+    is_whole = photo.digital_zoom == 1.0
+    in_pixels = photo.dewarp is not None or (photo.calibrated_focal_px or 0.0) > 0
+    has_sensor = photo.pixel_mm is not None or photo.model.upper() in _SENSOR_WIDTH_MM
+    in_mm = photo.focal_mm is not None and has_sensor
+    return (is_whole and in_pixels) or in_mm or photo.focal_35mm is not None
+
+
 def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
     """Returns the camera of a photo.
 

@@ -7,10 +7,12 @@ city (up to 100 m), the gimbal's roll about the optical axis (what it is).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_camera import states_focal_length
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Pose
@@ -83,6 +85,57 @@ class RoughPlace:
     roll_deg: float | None = None
 
 
+def require_stated(
+    photo: PhotoMetadata,
+    heights: HeightOptions | None = None,
+    given: RoughPlace | None = None,
+    *,
+    knows_place: bool = False,
+    knows_camera: bool = True,
+) -> None:
+    """Makes sure that all that a rough pose needs is in a photo or given.
+
+    Args:
+        photo: What the photo states.
+        heights: How the drone's heights become the city's.
+        given: What is known better, or not in the photo.
+        knows_place: Whether the place is known from elsewhere.
+        knows_camera: Whether the camera is.
+
+    Raises:
+        DatasetError: Something is missing; the one message names all of it, the hint the options for it.
+    """
+    given = given or RoughPlace()
+    lacking: list[tuple[str, str]] = []
+    if not knows_place:
+        if _first(given.latitude_deg, photo.latitude_deg) is None or (
+            _first(given.longitude_deg, photo.longitude_deg) is None
+        ):
+            lacking.append(("where it was taken", "--lat and --lon"))
+        source = (heights or HeightOptions()).source_for(photo)
+        if given.height_m is None and _stated_height(photo, source) is None:
+            kind = "above its take-off point" if source == "takeoff" else "absolute"
+            lacking.append((f"how high it was ({kind})", "--height, in the city's heights"))
+    if _first(given.heading_deg, photo.gimbal_yaw_deg) is None or (
+        _first(given.pitch_deg, photo.gimbal_pitch_deg) is None
+    ):
+        looks = "--heading and --pitch (0 at the horizon, -90 straight down)"
+        lacking.append(("where its camera looked (DJI's gimbal angles)", looks))
+    if not knows_camera and not states_focal_length(photo):
+        lacking.append(("its camera's focal length", "--camera 'MODEL W H PARAMETERS'"))
+    if lacking:
+        what, flags = (_listed(words) for words in zip(*lacking, strict=True))
+        raise DatasetError(f"{photo.name} does not say {what}.", f"lodbench localize takes {flags}.")
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def _stated_height(photo: PhotoMetadata, source: str) -> float | None:
+    return photo.relative_altitude_m if source == "takeoff" else photo.altitude_m
+
+
 def pose_from_photo(
     photo: PhotoMetadata,
     frame: MapFrame,
@@ -102,12 +155,9 @@ def pose_from_photo(
             height cannot be converted.
     """
     given = given or RoughPlace()
-    latitude = _first(given.latitude_deg, photo.latitude_deg)
-    longitude = _first(given.longitude_deg, photo.longitude_deg)
-    if latitude is None or longitude is None:
-        raise DatasetError(
-            f"{photo.name} does not say where it was taken.", "lodbench localize takes --lat and --lon."
-        )
+    require_stated(photo, heights, given)
+    latitude = cast(float, _first(given.latitude_deg, photo.latitude_deg))
+    longitude = cast(float, _first(given.longitude_deg, photo.longitude_deg))
     east, north = frame.east_north(latitude, longitude)
     height = given.height_m
     if height is None:
@@ -133,13 +183,9 @@ def pose_at(
         DatasetError: The heading or the pitch is neither in the photo nor given.
     """
     given = given or RoughPlace()
-    yaw = _first(given.heading_deg, photo.gimbal_yaw_deg)
-    pitch = _first(given.pitch_deg, photo.gimbal_pitch_deg)
-    if yaw is None or pitch is None:
-        raise DatasetError(
-            f"{photo.name} does not say where its camera looked (DJI's gimbal angles).",
-            "lodbench localize takes --heading and --pitch (0 at the horizon, -90 straight down).",
-        )
+    require_stated(photo, given=given, knows_place=True)
+    yaw = cast(float, _first(given.heading_deg, photo.gimbal_yaw_deg))
+    pitch = cast(float, _first(given.pitch_deg, photo.gimbal_pitch_deg))
     roll = _first(given.roll_deg, photo.gimbal_roll_deg) or 0.0
     return Pose.from_center(rotation_from_dji(yaw, pitch, roll, convergence_deg), center)
 
@@ -157,13 +203,7 @@ def _height(
     photo: PhotoMetadata, frame: MapFrame, options: HeightOptions, latitude: float, longitude: float
 ) -> float:
     source = options.source_for(photo)
-    stated = photo.relative_altitude_m if source == "takeoff" else photo.altitude_m
-    if stated is None:
-        kind = "above its take-off point" if source == "takeoff" else "absolute"
-        raise DatasetError(
-            f"{photo.name} does not say how high it was ({kind}).",
-            "lodbench localize takes --height, in the city's heights.",
-        )
+    stated = cast(float, _stated_height(photo, source))
     if source == "takeoff" and options.takeoff_m is not None:
         height = options.takeoff_m + stated
     elif source == "ellipsoid" and options.geoid_m is not None:

@@ -61,6 +61,17 @@ def has_too_many_pixels(content: bytes) -> bool:
         return False
 
 
+def picture_size(path: Path) -> tuple[int, int] | None:
+    """Returns width and height of a picture as stored, by its header; None if that cannot be read."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+            return image.size
+    except Exception:  # a damaged header makes Pillow raise anything; who decodes it says what is wrong
+        return None
+
+
 def encoded(picture: NDArray[Any], suffix: str, options: Sequence[int] = ()) -> bytes:
     """Returns a picture as the bytes of a file.
 

@@ -9,6 +9,9 @@ colmap      a model's folder, or its ``images.txt`` or ``images.bin``       worl
 tum         ``timestamp tx ty tz qx qy qz qw``                              camera to world
 kapture     a folder with ``sensors/trajectories.txt``                      world to camera
 nerfstudio  ``transforms.json``, OpenGL axes                                camera to world
+metashape   exported reference: ``#Label,X/Easting,...,Yaw,Pitch,Roll``     centre and angles
+pix4d       ``imageName X Y Z Omega Phi Kappa``                             centre and angles
+odm         ``geo.txt`` with omega, phi, kappa                              centre and angles
 ==========  ==============================================================  ===============
 """
 
@@ -19,12 +22,13 @@ from pathlib import Path
 
 from lodbench.datasets.exchange.colmap import is_colmap
 from lodbench.datasets.exchange.kapture import is_kapture
+from lodbench.datasets.exchange.photogrammetry import looks_like
 from lodbench.datasets.exchange.posed import FoundPose, content
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.plugins import load_plugin, plugin_names
 
 # What a format is stored in, where it is not either.
-_FOLDERS, _FILES = ("c2w", "kapture"), ("lines", "tum")
+_FOLDERS, _FILES = ("c2w", "kapture"), ("lines", "tum", "metashape", "pix4d", "odm")
 
 
 def read_pose_file(path: Path, format_name: str, known: Collection[str] = ()) -> tuple[str, list[FoundPose]]:
@@ -64,6 +68,9 @@ def _guess(path: Path, known: Collection[str]) -> str:
         return "colmap" if is_colmap(path) else "c2w"
     if path.suffix in (".json", ".bin"):
         return "nerfstudio" if path.suffix == ".json" else "colmap"
+    named = looks_like(path)
+    if named is not None:
+        return named
     where, line = next(content(path), (str(path), ""))
     words = line.split()
     if len(words) >= 10 and words[0].isdigit() and words[8].isdigit():

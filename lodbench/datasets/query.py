@@ -130,6 +130,7 @@ class Dataset:
         on_demand: What is made only for a method that requires it, by the name of the ``Input``: a function
             that makes it, or finds it made, and returns the file or folder; textured map and references.
         assumed: Of ``tilt`` and ``height``, what the priors only assume: methods that require it do not run.
+        crs: Reference system of the poses as the data states it, or None.
     """
 
     name: str
@@ -144,7 +145,7 @@ class Dataset:
     city_options: ReadOptions = field(default_factory=ReadOptions)
     roof_height: str | None = None
     default_splits: tuple[str, ...] = ()
-    city_hint: str = "Set dataset.city_model=FILE."
+    city_hint: str = "Set city=FILE."
     findings: tuple[Finding, ...] = ()
     photo_crs: str | None = None
     photo_origin: tuple[float, ...] | None = None
@@ -153,6 +154,7 @@ class Dataset:
     textured_map: Path | None = None
     on_demand: Mapping[str, Callable[[], Path]] = field(default_factory=dict)
     assumed: frozenset[str] = frozenset()
+    crs: str | None = None
 
     def __repr__(self) -> str:
         splits = ", ".join(self.splits)

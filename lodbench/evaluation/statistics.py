@@ -42,6 +42,22 @@ class PairedTest(NamedTuple):
     p: float
 
 
+class Agreement(NamedTuple):
+    """How far the answers of two runs to the same queries lie apart: all there is where there is no truth.
+
+    Attributes:
+        answered: Queries that both have answered.
+        within: Of these, with poses within 2 m and 2 degrees of each other.
+        median_m: Median distance of the positions, metres.
+        median_deg: Median angle between the directions, degrees.
+    """
+
+    answered: int
+    within: int
+    median_m: float
+    median_deg: float
+
+
 class Comparison(NamedTuple):
     """One number of two runs on one split.
 

@@ -8,13 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from lodbench.citymodel.crs import is_same_plane
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.codes import (
     BELOW_CITY,
     CHECKSUM_DIFFERS,
     CITY_NOT_IN_VIEW,
     COUNT_UNEXPECTED,
+    CRS_DIFFERS,
     FILE_MISSING,
+    PRIOR_FAR,
     PRIORS_UNLIKE_PAPER,
     WRONG_DIRECTION,
 )
@@ -24,7 +27,7 @@ from lodbench.datasets.published.spec import Download
 from lodbench.datasets.query import Dataset
 from lodbench.evaluation.errors import PoseError, pose_error
 from lodbench.findings import Findings
-from lodbench.harness.city import open_city
+from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.photo.check import check_photos
 from lodbench.storage import file_digest
 
@@ -41,6 +44,7 @@ class SplitReport:
         queries: Number of queries.
         expected: The number the paper's percentages imply, or the card says; or None.
         truths: Queries with a true pose.
+        priors: Queries with a prior.
         photos: Queries with a photo.
         masks: Queries with a mask.
         prior: Median errors of the priors, or None without any.
@@ -53,6 +57,7 @@ class SplitReport:
     queries: int
     expected: int | None
     truths: int
+    priors: int
     photos: int
     masks: int
     prior: PoseError | None
@@ -99,6 +104,7 @@ def check_dataset(
         findings.add(FILE_MISSING, "city model", wanted)
     else:
         scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
+        _check_place(dataset, scene, findings)
         _check_views(dataset, scene, findings)
     _check_downloads(dataset, findings)
     check_photos(dataset, with_pixels, findings)
@@ -145,6 +151,7 @@ def _report_split(
         queries=len(entries),
         expected=spec.num_queries if spec else counts.get(split),
         truths=len(truths),
+        priors=sum(entry.prior is not None for entry in entries),
         photos=sum(entry.image is not None for entry in entries),
         masks=sum(entry.mask is not None for entry in entries),
         prior=prior_median(dataset, split),
@@ -168,6 +175,16 @@ def _compare_with_paper(split: SplitReport, findings: Findings) -> None:
         found, paper = split.prior, split.paper_prior
         detail = f"{found[0]:.2f} m / {found[1]:.2f} deg, paper {paper[0]:g} / {paper[1]:g}"
         findings.add(PRIORS_UNLIKE_PAPER, split.name, detail)
+
+
+def _check_place(dataset: Dataset, scene: Scene, findings: Findings) -> None:
+    """Looks whether the poses are in the city's coordinates, and the priors near it."""
+    if dataset.crs is not None and scene.crs is not None and not is_same_plane(dataset.crs, scene.crs):
+        findings.add(CRS_DIFFERS, dataset.name, f"{dataset.crs}, city model {scene.crs}")
+    for entry in dataset.entries:
+        away = 0.0 if entry.prior is None else distance_outside_m(entry.prior, scene)
+        if away > FURTHEST_M:
+            findings.add(PRIOR_FAR, entry.key, f"{away / 1000:.1f} km")
 
 
 def _check_views(dataset: Dataset, scene: Scene, findings: Findings) -> None:

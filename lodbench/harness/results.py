@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import asdict, is_dataclass
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.evaluation.queries import summarize_queries
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.harness.runs.stored import StoredRun, read_run
+from lodbench.methods import Method
+from lodbench.methods.registry import make_method
+from lodbench.plugins import load_plugin
 from lodbench.reporting.leaderboard import blocks_of, leaderboard_frame
 from lodbench.reporting.leaderboard_entry import read_entries, slug
 from lodbench.reporting.summaries import with_seconds
 from lodbench.reporting.tables import tables_of
+from lodbench.segmentation import Segmenter
+from lodbench.segmentation.choice import chosen_segmenter
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,6 +36,81 @@ def load_run(folder: str | Path) -> StoredRun:
         DatasetError: The folder holds no run, or a file of it cannot be read.
     """
     return read_run(folder)
+
+
+def run_method(
+    method: str | Method,
+    dataset: str | Path | Dataset,
+    *,
+    city: str | Path | None = None,
+    segmenter: Segmenter | None = None,
+    runs: str | Path = "runs",
+    tilt: str = "prior",
+    seed: int = 0,
+    limit: int | None = None,
+) -> StoredRun:
+    """Runs a method over a dataset as ``lodbench run`` does, and returns the finished run.
+
+    Args:
+        method: A method, or the name of one with its settings as they are.
+        dataset: A dataset, the name of one that needs no paths (``demo``), or a folder in the text layout.
+        city: City model of such a folder, where its ``dataset.json`` names none.
+        segmenter: Makes the masks; by default as the dataset has it: its masks, or a network on its photos.
+        runs: Folder that the run's folder is made below; an interrupted run goes on there.
+        tilt: ``prior``, or ``truth`` for the true pitch and roll.
+        seed: Of the search.
+        limit: At most this many queries per split.
+
+    Raises:
+        LodbenchError: A name is unknown, or something is missing, before any work.
+    """
+    import yaml
+
+    from lodbench.harness.runs.artefacts import write_artefacts
+    from lodbench.harness.runs.gallery import write_overlays
+    from lodbench.harness.runs.requirements import needs_segmenter
+    from lodbench.harness.runs.run import RunSettings
+    from lodbench.harness.runs.run import run_method as run
+
+    asked = make_method(method) if isinstance(method, str) else method
+    opened, stated = _opened(dataset, city)
+    if segmenter is None:
+        kind = load_plugin("segmenters", chosen_segmenter(opened, needs_segmenter(asked))[0])
+        segmenter = kind(kind.params_type())
+    config: dict[str, Any] = {
+        **{"renderer": "silhouette", "tilt": tilt, "seed": seed, "split": [], "limit": limit},
+        "prior": {"name": "file"},
+        "method": {"name": asked.name, **_settings(asked)},
+        "segmenter": {"name": segmenter.name, **_settings(segmenter)},
+        "dataset": stated,
+        "source": {"name": "folder", "lod": None, "options": {}},
+    }
+    settings = RunSettings(Path(runs), config=config, tilt=tilt, seed=seed, limit=limit)
+    done = run(asked, opened, segmenter, settings)
+    # Through JSON: tuples are lists in a file.
+    write_artefacts(done, yaml.safe_dump(json.loads(json.dumps(config)), sort_keys=True, allow_unicode=True))
+    write_overlays(done, done.preparation, done.scorer)
+    return read_run(done.folder)
+
+
+def _opened(dataset: str | Path | Dataset, city: str | Path | None) -> tuple[Dataset, dict[str, Any]]:
+    """Returns a dataset, and the settings that name it in a run's configuration, less paths."""
+    if isinstance(dataset, Dataset):
+        return dataset, {"name": dataset.name}
+    if Path(dataset).expanduser().is_dir():
+        params = FolderParams(str(dataset), None if city is None else str(city))
+        left_out = {"root", "city_model"}
+        return open_folder(params), {k: v for k, v in asdict(params).items() if k not in left_out}
+    opener = load_plugin("datasets", str(dataset))
+    (parameter,) = signature(opener, eval_str=True).parameters.values()
+    params = parameter.annotation()
+    return opener(params), asdict(params)
+
+
+def _settings(part: object) -> dict[str, Any]:
+    """Returns the settings of a method or a segmenter, where it keeps them as its protocol asks."""
+    params: Any = getattr(part, "params", None)
+    return asdict(params) if is_dataclass(params) and not isinstance(params, type) else {}
 
 
 def compare(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from lodbench.evaluation.predictions import Prediction
@@ -14,8 +14,11 @@ from lodbench.reporting.table_columns import finite_text
 if TYPE_CHECKING:
     import pandas as pd
 
+# Below this probability, or this overlap of mask and model, a pose is not to be trusted.
+TRUSTED_PROBABILITY, TRUSTED_OVERLAP = 0.5, 0.5
+_UNTRUSTED = "do not trust"
 # From these probabilities of being within 2 m and 2 degrees on.
-_WORDS = ((0.9, "good"), (0.5, "doubtful"), (0.0, "do not trust"))
+_WORDS = ((0.9, "good"), (TRUSTED_PROBABILITY, "doubtful"), (0.0, _UNTRUSTED))
 
 
 def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction]) -> str:
@@ -40,10 +43,39 @@ def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction])
 
 
 def trust_of(prediction: Prediction) -> str:
-    """Returns how far an answer may be trusted, in a word; "-" where the method does not say."""
+    """Returns how far an answer may be trusted, in a word; "-" where nothing tells."""
     if prediction.pose is None:
         return "failed"
+    if not is_trusted(prediction.probability, prediction.score, bool(prediction.mask_png)):
+        return _UNTRUSTED
     return "-" if prediction.probability is None else trust_word(prediction.probability)
+
+
+def is_trusted(probability: float | None, score: float | None, has_mask: bool) -> bool:
+    """Tells whether a pose is more likely right than wrong, as far as can be told.
+
+    Args:
+        probability: That it is within 2 m and 2 degrees, where the method knows it.
+        score: Of the method.
+        has_mask: Whether a mask was looked at; the score is then its overlap with the model.
+    """
+    # Outlines may agree with a mask that is the wrong way round. Without a mask a score has no known unit.
+    if has_mask and score is not None and score < TRUSTED_OVERLAP:
+        return False
+    return probability is None or probability >= TRUSTED_PROBABILITY
+
+
+def untrusted_note(predictions: Iterable[Prediction]) -> str:
+    """Returns a line that says how many answers are not to be trusted, and what to do; "" if none."""
+    answered = [found for found in predictions if found.pose is not None]
+    count = sum(trust_of(found) == _UNTRUSTED for found in answered)
+    if not count:
+        return ""
+    return (
+        f"{count} of {len(answered)} answers are not to be trusted (probability below "
+        f"{TRUSTED_PROBABILITY:g}, or mask and model overlap by less than {TRUSTED_OVERLAP:g}): look at "
+        "their pictures, mend their masks, or give better priors"
+    )
 
 
 def trust_word(probability: float) -> str:

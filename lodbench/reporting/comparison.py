@@ -5,26 +5,40 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from lodbench.evaluation.statistics import Comparison
+from lodbench.evaluation.statistics import Agreement, Comparison
 from lodbench.reporting.columns import format_columns
 from lodbench.reporting.table_columns import finite_text
 
 
 def format_comparison(rows: Iterable[Comparison]) -> str:
     """Returns the tests of two runs as a table with a line that says what they are."""
-    head = ["", "first", "second", "difference", "95 % interval", "p"]
-    body = [head]
+    note = (
+        "Paired by query. Recall: exact McNemar test, interval of Bonett and Price. Medians: permutation "
+        "test (1,999 swaps), bootstrap over queries. No correction for the number of tests."
+    )
+    return f"{format_columns(comparison_cells(rows))}\n\n{note}"
+
+
+def comparison_cells(rows: Iterable[Comparison]) -> list[list[str]]:
+    """Returns the tests of two runs as cells, the head first."""
+    body = [["", "first", "second", "difference", "95 % interval", "p"]]
     for row in rows:
         low, high = row.test.interval
         bounds = f"[{low:+.2f}, {high:+.2f}]" if math.isfinite(low) and math.isfinite(high) else "-"
         values = [finite_text(value, ".2f") for value in (row.first, row.second)]
         difference = finite_text(row.test.difference, "+.2f")
         body.append([f"{row.split} {row.name} {row.unit}", *values, difference, bounds, _p_text(row.test.p)])
-    note = (
-        "Paired by query. Recall: exact McNemar test, interval of Bonett and Price. Medians: permutation "
-        "test (1,999 swaps), bootstrap over queries. No correction for the number of tests."
+    return body
+
+
+def agreement_text(found: Agreement | None) -> str:
+    """Returns in words how far the answers of two runs lie apart; "" where no query has two."""
+    if found is None:
+        return ""
+    return (
+        f"Answers of both: {found.answered} queries, {found.within} within 2 m and 2 deg of each other; "
+        f"medians apart {found.median_m:.2f} m and {found.median_deg:.2f} deg."
     )
-    return f"{format_columns(body)}\n\n{note}"
 
 
 def _p_text(p: float) -> str:

@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, Any
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
-from lodbench.reporting.table_columns import Column, paper_columns, segmenter_columns
+from lodbench.reporting.table_columns import (
+    Column,
+    finite_text,
+    interval_columns,
+    paper_columns,
+    segmenter_columns,
+)
 from lodbench.reporting.table_formats import format_html, format_latex, format_markdown
 from lodbench.reporting.tables import Line, RecallTable, numbers_of
 from lodbench.storage import digest_of
@@ -57,8 +63,11 @@ def build_leaderboard(root: Path) -> dict[Path, str]:
         datasets.setdefault(slug(entry["dataset"]["name"]), []).append(entry)
     if not datasets:
         return {}
-    counts = {name: facts(Counter(entry["source"] for entry in found)) for name, found in datasets.items()}
-    texts = {root / INDEX: rendered("leaderboard_index.html.jinja", counts=counts)}
+    boards = [
+        (name, facts(Counter(entry["source"] for entry in found)), best_of(blocks_of(found)))
+        for name, found in datasets.items()
+    ]
+    texts = {root / INDEX: rendered("leaderboard_index.html.jinja", boards=boards)}
     for name, entries in datasets.items():
         blocks = blocks_of(entries)
         tables = [_table(block) for block in blocks]
@@ -68,11 +77,28 @@ def build_leaderboard(root: Path) -> dict[Path, str]:
         files = [
             path.relative_to(root).as_posix() for path in sorted((root / "entries" / name).glob("*.json"))
         ]
-        pieces = [markup(format_html(table)) for table in tables]
+        pieces = [markup(format_html(_page_table(block))) for block in blocks]
         texts[root / f"{name}.html"] = rendered(
             "leaderboard.html.jinja", name=name, tables=pieces, files=files, index=INDEX
         )
     return texts
+
+
+def best_of(blocks: Sequence[Block]) -> list[dict[str, Any]]:
+    """Returns the best row of each block: its title, method, and strictest recall by split."""
+    rows = []
+    for block in blocks:
+        best = min(block.entries, key=_standing)
+        label = LABELS[0]
+        recalls = {
+            split: finite_text(values["recall"].get(label), ".2f") for split, values in best["splits"].items()
+        }
+        # Tables that print no recall, as those of masks alone, name nobody best.
+        if any(text != "-" for text in recalls.values()):
+            line = _line(best, None)
+            name = f"{line.group_text()} {line.label}".removesuffix(" -").strip()
+            rows.append({"title": block.title, "name": name, "label": label, "recalls": recalls})
+    return rows
 
 
 def blocks_of(entries: Sequence[Entry]) -> list[Block]:
@@ -193,6 +219,20 @@ def _standing(entry: Entry) -> tuple[float | str, ...]:
 def _table(block: Block) -> RecallTable:
     lines = [_line(entry, rank) for entry, rank in zip(block.entries, block.ranks, strict=True)]
     return RecallTable(plain_text(block.title), tuple(lines), _columns(block))
+
+
+def _page_table(block: Block) -> RecallTable:
+    """Returns a block as its page shows it: with intervals, masks' IoU and time, and links to the entries."""
+    table = _table(block)
+    lines = tuple(
+        line._replace(link=f"entries/{slug(entry['dataset']['name'])}/{entry['file']}")
+        for line, entry in zip(table.lines, block.entries, strict=True)
+    )
+    if all(entry["source"] == "reported" for entry in block.entries):
+        return RecallTable(table.title, lines, table.columns)
+    recalls, others = interval_columns(LABELS), paper_columns(LABELS)[len(LABELS) :]
+    cost = (Column("IoU", ("mask_iou",), better=1), Column("s/query", ("seconds_per_query",), better=-1))
+    return RecallTable(table.title, lines, (*recalls, *others, *cost))
 
 
 def _columns(block: Block) -> tuple[Column, ...]:

@@ -55,7 +55,8 @@ def read_entries(root: Path) -> list[Entry]:
         if slug(entry["dataset"]["name"]) != path.parent.name:
             raise DatasetError(f"{path} is of dataset {entry['dataset']['name']}, not {path.parent.name}.")
         splits = {name: upgraded_split(split) for name, split in entry["splits"].items()}
-        entries.append({**entry, "splits": splits})
+        # Its file's name is no part of an entry, but what a page links to.
+        entries.append({**entry, "splits": splits, "file": path.name})
     return entries
 
 

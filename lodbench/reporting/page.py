@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import re
 import urllib.parse
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from lodbench.reporting.figures import SERIES
 from lodbench.reporting.safe_text import plain_text
 
 if TYPE_CHECKING:
@@ -16,6 +18,11 @@ if TYPE_CHECKING:
 
 # Nothing is fetched from anywhere: a browser refuses what a page should not even ask for.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+# What figures are drawn in, and the page's names for it.
+_INK = {
+    "#000000": "ink", "#222222": "ink", "#ffffff": "paper", "#808080": "soft", "#b0b0b0": "line",
+    **{colour: f"c{number}" for number, colour in enumerate(SERIES)},
+}  # fmt: skip
 # LaTeX is full of braces.
 _TEX = {
     "block_start_string": "<%", "block_end_string": "%>",
@@ -31,12 +38,24 @@ class Picture(NamedTuple):
         kind: ``png``, ``jpeg`` or ``svg+xml``.
         caption: What stands below, and what is read out.
         classes: CSS classes of the figure.
+        key: Of the query it shows, by which a page finds it; "" for none.
     """
 
     content: bytes
     kind: str
     caption: str
     classes: str = ""
+    key: str = ""
+
+    @property
+    def inline(self) -> Any:
+        """Returns a drawing of ``lodbench.reporting.figures`` as part of the page, in the page's colours."""
+        text = self.content.decode("utf-8")
+        text = text[text.index("<svg") :]
+        for colour, variable in _INK.items():
+            text = text.replace(colour, f"var(--{variable})")
+        # Its style sheet would be the whole page's.
+        return markup(re.sub(r"<style[^>]*>.*?</style>|<metadata>.*?</metadata>", "", text, flags=re.DOTALL))
 
     @property
     def url(self) -> str:

@@ -1,4 +1,4 @@
-"""Figures of one run: how its errors spread, where its cameras are, how its scores rose."""
+"""Figures of one run: how its errors spread, how its scores rose."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from lodbench.reporting.figures import LINE_STYLES, SERIES, draw_figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
@@ -27,14 +26,6 @@ class ErrorSample(NamedTuple):
     split: str
     estimates: Floats
     priors: Floats
-
-
-class Places(NamedTuple):
-    """Where cameras are, (N, 2) metres each in the same order; a row of NaN where there is none."""
-
-    priors: Floats
-    estimates: Floats
-    truths: Floats
 
 
 class Trace(NamedTuple):
@@ -83,64 +74,6 @@ def shares_below(errors: Floats, count: int, furthest: float) -> tuple[Floats, F
     shares = 100.0 * np.arange(len(ordered) + 1) / max(1, count)
     # A logarithmic axis has no 0: the curve begins left of what is shown.
     return np.concatenate([[1e-4], np.maximum(ordered, 1e-3), [furthest]]), np.append(shares, shares[-1])
-
-
-def draw_top_view(
-    places: Places, vertices: Floats | None, triangles: NDArray[np.int32] | None
-) -> dict[str, bytes]:
-    """Returns the city from above with each camera's prior, estimate and truth.
-
-    Args:
-        places: The cameras.
-        vertices: (V, 2) the city's vertices from above, or None to leave the city out.
-        triangles: (T, 3) their indices.
-    """
-    everything = np.concatenate(places)
-    known = everything[np.isfinite(everything).all(axis=1)]
-    low, high = known.min(axis=0), known.max(axis=0)
-    margin = 0.08 * float((high - low).max()) + 20.0
-    width, height = high - low + 2 * margin
-    scale = 7.0 / max(width, height)
-
-    def draw(figure: Figure) -> None:
-        axis = figure.subplots()
-        if vertices is not None and triangles is not None:
-            _draw_city(axis, vertices[triangles], low - margin, high + margin)
-        _draw_cameras(axis, places)
-        axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-        axis.set(xlabel="east, m", ylabel="north, m", aspect="equal")
-        axis.ticklabel_format(useOffset=False, style="plain")
-        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper center", ncols=3)
-
-    return draw_figure(max(4.0, width * scale), max(3.0, height * scale), draw)
-
-
-def _draw_city(axis: Axes, corners: Floats, low: Floats, high: Floats) -> None:
-    """Draws the triangles, (T, 3, 2), that reach into a box."""
-    from matplotlib.collections import PolyCollection
-
-    inside = ((corners.min(axis=1) < high) & (corners.max(axis=1) > low)).all(axis=1)
-    polygons = PolyCollection(
-        list(corners[inside]), facecolor="#d5d9de", edgecolor="#c2c7cd", linewidth=0.2, rasterized=True
-    )
-    axis.add_collection(polygons)
-
-
-def _draw_cameras(axis: Axes, places: Places) -> None:
-    """Draws the cameras, and lines from where they were thought to where they are."""
-    from matplotlib.collections import LineCollection
-
-    for start, colour in ((places.priors, PRIOR), (places.estimates, ESTIMATE)):
-        lines = np.stack([start, places.truths], axis=1)
-        lines = lines[np.isfinite(lines).all(axis=(1, 2))]
-        axis.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.7, alpha=0.7))
-    for points, colour, marker, name in (
-        (places.truths, TRUTH, "o", "truth"),
-        (places.priors, PRIOR, "x", "prior"),
-        (places.estimates, ESTIMATE, ".", "estimate"),
-    ):
-        east, north = points.T
-        axis.scatter(east, north, c=colour, marker=marker, s=14, linewidths=0.8, label=name, zorder=3)
 
 
 def draw_traces(traces: Sequence[Trace]) -> dict[str, bytes]:

@@ -27,11 +27,13 @@ class Line(NamedTuple):
         label: The method, or its variant where ``group`` names the method.
         splits: Numbers by split, in the format of ``numbers_of``.
         group: What lines next to each other have in common: ``method | map``, or "".
+        link: Where a page's label leads, or "".
     """
 
     label: str
     splits: dict[str, dict[str, Any]]
     group: str = ""
+    link: str = ""
 
     def group_text(self) -> str:
         """Returns ``name (map)`` of a group ``name | map``."""
@@ -88,6 +90,21 @@ class RecallTable:
             ConfigError: There is neither.
         """
         return RecallTable(self.title, self.lines, columns_named(name, self.labels(), self.numbers()))
+
+    def by_split(self) -> list[RecallTable]:
+        """Returns a table of each split."""
+        return [
+            RecallTable(
+                self.title,
+                tuple(
+                    line._replace(splits={split: line.splits[split]})
+                    for line in self.lines
+                    if split in line.splits
+                ),
+                self.columns,
+            )
+            for split in self.splits
+        ]
 
     def shown(self) -> tuple[Column, ...]:
         """Returns the columns of each split."""
@@ -205,6 +222,17 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
         # One method under several settings: in their order, whatever the order of the folders.
         found.sort(key=lambda row: _natural(row.label))
     return RecallTable(title, tuple([*rows, *found]))
+
+
+def names_of(summaries: Sequence[dict[str, Any]], free: Collection[str] = ()) -> list[str]:
+    """Returns a name for each run: its method, and whatever sets it apart from the others; unique."""
+    names = _labels(summaries, free)
+    seen: dict[str, int] = {}
+    unique = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        unique.append(f"{name} #{seen[name]}" if names.count(name) > 1 else name)
+    return unique
 
 
 def _natural(text: str) -> list[tuple[float, str]]:

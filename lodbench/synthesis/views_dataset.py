@@ -135,7 +135,7 @@ def open_views(params: ViewsParams) -> Dataset:
     """
     city = Path(params.city_model).expanduser()
     if not city.exists():
-        raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
+        raise DatasetError(f"The city model {city} does not exist.", "Set city=FILE.")
     options = ReadOptions(crs=params.crs, layers=tuple(params.layers))
     lod = params.mask_lod or params.lod
     scene = open_cached_city(city, lod=lod, options=options, roof_height=params.roof_height).scene

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -43,11 +44,18 @@ class Trained:
     started_at: int
 
 
-def train_network(segmenter: TrainableSegmenter, params: TrainParams) -> Trained:
+def train_network(
+    segmenter: TrainableSegmenter, params: TrainParams, tell: Callable[[str], None] = lambda line: None
+) -> Trained:
     """Trains a network, or goes on where the same command was stopped.
 
     The folder ``params.out`` then holds ``checkpoint.pt``, ``curves.png``, ``training.json`` and the
     weights as the segmenter loads them.
+
+    Args:
+        segmenter: Whose network.
+        params: How.
+        tell: Called with a line at a time: what is trained on, and each epoch as it ends.
 
     Raises:
         LodbenchError: torch is missing, the data is at fault, or the folder holds another training.
@@ -58,6 +66,7 @@ def train_network(segmenter: TrainableSegmenter, params: TrainParams) -> Trained
     params = replace(params, init=_start(segmenter, params.init))
     data, val_data = Path(params.data).expanduser(), params.val_data
     train, val, source = split_samples(data, Path(val_data).expanduser() if val_data else None)
+    tell(f"{len(train)} views to train on, {len(val)} to validate on: {source}")
     out = Path(params.out).expanduser()
     make_folder(out)
     record = _record(segmenter, params, data, train, val, source)
@@ -66,6 +75,7 @@ def train_network(segmenter: TrainableSegmenter, params: TrainParams) -> Trained
     def keep(history: list[dict[str, float]]) -> None:
         write_curves(history, out / CURVES_FILE)
         write_text(out / MANIFEST_FILE, _json(record | {"history": history}))
+        tell(_epoch_line(history[-1], params.epochs))
 
     history, weights = run_training(segmenter, params, train, val, record["digest"], keep, started_at)
     if not history:  # one of several processes, and not the one that writes
@@ -73,6 +83,11 @@ def train_network(segmenter: TrainableSegmenter, params: TrainParams) -> Trained
     finished = record | {"history": history, "weights": {weights.name: file_digest(weights)}}
     write_text(out / MANIFEST_FILE, _json(finished))
     return Trained(weights, history, source, len(train), started_at[0])
+
+
+def _epoch_line(row: dict[str, float], epochs: int) -> str:
+    iou = f", val IoU {row['mean_iou']:.3f}" if "mean_iou" in row else ""
+    return f"epoch {row['epoch']:.0f} of {epochs}: loss {row['loss']:.4f}{iou}"
 
 
 def _start(segmenter: TrainableSegmenter, init: str | None) -> str | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.reporting.browser import PHONE, fits, opened
 from tests.town import write_dataset
 
 
@@ -30,7 +31,37 @@ def test_two_runs_are_tested_query_by_query(lodbench, data):
     assert re.search(r"0\.00\s+100\.00\s+\+100\.00\s+\[\+7\.03, \+100\.00\]\s+0\.125", line)
     assert "20m-10deg" in done.stdout
     assert "horizontal m" in done.stdout
-    assert lodbench("compare", prior, truth, "--format", "html").stdout.count("<table") == 1
+    assert "perfect" in next(line for line in done.stdout.splitlines() if " against " in line)
+
+
+def test_the_page_has_tables_curves_and_tests_by_name(lodbench, data, tmp_path):
+    prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
+    truth = scored(lodbench, data, data[0] / "GT_pose.txt", "perfect")
+    page = tmp_path / "page.html"
+    assert lodbench("compare", prior, truth, "--format", "html", "--out", str(page)).returncode == 0
+    with opened(page, PHONE, "dark") as (shown, complaints):
+        words = shown.inner_text("main")
+        assert "perfect against prior" in words
+        assert "Answers of both: 4 queries, 0 within 2 m and 2 deg of each other" in words
+        assert shown.locator("table").count() == 2
+        assert shown.locator(".chart svg").count() == 1
+        assert fits(shown)
+        assert complaints == []
+
+
+def test_runs_without_a_truth_are_told_apart_by_their_answers(lodbench, tmp_path):
+    root, _ = write_dataset(tmp_path / "mine", count=2)
+    (root / "GT_pose.txt").unlink()
+    (root / "dataset.json").write_text('{"truth": false, "city_model": "../city.obj"}')
+    folders = []
+    for method in ("prior_only", "contour_alignment"):
+        done = lodbench("run", "dataset=folder", f"dataset.root={root}", f"method={method}")
+        folders.append(re.search(r"results:\s+(\S+)", done.stdout)[1])
+    out = lodbench("compare", *folders).stdout
+    assert out.count("There is no truth to compare with: the answers themselves") == 2
+    assert "no paired test: there is no truth" in out
+    assert "Answers of both: 2 queries, 0 within 2 m" in out
+    assert "2m-2deg" not in out
 
 
 def test_other_queries_are_not_tested_and_say_so(lodbench, data, tmp_path):

@@ -28,20 +28,97 @@ def test_the_page_shows_a_run_in_one_quiet_file(lodbench, tmp_path, data):
     assert lodbench("report", str(folder)).returncode == 0
     with opened(folder / "report.html", PHONE, "dark") as (page, complaints):
         words = page.inner_text("main")
-        for said in ("Verified: every number follows", "Worst queries", "From above", "How the score rose"):
+        for said in ("Verified: every number follows", "From above", "Pictures", "How the score rose"):
             assert said in words
-        # Pictures: curves, one view from above, 3 best and 1 worst query, traces; all of them decoded.
-        sizes = page.eval_on_selector_all("img", "all => all.map(i => i.naturalWidth)")
-        assert len(sizes) == 1 + 1 + 4 + 1
+        # A picture of every query, all of them decoded; curves and traces are drawings in the page's ink.
+        sizes = page.eval_on_selector_all("main img", "all => all.map(i => i.naturalWidth)")
+        assert len(sizes) == 4
         assert min(sizes) > 0
+        assert page.locator(".chart svg").count() == 2
+        ink = "e => getComputedStyle(e).fill"
+        assert page.locator(".chart svg text").first.evaluate(ink) == "rgb(230, 237, 243)"
         last = page.locator("table").count() - 1
-        press(page, last, 2)
-        errors = [float(cell) for cell in column_texts(page, last, 2)]
+        press(page, last, 1)
+        errors = [float(cell) for cell in column_texts(page, last, 1)]
         assert len(errors) == 4
         assert errors == sorted(errors)
         anchors = page.eval_on_selector_all("nav a", "all => all.map(a => a.getAttribute('href'))")
         assert all(page.locator(f"section{anchor}").count() == 1 for anchor in anchors)
         assert fits(page)
+        assert complaints == []
+
+
+def test_a_row_a_camera_and_a_picture_lead_to_the_picture_and_a_filter_hides_all_three(
+    lodbench, tmp_path, data
+):
+    folder = run(lodbench, tmp_path, data)
+    assert lodbench("report", str(folder)).returncode == 0
+    with opened(folder / "report.html") as (page, complaints):
+        viewer = page.locator("dialog.viewer")
+        row = page.locator("tr[data-key]").nth(2)
+        key = row.get_attribute("data-key")
+        row.click()
+        assert viewer.is_visible()
+        assert viewer.locator("figcaption").inner_text().startswith(key)
+        page.keyboard.press("ArrowRight")
+        assert not viewer.locator("figcaption").inner_text().startswith(key)
+        page.keyboard.press("Escape")
+        assert not viewer.is_visible()
+        page.locator("g.spot").nth(1).locator(".dot").first.click(force=True)
+        assert viewer.is_visible()
+        page.keyboard.press("Escape")
+        page.locator("input.filter").fill("view_02")
+        assert page.locator("tr[data-key]:visible").count() == 1
+        assert page.locator("figure[data-key]:visible").count() == 1
+        assert page.locator("g.spot:not(.hidden)").count() == 1
+        assert "1 of 4" in page.inner_text(".tools")
+        assert complaints == []
+
+
+def test_the_map_zooms_about_the_pointer_moves_and_comes_back(lodbench, tmp_path, data):
+    folder = run(lodbench, tmp_path, data)
+    assert lodbench("report", str(folder)).returncode == 0
+    with opened(folder / "report.html") as (page, complaints):
+        svg = page.locator(".map svg")
+        svg.scroll_into_view_if_needed()
+        box = "e => { const b = e.viewBox.baseVal; return [b.x, b.y, b.width, b.height]; }"
+        before = svg.evaluate(box)
+        page.locator(".map button").first.click()
+        closer = svg.evaluate(box)
+        assert closer[2] == pytest.approx(0.7 * before[2])
+        area = svg.bounding_box()
+        page.mouse.move(area["x"] + 100, area["y"] + 100)
+        page.mouse.down()
+        page.mouse.move(area["x"] + 160, area["y"] + 100)
+        page.mouse.up()
+        assert svg.evaluate(box)[0] < closer[0]
+        page.locator(".map button").last.click()
+        assert svg.evaluate(box) == pytest.approx(before)
+        assert page.locator(".map .bar").inner_text().endswith(" m")
+        assert complaints == []
+
+
+def test_without_a_truth_the_page_has_the_answers_and_no_empty_table(lodbench, tmp_path):
+    root, _ = write_dataset(tmp_path / "mine", count=3)
+    (root / "GT_pose.txt").unlink()
+    (root / "dataset.json").write_text('{"truth": false, "city_model": "../city.obj"}')
+    done = lodbench("run", "dataset=folder", f"dataset.root={root}", "method=contour_alignment")
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / re.search(r"results:\s+(\S+)", done.stdout)[1]
+    assert lodbench("report", str(folder)).returncode == 0
+    with opened(folder / "report.html") as (page, complaints):
+        words = page.inner_text("main")
+        assert "3 of 3 queries have an answer" in words
+        assert "Recall" not in words
+        assert "no true pose" not in words
+        assert page.locator("table").count() == 1
+        heads = page.locator("thead th").all_inner_texts()
+        cells = page.locator("tbody tr").first.locator("td").all_inner_texts()
+        assert len(heads) == len(cells)
+        # No column without anything in it.
+        assert "-" not in cells
+        assert {"x m", "from the prior m", "probability", "trust"} <= {head.split(" ↕")[0] for head in heads}
+        assert page.locator("main img").count() == page.locator("g.spot").count() == 3
         assert complaints == []
 
 
@@ -62,7 +139,7 @@ def test_a_scored_pose_file_has_a_page_with_overlays(lodbench, tmp_path, data):
     assert len(list((folder / "overlays").glob("*.png"))) == 4
     assert lodbench("report", str(folder)).returncode == 0
     page = (folder / "report.html").read_text()
-    assert "Worst queries" in page
+    assert "Pictures" in page
     assert "How the score rose" not in page
 
 

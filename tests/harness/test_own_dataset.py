@@ -76,7 +76,7 @@ class TestFromPhotos:
             f"dataset.city_model={case.city}", f"paths.runs={tmp_path / 'runs'}",
         )  # fmt: skip
         assert code == 0, err
-        assert "1 x no true pose to compare with" in told
+        assert "no true pose to compare with" not in told
         (folder,) = (tmp_path / "runs/folder/lodlocv2").iterdir()
         found = read_poses(folder / "poses.txt")["DJI_0001.JPG"]
         assert pose_error(found, case.truth).translation_m < 2.0
@@ -178,12 +178,12 @@ class TestFromPhotos:
         assert "1 images" in out
         assert "left out" not in out
 
-    def test_without_masks_the_next_command_makes_them(self, capsys, tmp_path, case):
+    def test_without_masks_the_next_command_needs_none(self, capsys, tmp_path, case):
         code, out, err = run(
             capsys, "dataset", "init", tmp_path / "town", "--images", case.photo.parent, "--city", case.city
         )
         assert code == 0, err
-        assert out.splitlines()[-1].endswith(" segmenter=compact")
+        assert out.splitlines()[-1].endswith(" method=region")
 
     def test_nothing_is_written_over(self, capsys, tmp_path, case):
         (tmp_path / "town").mkdir()

@@ -123,9 +123,7 @@ def require_data(found: Survey) -> None:
             where to get it, what to do next.
     """
     if found.city_model is not None and not found.city_model.exists():
-        raise DatasetError(
-            f"The city model {found.city_model} does not exist.", "Set dataset.city_model=FILE."
-        )
+        raise DatasetError(f"The city model {found.city_model} does not exist.", "Set city=FILE.")
     has_test = any(files.spec.is_test for files in found.splits)
     broken = any(not files.is_complete for files in found.splits)
     if has_test and not broken:
@@ -147,7 +145,7 @@ def advice(found: Survey) -> str:
         f"  {tests[0].folders[0]}/{{{parts}, {IMAGE_FOLDERS[0]}/, masks/}}",
         *(f"  {split.folders[0]}/{{the same}}" for split in tests[1:]),
         f"  {spec.folder}/split/{{{lists}}}   (else all poses are queries)",
-        f"  {MODEL_FOLDERS[0]}/{spec.city_files[0]}   (or dataset.city_model=FILE)",
+        f"  {MODEL_FOLDERS[0]}/{spec.city_files[0]}   (or city=FILE)",
         "  masks/ is not published: building masks (255 = building) by any network, named as the photos",
         "get it:",
         *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),

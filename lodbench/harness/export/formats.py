@@ -11,10 +11,11 @@ from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, 
 from lodbench.datasets.exchange.kapture import write_kapture
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.nerfstudio import write_nerfstudio
+from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm, write_pix4d
 from lodbench.datasets.exchange.tum import write_tum
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.evaluation.queries import queries_csv
+from lodbench.evaluation.queries import is_without_truth, queries_csv
 from lodbench.harness.export.export import CRS, DATASET, Export
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.storage import write_text
@@ -80,6 +81,39 @@ class VisualLocalization:
         write_lines(export.poses(), path)
 
 
+class Metashape:
+    """The reference text that Metashape imports."""
+
+    file_name = "metashape_reference.txt"
+    requires = (CRS,)
+
+    def write(self, export: Export, path: Path) -> None:
+        """Writes a line per pose: centre, yaw, pitch, roll."""
+        write_metashape(export.poses(), path, export.crs)
+
+
+class Pix4D:
+    """Pix4D's calibrated external camera parameters."""
+
+    file_name = "calibrated_external_camera_parameters.txt"
+    requires = ()
+
+    def write(self, export: Export, path: Path) -> None:
+        """Writes a line per pose: centre, omega, phi, kappa."""
+        write_pix4d(export.poses(), path)
+
+
+class Odm:
+    """OpenDroneMap's ``geo.txt``."""
+
+    file_name = "geo.txt"
+    requires = (CRS,)
+
+    def write(self, export: Export, path: Path) -> None:
+        """Writes the reference system, and a line per pose: centre, omega, phi, kappa."""
+        write_odm(export.poses(), path, export.crs)
+
+
 class GeoJson:
     """A point for each pose, and a feature without a place for each query that has none."""
 
@@ -95,7 +129,7 @@ class GeoJson:
         if export.crs is None:
             raise DatasetError(
                 "The run's poses have no reference system, so they are nowhere on a map.",
-                "Name the city model with --city-model, or the system with --crs.",
+                "Name the city model with --city, or the system with --crs.",
             )
         write_geojson(_features(export.run, MapFrame(export.crs)), path)
 
@@ -144,7 +178,8 @@ def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
         stated: dict[str, Any] = {"name": row["query"], "split": row["split"]}
         numbers = ("score", "translation_error_m", "rotation_error_deg") if key in run.poses else ("score",)
         stated |= {name: round(row[name], 4) for name in numbers if math.isfinite(row[name])}
-        if row["failure"]:
+        # A pose with nothing to compare it with has not failed.
+        if row["failure"] and not is_without_truth(row["failure"]):
             stated["failure"] = row["failure"]
         pose = run.poses.get(str(key))
         features.append(nowhere_feature(stated) if pose is None else camera_feature(frame, pose, stated))

@@ -1,12 +1,13 @@
-"""Are a dataset's photos sound: headers, sizes, pixels, and whether they say where they were taken."""
+"""Are a dataset's photos and masks sound: headers, sizes, pixels, and whether photos say where they are."""
 
 from __future__ import annotations
 
 import warnings
 from pathlib import Path
 
-from lodbench.datasets.codes import GPS_IN_IMAGE, IMAGE_SIZE, IMAGE_UNREADABLE
+from lodbench.datasets.codes import GPS_IN_IMAGE, IMAGE_SIZE, IMAGE_UNREADABLE, MASK_UNFIT
 from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.picture_faults import mask_fault
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError
 from lodbench.execution import Progress
@@ -14,13 +15,18 @@ from lodbench.findings import Findings
 
 
 def check_photos(dataset: Dataset, with_pixels: bool, findings: Findings) -> None:
-    """Adds what is wrong with a dataset's photos to findings.
+    """Adds what is wrong with a dataset's photos and masks to findings.
 
     Args:
         dataset: As opened.
         with_pixels: Whether to decode every photo; their headers are read in any case.
         findings: Receives them, under the queries' names.
     """
+    for entry in dataset.entries:
+        if entry.mask is not None and entry.camera is not None:
+            fault = mask_fault(entry.mask, (entry.camera.width, entry.camera.height))
+            if fault:
+                findings.add(MASK_UNFIT, entry.key, fault)
     entries = [entry for entry in dataset.entries if entry.image is not None]
     with Progress("photos", len(entries)) as progress:
         for entry in entries:

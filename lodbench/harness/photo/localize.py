@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,11 +14,19 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
 from lodbench.datasets.map_frame import MapFrame, Place
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, datum_note, pose_at, pose_from_photo
+from lodbench.datasets.photo_pose import (
+    HeightOptions,
+    RoughPlace,
+    datum_note,
+    pose_at,
+    pose_from_photo,
+    require_stated,
+)
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Entry
 from lodbench.datasets.undistort import pinhole_of, undistorted
@@ -24,18 +34,18 @@ from lodbench.errors import DatasetError
 from lodbench.evaluation import PoseError, pose_error
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
-from lodbench.harness.photo.outputs import PhotoView, write_photo_map, write_photo_overlay
+from lodbench.harness.photo.outputs import PhotoView, photo_features, write_photo_overlay
 from lodbench.methods import Estimate, Method
 from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import MapGuidedSegmenter, Segmenter, check_mask, notes_of
 from lodbench.segmentation.masks import read_mask
+from lodbench.storage import file_digest, write_text
 
 # What one photo has; masks come with --mask or from a segmenter.
 _GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
-# Below this probability, or this overlap of mask and model, a pose is not to be trusted.
-TRUSTED_PROBABILITY, TRUSTED_OVERLAP = 0.5, 0.5
 _SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
 
 
@@ -98,6 +108,7 @@ class LocalizedPhoto:
         overlay: Picture written.
         geojson: Map written, or None without a reference system.
         notes: What the reader should know.
+        features: Of the map.
     """
 
     photo: str
@@ -117,6 +128,7 @@ class LocalizedPhoto:
     overlay: Path
     geojson: Path | None
     notes: tuple[str, ...]
+    features: tuple[dict[str, Any], ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain values for JSON, units in the names."""
@@ -149,6 +161,8 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
             is written then.
     """
     photo = read_photo_metadata(request.photo)
+    has_camera, has_place = request.camera is not None, request.center is not None
+    require_stated(photo, request.heights, request.given, knows_place=has_place, knows_camera=has_camera)
     camera, camera_source = _camera(request, photo)
     pinhole = pinhole_of(camera)
     method = request.method or LodLocV2()
@@ -163,14 +177,19 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     with TemporaryDirectory() as folder:
         image = _undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
         estimate = localize(city.scene, pinhole, prior, mask, image=image, method=method, seed=request.seed)
+    name, features = request.photo.name, []
+    if frame is not None:
+        features = photo_features(frame, name, pinhole, city.scene, prior, estimate)
     request.out.mkdir(parents=True, exist_ok=True)
-    overlay = request.out / f"{request.photo.stem}_overlay.png"
+    digest = file_digest(request.photo)
+    label = _label(request.out, request.photo.stem, digest)
+    overlay = request.out / f"{label}_overlay.png"
     write_photo_overlay(overlay, view, city.scene, prior, estimate)
-    geojson = None if frame is None else request.out / f"{request.photo.stem}.geojson"
-    if frame is not None and geojson is not None:
-        write_photo_map(geojson, frame, request.photo.name, prior, estimate)
-    return LocalizedPhoto(
-        photo=request.photo.name,
+    geojson = request.out / f"{label}.geojson" if features else None
+    if geojson is not None:
+        write_geojson(features, geojson)
+    found = LocalizedPhoto(
+        photo=name,
         crs=city.scene.crs,
         lod=city.scene.lod,
         pose=estimate.pose,
@@ -180,7 +199,7 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
         probability=estimate.probability,
         sigmas=_sigmas(estimate),
         alternatives=estimate.alternatives,
-        is_trusted=_is_trusted(estimate, mask is not None),
+        is_trusted=is_trusted(estimate.probability, estimate.score, mask is not None),
         place=None if frame is None else frame.place_of(estimate.pose),
         camera=pinhole,
         camera_source=camera_source,
@@ -191,7 +210,26 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
             *(_segmenter_notes(request) if mask is not None else ()),
             *_notes(photo, frame, view, estimate),
         ),
+        features=tuple(features),
     )
+    values = {"sha256": digest, **found.to_json()}
+    write_text(request.out / f"{label}.json", json.dumps(values, indent=2, ensure_ascii=False) + "\n")
+    return found
+
+
+def _label(out: Path, stem: str, digest: str) -> str:
+    """Returns what a photo's files are called: its stem, numbered where another photo has that name."""
+    for number in itertools.count(1):
+        label = stem if number == 1 else f"{stem}_{number}"
+        try:
+            if json.loads((out / f"{label}.json").read_text(encoding="utf-8"))["sha256"] == digest:
+                return label
+        except FileNotFoundError:
+            if not (out / f"{label}_overlay.png").exists():
+                return label
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # a file of somebody else's
+    raise AssertionError("numbers do not end")
 
 
 def _camera(request: PhotoRequest, photo: PhotoMetadata) -> tuple[Camera, str]:
@@ -279,16 +317,9 @@ def _notes(photo: PhotoMetadata, frame: MapFrame | None, view: PhotoView, estima
         notes.append("the photo's pixels cannot be decoded: the overlay shows none")
     if view.camera.distortion:
         notes.append(f"the lens distortion ({view.camera.lens}) was undone before localising")
-    if not _is_trusted(estimate, view.mask is not None):
+    if not is_trusted(estimate.probability, estimate.score, view.mask is not None):
         notes.append(_warning(estimate, view.mask is not None))
     return notes
-
-
-def _is_trusted(estimate: Estimate, has_mask: bool) -> bool:
-    # Outlines may agree with a mask that is the wrong way round. Without a mask a score has no known unit.
-    if has_mask and estimate.score < TRUSTED_OVERLAP:
-        return False
-    return estimate.probability is None or estimate.probability >= TRUSTED_PROBABILITY
 
 
 def _warning(estimate: Estimate, has_mask: bool) -> str:

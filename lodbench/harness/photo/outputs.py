@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.exchange.geojson import camera_feature, view_feature, write_geojson
+from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature, view_feature
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.undistort import undistorted
 from lodbench.geometry import Camera, Pose
@@ -17,6 +17,9 @@ from lodbench.methods import Estimate
 from lodbench.rendering import make_renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.segmentation import binary_mask
+
+# The ground is where the lowest corners of the city are, this near a camera; a few may be cellars.
+_NEAR_M, _LOWEST_PERCENT = 400.0, 5.0
 
 
 class PhotoView(NamedTuple):
@@ -56,12 +59,29 @@ def write_photo_overlay(path: Path, view: PhotoView, scene: Scene, prior: Pose, 
     write_picture(path, draw_overlay(shown, make_renderer("silhouette", scene)))
 
 
-def write_photo_map(path: Path, frame: MapFrame, name: str, prior: Pose, estimate: Estimate) -> None:
-    """Writes the cameras of prior and estimate, and what the latter sees, as GeoJSON."""
-    stated = {"name": name, "kind": "estimate", "score": round(float(estimate.score), 4)}
+def photo_features(
+    frame: MapFrame, name: str, camera: Camera, scene: Scene, prior: Pose, estimate: Estimate
+) -> list[dict[str, Any]]:
+    """Returns the cameras of prior and estimate, and what the latter sees, as features of GeoJSON."""
+    stated: dict[str, Any] = {"name": name, "kind": "estimate", "score": round(float(estimate.score), 4)}
+    if estimate.probability is not None:
+        stated["probability"] = round(float(estimate.probability), 4)
+    footprint = footprint_feature(
+        frame, camera, estimate.pose, ground_below_m(scene, estimate.pose), {"name": name}
+    )
     features = [
         camera_feature(frame, estimate.pose, stated),
         view_feature(frame, estimate.pose, {"name": name}),
+        footprint,
         camera_feature(frame, prior, {"name": name, "kind": "prior"}),
     ]
-    write_geojson(features, path)
+    return [feature for feature in features if feature is not None]
+
+
+def ground_below_m(scene: Scene, pose: Pose) -> float:
+    """Returns the height of the ground around a camera, in the city's heights: its lowest walls there."""
+    center = pose.center - scene.origin
+    vertices = scene.vertices
+    near = np.hypot(vertices[:, 0] - center[0], vertices[:, 1] - center[1]) < _NEAR_M
+    heights = vertices[near, 2] if near.any() else vertices[:, 2]
+    return float(np.percentile(heights, _LOWEST_PERCENT)) + float(scene.origin[2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,9 +14,10 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.kapture import unposed_images
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import OwnImage, Written, require_new_folder, write_dataset
+from lodbench.datasets.own import PHOTO_SUFFIXES, OwnImage, Written, require_new_folder, write_dataset
 from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
 from lodbench.datasets.photo_pose import HeightOptions, datum_note
+from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_cameras
 from lodbench.errors import ConfigError, DatasetError
@@ -87,6 +89,11 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
             raise DatasetError(f"{path} does not exist.", "Check the path.")
     scene, frame = _open_frame(request)
     images, left_out, kind = _images(request, frame)
+    if request.masks is not None and not any(image.mask for image in images):
+        wanted = Path(images[0].name).with_suffix(".png").name
+        raise DatasetError(
+            f"{request.masks} holds no mask of any image.", f"The first is looked for as {wanted}."
+        )
     if scene is not None:
         images, far = _near(images, scene)
         left_out += far
@@ -94,14 +101,45 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
         "made_by": f"lodbench {__version__}",
         "from": kind,
         "crs": None if scene is None else scene.crs,
-        "city_model": None if request.city is None else request.city.name,
+        "city_model": None if request.city is None else _relative(request.city, request.folder),
     }
     with Progress(f"writing {request.folder.name}", len(images)) as progress:
         written = write_dataset(images, request.folder, about, progress.advance, left_out)
     kept = set(written.names)
     priors = sum(image.prior is not None for image in images if image.file_name in kept)
     datum = None if frame is None or not priors else datum_note(frame)
-    return OwnDataset(written, request.poses is not None, priors, () if datum is None else (datum,))
+    notes = [] if datum is None else [datum]
+    if request.masks is not None:
+        notes += _mask_notes(request.masks, [image for image in images if image.file_name in kept])
+    return OwnDataset(written, request.poses is not None, priors, tuple(notes))
+
+
+def _mask_notes(folder: Path, images: Sequence[OwnImage]) -> list[str]:
+    """Returns what the reader should know of the masks: those that lack, are of nothing, or are scaled."""
+    lacking = [image.name for image in images if image.mask is None]
+    used = {image.mask.resolve() for image in images if image.mask is not None}
+    files = (path for path in sorted(folder.rglob("*")) if path.suffix.lower() in PHOTO_SUFFIXES)
+    strays = [path.name for path in files if path.resolve() not in used]
+    scaled = [
+        image.name
+        for image in images
+        if image.mask is not None and picture_size(image.mask) != (image.camera.width, image.camera.height)
+    ]
+    told = (
+        (lacking, f"of {len(images)} images have no mask"),
+        (strays, "masks belong to no image that is used"),
+        (scaled, "masks are of another size than their photos, and will be scaled"),
+    )
+    return [
+        f"{len(names)} {words}: {', '.join(names[:3])}{', ...' * (len(names) > 3)}"
+        for names, words in told
+        if names
+    ]
+
+
+def _relative(city: Path, folder: Path) -> str:
+    """Returns where a city model lies, as seen from a dataset's folder: both may move together."""
+    return Path(os.path.relpath(city.expanduser().resolve(), folder.expanduser().resolve())).as_posix()
 
 
 def _open_frame(request: OwnRequest) -> tuple[Scene | None, MapFrame | None]:

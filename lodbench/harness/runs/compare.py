@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lodbench.evaluation import pose_error
 from lodbench.evaluation.queries import ERROR, has_truth, of_split
-from lodbench.evaluation.recall import Threshold, hits_of
-from lodbench.evaluation.statistics import Comparison, mcnemar, paired_medians
+from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, Threshold, hits_of
+from lodbench.evaluation.statistics import Agreement, Comparison, mcnemar, paired_medians
 from lodbench.harness.runs.stored import StoredRun
 
 
@@ -17,6 +18,8 @@ def require_same_queries(first: StoredRun, second: StoredRun) -> str:
     if first.summary["dataset"]["name"] != second.summary["dataset"]["name"]:
         return "the datasets differ"
     keys = [set(run.queries.index[has_truth(run.queries)]) for run in (first, second)]
+    if not any(keys):
+        return "there is no truth to compare with"
     if keys[0] != keys[1]:
         return f"the queries differ: {len(keys[0] ^ keys[1])} are in one run only"
     truths = [run.summary["dataset"].get("queries") for run in (first, second)]
@@ -51,3 +54,13 @@ def paired_comparison(
             medians = float(np.median(x)), float(np.median(y))
             found.append(Comparison(split, name, unit, *medians, paired_medians(x, y)))
     return found
+
+
+def agreement(first: StoredRun, second: StoredRun) -> Agreement | None:
+    """Returns how far the answers of two runs lie apart; None where no query has an answer of both."""
+    shared = [key for key in first.poses if key in second.poses]
+    if not shared:
+        return None
+    errors = np.array([pose_error(first.poses[key], second.poses[key]) for key in shared])
+    within = hits_of(errors, PROBABILITY_THRESHOLD)
+    return Agreement(len(shared), int(within.sum()), *map(float, np.median(errors, axis=0)))

@@ -16,6 +16,7 @@ from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
 from lodbench.evaluation.queries import NO_TRUTH
 from lodbench.geometry import Camera, Pose
+from lodbench.harness.runs.door import require_near, require_photo
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation import (
     InstanceSegmenter,
@@ -40,8 +41,8 @@ class Preparation:
         scene: The city; queries are moved into its local frame.
         segmenter: Makes the masks.
         tilt: ``prior``, or ``truth`` to replace the prior's pitch and roll by the true ones.
-        needs: What the method needs of the segmenter, ``mask`` and ``instances``, and of the truth,
-            ``true_pixels``; no more is made.
+        needs: What is looked at of ``mask`` and ``instances``, which are asked of the segmenter, of the
+            truth, ``true_pixels``, and of ``image``, which must then be fit for the camera; no more is made.
         city_map: The map that a segmenter may look at; one of its own if None.
     """
 
@@ -71,8 +72,9 @@ class Preparation:
         """Returns the query of an entry.
 
         Raises:
-            QueryFault: The truth, camera or prior is missing, or the segmenter has no mask,
-                or one that is not fit for the camera.
+            QueryFault: The truth, camera or prior is missing, the prior is nowhere near the city, the
+                photo is unreadable or of another size than the camera, or the segmenter has no mask, or
+                one that is not fit for the camera.
         """
         # Where nothing has a truth, poses are wanted for their own sake.
         if self.dataset.truth and entry.key not in self.dataset.truth:
@@ -87,6 +89,9 @@ class Preparation:
         prior = self.prior(entry)
         if prior is None:
             raise QueryFault("no prior pose")
+        require_near(prior, self.scene)
+        if Input.IMAGE in self.needs:
+            require_photo(entry)
         camera, local = entry.camera, self.local(prior)
         guided = isinstance(self.segmenter, MapGuidedSegmenter)
         needs_mask = Input.MASK in self.needs

@@ -1,4 +1,4 @@
-"""One HTML page of a finished run: tables, figures, galleries and every query, all inside one file."""
+"""One HTML page of a finished run: tables, figures, a map, every query and its picture, inside one file."""
 
 from __future__ import annotations
 
@@ -14,22 +14,25 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import LodbenchError
+from lodbench.evaluation import pose_error
 from lodbench.evaluation.calibration import calibrate
-from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, of_split
+from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, is_without_truth, of_split
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
+from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
-from lodbench.harness.runs.gallery import chosen_queries, overlay_name
+from lodbench.harness.runs.gallery import chosen_queries
 from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.query_pictures import query_pictures
 from lodbench.harness.runs.verify import Verdict
+from lodbench.reporting.answers import trust_of, untrusted_note
 from lodbench.reporting.calibration_figures import draw_calibration
+from lodbench.reporting.map_figure import Spot, draw_map
 from lodbench.reporting.page import Picture, facts, markup, rendered
 from lodbench.reporting.run_figures import (
     ErrorSample,
-    Places,
     Trace,
     draw_error_curves,
-    draw_top_view,
     draw_traces,
 )
 from lodbench.reporting.summaries import with_seconds
@@ -40,14 +43,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Floats = NDArray[np.float64]
-# JPEG quality of the pictures inside the page: outlines stay sharp, a picture weighs about 60 kB.
-_QUALITY = 82
 # Head, column and format of the table of every query; texts have no format.
-_QUERY_COLUMNS = (
-    ("query", "query", ""), ("split", "split", ""), ("m", ERROR[0], ".2f"), ("deg", ERROR[1], ".2f"),
-    ("along the ground m", PARTS[0], ".2f"), ("up m", PARTS[1], ".2f"), ("yaw deg", PARTS[2], ".2f"),
-    ("prior m", PRIOR_ERROR[0], ".2f"), ("prior deg", PRIOR_ERROR[1], ".2f"), ("score", "score", ".3f"),
-    ("mask IoU", "mask_iou", ".3f"), ("hypotheses", "hypotheses", ".0f"), ("failure", "failure", ""),
+_SCORED_COLUMNS = (
+    ("m", ERROR[0], ".2f"), ("deg", ERROR[1], ".2f"), ("along the ground m", PARTS[0], ".2f"),
+    ("up m", PARTS[1], ".2f"), ("yaw deg", PARTS[2], ".2f"), ("prior m", PRIOR_ERROR[0], ".2f"),
+    ("prior deg", PRIOR_ERROR[1], ".2f"),
+)  # fmt: skip
+# Where there is no truth: the answers themselves, in the dataset's coordinates.
+_ANSWER_COLUMNS = (
+    ("x m", "x_m", ".2f"), ("y m", "y_m", ".2f"), ("z m", "z_m", ".2f"), ("pitch deg", "pitch_deg", ".2f"),
+    ("yaw deg", "answer_yaw_deg", ".2f"), ("from the prior m", "moved_m", ".2f"),
+)  # fmt: skip
+_LAST_COLUMNS = (
+    ("score", "score", ".3f"), ("mask IoU", "mask_iou", ".3f"), ("probability", "probability", ".2f"),
+    ("trust", "trust", ""), ("hypotheses", "hypotheses", ".0f"), ("failure", "failure", ""),
 )  # fmt: skip
 
 
@@ -61,34 +70,30 @@ def run_report(verdict: Verdict, tilt: str) -> str:
     stored = verdict.stored
     summary = with_seconds(stored.summary, stored.provenance.get("seconds_per_query", {}))
     splits = tuple(summary["splits"])
-    (table,) = tables_of([summary])
-    more = {
-        "intervals": "Recall with 95 % intervals",
-        "details": "Areas under recall, parts of the error, cost",
-        "calibration": "Probability of being within (2 m, 2 deg): its mean, ECE and AURC, percent",
-    }
-    if "ece_percent" not in table.numbers():
-        del more["calibration"]
-    tables = [table, *(replace(table.with_columns(key), title=title) for key, title in more.items())]
+    is_scored = bool(has_truth(stored.queries).any())
     name = " ".join(filter(None, [summary["method"]["name"], summary["method"]["variant"]]))
+    scene = _scene(verdict)
+    pictures = [] if scene is None else query_pictures(verdict, scene, tilt)
     sections = [
-        ("tables", "Recall", "".join(map(format_html, tables)), []),
+        ("tables", "Recall", _tables(summary) if is_scored else "", []),
         ("errors", "Errors", "", _error_curves(stored.queries, splits)),
-        ("calibration", "How sure it was", "", _calibration(stored.queries, splits)),
-        ("places", "From above", "", _top_views(verdict, splits, tilt)),
-        ("worst", "Worst queries", "", _gallery(stored.folder, stored.queries, splits, "worst")),
-        ("best", "Best queries", "", _gallery(stored.folder, stored.queries, splits, "best")),
+        ("calibration", "How sure it was", "", _calibration(stored.queries, splits) if is_scored else []),
+        ("places", "From above", _map(verdict, scene, tilt), []),
+        ("queries", "Every query", _query_table(verdict, tilt), []),
+        ("pictures", _pictures_title(len(pictures), len(stored.queries)), "", pictures),
         ("traces", "How the score rose", "", _traces(stored.folder, stored.queries, splits)),
-        ("queries", "Every query", _query_table(stored.queries), []),
         ("provenance", "Where it comes from", _provenance(verdict), []),
     ]
     dataset = f"{summary['dataset']['name']} {summary['dataset']['version']}".strip()
+    answered = sum(found.pose is not None for found in stored.predictions.values())
     return rendered(
         "run.html.jinja",
         title=f"{name} on {dataset}",
         differences=verdict.differences,
         is_weak=verdict.is_weak,
-        has_truth=has_truth(stored.queries).any(),
+        has_truth=is_scored,
+        answered=f"{answered} of {len(stored.queries)} queries have an answer.",
+        untrusted=untrusted_note(stored.predictions.values()),
         protocol=facts(summary["protocol"]),
         sections=[
             (key, title, markup(html), pictures)
@@ -98,17 +103,71 @@ def run_report(verdict: Verdict, tilt: str) -> str:
     )
 
 
-def _query_table(queries: pd.DataFrame) -> str:
-    """Returns one line per query, sortable by every column."""
+def _tables(summary: dict[str, Any]) -> str:
+    (table,) = tables_of([summary])
+    more = {
+        "intervals": "Recall with 95 % intervals",
+        "details": "Areas under recall, parts of the error, cost",
+        "calibration": "Probability of being within (2 m, 2 deg): its mean, ECE and AURC, percent",
+    }
+    if "ece_percent" not in table.numbers():
+        del more["calibration"]
+    tables = [table]
+    for key, title in more.items():
+        # Wide ones split by split: no column is cut off.
+        parts = table.by_split() if key == "details" else [table]
+        tables += [replace(part.with_columns(key), title=title) for part in parts]
+    return "".join(map(format_html, tables))
+
+
+def _pictures_title(shown: int, count: int) -> str:
+    return "Pictures" if shown == count else f"Pictures of {shown} of {count} queries: the worst and the best"
+
+
+def _query_table(verdict: Verdict, tilt: str) -> str:
+    """Returns one line per query, sortable by every column that holds anything."""
 
     def number(value: float, spec: str) -> str:
         # Adding 0 turns the -0.00 of a rounded small number into 0.00.
         return format(round(value, int(spec[1])) + 0.0, spec)
 
-    rows = queries.to_dict("records")
-    return rendered(
-        "queries.html.jinja", rows=rows, columns=_QUERY_COLUMNS, isfinite=math.isfinite, number=number
-    )
+    queries = verdict.stored.queries
+    is_scored = has_truth(queries).any()
+    frame = queries.assign(trust=[_trust(verdict, str(key)) for key in queries.index])
+    if not is_scored:
+        # That there is no truth is no failure of an answer.
+        frame["failure"] = frame["failure"].where(~frame["failure"].map(is_without_truth).astype(bool), "")
+        frame = frame.join(_answers(verdict, tilt))
+    first = (("query", "query", ""),) + ((("split", "split", ""),) if queries["split"].nunique() > 1 else ())
+    columns = [*first, *(_SCORED_COLUMNS if is_scored else _ANSWER_COLUMNS), *_LAST_COLUMNS]
+    kept = [column for column in columns if _holds_anything(frame[column[1]])]
+    rows = list(zip(map(str, frame.index), frame.to_dict("records"), strict=True))
+    return rendered("queries.html.jinja", rows=rows, columns=kept, isfinite=math.isfinite, number=number)
+
+
+def _holds_anything(cells: pd.Series[Any]) -> bool:
+    return bool((cells.ne("") & cells.ne("-")).any() if cells.dtype == object else cells.notna().any())
+
+
+def _trust(verdict: Verdict, key: str) -> str:
+    found = verdict.stored.predictions.get(key)
+    return "-" if found is None else trust_of(found)
+
+
+def _answers(verdict: Verdict, tilt: str) -> pd.DataFrame:
+    """Returns where each query was found, by key: columns of ``_ANSWER_COLUMNS``."""
+    import pandas as pd
+
+    names = [name for _, name, _ in _ANSWER_COLUMNS]
+    priors = {}
+    if verdict.dataset is not None:
+        priors = {entry.key: prior_of(entry, verdict.dataset, tilt) for entry in verdict.entries}
+    rows = {}
+    for key, pose in verdict.stored.poses.items():
+        prior = priors.get(key)
+        moved = math.nan if prior is None else pose_error(pose, prior).translation_m
+        rows[key] = [*map(float, pose.center), pose.euler.pitch_deg, pose.euler.yaw_deg, moved]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=names, dtype=float)
 
 
 def _error_curves(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
@@ -139,20 +198,27 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
     return [Picture(draw_calibration(curves)["svg"], "svg+xml", caption, "chart")]
 
 
-def _top_views(verdict: Verdict, splits: Sequence[str], tilt: str) -> list[Picture]:
-    if verdict.dataset is None:
-        return []
-    scene = _scene(verdict)
-    ground, triangles = None, None
-    if scene is not None:
-        ground, triangles = scene.vertices[:, :2] + scene.origin[:2], scene.triangles
-    parts = []
-    for split in splits:
-        places = _places(verdict, split, tilt)
-        if np.isfinite(places.truths).any():
-            caption = f"{split}: from each truth a line to its prior and to its estimate."
-            parts.append(Picture(draw_top_view(places, ground, triangles)["png"], "png", caption, "chart"))
-    return parts
+def _map(verdict: Verdict, scene: Scene | None, tilt: str) -> str:
+    dataset = verdict.dataset
+    if dataset is None:
+        return ""
+
+    def place(pose: Pose | None) -> Floats | None:
+        return None if pose is None else pose.center[:2]
+
+    spots = [
+        Spot(
+            entry.key,
+            place(prior_of(entry, dataset, tilt)),
+            place(verdict.stored.poses.get(entry.key)),
+            place(dataset.truth.get(entry.key)),
+            _trust(verdict, entry.key),
+        )
+        for entry in verdict.entries
+    ]
+    if scene is None:
+        return draw_map(spots, None, None)
+    return draw_map(spots, scene.vertices + scene.origin, scene.triangles)
 
 
 def _scene(verdict: Verdict) -> Scene | None:
@@ -166,47 +232,6 @@ def _scene(verdict: Verdict) -> Scene | None:
         return None
 
 
-def _places(verdict: Verdict, split: str, tilt: str) -> Places:
-    assert verdict.dataset is not None  # noqa: S101 - the caller has looked
-    columns: list[list[Floats]] = [[], [], []]
-    for entry in verdict.entries:
-        if entry.split == split:
-            prior = prior_of(entry, verdict.dataset, tilt)
-            for column, pose in zip(
-                columns,
-                (prior, verdict.stored.poses.get(entry.key), verdict.dataset.truth.get(entry.key)),
-                strict=True,
-            ):
-                column.append(np.full(2, np.nan) if pose is None else pose.center[:2])
-    return Places(*(np.array(column).reshape(-1, 2) for column in columns))
-
-
-def _gallery(folder: Path, queries: pd.DataFrame, splits: Sequence[str], kind: str) -> list[Picture]:
-    """Returns the overlays that the run left, as far as they are there."""
-    figures = []
-    for split in splits:
-        for rank, (_, row) in enumerate(chosen_queries(queries, split)[kind].iterrows(), start=1):
-            path = folder / "overlays" / overlay_name(split, kind, rank, row["query"])
-            content = _jpeg(path)
-            if content is not None:
-                figures.append(Picture(content, "jpeg", _caption(row)))
-    return figures
-
-
-def _jpeg(path: Path) -> bytes | None:
-    import cv2
-
-    image = cv2.imread(str(path)) if path.is_file() else None
-    if image is None:
-        return None
-    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
-
-
-def _caption(row: pd.Series[Any]) -> str:
-    metres, degrees = row[list(ERROR)]
-    return f"{row.name}: {row['failure'] or f'{metres:.2f} m, {degrees:.2f} deg'}"
-
-
 def _traces(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
     """Returns the score traces of the gallery's queries, from the run's predictions."""
     stored = open_predictions(folder, read_only=True)
@@ -216,7 +241,7 @@ def _traces(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[
         for kind in ("worst", "best"):
             for key in chosen[kind].index:
                 stages = stored[key].get("trace", {}) if key in stored else {}
-                if any(len(scores) > 1 for scores in stages.values()):
+                if any(len(scores) > 2 for scores in stages.values()):
                     traces.append(Trace(f"{kind}: {key}", {k: tuple(v) for k, v in stages.items()}))
     if not traces:
         return []
@@ -232,7 +257,12 @@ def _provenance(verdict: Verdict) -> str:
     shown["run"] = stored.folder.resolve().name
     inputs = stored.summary["dataset"].items()
     shown |= {f"{key} digest": value for key, value in inputs if key not in ("name", "version")}
-    failures = {reason: f"{count} queries" for reason, count in stored.summary["failures"].items()}
+    is_scored = has_truth(stored.queries).any()
+    failures = {
+        reason: f"{count} queries"
+        for reason, count in stored.summary["failures"].items()
+        if is_scored or not is_without_truth(reason)
+    }
     return rendered(
         "provenance.html.jinja",
         facts=facts(shown),

@@ -27,6 +27,7 @@ from lodbench.execution.executor import SERIAL, ExecutorParams
 from lodbench.execution.lock import only_one_in
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.code_digest import code_digest
+from lodbench.harness.runs.door import looks_at_photos, require_pictures, require_same_place
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_tilt
@@ -103,11 +104,16 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     load_plugin("renderers", settings.renderer)
     require_run_inputs(method, segmenter, dataset, entries)
     dataset = with_inputs(dataset, declared_inputs(method, "requires", {Input.MASK}))
+    require_pictures(dataset, entries, method, segmenter)
     scene, dataset = _open_city(dataset)
+    require_same_place(dataset, entries, scene)
     require_direction(dataset, entries, scene)
     textured, dataset = _open_textured(dataset, scene)
     city_map = CityMap(scene, settings.renderer, settings.threads, textured)
-    preparation = Preparation(dataset, scene, segmenter, settings.tilt, made_inputs(method), city_map)
+    needs = made_inputs(method)
+    if looks_at_photos(method, segmenter):
+        needs |= {Input.IMAGE}
+    preparation = Preparation(dataset, scene, segmenter, settings.tilt, needs, city_map)
     inputs = {
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),

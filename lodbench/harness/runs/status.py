@@ -38,6 +38,13 @@ class RunStatus:
         return self.seconds_per_query * (self.num_queries - self.num_done)
 
 
+def find_runs(folder: Path) -> list[Path]:
+    """Returns a run folder itself, or all below a folder of runs; the folder where there are none."""
+    if (folder / PLAN_FILE).is_file():
+        return [folder]
+    return sorted(plan.parent for plan in folder.rglob(PLAN_FILE)) or [folder]
+
+
 def read_status(folder: Path) -> RunStatus:
     """Returns how far a run is, whether it is going on, was stopped, or is done.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import json
 import math
@@ -15,10 +16,20 @@ from typing import TYPE_CHECKING, Any
 from lodbench.datasets.pose_text import parse_pose
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.predictions import Prediction
-from lodbench.evaluation.queries import COLUMNS, TEXTS, fill_failures, is_without_truth, queries_frame
+from lodbench.evaluation.queries import (
+    COLUMNS,
+    TEXTS,
+    fill_failures,
+    has_truth,
+    is_without_truth,
+    queries_frame,
+)
 from lodbench.geometry import Pose
 from lodbench.harness.runs.predict import open_predictions
+from lodbench.reporting.answers import format_answers
 from lodbench.reporting.summaries import read_summary
+from lodbench.reporting.table_formats import format_html
+from lodbench.reporting.tables import tables_of
 from lodbench.storage import show_formula
 
 if TYPE_CHECKING:
@@ -27,6 +38,20 @@ if TYPE_CHECKING:
 _FOLDER_HINT = "Name a folder that `lodbench run` or `lodbench evaluate` made."
 # Columns that runs of older versions do not have.
 _LATER = {"probability", "covariance"}
+
+
+@dataclass(frozen=True, slots=True)
+class PictureFile:
+    """A PNG on disk, which a notebook shows in its place.
+
+    Attributes:
+        path: The file.
+    """
+
+    path: Path
+
+    def _repr_png_(self) -> bytes:
+        return self.path.read_bytes()
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +80,17 @@ class StoredRun:
         method, dataset = self.summary["method"], self.summary["dataset"]
         name = " ".join(filter(None, [method["name"], method["variant"]]))
         return f"StoredRun({name} on {dataset['name']}, {len(self.queries)} queries, {self.folder})"
+
+    def _repr_html_(self) -> str:
+        """Returns the tables of the run, or where there is no truth its answers: what a notebook shows."""
+        if has_truth(self.queries).any():
+            return "".join(map(format_html, tables_of([self.summary])))
+        return f"<pre>{html.escape(format_answers(self.queries, self.predictions))}</pre>"
+
+    @property
+    def overlays(self) -> dict[str, PictureFile]:
+        """Returns the pictures that the run left, by their names; a notebook shows each."""
+        return {path.stem: PictureFile(path) for path in sorted((self.folder / "overlays").glob("*.png"))}
 
     @cached_property
     def predictions(self) -> dict[str, Prediction]:

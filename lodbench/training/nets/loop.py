@@ -98,22 +98,25 @@ def fit(
     """
     steps = steps_per_epoch(len(train), params.batch)
     model = place.wrapped(state.net)
-    for epoch in range(state.epoch, params.epochs):
-        loss = place.mean(_epoch(model, state, params, train, epoch, steps, place))
-        state.epoch = epoch + 1
-        row = {
-            "epoch": float(epoch + 1),
-            "loss": loss,
-            "lr": learning_rate(params, epoch * steps, params.epochs * steps),
-        }
-        is_last = state.epoch == params.epochs
-        if place.rank == 0:
-            if state.epoch % params.val_every == 0 or is_last:
-                row |= validation_iou(state.net, val, params.size, not params.crop, stride, place.device)
-            state.history.append(row)
-            if "mean_iou" in row:
-                save_checkpoint(state.stored(identity), Path(params.out).expanduser())
-            after_epoch(row)
+    label = f"epochs {state.epoch + 1} to {params.epochs}"
+    # One count over all of them: what is left is the training's, not an epoch's.
+    with Progress(label, (params.epochs - state.epoch) * steps) as progress:
+        for epoch in range(state.epoch, params.epochs):
+            loss = place.mean(_epoch(model, state, params, train, epoch, steps, place, progress))
+            state.epoch = epoch + 1
+            row = {
+                "epoch": float(epoch + 1),
+                "loss": loss,
+                "lr": learning_rate(params, epoch * steps, params.epochs * steps),
+            }
+            is_last = state.epoch == params.epochs
+            if place.rank == 0:
+                if state.epoch % params.val_every == 0 or is_last:
+                    row |= validation_iou(state.net, val, params.size, not params.crop, stride, place.device)
+                state.history.append(row)
+                if "mean_iou" in row:
+                    save_checkpoint(state.stored(identity), Path(params.out).expanduser())
+                after_epoch(row)
 
 
 def _epoch(
@@ -124,27 +127,27 @@ def _epoch(
     epoch: int,
     steps: int,
     place: Place,
+    progress: Progress,
 ) -> float:
     """Trains one epoch and returns the mean loss of this process."""
     model.train()
     total = 0.0
-    with Progress(f"epoch {epoch + 1} of {params.epochs}", steps) as progress:
-        for step, (images, truth) in enumerate(batches(train, params, epoch, 0, place.rank, place.ranks)):
-            rate = learning_rate(params, epoch * steps + step, params.epochs * steps)
-            set_rate(state.optimizers, rate / params.lr)
-            images, truth = images.to(place.device), truth.to(place.device)
-            if place.device.type == "cpu":
-                images = images.contiguous(memory_format=torch.channels_last)
-            with _precision(params.precision, place.device):
-                outputs = model(images)
-            loss = total_loss(outputs, truth, params.weighting)
-            model.zero_grad(set_to_none=True)
-            loss.backward()
-            nn.utils.clip_grad_norm_(state.net.parameters(), _LONGEST_GRADIENT)
-            for optimizer in state.optimizers:
-                optimizer.step()
-            total += float(loss.detach())
-            progress.advance()
+    for step, (images, truth) in enumerate(batches(train, params, epoch, 0, place.rank, place.ranks)):
+        rate = learning_rate(params, epoch * steps + step, params.epochs * steps)
+        set_rate(state.optimizers, rate / params.lr)
+        images, truth = images.to(place.device), truth.to(place.device)
+        if place.device.type == "cpu":
+            images = images.contiguous(memory_format=torch.channels_last)
+        with _precision(params.precision, place.device):
+            outputs = model(images)
+        loss = total_loss(outputs, truth, params.weighting)
+        model.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(state.net.parameters(), _LONGEST_GRADIENT)
+        for optimizer in state.optimizers:
+            optimizer.step()
+        total += float(loss.detach())
+        progress.advance()
     return total / steps
 
 

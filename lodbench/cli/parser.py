@@ -1,0 +1,74 @@
+"""The parser of commands with flags: a fault is one line with a hint, not a wall of usage."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
+
+from lodbench.errors import ConfigError, nearest_names
+
+# Set while words are completed: receives the parser instead of its parsing anything.
+seen: list[Callable[[argparse.ArgumentParser], None]] = []
+
+
+class Parser(argparse.ArgumentParser):
+    """An ``ArgumentParser`` whose faults are ``ConfigError``, and which names the flag that was meant."""
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        # An abbreviation that works today is another flag's name tomorrow.
+        super().__init__(*args, **{"allow_abbrev": False, **named})
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parses words; a flag that there is none of is told before what else is missing.
+
+        Raises:
+            ConfigError: A word is wrong, or one is missing.
+        """
+        words: Sequence[str] = sys.argv[1:] if args is None else args
+        if seen:
+            seen[-1](self)
+        if not any(isinstance(action, argparse._SubParsersAction) for action in self._actions):
+            self._require_flags(words)
+        return super().parse_known_args(args, namespace)
+
+    def _require_flags(self, words: Sequence[str]) -> None:
+        for word in words:
+            if word == "--":
+                return
+            flag = word.partition("=")[0]
+            if flag.startswith("--") and flag not in self._option_string_actions:
+                known = [name for name in self._option_string_actions if name.startswith("--")]
+                raise ConfigError(f"{self.prog} has no option {flag}.", nearest_names(flag, known))
+
+    def error(self, message: str) -> NoReturn:
+        """Tells a fault.
+
+        Raises:
+            ConfigError: Always.
+        """
+        text = message.replace("the following arguments are required:", "these words are missing:")
+        raise ConfigError(f"{self.prog}: {text.rstrip('.')}.", f"{self.prog} --help says how it is used.")
+
+
+class OldName(argparse.Action):
+    """A flag's former name: it works, and says what it is called now."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **named: Any) -> None:
+        super().__init__(option_strings, dest, help=argparse.SUPPRESS, **named)
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        """Sets the value and tells the new name."""
+        new = next(
+            action.option_strings[-1]
+            for action in parser._actions
+            if action.dest == self.dest and not isinstance(action, OldName)
+        )
+        tell_old_name(str(option_string), new)
+        setattr(namespace, self.dest, values)
+
+
+def tell_old_name(old: str, new: str) -> None:
+    """Says in one line that a name was changed."""
+    sys.stderr.write(f"lodbench: {old} is now called {new}; the old name goes with version 0.3.\n")

@@ -1,0 +1,142 @@
+"""The help of commands in Hydra's grammar: every setting with its value and its meaning, from the YAML."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from itertools import takewhile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lodbench.cli.configs import config_files
+from lodbench.plugins import config_folders
+
+_LINE = re.compile(r"(?P<indent> *)(?P<key>[\w.-]+):(?: +(?P<value>[^#\s][^#]*?))? *(?:# *(?P<meaning>.*))?$")
+_DEFAULT = re.compile(r"  - (?P<group>\w+)(?:@(?P<package>\w+))?: *(?P<name>[\w.-]+)")
+_ATTRIBUTE = re.compile(r"^ {8}(\w+): (.+(?:\n {12,}.+)*)", re.MULTILINE)
+# The part of a group's plug-ins whose docstring says what a setting without a comment means.
+_PLUGINS = {"method": "methods", "segmenter": "segmenters"}
+
+
+class Setting(NamedTuple):
+    """A setting: its full key, its value as written, and what it means ("" where nothing says it)."""
+
+    key: str
+    value: str
+    meaning: str
+
+
+class Group(NamedTuple):
+    """A group of settings that a command takes whole, by name: ``method=region``."""
+
+    key: str
+    folder: str
+    name: str
+
+
+def help_text(command: str, config_name: str, words: Sequence[str]) -> str:
+    """Returns the help of a command; of groups that the words choose, the chosen one's settings.
+
+    Args:
+        command: As typed.
+        config_name: Its file in ``conf``.
+        words: Overrides.
+    """
+    header, footer = _frame(config_name)
+    chosen = dict(word.split("=", 1) for word in words if re.fullmatch(r"\w+=[\w.-]+", word))
+    groups = groups_of(config_name)
+    example = f"; `lodbench {command} {groups[0].key}=NAME --help` shows another's" if groups else ""
+    own = _table(list(settings_in(config_text(config_name))))
+    parts = [header, f"Settings: key=value, or --key value{example}.", own]
+    for group in groups:
+        name = chosen.get(group.key, group.name)
+        known = ", ".join(config_files(group.folder))
+        head = f"{group.key}={name}" + (f"   (others: {known})" if known != name else "")
+        file = config_files(group.folder).get(name)
+        text = "" if file is None else file.read_text(encoding="utf-8")
+        about = " ".join(line.lstrip("# ") for line in takewhile(_is_comment, text.splitlines()))
+        prefix = f"{group.key}."
+        meanings = _documented(group.folder, name)
+        settings = [
+            setting._replace(meaning=setting.meaning or meanings.get(setting.key.removeprefix(prefix), ""))
+            for setting in settings_in(text, prefix)
+            if setting.key != f"{prefix}name"
+        ]
+        parts.append("\n".join(filter(None, [head, f"  {about}" if about else "", _table(settings)])))
+    return "\n\n".join([*parts, footer]).rstrip() + "\n"
+
+
+def groups_of(config_name: str) -> list[Group]:
+    """Returns the groups in a configuration's list of defaults."""
+    found = []
+    for line in config_text(config_name).splitlines():
+        match = _DEFAULT.match(line)
+        if match and match["group"] != "override":
+            found.append(Group(match["package"] or match["group"], match["group"], match["name"]))
+    return found
+
+
+def settings_in(text: str, prefix: str = "") -> Iterator[Setting]:
+    """Yields the settings of a YAML file in its order; Hydra's own and the list of defaults are left out."""
+    parent = ""
+    for line in text.splitlines():
+        match = _LINE.fullmatch(line)
+        if match is None:
+            continue
+        if not match["indent"]:
+            parent = ""
+            if match["value"] is None:
+                parent = match["key"]
+                continue
+        elif parent in ("", "defaults", "hydra") or match["value"] is None:
+            continue
+        key = f"{parent}.{match['key']}" if parent else match["key"]
+        yield Setting(prefix + key, match["value"], match["meaning"] or "")
+
+
+def _is_comment(line: str) -> bool:
+    return line.startswith("#")
+
+
+def config_text(config_name: str) -> str:
+    """Returns the YAML of a command."""
+    return _conf(f"{config_name}.yaml").read_text(encoding="utf-8")
+
+
+def _conf(name: str) -> Path:
+    """Returns a file or folder of lodbench's own configuration."""
+    own = next(folder for _, module, folder in config_folders() if module == "lodbench.conf" and folder)
+    return own / name
+
+
+def _frame(config_name: str) -> tuple[str, str]:
+    """Returns what stands before and after the settings."""
+    from omegaconf import OmegaConf
+
+    name = "lodbench" if config_name == "run" else config_name
+    config: Any = OmegaConf.load(_conf("hydra") / "help" / f"{name}.yaml")
+    return str(config.header), str(config.footer)
+
+
+def _table(settings: Sequence[Setting]) -> str:
+    width = max((len(f"{s.key}={s.value}") for s in settings), default=0)
+    width = min(width, 46)
+    lines = []
+    for setting in settings:
+        word = f"{setting.key}={setting.value}"
+        lines.append(f"  {word.ljust(width)}  {setting.meaning}".rstrip())
+    return "\n".join(lines)
+
+
+def _documented(folder: str, name: str) -> dict[str, str]:
+    """Returns what the parameters' docstring of a method or segmenter says of each, by name."""
+    from lodbench.errors import LodbenchError
+    from lodbench.plugins import load_plugin
+
+    if folder not in _PLUGINS or name == "auto":
+        return {}
+    try:
+        text = load_plugin(_PLUGINS[folder], name).params_type.__doc__ or ""
+    except LodbenchError:
+        return {}  # a package of others may be broken: its settings are shown all the same
+    return {key: " ".join(words.split()) for key, words in _ATTRIBUTE.findall(text)}

@@ -1,0 +1,61 @@
+"""The words of commands in Hydra's grammar: settings as KEY=VALUE or --KEY VALUE, and former names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lodbench.cli.parser import tell_old_name
+from lodbench.errors import ConfigError, nearest_names
+
+# Hydra's own flags; the second part takes a value.
+_FLAGS = {"-m", "--multirun", "--resolve", "--retry-failed"}
+_FLAGS_WITH_VALUE = {"-c", "--cfg", "-p", "--package", "--info", "-i"}
+# What every command calls by one name, and where it stands in the configuration of these.
+_SHORT = {"city": "dataset.city_model", "root": "dataset.root"}
+_OF_DATASETS = ("run", "basin", "evaluate")
+
+
+def settings_of(command: str, words: Sequence[str]) -> list[str]:
+    """Returns the words of a command with its settings as KEY=VALUE, under the names they have inside.
+
+    Raises:
+        ConfigError: A flag is followed by no value.
+    """
+    found: list[str] = []
+    rest = list(words)
+    while rest:
+        word = rest.pop(0)
+        if word in _FLAGS_WITH_VALUE:
+            found += [word, *rest[:1]]
+            rest = rest[1:]
+        elif word in _FLAGS or not word.startswith("-") or word.split("=")[0] in _FLAGS_WITH_VALUE:
+            found.append(word)
+        else:
+            found.append(_as_setting(command, word, rest))
+    return [_current(command, word) for word in found]
+
+
+def _as_setting(command: str, word: str, rest: list[str]) -> str:
+    """Returns ``--key value`` and ``--key=value`` as ``key=value``; takes the value from the words left."""
+    name, equals, value = word.lstrip("-").partition("=")
+    if not word.startswith("--") or not name:
+        raise ConfigError(f"lodbench {command} has no option {word}.", nearest_names(word, _FLAGS))
+    if not equals:
+        if not rest or rest[0].startswith("--"):
+            raise ConfigError(f"{word} has no value.", f"Settings are {name}=VALUE or --{name} VALUE.")
+        value = rest.pop(0)
+    return f"{name.replace('-', '_')}={value}"
+
+
+def _current(command: str, word: str) -> str:
+    """Returns a setting under the name it has inside."""
+    key, equals, value = word.partition("=")
+    if equals and command in _OF_DATASETS and key in _SHORT:
+        return f"{_SHORT[key]}={value}"
+    return word
+
+
+def tell_old_names(command: str, words: Sequence[str]) -> None:
+    """Says of a command's words that were renamed what they are called now."""
+    if command in _OF_DATASETS and any(word.startswith(f"{_SHORT['city']}=") for word in words):
+        tell_old_name(f"{_SHORT['city']}=", "city=")

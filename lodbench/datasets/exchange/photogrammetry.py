@@ -1,0 +1,221 @@
+"""Reference text of Metashape, Pix4D and OpenDroneMap: image centres and angles in projected coordinates.
+
+All three turn a picture's axes (x right, y up, z backwards) into east, north, up, and are the identity for a
+camera that looks straight down with north on top:
+
+- Metashape's reference pane: yaw (clockwise from north), pitch (0 straight down, 90 ahead), roll;
+  ``Rz(-yaw) Rx(pitch) Ry(roll)``, as its ``Utils.ypr2mat`` says.
+- Pix4D's calibrated external camera parameters and ODM's ``geo.txt``: omega, phi, kappa;
+  ``Rx(omega) Ry(phi) Rz(kappa)``, right-handed.
+
+Angles are taken against the axes of the coordinates: grid north, not true north.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.crs import require_crs
+from lodbench.datasets.exchange.posed import FoundPose, Place, content, read_text, require_plain_names
+from lodbench.datasets.pose_text import lines_to_text
+from lodbench.errors import CityModelError, DatasetError, LodbenchError
+from lodbench.geometry import Pose
+from lodbench.storage import write_text
+
+_PIX4D_HEAD = "imageName X Y Z Omega Phi Kappa"
+_METASHAPE_HEAD = ("#Label", "X/Easting", "Y/Northing", "Z/Altitude", "Yaw", "Pitch", "Roll")
+# What is read, by the heads of the source values; the estimated ones are called x_est, yaw_est, ...
+_METASHAPE_COLUMNS = {
+    "x": "x/easting", "y": "y/northing", "z": "z/altitude", "yaw": "yaw", "pitch": "pitch", "roll": "roll",
+}  # fmt: skip
+_PROJECTED_HINT = "Export it in the city's own, projected reference system."
+# A picture's axes in those of a camera: y and z are turned round.
+_PHOTO_AXES = np.diag([1.0, -1.0, -1.0])
+
+
+def read_metashape(path: Path) -> Iterator[FoundPose]:
+    """Yields the cameras of an exported reference file, estimated values before those of the source.
+
+    Raises:
+        DatasetError: It has no head with labels, coordinates and angles, is in degrees, or a line is
+            malformed.
+    """
+    columns: dict[str, int] = {}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        where = f"{path}, line {number}"
+        if line.startswith("#Label"):
+            columns = _metashape_columns(where, line)
+        elif line.startswith(("#Markers", "#Scalebars")):
+            return
+        elif line.strip() and not line.startswith("#"):
+            with Place(where, ",".join(_METASHAPE_HEAD)):
+                if not columns:
+                    raise LodbenchError("no line #Label,... stands before it")
+                cells = next(csv.reader([line]))
+                # A camera that could not be aligned has no angles.
+                if any(not cells[at].strip() for at in columns.values()):
+                    continue
+                *place, yaw, pitch, roll = (float(cells[columns[name]]) for name in _METASHAPE_COLUMNS)
+                pose = _pose(_rotation_of_ypr(yaw, pitch, roll), place)
+            yield FoundPose(cells[columns["label"]], where, pose)
+
+
+def _metashape_columns(where: str, line: str) -> dict[str, int]:
+    """Returns where label, x, y, z and yaw, pitch, roll stand."""
+    heads = [head.strip().lower() for head in next(csv.reader([line.removeprefix("#")]))]
+    with Place(where, ",".join(_METASHAPE_HEAD)):
+        if any("longitude" in head for head in heads):
+            raise DatasetError(f"{where}: the coordinates are in degrees.", _PROJECTED_HINT)
+        found = {"label": heads.index("label")}
+        for name, source in _METASHAPE_COLUMNS.items():
+            estimate = f"{name}_est"
+            found[name] = heads.index(estimate if estimate in heads else source)
+    return found
+
+
+def read_pix4d(path: Path) -> Iterator[FoundPose]:
+    """Yields the images of ``..._calibrated_external_camera_parameters.txt``.
+
+    Raises:
+        DatasetError: Its head does not end in omega, phi and kappa, or a line is malformed.
+    """
+    first, _, rest = read_text(path).lstrip().partition("\n")
+    # Other files of Pix4D's have yaw, pitch and roll there, or no head at all.
+    if [word.lower() for word in re.split(r"[,\s]+", first.strip("# \r"))[-3:]] != ["omega", "phi", "kappa"]:
+        raise DatasetError(
+            f"{path}, line 1: there are no omega, phi and kappa.",
+            f"Take ..._calibrated_external_camera_parameters.txt: {_PIX4D_HEAD}",
+        )
+    for number, line in enumerate(rest.splitlines(), start=2):
+        where = f"{path}, line {number}"
+        if line.strip():
+            with Place(where, _PIX4D_HEAD):
+                yield _of_omega_phi_kappa(where, re.split(r"[,\s]+", line.strip()))
+
+
+def read_odm(path: Path) -> Iterator[FoundPose]:
+    """Yields the images of ODM's ``geo.txt`` that have angles.
+
+    Raises:
+        DatasetError: The first line names no projected reference system, or a line is malformed or has no
+            angles.
+    """
+    lines = content(path)
+    where, head = next(lines, (str(path), ""))
+    if _is_in_degrees(where, head.strip()):
+        raise DatasetError(f"{where}: {head.strip()} has degrees.", _PROJECTED_HINT)
+    for place, line in lines:
+        with Place(place, "image_name geo_x geo_y geo_z omega phi kappa"):
+            words = line.split()
+            if len(words) < 7:
+                raise LodbenchError("there are no angles")
+            yield _of_omega_phi_kappa(place, words)
+
+
+def write_metashape(images: Sequence[FoundPose], path: Path, crs: str | None = None) -> None:
+    """Writes a reference file for *Import Reference*: delimiter comma, columns in order.
+
+    Raises:
+        DatasetError: A name has a comma, or occurs twice.
+    """
+    require_plain_names([image.name for image in images], ',\r\n"', "Metashape's reference text")
+    lines = [] if crs is None else [f"#CoordinateSystem: {require_crs(crs).horizontal.to_wkt('WKT1_GDAL')}"]
+    lines.append(",".join(_METASHAPE_HEAD))
+    for image in images:
+        minus_yaw, pitch, roll = _angles(image.pose, "ZXY")
+        values = [*map(float, image.pose.center), -minus_yaw % 360.0, pitch, roll]
+        lines.append(",".join([image.name, *map(repr, values)]))
+    write_text(path, lines_to_text(lines))
+
+
+def write_pix4d(images: Sequence[FoundPose], path: Path) -> None:
+    """Writes ``imageName X Y Z Omega Phi Kappa``.
+
+    Raises:
+        DatasetError: A name has a space, or occurs twice.
+    """
+    require_plain_names([image.name for image in images], ", \t\r\n", "Pix4D's parameters")
+    write_text(path, lines_to_text([_PIX4D_HEAD, *map(_with_omega_phi_kappa, images)]))
+
+
+def write_odm(images: Sequence[FoundPose], path: Path, crs: str | None) -> None:
+    """Writes ``geo.txt`` for ``--geo``, its first line the reference system.
+
+    Raises:
+        DatasetError: The system is not known, a name has a space, or occurs twice.
+    """
+    if crs is None:
+        raise DatasetError("ODM's geo.txt names a reference system, and that of the poses is not known.",
+                           "Name it with --crs.")  # fmt: skip
+    require_plain_names([image.name for image in images], " \t\r\n", "ODM's geo.txt")
+    code = require_crs(crs).horizontal.to_authority()
+    head = ":".join(code) if code else require_crs(crs).horizontal.to_proj4()
+    write_text(path, lines_to_text([head, *map(_with_omega_phi_kappa, images)]))
+
+
+def looks_like(path: Path) -> str | None:
+    """Returns which of the three formats a text file's first line is of: its name, or None."""
+    first = read_text(path).lstrip().split("\n", 1)[0].strip()
+    tests: Mapping[str, Callable[[str], object]] = {
+        "metashape": lambda line: re.match(r"#\s*(CoordinateSystem|Cameras|Label,)", line),
+        "pix4d": lambda line: re.match(r"#?\s*imagename[\s,]", line, re.IGNORECASE),
+        "odm": lambda line: re.match(r"EPSG:\d+$|\+proj|WGS84 UTM ", line, re.IGNORECASE),
+    }
+    return next((name for name, test in tests.items() if test(first)), None)
+
+
+def _of_omega_phi_kappa(where: str, words: Sequence[str]) -> FoundPose:
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, *angles = (float(word) for word in words[1:7])
+    turn = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
+    return FoundPose(words[0], where, _pose(turn, (x, y, z)))
+
+
+def _with_omega_phi_kappa(image: FoundPose) -> str:
+    values = [*map(float, image.pose.center), *_angles(image.pose, "XYZ")]
+    return " ".join([image.name, *map(repr, values)])
+
+
+def _rotation_of_ypr(yaw_deg: float, pitch_deg: float, roll_deg: float) -> NDArray[np.float64]:
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_euler("ZXY", [-yaw_deg, pitch_deg, roll_deg], degrees=True)
+    return np.asarray(turn.as_matrix())
+
+
+def _angles(pose: Pose, axes: str) -> list[float]:
+    """Returns the angles in degrees about a picture's axes, in turn, that take it from level to its pose."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(pose.rotation.T @ _PHOTO_AXES)
+    return [float(angle) for angle in turn.as_euler(axes, degrees=True)]
+
+
+def _pose(world_from_photo: NDArray[np.float64], center: Sequence[float]) -> Pose:
+    if not (np.isfinite(world_from_photo).all() and np.isfinite(center).all()):
+        raise LodbenchError("a value is not finite")
+    return Pose.from_center((world_from_photo @ _PHOTO_AXES).T, center)
+
+
+def _is_in_degrees(where: str, head: str) -> bool:
+    """Tells whether the reference system of ODM's first line counts in degrees.
+
+    Raises:
+        DatasetError: The line names none.
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    zone = re.fullmatch(r"WGS84 UTM (\d{1,2})([NS])", head, re.IGNORECASE)
+    try:
+        known = CRS.from_user_input(head) if head.startswith("+") else None
+        return zone is None and not (known or require_crs(head).horizontal).is_projected
+    except (CRSError, CityModelError) as error:
+        raise DatasetError(f"{where}: {head!r} names no reference system.", "ODM wants one there.") from error

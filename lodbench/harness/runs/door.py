@@ -1,0 +1,136 @@
+"""At the door, before any work: do a run's city, priors, photos and masks belong together?
+
+What is wrong with all queries ends the run in one line. What is wrong with some is theirs, and counted.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+
+from lodbench.citymodel.crs import is_same_plane
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.inputs import Input, declared_inputs
+from lodbench.datasets.picture_faults import mask_fault, photo_fault
+from lodbench.datasets.pictures import picture_size
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import DatasetError, QueryFault
+from lodbench.geometry import Pose
+from lodbench.harness.city import FURTHEST_M, distance_outside_m
+from lodbench.harness.runs.requirements import needs_segmenter
+from lodbench.methods import Method
+from lodbench.segmentation import Segmenter
+from lodbench.segmentation.masks import MaskFiles
+
+_LOG = logging.getLogger(__name__)
+_TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
+
+
+def looks_at_photos(method: Method, segmenter: Segmenter) -> bool:
+    """Tells whether a run's method, or the segmenter if it has one, looks at the photos."""
+    is_used = needs_segmenter(method)
+    by_segmenter = is_used and Input.IMAGE in declared_inputs(segmenter, "requires")
+    return by_segmenter or Input.IMAGE in declared_inputs(method, "requires", {Input.MASK})
+
+
+def require_same_place(dataset: Dataset, entries: Sequence[Entry], scene: Scene) -> None:
+    """Makes sure that the poses of a dataset are in the city's coordinates, and near it.
+
+    Raises:
+        DatasetError: The dataset states another reference system than the city, or all its priors lie
+            outside the city model.
+    """
+    if dataset.crs is not None and scene.crs is not None and not is_same_plane(dataset.crs, scene.crs):
+        raise DatasetError(
+            f"The poses of {dataset.root} are in {dataset.crs}, the city model {dataset.city_model} is in "
+            f"{scene.crs}.",
+            "Take the city model it was made with, or make it again: lodbench dataset init.",
+        )
+    away = [(distance_outside_m(e.prior, scene), e.key) for e in entries if e.prior is not None]
+    if away and min(away)[0] > FURTHEST_M:
+        nearest, key = min(away)
+        raise DatasetError(
+            f"All priors lie outside the city model {dataset.city_model}; the nearest, {key}, is "
+            f"{nearest / 1000:.1f} km off.",
+            _TILE_HINT,
+        )
+
+
+def require_near(prior: Pose, scene: Scene) -> None:
+    """Makes sure that one query's prior is near the city.
+
+    Raises:
+        QueryFault: It is kilometres away.
+    """
+    distance = distance_outside_m(prior, scene)
+    if distance > FURTHEST_M:
+        raise QueryFault(f"the prior lies {distance / 1000:.1f} km outside the city model")
+
+
+def require_photo(entry: Entry) -> None:
+    """Makes sure that one query's photo, if it has one, can be read and is of its camera's size.
+
+    Raises:
+        QueryFault: It is not.
+    """
+    fault = photo_fault(entry)
+    if fault:
+        raise QueryFault(fault)
+
+
+def require_pictures(
+    dataset: Dataset, entries: Sequence[Entry], method: Method, segmenter: Segmenter
+) -> None:
+    """Makes sure that not all photos or masks that a run looks at are unfit for their cameras.
+
+    Masks of another size but the photo's aspect are scaled, and said to be.
+
+    Raises:
+        DatasetError: All photos are unreadable or of another size than the intrinsics, or all masks have
+            another aspect.
+    """
+    if looks_at_photos(method, segmenter):
+        hint = "intrinsic.txt must be of the photos as they are stored; lodbench dataset check lists all."
+        _require_some([entry for entry in entries if entry.image is not None], photo_fault, hint)
+    if needs_segmenter(method) and isinstance(segmenter, MaskFiles):
+        masked = [entry for entry in entries if entry.mask is not None and entry.camera is not None]
+        hint = "A mask shows what its photo shows, in any size."
+        _require_some(masked, _mask_fault, hint)
+        _tell_scaled(masked)
+
+
+def _require_some(entries: Sequence[Entry], fault_of: Callable[[Entry], str], hint: str) -> None:
+    """Refuses queries that all have a fault; one sound query is enough, the others fail by themselves."""
+    first = ""
+    for entry in entries:
+        fault = fault_of(entry)
+        if not fault:
+            return
+        first = first or f"{entry.key}: {fault}"
+    if first:
+        count = f"None of {len(entries)} queries can be used" if len(entries) > 1 else "No query can be used"
+        raise DatasetError(f"{count}; {first}.", hint)
+
+
+def _mask_fault(entry: Entry) -> str:
+    assert entry.mask is not None  # noqa: S101 - the caller has looked
+    assert entry.camera is not None  # noqa: S101 - likewise
+    return mask_fault(entry.mask, (entry.camera.width, entry.camera.height))
+
+
+def _tell_scaled(entries: Sequence[Entry]) -> None:
+    other = [
+        (entry, size)
+        for entry in entries
+        if entry.mask is not None
+        and entry.camera is not None
+        and (size := picture_size(entry.mask)) not in (None, (entry.camera.width, entry.camera.height))
+    ]
+    if other:
+        entry, size = other[0]
+        assert entry.camera is not None and size is not None  # noqa: S101, PT018 - the filter has looked
+        _LOG.warning(
+            "%d of %d masks are of another size than their photos and are scaled; the first, %s, is %d x %d, "
+            "its photo %d x %d",
+            len(other), len(entries), entry.key, *size, entry.camera.width, entry.camera.height,
+        )  # fmt: skip

@@ -1,0 +1,95 @@
+"""Pictures of a stored run's queries for its page: photo, mask, and the city's outlines."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.query import Entry
+from lodbench.evaluation.queries import ERROR, has_truth
+from lodbench.execution import Progress
+from lodbench.geometry import Pose
+from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.verify import Verdict
+from lodbench.rendering import make_renderer
+from lodbench.reporting.answers import trust_of
+from lodbench.reporting.overlays import OverlayInput, draw_overlay
+from lodbench.reporting.page import Picture
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Of more queries than this the page shows the worst and the best, half of it each: a picture has 60 kB.
+MAX_PICTURES = 240
+# JPEG quality of the pictures inside the page: outlines stay sharp.
+_QUALITY = 82
+
+
+def query_pictures(verdict: Verdict, scene: Scene, tilt: str) -> list[Picture]:
+    """Returns a picture of each query, the worst first; of a large run those at both ends."""
+    queries = _ordered(verdict.stored.queries)
+    if len(queries) > MAX_PICTURES:
+        half = MAX_PICTURES // 2
+        queries = queries.iloc[[*range(half), *range(len(queries) - half, len(queries))]]
+    entries = {entry.key: entry for entry in verdict.entries}
+    renderer = make_renderer("silhouette", scene)
+    pictures = []
+    with Progress("pictures", len(queries)) as progress:
+        for key, row in queries.iterrows():
+            entry = entries.get(str(key))
+            # A camera that cannot be drawn is that query's fault already.
+            if entry is not None and entry.camera is not None and not entry.camera.distortion:
+                drawn = draw_overlay(_shown(verdict, scene, tilt, entry), renderer)
+                pictures.append(Picture(_jpeg(drawn), "jpeg", _caption(verdict, row), "", str(key)))
+            progress.advance()
+    return pictures
+
+
+def _ordered(queries: pd.DataFrame) -> pd.DataFrame:
+    """Returns the queries, worst first: by error where there is a truth, else by probability or score."""
+    if has_truth(queries).any():
+        return queries.sort_values([*ERROR, "query"], ascending=[False, False, True], na_position="last")
+    by = "probability" if queries["probability"].notna().any() else "score"
+    return queries.sort_values([by, "query"], na_position="first")
+
+
+def _shown(verdict: Verdict, scene: Scene, tilt: str, entry: Entry) -> OverlayInput:
+    assert verdict.dataset is not None  # noqa: S101 - there are entries
+    assert entry.camera is not None  # noqa: S101 - the caller has looked
+    found = verdict.stored.predictions.get(entry.key)
+
+    def local(pose: Pose | None) -> Pose | None:
+        return None if pose is None else pose.shifted(-np.asarray(scene.origin))
+
+    return OverlayInput(
+        camera=entry.camera,
+        mask=None if found is None else found.mask,
+        image=entry.image,
+        prior=local(prior_of(entry, verdict.dataset, tilt)),
+        estimate=local(verdict.stored.poses.get(entry.key)),
+        truth=local(verdict.dataset.truth.get(entry.key)),
+        caption=entry.key,
+    )
+
+
+def _jpeg(picture: Any) -> bytes:
+    import cv2
+
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
+
+
+def _caption(verdict: Verdict, row: pd.Series[Any]) -> str:
+    found = verdict.stored.predictions.get(str(row.name))
+    if found is None or found.pose is None:
+        return f"{row.name}: {row['failure']}"
+    metres, degrees = row[list(ERROR)]
+    words = [] if math.isnan(metres) else [f"{metres:.2f} m, {degrees:.2f} deg"]
+    words += [] if math.isnan(row["score"]) else [f"score {row['score']:.3f}"]
+    if found.probability is not None:
+        words.append(f"{100 * found.probability:.0f} % sure")
+    if trust_of(found) != "-":
+        words.append(trust_of(found))
+    return f"{row.name}: {', '.join(words)}"

@@ -1,0 +1,129 @@
+"""`lodbench localize` of many photos: a table, a map, nothing written over, what fails named."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from shapely.geometry import Point, shape
+
+from lodbench.cli import main
+from lodbench.datasets.exchange.geojson import footprint_feature
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.geometry import Camera, EulerAngles, Pose
+from tests.cli.test_localize import Case, make_case
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory, shared_data) -> Case:
+    return make_case(tmp_path_factory.mktemp("one"), shared_data, "nrw")
+
+
+@pytest.fixture(scope="module")
+def flight(case, tmp_path_factory) -> Path:
+    """Two folders with a photo of one name each, one of which says nothing, and masks."""
+    folder = tmp_path_factory.mktemp("flight")
+    for part in ("a", "b", "masks"):
+        (folder / part).mkdir()
+    shutil.copy(case.photo, folder / "a" / "DJI_0001.JPG")
+    # The same metadata, another file.
+    (folder / "b" / "DJI_0001.JPG").write_bytes(case.photo.read_bytes() + b"\0")
+    Image.new("RGB", (64, 48)).save(folder / "b" / "silent.jpg")
+    shutil.copy(case.mask, folder / "masks" / "DJI_0001.png")
+    cv2.imwrite(str(folder / "masks" / "silent.png"), np.zeros((48, 64), np.uint8))
+    return folder
+
+
+def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight, tmp_path):
+    out = tmp_path / "out"
+    words = [flight / "a", flight / "b", "--city", case.city, "--masks", flight / "masks", "--out", out]
+    code = main(["localize", *map(str, words)])
+    told = capsys.readouterr().out
+    # One failed, so not all is well; two were found.
+    assert code == 3
+    assert "3 photos: 2 found, 0 not to be trusted, 1 failed" in told
+    missing = (
+        "silent.jpg does not say where it was taken, how high it was (absolute), where its camera looked"
+    )
+    assert missing in told
+    assert "focal length" in told
+    with (out / "localized.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["photo"] for row in rows] == [
+        str(flight / "a/DJI_0001.JPG"), str(flight / "b/DJI_0001.JPG"), str(flight / "b/silent.jpg")
+    ]  # fmt: skip
+    truth = case.frame.place_of(case.truth)
+    for row in rows[:2]:
+        assert float(row["latitude_deg"]) == pytest.approx(truth.latitude_deg, abs=2e-5)
+        assert float(row["height_m"]) == pytest.approx(truth.height_m, abs=2.0)
+        assert row["failure"] == ""
+    assert rows[2]["trust"] == "failed"
+    assert sorted(path.name for path in out.glob("*.png")) == [
+        "DJI_0001_2_overlay.png", "DJI_0001_overlay.png"
+    ]  # fmt: skip
+    features = json.loads((out / "localized.geojson").read_text())["features"]
+    kinds = [feature["properties"].get("kind") for feature in features]
+    assert kinds.count("estimate") == kinds.count("footprint") == 2
+    assert features[-1]["geometry"] is None
+    assert "does not say" in features[-1]["properties"]["failure"]
+    # The same photos again are the same files.
+    main(["localize", *map(str, words)])
+    assert len(list(out.glob("*_overlay.png"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--mask", "m.png"), "--mask is of one photo"),
+        (("--lat", "51"), "--lat is of one photo"),
+        (("--masks", "nowhere"), "--masks nowhere is no folder"),
+    ],
+)
+def test_options_of_one_photo_are_not_for_many(capsys, case, flight, words, said):
+    assert main(["localize", str(flight / "a"), str(flight / "b"), "--city", str(case.city), *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+class TestFootprint:
+    FRAME = MapFrame("EPSG:25832")
+    CAMERA = Camera(400, 300, 300.0, 300.0, 200.0, 150.0)
+
+    def ring(self, pitch_deg: float) -> np.ndarray:
+        pose = Pose.from_euler(EulerAngles(pitch_deg, 0, 0), (500_000.0, 5_600_000.0, 160.0))
+        feature = footprint_feature(self.FRAME, self.CAMERA, pose, 60.0, {})
+        assert shape(feature["geometry"]).is_valid
+        assert shape(feature["geometry"]).exterior.is_ccw
+        points = [self.FRAME.east_north(lat, lon) for lon, lat in feature["geometry"]["coordinates"][0]]
+        return np.array(points) - (500_000.0, 5_600_000.0)
+
+    def test_straight_down_it_is_the_sensor_s_rectangle_on_the_ground(self):
+        ring = self.ring(0.0)
+        # 100 m above the ground: 400 px of focal length 300 are 133.3 m, 300 px are 100 m.
+        assert np.ptp(ring, axis=0) == pytest.approx([400 / 3, 100.0], abs=0.05)
+        assert ring.min(axis=0) == pytest.approx([-200 / 3, -50.0], abs=0.05)
+
+    def test_above_the_horizon_it_ends_at_its_reach(self):
+        ring = self.ring(75.0)
+        far = np.hypot(*ring.T)
+        assert far.max() == pytest.approx(600.0, rel=1e-3)
+        lowest = 100.0 * np.tan(np.radians(75.0 - np.degrees(np.arctan(0.5))))
+        assert ring[:, 1].min() == pytest.approx(lowest, rel=1e-3)
+
+    def test_what_a_camera_below_the_ground_shows_is_nothing(self):
+        pose = Pose.from_euler(EulerAngles(0, 0, 0), (500_000.0, 5_600_000.0, 50.0))
+        assert footprint_feature(self.FRAME, self.CAMERA, pose, 60.0, {}) is None
+
+
+def test_the_map_s_footprint_holds_what_the_middle_of_the_picture_shows(capsys, case, tmp_path):
+    words = [str(case.photo), "--city", str(case.city), "--mask", str(case.mask), "--out", str(tmp_path)]
+    assert main(["localize", *words]) == 0
+    features = json.loads((tmp_path / "DJI_0001.geojson").read_text())["features"]
+    (footprint,) = (shape(f["geometry"]) for f in features if f["properties"].get("kind") == "footprint")
+    (view,) = (f for f in features if f["properties"].get("kind") == "view")
+    assert footprint.buffer(1e-4).contains(Point(view["geometry"]["coordinates"][-1]))

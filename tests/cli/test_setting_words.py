@@ -1,0 +1,105 @@
+"""One grammar and one vocabulary: --key value is key=value, city is city, and a slip is named."""
+
+from __future__ import annotations
+
+import pytest
+
+from lodbench.cli.setting_help import Setting, settings_in
+from lodbench.cli.setting_words import settings_of
+from lodbench.errors import ConfigError
+from tests.town import write_dataset
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("--dataset folder --city x.gml", "dataset=folder dataset.city_model=x.gml"),
+        ("--city=x.gml root=d", "dataset.city_model=x.gml dataset.root=d"),
+        ("-m method=a,b --limit 3", "-m method=a,b limit=3"),
+        ("--cfg job seed=1", "--cfg job seed=1"),
+        ("--method.steps 3", "method.steps=3"),
+    ],
+)
+def test_flags_are_settings(words, expected):
+    assert settings_of("run", words.split()) == expected.split()
+
+
+def test_of_other_commands_a_city_is_a_setting_of_its_own():
+    assert settings_of("render", ["--city", "x.gml"]) == ["city=x.gml"]
+
+
+@pytest.mark.parametrize(("words", "said"), [("--city", "--city has no value"), ("-x 1", "has no option -x")])
+def test_a_flag_that_is_none_is_told(words, said):
+    with pytest.raises(ConfigError, match=said):
+        settings_of("run", words.split())
+
+
+def test_a_run_takes_flags_and_tells_the_former_name(lodbench, tmp_path):
+    root, city = write_dataset(tmp_path / "town", count=1)
+    done = lodbench("run", "--dataset", "folder", "--root", root, "--city", city, "--method", "prior_only")
+    assert done.returncode == 0, done.stderr
+    assert "now called" not in done.stderr
+    done = lodbench(
+        "run", "dataset=folder", f"dataset.root={root}", f"dataset.city_model={city}", "method=prior_only"
+    )
+    assert done.returncode == 0
+    assert "dataset.city_model= is now called city=" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said", "hint"),
+    [
+        ("localize --citty x a.jpg", "no option --citty", "--city"),
+        ("localize a.jpg", "these words are missing: --city", "--help"),
+        ("compare", "these words are missing: RUN", "--help"),
+        ("leaderboard add x --mapp y", "no option --mapp", "--map"),
+        ("run --datset folder", "datset is not a setting", "dataset"),
+    ],
+)
+def test_a_slip_is_one_line_and_a_hint(lodbench, words, said, hint):
+    done = lodbench(*words.split())
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert hint in done.stderr.splitlines()[1]
+    assert len(done.stderr.splitlines()) == 2
+
+
+def test_the_former_flag_of_a_city_works_and_tells_the_new_one(lodbench, tmp_path):
+    root, city = write_dataset(tmp_path / "town", count=1)
+    words = ["run", "dataset=folder", f"dataset.root={root}", f"city={city}", "method=prior_only"]
+    run = lodbench(*words).stdout.split("results:")[1].split()[0]
+    done = lodbench("verify", run, "--city-model", str(city))
+    assert done.returncode == 0, done.stderr
+    assert "--city-model is now called --city" in done.stderr
+
+
+def test_the_help_says_what_each_setting_means(lodbench):
+    text = lodbench("run", "method=region", "--help").stdout
+    assert "tilt=prior" in text
+    assert "prior: the sensor's pitch and roll" in text
+    # Of the file's comments, and where it has none of the parameters' own words.
+    assert "method.range_x_m=20.0" in text
+    assert "metres" in next(line for line in text.splitlines() if "method.range_x_m=" in line)
+    assert "others: contour_alignment" in text
+    for command in ("basin", "evaluate", "render", "train", "generate-training-data"):
+        done = lodbench(command, "--help")
+        assert done.returncode == 0
+        assert "Settings: key=value" in done.stdout
+
+
+def test_settings_of_a_file_have_their_comments():
+    text = "# about\ndefaults:\n  - a: b\nname: x\nwidth: 3 # pixels\npaths:\n  runs: runs # where\n"
+    text += "hydra:\n  a: 1\n"
+    assert list(settings_in(text)) == [
+        Setting("name", "x", ""), Setting("width", "3", "pixels"), Setting("paths.runs", "runs", "where")
+    ]  # fmt: skip
+
+
+def test_status_finds_the_runs_below_a_folder(lodbench, tmp_path):
+    root, city = write_dataset(tmp_path / "town", count=1)
+    for tilt in ("prior", "truth"):
+        lodbench("run", "dataset=folder", f"root={root}", f"city={city}", "method=prior_only", f"tilt={tilt}")
+    done = lodbench("status", "runs")
+    assert done.returncode == 0
+    assert done.stdout.count("1 of 1 queries, finished") == 2
+    assert lodbench("status", str(root)).returncode == 2

@@ -1,0 +1,139 @@
+"""Metashape's, Pix4D's and ODM's text: their own numbers, there and back, and what is not meant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lodbench.datasets.exchange.photogrammetry import (
+    read_metashape,
+    read_odm,
+    read_pix4d,
+    write_metashape,
+    write_odm,
+    write_pix4d,
+)
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.pose_files import read_pose_file
+from lodbench.errors import DatasetError
+from lodbench.geometry import EulerAngles, Pose
+
+CENTER = (280_950.5, 5_657_400.25, 160.125)
+# `Metashape.Utils.ypr2mat(Metashape.Vector((30, 91, 0)))`, as Metashape prints it.
+METASHAPE_30_91_0 = [
+    [0.8660254037844387, -0.008726203218641737, -0.4999238475781956],
+    [-0.49999999999999994, -0.01511422733185856, -0.8658935039207541],
+    [0.0, 0.9998476951563913, -0.017452406437283477],
+]
+WRITERS = {
+    "metashape": lambda images, path: write_metashape(images, path, "EPSG:25832+7837"),
+    "pix4d": write_pix4d,
+    "odm": lambda images, path: write_odm(images, path, "EPSG:25832+7837"),
+}
+HEAD = "#Label,X/Easting,Y/Northing,Z/Altitude,Yaw,Pitch,Roll"
+
+
+def turn(axis: int, degrees: float) -> np.ndarray:
+    """Returns the right-handed turn about an axis, written out."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    matrix = np.eye(3)
+    a, b = [(1, 2), (2, 0), (0, 1)][axis]
+    matrix[a, a] = matrix[b, b] = c
+    matrix[a, b], matrix[b, a] = -s, s
+    return matrix
+
+
+def photo_axes(pose: Pose) -> np.ndarray:
+    """Returns right, top and back of a picture in east, north and up, as columns."""
+    right, down, ahead = pose.rotation
+    return np.column_stack([right, -down, -ahead])
+
+
+def metashape_file(tmp_path, rows: str, head: str = HEAD):
+    path = tmp_path / "reference.txt"
+    path.write_text(f"#CoordinateSystem: PROJCS[...]\n#Cameras (1)\n{head}\n{rows}")
+    return path
+
+
+def test_metashape_s_angles_are_those_of_its_own_function(tmp_path):
+    (found,) = read_metashape(metashape_file(tmp_path, "a.jpg,280950.5,5657400.25,160.125,30,91,0\n"))
+    assert found.name == "a.jpg"
+    assert found.pose.center == pytest.approx(CENTER)
+    assert photo_axes(found.pose) == pytest.approx(np.array(METASHAPE_30_91_0), abs=1e-15)
+    # The same orientation by other angles, from the same source.
+    (again,) = read_metashape(metashape_file(tmp_path, "a.jpg,0,0,0,210,89,180\n"))
+    assert photo_axes(again.pose) == pytest.approx(np.array(METASHAPE_30_91_0), abs=1e-15)
+
+
+def test_metashape_s_estimates_go_before_its_source_and_markers_are_no_cameras(tmp_path):
+    head = f"{HEAD},Error_(m),X_est,Y_est,Z_est,Yaw_est,Pitch_est,Roll_est"
+    rows = (
+        "a.jpg,1,2,3,4,5,6,0.1,280950.5,5657400.25,160.125,30,91,0\n"
+        "unaligned.jpg,1,2,3,4,5,6,,,,,,,\n"
+        "#Markers (1)\n#Label,X/Easting\npoint 1,7\n"
+    )
+    (found,) = read_metashape(metashape_file(tmp_path, rows, head))
+    assert found.pose.center == pytest.approx(CENTER)
+    assert photo_axes(found.pose) == pytest.approx(np.array(METASHAPE_30_91_0), abs=1e-15)
+
+
+@pytest.mark.parametrize("read", [read_pix4d, read_odm])
+def test_omega_phi_kappa_turn_the_axes_one_after_another(tmp_path, read):
+    path = tmp_path / "geo.txt"
+    head = "EPSG:25832" if read is read_odm else "imageName X Y Z Omega Phi Kappa"
+    path.write_text(f"{head}\na.jpg 280950.5 5657400.25 160.125 12.5 -33.25 141.0\n")
+    (found,) = read(path)
+    assert photo_axes(found.pose) == pytest.approx(turn(0, 12.5) @ turn(1, -33.25) @ turn(2, 141.0))
+    assert found.pose.center == pytest.approx(CENTER)
+
+
+@pytest.mark.parametrize("format_name", sorted(WRITERS))
+@given(pitch=st.floats(-89, 89), roll=st.floats(-80, 80), yaw=st.floats(-180, 180))
+def test_there_and_back(tmp_path_factory, format_name, pitch, roll, yaw):
+    path = tmp_path_factory.mktemp("there") / "poses.txt"
+    pose = Pose.from_euler(EulerAngles(pitch, roll, yaw), CENTER)
+    WRITERS[format_name]([FoundPose("a.jpg", "", pose)], path)
+    # Which format it is shows.
+    kind, (found,) = read_pose_file(path, "auto")
+    assert kind == format_name
+    assert found.name == "a.jpg"
+    assert found.pose.center == pytest.approx(CENTER, abs=1e-8)
+    assert found.pose.rotation == pytest.approx(pose.rotation, abs=1e-9)
+
+
+def test_straight_down_with_north_on_top_all_angles_are_zero(tmp_path):
+    pose = Pose.from_euler(EulerAngles(0, 0, 0), CENTER)
+    for name, write in WRITERS.items():
+        write([FoundPose("a.jpg", "", pose)], tmp_path / name)
+        cells = (tmp_path / name).read_text().splitlines()[-1].replace(",", " ").split()
+        assert [float(cell) for cell in cells[-3:]] == pytest.approx([0, 0, 0], abs=1e-12)
+
+
+def test_odm_s_first_line_is_the_plane_s_code(tmp_path):
+    pose = Pose.from_euler(EulerAngles(0, 0, 0), CENTER)
+    write_odm([FoundPose("a.jpg", "", pose)], tmp_path / "geo.txt", "EPSG:25832+7837")
+    assert (tmp_path / "geo.txt").read_text().startswith("EPSG:25832\n")
+    with pytest.raises(DatasetError, match="names a reference system"):
+        write_odm([FoundPose("a.jpg", "", pose)], tmp_path / "geo.txt", None)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("#Label,X/Longitude,Y/Latitude,Z/Altitude,Yaw,Pitch,Roll\na.jpg,6,51,100,0,0,0\n", "in degrees"),
+        ("#Label,X/Easting,Y/Northing,Z/Altitude\na.jpg,6,51,100\n", "yaw"),
+        (f"{HEAD}\na.jpg,6,51,100,0,0,nan\n", "not finite"),
+        ("EPSG:4326\na.jpg 6 51 100 0 0 0\n", "has degrees"),
+        ("EPSG:25832\na.jpg 6 51 100\n", "no angles"),
+        ("EPSG:999999\na.jpg 6 51 100 0 0 0\n", "names no reference system"),
+        ("#imagename,x,y,z,yaw,pitch,roll\na.jpg,6,51,100,0,0,0\n", "no omega, phi and kappa"),
+        ("imageName X Y Z Omega Phi Kappa\na.jpg 6 51 x 0 0 0\n", "could not convert"),
+    ],
+)
+def test_what_is_not_meant_is_told(tmp_path, text, word):
+    path = tmp_path / "poses.txt"
+    path.write_text(text)
+    with pytest.raises(DatasetError, match=word):
+        read_pose_file(path, "auto")
