@@ -159,7 +159,8 @@ class _Reader:
             self._others.update(local_name(child.tag) for child in member)
             self._has_textures |= any(local_name(child.tag) == "Appearance" for child in member)
             return
-        self._has_textures |= member.find(".//{*}appearance") is not None and self._objects.has_details
+        if self._objects.has_details and not self._has_textures:  # a look at all elements
+            self._has_textures = member.find(".//{*}appearance") is not None
         if self._objects.has_details:
             solids = SolidReader(member, self.walk, self._objects, self._num_walked)
             for element, part_of, own in met:

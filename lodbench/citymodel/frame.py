@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,9 @@ from lodbench.citymodel.options import AxisOrder
 from lodbench.citymodel.scale import is_true_to_scale
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
 
 # Points moved or projected at a time: pyproj copies what it is given.
 _CHUNK_POINTS = 1 << 16
@@ -220,13 +225,20 @@ def _longitude_within(longitude_deg: float, west_deg: float, east_deg: float) ->
     return (longitude_deg - west_deg + _AREA_MARGIN_DEG) % 360.0 <= width + 2 * _AREA_MARGIN_DEG
 
 
-def _project(points: NDArray[np.float64], known: KnownCrs, order: _Order, findings: Findings) -> str:
-    """Projects degrees or feet, in place, to a metric system around the middle of the data; heights stay."""
+@lru_cache(maxsize=16)
+def _transformer(source: str, target: str) -> Transformer:
+    """Returns what brings easting and northing from one system to another; tiles share theirs."""
     from pyproj import Transformer
 
+    return Transformer.from_crs(
+        require_crs(source).horizontal, require_crs(target).horizontal, always_xy=True
+    )
+
+
+def _project(points: NDArray[np.float64], known: KnownCrs, order: _Order, findings: Findings) -> str:
+    """Projects degrees or feet, in place, to a metric system around the middle of the data; heights stay."""
     label = metric_crs(known, order.longitude_deg, order.latitude_deg)
-    target = require_crs(label).horizontal
-    transformer = Transformer.from_crs(known.horizontal, target, always_xy=True)
+    transformer = _transformer(known.label, label)
     for n in range(0, len(points), _CHUNK_POINTS):
         part = points[n : n + _CHUNK_POINTS]
         part[:, 0], part[:, 1] = transformer.transform(part[:, 0], part[:, 1])

@@ -48,7 +48,11 @@ _PROPERTY_LODS |= _MULTI_SOLIDS
 # Terrain says its level beside its surface, not in the name of it.
 RELIEF_SURFACE = "tin"
 # All that is looked for below an object, in one pass: every name more costs at every element.
-WALKED_IN_BUILDINGS = (*GEOMETRY_PROPERTIES, *_NESTED_IN_BUILDINGS)
+_NOT_OF_BUILDINGS = {f"{{*}}lod0{name}" for name in ("Solid", "Geometry", "ImplicitRepresentation")}
+WALKED_IN_BUILDINGS = (
+    *(name for name in GEOMETRY_PROPERTIES if name not in _NOT_OF_BUILDINGS),
+    *_NESTED_IN_BUILDINGS,
+)
 WALKED = (*GEOMETRY_PROPERTIES, *_NESTED, "{*}" + RELIEF_SURFACE, *("{*}" + name for name in _MULTI_SOLIDS))
 
 SURFACE_KINDS = {
@@ -154,11 +158,13 @@ def property_lod(tag: str) -> str | None:
     return _PROPERTY_LODS.get(local_name(tag))
 
 
+@lru_cache(maxsize=256)
 def is_citygml(tag: str) -> bool:
     """Tells whether a tag is of CityGML itself, of any version, and of no extension."""
     return "opengis.net/citygml" in namespace_of(tag)
 
 
+@lru_cache(maxsize=256)
 def is_building_tag(tag: str) -> bool:
     """Tells whether a tag is the ``Building`` of any version of CityGML."""
     return local_name(tag) == "Building" and is_citygml(tag)
