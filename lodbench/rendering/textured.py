@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.geometry import Camera
 from lodbench.rendering.appearance import plain_appearance
@@ -14,11 +13,10 @@ from lodbench.rendering.pixel_samples import same_samples
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
 from lodbench.rendering.texture_charts import make_charts, texture_colour
+from lodbench.rendering.triangle_groups import grouped_scene, triangle_groups
 
 Floats = NDArray[np.float64]
 
-# Triangles are drawn in groups by squares of the plan: small, so that few are projected in vain.
-_CELL_M = 32.0
 # The mesh is of many small triangles.
 _BAND = 256
 
@@ -32,9 +30,9 @@ class TexturedRenderer:
     """
 
     def __init__(self, mesh: TexturedMesh, threads: int | None = None) -> None:
-        order, starts = _groups(mesh.corners)
+        order, starts = triangle_groups(mesh.corners)
         self._charts = make_charts(mesh.in_order(order))
-        self._raster = RasterRenderer(_loose_scene(mesh.corners[order], starts), threads, band=_BAND)
+        self._raster = RasterRenderer(grouped_scene(mesh.corners[order], starts), threads, band=_BAND)
         self._background = tuple(float(value) for value in plain_appearance().background)
 
     def colours(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
@@ -63,30 +61,6 @@ class TexturedRenderer:
     def depths(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
         """Returns (N, H, W) depths of the mesh, metres; 0 where there is nothing. Arguments as above."""
         return self._raster.depths(camera, rotations, centers)
-
-
-def _groups(corners: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns an order of triangles by squares of the plan, and where each square's begin."""
-    middle = corners[:, :, :2].mean(axis=1)
-    cell = np.floor((middle - middle.min(axis=0)) / _CELL_M).astype(np.int64)
-    _, key = np.unique(cell, axis=0, return_inverse=True)
-    order = np.argsort(key.reshape(-1), kind="stable")
-    starts = np.flatnonzero(np.diff(key.reshape(-1)[order], prepend=-1))
-    return order, np.append(starts, len(order))
-
-
-def _loose_scene(corners: Floats, starts: NDArray[np.int64]) -> Scene:
-    """Returns grouped triangles as a scene of which every triangle has vertices of its own."""
-    return Scene(
-        vertices=np.ascontiguousarray(corners.reshape(-1, 3), dtype=np.float32),
-        triangles=np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3),
-        vertex_starts=(3 * starts).astype(np.int64),
-        triangle_starts=starts.astype(np.int64),
-        building_ids=tuple(str(number) for number in range(len(starts) - 1)),
-        lod="",
-        crs=None,
-        origin=np.zeros(3),
-    )
 
 
 @per_pixel

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.rendering.texture_charts import Charts, make_charts
+from lodbench.rendering.triangle_groups import grouped_scene, triangle_groups
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.photo.ground import LAND_COVER, TEXTURED
 from lodbench.synthesis.photo.surfaces import linear
 
 Floats = NDArray[np.float64]
 
-# Triangles are drawn in groups by squares of the plan: small, so that few are projected in vain.
-_CELL_M = 32.0
 # A surface this steep is a wall; one flatter than the other is a flat roof.
 _WALL_UP, _FLAT_UP = 0.3, 0.985
 # Share of level tops, as level of detail 1 has, that are painted as tiled roofs.
@@ -97,7 +96,7 @@ def make_render_scene(
         parts.append(_of_props(props.in_frame(scene.origin)))
     if textured is not None:
         parts.append(_of_textured(textured))
-    order, starts = _groups(np.concatenate([part.corners for part in parts]))
+    order, starts = triangle_groups(np.concatenate([part.corners for part in parts]))
     loose = _Loose(
         np.concatenate([part.corners for part in parts])[order],
         np.concatenate([part.surface for part in parts])[order],
@@ -105,13 +104,13 @@ def make_render_scene(
         np.concatenate([part.tint for part in parts])[order],
         np.concatenate([part.is_plain for part in parts])[order],
     )
-    mesh = _grouped(loose.corners, starts, scene)
+    mesh = grouped_scene(loose.corners, starts)
     normal = _normals(loose.corners)
     place = _wall_places(loose, normal)
     _add_crowns(place, loose)
     is_occluder = (loose.surface >= int(SurfaceClass.TRUNK)) & (loose.surface < 100)
     skin = Skin(normal.astype(np.float32), loose.surface, loose.number, loose.tint, place)
-    casters = _casters(loose, scene)
+    casters = _casters(loose)
     return RenderScene(mesh, skin, is_occluder, casters, make_charts(textured))
 
 
@@ -124,13 +123,13 @@ def make_skin(props: SceneProps) -> Skin:
     return Skin(normal.astype(np.float32), loose.surface, loose.number, loose.tint, place)
 
 
-def _casters(loose: _Loose, scene: Scene) -> Scene | None:
+def _casters(loose: _Loose) -> Scene | None:
     """Returns the triangles that cast shadows: not the ground, nor what lies on a wall or a texture."""
     corners = loose.corners[~np.isin(loose.surface, _NO_CASTERS)]
     if not len(corners):
         return None
-    order, starts = _groups(corners)
-    return _grouped(corners[order], starts, scene)
+    order, starts = triangle_groups(corners)
+    return grouped_scene(corners[order], starts)
 
 
 def _of_scene(scene: Scene) -> _Loose:
@@ -173,39 +172,6 @@ def _of_textured(mesh: TexturedMesh) -> _Loose:
         np.arange(count, dtype=np.int32),
         np.zeros((count, 3), dtype=np.float32),
         np.ones(count, dtype=bool),
-    )
-
-
-def _groups(corners: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns an order of triangles by squares of the plan, and where each square's begin."""
-    middle = corners[:, :, :2].mean(axis=1)
-    cell = np.floor((middle - middle.min(axis=0)) / _CELL_M).astype(np.int64)
-    key = cell[:, 1] * (int(cell[:, 0].max()) + 1) + cell[:, 0]
-    order = np.argsort(key, kind="stable")
-    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
-    return order, np.append(starts, len(order))
-
-
-def _grouped(corners: Floats, starts: NDArray[np.int64], scene: Scene) -> Scene:
-    """Returns grouped triangles as a scene; every group has vertices of its own."""
-    count = len(starts) - 1
-    group = np.repeat(np.arange(count), np.diff(starts))
-    points = corners.reshape(-1, 3).astype(np.float32)
-    keys = np.empty(len(points), dtype=[("group", np.int64), ("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
-    keys["group"] = np.repeat(group, 3)
-    for axis, name in enumerate("xyz"):
-        keys[name] = points[:, axis]
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    vertices = points[first]
-    return Scene(
-        vertices=vertices,
-        triangles=inverse.reshape(-1, 3).astype(np.int32),
-        vertex_starts=np.searchsorted(keys["group"][first], np.arange(count + 1)).astype(np.int64),
-        triangle_starts=starts.astype(np.int64),
-        building_ids=tuple(str(number) for number in range(count)),
-        lod=scene.lod,
-        crs=scene.crs,
-        origin=scene.origin,
     )
 
 
