@@ -109,45 +109,49 @@ class PhotoMaskReport:
             photos.append([p.place, p.photo.name, iou, f"{p.share_found:.3f}", f"{p.truth.mean():.3f}"])
         places = self.by_place()
         rows = [["", "photos", "mean IoU", "(95 %)"]]
-        rows += [[place, str(len(ious)), *_mean(ious)] for place, ious in places.items()]
+        rows += [[place, str(len(ious)), *mean_and_interval(ious)] for place, ious in places.items()]
         if places:
             every = [iou for ious in places.values() for iou in ious]
-            rows.append(["all photos", str(len(every)), *_mean(every)])
+            rows.append(["all photos", str(len(every)), *mean_and_interval(every)])
             rows.append(
-                ["all places", str(len(places)), *_mean([float(np.mean(i)) for i in places.values()])]
+                [
+                    "all places",
+                    str(len(places)),
+                    *mean_and_interval([float(np.mean(i)) for i in places.values()]),
+                ]
             )
         if self.empty():
-            rows.append(["share found where nothing is", str(len(self.empty())), *_mean(self.empty())])
+            rows.append(
+                ["share found where nothing is", str(len(self.empty())), *mean_and_interval(self.empty())]
+            )
         return "\n".join(
             [f"{self.segmenter} on {self.data}", format_columns(photos), "", format_columns(rows)]
         )
 
     def write_pictures(self, folder: Path) -> None:
-        """Writes an overlay per photo: true outline white, wrongly found orange, missed violet."""
+        """Writes an overlay per photo; see ``write_overlay``."""
         for photo in self.photos:
-            # Traced masks are of their photo's size.
-            canvas: NDArray[np.uint8] = np.ascontiguousarray(read_photo(photo.photo)[..., ::-1])
-            for wrong, colour in (
-                (photo.found & ~photo.truth, _EXTRA),
-                (photo.truth & ~photo.found, _MISSED),
-            ):
-                canvas[wrong] = (0.4 * canvas[wrong] + 0.6 * np.array(colour)).astype(np.uint8)
-            draw_outline(canvas, photo.truth, _OUTLINE, 2)
-            scale = min(1.0, _WIDTH / canvas.shape[1])
-            small = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-            (folder / photo.place).mkdir(parents=True, exist_ok=True)
-            write_picture(folder / photo.place / f"{photo.photo.stem}.png", np.asarray(small, dtype=np.uint8))
+            write_overlay(photo, folder)
 
 
-def measure_photo_masks(
-    segmenter: PhotoSegmenter, folder: Path, progress: Progress = no_progress
-) -> PhotoMaskReport:
-    """Returns how well a segmenter's masks of real photos agree with traced ones.
+def write_overlay(photo: PhotoMask, folder: Path) -> None:
+    """Writes a photo with the true outline white, what was wrongly found orange, what was missed violet."""
+    # Traced masks are of their photo's size.
+    canvas: NDArray[np.uint8] = np.ascontiguousarray(read_photo(photo.photo)[..., ::-1])
+    for wrong, colour in ((photo.found & ~photo.truth, _EXTRA), (photo.truth & ~photo.found, _MISSED)):
+        canvas[wrong] = (0.4 * canvas[wrong] + 0.6 * np.array(colour)).astype(np.uint8)
+    draw_outline(canvas, photo.truth, _OUTLINE, 2)
+    scale = min(1.0, _WIDTH / canvas.shape[1])
+    small = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    (folder / photo.place).mkdir(parents=True, exist_ok=True)
+    write_picture(folder / photo.place / f"{photo.photo.stem}.png", np.asarray(small, dtype=np.uint8))
+
+
+def labelled_photos(folder: Path) -> list[tuple[Path, Mask]]:
+    """Returns the photos of a folder with their traced masks, (H, W) bool of the photo's size.
 
     Args:
-        segmenter: Looks at the photos.
         folder: Holds a folder per place with ``photos``, and ``masks`` (PNG, 255 = building) of their names.
-        progress: Called after each photo.
 
     Raises:
         DatasetError: There are no photos, or one has no mask or one of another size.
@@ -158,24 +162,46 @@ def measure_photo_masks(
         raise DatasetError(
             f"{folder} holds no photos.", "Put them in PLACE/photos, and their masks in PLACE/masks."
         )
+    found = []
+    for photo in files:
+        path = photo.parent.parent / "masks" / f"{photo.stem}.png"
+        if not path.is_file():
+            raise DatasetError(f"{photo} has no mask.", f"Trace one as {path}: 255 = building.")
+        truth = np.asarray(read_mask(path) >= 0.5)
+        if truth.shape != read_photo(photo).shape[:2]:
+            raise DatasetError(f"{path} is not of its photo's size.")
+        found.append((photo, truth))
+    return found
+
+
+def measure_photo_masks(
+    segmenter: PhotoSegmenter, folder: Path, progress: Progress = no_progress
+) -> PhotoMaskReport:
+    """Returns how well a segmenter's masks of real photos agree with traced ones.
+
+    Args:
+        segmenter: Looks at the photos.
+        folder: As of ``labelled_photos``.
+        progress: Called after each photo.
+
+    Raises:
+        DatasetError: There are no photos, or one has no mask or one of another size.
+        QueryFault: A photo or a mask cannot be read.
+    """
+    labelled = labelled_photos(folder)
     measured = []
     with one_core():
-        for number, photo in enumerate(files, start=1):
-            path = photo.parent.parent / "masks" / f"{photo.stem}.png"
-            if not path.is_file():
-                raise DatasetError(f"{photo} has no mask.", f"Trace one as {path}: 255 = building.")
-            truth = np.asarray(read_mask(path) >= 0.5)
-            if truth.shape != read_photo(photo).shape[:2]:
-                raise DatasetError(f"{path} is not of its photo's size.")
+        for number, (photo, truth) in enumerate(labelled, start=1):
             started = time.process_time()
             found = found_mask(segmenter, photo, truth.shape)
             seconds = time.process_time() - started
             measured.append(PhotoMask(photo.parent.parent.name, photo, truth, found, seconds))
-            progress(number, len(files))
+            progress(number, len(labelled))
     name = f"{segmenter.name}, weights {segmenter.weights_digest[:12]}"
     return PhotoMaskReport(name, folder.name, tuple(measured))
 
 
-def _mean(values: list[float]) -> list[str]:
+def mean_and_interval(values: list[float]) -> list[str]:
+    """Returns a mean and its 95 % interval by bootstrap, as two cells of a table."""
     interval: Interval = bootstrap_means(np.array(values)[:, None])[0]
     return [f"{np.mean(values):.3f}", f"({interval[0]:.3f} to {interval[1]:.3f})"]

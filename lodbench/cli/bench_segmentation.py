@@ -6,7 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from lodbench.bench.disturbed_silhouettes import Disturbance
 from lodbench.bench.figures import Report
+from lodbench.bench.guided_masks import GuidedOptions, measure_guided_masks
 from lodbench.bench.iou_recall import measure_iou_recall
 from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks, require_photo_segmenter
 from lodbench.bench.photo_masks import measure_photo_masks
@@ -14,6 +16,7 @@ from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
+from lodbench.segmentation.map_guided import MapGuided
 from lodbench.synthesis.views_dataset import ViewsParams
 
 _VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
@@ -21,6 +24,8 @@ _MORE = """\
   lodbench bench segmentation                                the shipped network on the town it has never seen
   lodbench bench segmentation --segmenter-option weights=compact.onnx --pictures DIR
   lodbench bench segmentation --photos DIR --pictures OUT    real photos with masks traced by hand, by place
+  lodbench bench segmentation --photos DIR --guided-by 20,2 --guided-by 60,4 --blocks
+                                                             guided by the traced masks, moved and turned
   lodbench bench segmentation --data SET --visible SET2      views of `lodbench generate-training-data`
   lodbench bench segmentation --city CITY --pictures DIR     recall over the IoU of masks, no network at all
 """
@@ -46,6 +51,21 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--photos", type=Path, metavar="DIR", help="real photos with traced masks: PLACE/photos, PLACE/masks"
     )
+    parser.add_argument(
+        "--guided-by",
+        action="append",
+        default=[],
+        type=_disturbance,
+        metavar="PX,DEG",
+        help="of --photos: segmenter=map_guided with a silhouette so far off (px of 1200); may be repeated",
+    )
+    parser.add_argument(
+        "--blocks",
+        action="store_true",
+        help="also simplified to blocks, a tenth of the buildings gone or added",
+    )
+    parser.add_argument("--draws", type=int, default=4, help="silhouettes of each photo (4)")
+    parser.add_argument("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
     parser.add_argument("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
     parser.add_argument("--town", default="test", help="test or train: views made on first use (test)")
     parser.add_argument("--city", type=Path, help="measure recall over the IoU of masks on views of it")
@@ -58,6 +78,12 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
 
 def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     """Returns what was asked for."""
+    if options.guided_by:
+        return _guided(options, steps)
+    if options.blocks or options.grabcut:
+        raise ConfigError(
+            "--blocks and --grabcut are for silhouettes.", "Say how far they are off: --guided-by 20,2."
+        )
     if options.photos is not None:
         if options.city is not None or options.data is not None or options.views is not None:
             raise ConfigError("--photos are measured by themselves.", "Leave out --city, --data and --views.")
@@ -77,6 +103,33 @@ def _photos(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     if options.pictures is not None:
         report.write_pictures(options.pictures)
     return Report(report.to_text(), report.figures())
+
+
+def _guided(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    if options.photos is None:
+        raise ConfigError(
+            "--guided-by moves the traced masks of real photos.", "Name their folder: --photos DIR."
+        )
+    name = "map_guided" if options.segmenter == "compact" else options.segmenter
+    segmenter = segmenter_of(name, options.segmenter_option)
+    if not isinstance(segmenter, MapGuided):
+        raise ConfigError(f"segmenter {name} is not guided by silhouettes.", "--segmenter map_guided is.")
+    disturbances = list(options.guided_by)
+    if options.blocks:
+        disturbances += [given._replace(is_blocks=True) for given in options.guided_by]
+    asked = GuidedOptions(tuple(dict.fromkeys(disturbances)), options.draws, options.seed, options.grabcut)
+    found = measure_guided_masks(segmenter, options.photos, asked, steps, options.pictures)
+    return Report(found.to_text(), found.figures())
+
+
+def _disturbance(text: str) -> Disturbance:
+    try:
+        shift_px, turn_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} is not PX,DEG, as in 20,2") from None
+    if not (0 <= shift_px <= 1200 and 0 <= turn_deg <= 180):
+        raise argparse.ArgumentTypeError(f"{text} is not within 0 to 1200 px and 0 to 180 deg")
+    return Disturbance(shift_px, turn_deg)
 
 
 def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.segmentation.nets.sam2_unet import DEVIATION, MEAN
+from lodbench.segmentation.nets.sam_names import transformers_names
 from lodbench.segmentation.nets.weights import Weights, fill
 
 STRIDE = 16
@@ -115,15 +116,17 @@ class Sam1Adapter(nn.Module):
 
 
 def fill_sam(net: Sam1Adapter, weights: Weights, source: str) -> None:
-    """Puts SAM's weights, as transformers names them, below the prompts.
+    """Puts SAM's weights, as Meta or transformers names them, below the prompts.
 
     Raises:
         ConfigError: They do not fit this size; position embeddings are brought to the network's.
     """
     wanted = net.sam.state_dict()
     own = {}
-    for name, value in weights.items():
-        name = name.removeprefix("sam.")
+    for name, value in transformers_names(weights).items():
+        if name not in wanted:
+            own[name] = value
+            continue
         if name.endswith("pos_embed") and value.shape[1:3] != wanted[name].shape[1:3]:
             grid = F.interpolate(value.permute(0, 3, 1, 2), size=wanted[name].shape[1:3], mode="bicubic")
             value = grid.permute(0, 2, 3, 1)
