@@ -31,6 +31,10 @@ COMMANDS = {
         "picture a city from many places, with masks and poses, to train on",
     ),
     "train": ("lodbench.cli.train", "train a segmentation network on such pictures"),
+    "mask": (
+        "lodbench.cli.mask",
+        "correct a photo's building mask on a page; polygons for LabelMe, COCO, QGIS",
+    ),
     "city": ("lodbench.cli.city", "look into a city model: info, check; write it in another format: convert"),
     "dataset": (
         "lodbench.cli.dataset",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lodbench.errors import ConfigError
 from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
-from lodbench.segmentation.probability import check_normalise
+from lodbench.segmentation.probability import check_normalise, without_unsure_parts
 from lodbench.segmentation.tiles import MemoryTiles
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
 from lodbench.storage import file_digest
@@ -32,6 +32,7 @@ class CompactParams:
         name: Name to report.
         size: Long side that photos are brought to, pixels.
         normalise: ``none``, or ``paper`` for a stretch to 0 to 1 per photo; see ``probability_of``.
+        sure: Parts of the mask are dropped unless a tenth of them is at least so probable; 0 keeps all.
         weights: ONNX file of ``lodbench train segmenter=compact``; None for the weights in the package.
 
     Raises:
@@ -41,11 +42,14 @@ class CompactParams:
     name: str = "compact"
     size: int = 512
     normalise: str = "none"
+    sure: float = 0.99
     weights: str | None = None
 
     def __post_init__(self) -> None:
         if not 32 <= self.size <= 4096:
             raise ConfigError(f"segmenter.size={self.size} is not within 32 to 4096.")
+        if not 0.0 <= self.sure <= 1.0:
+            raise ConfigError(f"segmenter.sure={self.sure} is not within 0 to 1.")
         check_normalise(self.normalise)
 
 
@@ -93,6 +97,10 @@ class Compact(PhotoSegmenter):
         views = training.get("views", {}).get("train") if self.params.weights is None else None
         seen = f"{views} rendered views" if views else "rendered views"
         return (f"segmenter compact, domain: {self.domain}: trained on {seen}; real photos look different",)
+
+    def probability(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns the (h, w) float32 probability of building of a (H, W, 3) RGB photo."""
+        return without_unsure_parts(super().probability(photo), self.params.sure)
 
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Returns (h, w) logits of a (H, W, 3) RGB photo whose long side is brought to ``size``.

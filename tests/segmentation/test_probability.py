@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError
-from lodbench.segmentation.probability import check_normalise, probability_of
+from lodbench.segmentation.probability import check_normalise, probability_of, without_unsure_parts
 
 
 def logit(p):
@@ -36,3 +36,19 @@ def test_huge_logits_stay_in_range():
 def test_unknown_normalisations_are_named():
     with pytest.raises(ConfigError, match="minmax"):
         check_normalise("minmax")
+
+
+def test_parts_that_convince_nobody_are_dropped():
+    found = np.full((20, 40), 0.1, np.float32)
+    found[2:12, 2:12] = 0.8  # none of it is sure
+    found[2:12, 20:30] = 0.8
+    found[2:3, 20:30] = 0.995  # a tenth of it is
+    found[15:17, 5:15] = 0.8
+    found[15, 5] = 0.995  # a twentieth
+    kept = without_unsure_parts(found, 0.99)
+    expected = np.zeros_like(found, bool)
+    expected[2:12, 20:30] = True
+    assert np.array_equal(kept >= 0.5, expected)
+    assert np.array_equal(kept[expected], found[expected])
+    assert kept[5, 5] == np.float32(0.4)
+    assert np.array_equal(without_unsure_parts(found, 0.0), found)

@@ -327,7 +327,7 @@ def _warning(estimate: Estimate, has_mask: bool) -> str:
         reason = f"mask and model overlap by {estimate.score:.2f} only: do not trust this pose"
     else:
         reason = f"this pose is right with a probability of {estimate.probability:.2f} only: do not trust it"
-    mask = "mend the mask" if has_mask else "trace the buildings and give --mask FILE"
+    mask = f"{'mend' if has_mask else 'make'} the mask (lodbench mask PHOTO) and give --mask FILE"
     return f"{reason}; look at the overlay, give a better --center, --height or --heading, or {mask}"
 
 

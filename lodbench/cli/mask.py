@@ -1,0 +1,97 @@
+"""`lodbench mask`: a photo's building mask, corrected with strokes on a page, or handed to other programs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lodbench.errors import ConfigError
+
+if TYPE_CHECKING:
+    from lodbench.harness.mask.session import MaskSession
+
+_FORMATS = ("labelme", "coco", "geojson")
+_EXAMPLES = """\
+The page is served to this machine alone. Strokes add to the mask or take from it; what looks alike nearby
+follows.
+
+examples:
+  lodbench mask DJI_0001.JPG                                   start from the network's mask
+  lodbench mask DJI_0001.JPG --mask DJI_0001_mask.png          or from one that is there
+  lodbench mask DJI_0001.JPG --no-page --export labelme        for LabelMe; then bring it back:
+  lodbench mask DJI_0001.JPG --no-page --import DJI_0001_mask.labelme.json
+  lodbench localize DJI_0001.JPG --city city.gml --mask DJI_0001_mask.png
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    asked = _parser().parse_args(argv)
+    from lodbench.harness.mask.files import opened_session, saved
+    from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+
+    segmenter: PhotoSegmenter | None = None
+    if asked.mask is None and asked.polygons is None:
+        from lodbench.cli.segmenters import segmenter_of
+
+        made = segmenter_of(asked.segmenter, asked.segmenter_option)
+        if not isinstance(made, PhotoSegmenter):
+            raise ConfigError(
+                f"segmenter {asked.segmenter} looks at no photo alone.", "--segmenter compact does."
+            )
+        segmenter = made
+    out = asked.out or asked.photo.with_name(f"{asked.photo.stem}_mask.png")
+    session = opened_session(asked.photo, asked.mask, asked.polygons, segmenter)
+    formats = tuple(dict.fromkeys(asked.export))
+
+    def save() -> str:
+        return "saved: " + ", ".join(path.name for path in saved(session.mask, asked.photo, out, formats))
+
+    if asked.page:
+        _serve(session, asked.photo.name, save, asked.port)
+    else:
+        save()
+        for path in (out, *(out.with_suffix(f".{name}.json") for name in formats)):
+            sys.stdout.write(f"written: {path}\n")
+    return 0
+
+
+def _serve(session: MaskSession, name: str, save: Callable[[], str], port: int) -> None:
+    """Serves the page until it is closed, or Ctrl+C."""
+    from lodbench.harness.mask.server import MaskServer
+
+    with MaskServer(session, name, save, port) as server:
+        sys.stdout.write(
+            f"open: {server.address}\nCtrl+C, or Close on the page, ends it; Save keeps the mask.\n"
+        )
+        sys.stdout.flush()
+        server.serve_forever()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        "lodbench mask",
+        description="Correct the mask of a photo's buildings, or hand it to another program.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("photo", type=Path, metavar="PHOTO", help="as it is stored")
+    start = parser.add_mutually_exclusive_group()
+    start.add_argument("--mask", type=Path, metavar="FILE", help="start from this mask: white is building")
+    start.add_argument(
+        "--import", dest="polygons", type=Path, metavar="FILE", help="start from polygons of LabelMe or COCO"
+    )
+    start.add_argument("--segmenter", default="compact", metavar="NAME", help="else from its mask (compact)")
+    parser.add_argument(
+        "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="where to save it (PHOTO_mask.png)")
+    parser.add_argument(
+        "--export", action="append", default=[], choices=_FORMATS, help="polygons beside it; may be repeated"
+    )
+    parser.add_argument("--no-page", dest="page", action="store_false", help="save at once, without a page")
+    parser.add_argument("--port", type=int, default=0, help="of the page (any that is free)")
+    return parser

@@ -1,0 +1,1 @@
+"""Masks corrected by people: strokes, a page, and polygons for other programs."""

@@ -1,0 +1,60 @@
+"""Where a mask to correct comes from, and where it goes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import DatasetError
+from lodbench.harness.mask.session import MaskSession
+from lodbench.reporting.overlays import write_picture
+from lodbench.segmentation import binary_mask
+from lodbench.segmentation.mask_polygons import WRITERS, read_polygons
+from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+from lodbench.segmentation.photos import read_photo
+
+Mask = NDArray[np.bool_]
+
+
+def opened_session(
+    photo: Path, mask: Path | None, polygons: Path | None, segmenter: PhotoSegmenter | None
+) -> MaskSession:
+    """Returns the session of a photo, started from the first that is given; from an empty mask without any.
+
+    Args:
+        photo: The photo's file.
+        mask: Of the photo's aspect, white is building.
+        polygons: LabelMe's or COCO's JSON.
+        segmenter: Looks at the photo.
+
+    Raises:
+        LodbenchError: The photo, the mask or the polygons cannot be read, or do not fit each other.
+    """
+    pixels = read_photo(photo)
+    height, width = pixels.shape[:2]
+    if polygons is not None:
+        return MaskSession(pixels, read_polygons(polygons, photo.name, height, width))
+    if mask is not None:
+        given = read_mask(mask)
+        if given.shape != (height, width):
+            size = f"{given.shape[1]} x {given.shape[0]}"
+            raise DatasetError(f"{mask.name} has {size} pixels, the photo {width} x {height}.")
+        return MaskSession(pixels, np.asarray(given >= 0.5))
+    if segmenter is not None:
+        return MaskSession(pixels, binary_mask(segmenter.probability(pixels), width, height))
+    return MaskSession(pixels, np.zeros((height, width), bool))
+
+
+def saved(mask: Mask, photo: Path, out: Path, formats: tuple[str, ...]) -> tuple[Path, ...]:
+    """Writes a mask as PNG, and as polygons beside it; returns the files."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    white = mask.astype(np.uint8) * np.uint8(255)
+    write_picture(out, np.repeat(white[..., None], 3, axis=2))
+    written = [out]
+    for name in formats:
+        written.append(out.with_suffix(f".{name}.json"))
+        WRITERS[name](mask, photo, written[-1])
+    return tuple(written)

@@ -1,0 +1,173 @@
+"""`lodbench mask`: strokes, the page as a browser asks for it, files in and out."""
+
+import json
+from contextlib import closing
+from http.client import HTTPConnection
+from threading import Thread
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.cli import main
+from lodbench.harness.mask.server import MaskServer
+from lodbench.harness.mask.session import MaskSession
+
+
+def houses():
+    """Returns an RGB photo of two red houses on grass, and the mask of both."""
+    mask = np.zeros((160, 240), bool)
+    mask[30:80, 40:100] = True
+    mask[90:140, 150:200] = True
+    photo = np.where(mask[..., None], (170, 80, 70), (80, 130, 70))
+    photo = photo + np.random.default_rng(0).normal(0, 8, photo.shape)
+    return np.clip(photo, 0, 255).astype(np.uint8), mask
+
+
+def iou(first, second):
+    return (first & second).sum() / (first | second).sum()
+
+
+class TestStrokes:
+    def test_a_stroke_brings_the_whole_house_and_leaves_the_other_alone(self):
+        photo, truth = houses()
+        start = truth.copy()
+        start[:, :120] = False
+        session = MaskSession(photo, start)
+        session.stroke(np.array([[55.0, 45.0], [85.0, 65.0]]), 4.0, is_building=True)
+        assert iou(session.mask, truth) > 0.97
+        assert np.array_equal(session.mask[:, 150:], start[:, 150:])
+        assert session.undo()
+        assert np.array_equal(session.mask, start)
+        assert not session.undo()
+
+    def test_a_stroke_takes_away_what_is_none(self):
+        photo, truth = houses()
+        start = truth.copy()
+        start[100:130, 40:90] = True
+        session = MaskSession(photo, start)
+        session.stroke(np.array([[50.0, 115.0], [80.0, 115.0]]), 5.0, is_building=False)
+        assert iou(session.mask, truth) > 0.97
+
+    def test_an_exact_stroke_changes_what_is_under_it(self):
+        photo, truth = houses()
+        session = MaskSession(photo, truth)
+        session.stroke(np.array([[10.0, 10.0]]), 3.0, is_building=True, is_exact=True)
+        added = session.mask & ~truth
+        assert added.sum() == pytest.approx(np.pi * 9, rel=0.4)
+        assert added[10, 10]
+        assert not (truth & ~session.mask).any()
+
+    def test_what_strokes_said_stays_said(self):
+        photo, truth = houses()
+        session = MaskSession(photo, truth)
+        session.stroke(np.array([[60.0, 50.0]]), 6.0, is_building=False, is_exact=True)
+        session.stroke(np.array([[60.0, 75.0], [90.0, 75.0]]), 3.0, is_building=True)
+        assert not session.mask[48:53, 58:63].any()
+
+    def test_a_stroke_beside_the_photo_is_none(self):
+        photo, truth = houses()
+        session = MaskSession(photo, truth)
+        session.stroke(np.array([[-900.0, 30.0]]), 3.0, is_building=True)
+        assert not session.undo()
+
+
+class TestPage:
+    @pytest.fixture
+    def server(self):
+        photo, truth = houses()
+        kept = []
+        with MaskServer(
+            MaskSession(photo, truth), "<b>.jpg", lambda: kept.append(1) or "saved: mask.png"
+        ) as server:
+            thread = Thread(target=server.serve_forever)
+            thread.start()
+            server.kept = kept
+            yield server
+            server.shutdown()
+            thread.join()
+
+    def ask(self, server, method, what, body=None, host=None, token=None):
+        """Returns status and body of one request."""
+        port = server.server_address[1]
+        with closing(HTTPConnection("127.0.0.1", port, timeout=20)) as connection:
+            headers = {"Host": host or f"127.0.0.1:{port}"}
+            path = f"/{server.token if token is None else token}/{what}"
+            connection.request(method, path, body, headers)
+            answer = connection.getresponse()
+            return answer.status, answer.read()
+
+    def test_the_page_shows_photo_and_mask(self, server):
+        status, page = self.ask(server, "GET", "")
+        assert status == 200
+        assert b"&lt;b&gt;.jpg" in page
+        assert b"<b>.jpg" not in page
+        assert b'width="240" height="160"' in page
+        photo = cv2.imdecode(
+            np.frombuffer(self.ask(server, "GET", "photo.jpg")[1], np.uint8), cv2.IMREAD_COLOR
+        )
+        assert photo[50, 60, 2] > photo[50, 60, 1]
+        mask = cv2.imdecode(
+            np.frombuffer(self.ask(server, "GET", "mask.png")[1], np.uint8), cv2.IMREAD_GRAYSCALE
+        )
+        assert np.array_equal(mask > 127, server.session.mask)
+
+    def test_strokes_undo_save_and_close(self, server):
+        before = server.session.mask
+        stroke = {"points": [[10, 10], [14, 12]], "radius": 3, "building": True, "exact": True}
+        status, told = self.ask(server, "POST", "stroke", json.dumps(stroke))
+        assert status == 200
+        assert json.loads(told)["share"] > before.mean()
+        assert json.loads(self.ask(server, "POST", "undo")[1])["undone"] is True
+        assert np.array_equal(server.session.mask, before)
+        assert json.loads(self.ask(server, "POST", "save", "{}")[1]) == {"told": "saved: mask.png"}
+        assert server.kept == [1]
+        assert self.ask(server, "POST", "stop", "{}")[0] == 200
+
+    def test_others_are_kept_out(self, server):
+        for options in ({"token": "guess"}, {"token": ""}, {"host": "evil.example:80"}):
+            assert self.ask(server, "GET", "mask.png", **options)[0] == 404
+            assert self.ask(server, "POST", "save", "{}", **options)[0] == 404
+        assert server.kept == []
+        assert server.server_address[0] == "127.0.0.1"
+
+    @pytest.mark.parametrize(
+        "body", ["{", "[]", "{}", '{"points": [["a", 1]], "radius": 1, "building": true}',
+                 '{"points": [[1, 1]], "radius": 1e9, "building": true}']
+    )  # fmt: skip
+    def test_broken_strokes_are_refused(self, server, body):
+        assert self.ask(server, "POST", "stroke", body)[0] == 400
+        assert not server.session.undo()
+
+
+class TestCommand:
+    @pytest.fixture
+    def photo(self, tmp_path):
+        pixels, mask = houses()
+        cv2.imwrite(str(tmp_path / "photo.png"), pixels[..., ::-1])
+        cv2.imwrite(str(tmp_path / "traced.png"), mask.astype(np.uint8) * 255)
+        return tmp_path / "photo.png"
+
+    def test_out_to_labelme_and_back(self, photo, capsys):
+        folder = photo.parent
+        given = ["mask", str(photo), "--mask", str(folder / "traced.png"), "--no-page"]
+        assert main([*given, "--export", "labelme", "--export", "geojson"]) == 0
+        assert capsys.readouterr().out.count("written: ") == 3
+        polygons = folder / "photo_mask.labelme.json"
+        again = folder / "again" / "mask.png"
+        assert main(["mask", str(photo), "--import", str(polygons), "--no-page", "--out", str(again)]) == 0
+        assert np.array_equal(cv2.imread(str(again), 0) > 0, houses()[1])
+
+    def test_it_starts_from_the_network(self, photo):
+        assert main(["mask", str(photo), "--no-page"]) == 0
+        assert cv2.imread(str(photo.parent / "photo_mask.png"), 0).shape == (160, 240)
+
+    def test_what_does_not_fit_is_told(self, photo, capsys):
+        cv2.imwrite(str(photo.parent / "small.png"), np.zeros((16, 24), np.uint8))
+        for words, told in (
+            (["--mask", str(photo.parent / "small.png")], "24 x 16 pixels, the photo 240 x 160"),
+            (["--segmenter", "masks"], "looks at no photo alone"),
+            (["--import", str(photo)], "cannot be read"),
+        ):
+            assert main(["mask", str(photo), "--no-page", *words]) == 2
+            assert told in capsys.readouterr().err
