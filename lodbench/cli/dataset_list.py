@@ -20,6 +20,7 @@ from lodbench.storage.paths import data_root
 _OTHERS = """\
 demo          built in: written on first use
 views         seeded views of any city model: city=FILE
+flights       seeded flights over any city model, with errors that photos share: city=FILE
 folder        your own photos and poses: dataset.root=DIR city=FILE
 """
 

@@ -8,6 +8,7 @@
         intrinsic.txt           name PINHOLE W H fx fy cx cy
         Query_image/            the photos (optional; or images/)
         masks/                  building masks, 255 = building (optional)
+        sequences.txt           name sequence: which photos belong to one flight (optional)
         dataset.json            where it came from: city model, reference system; and whether it has a
                                 truth and priors (optional)
 
@@ -31,6 +32,7 @@ from lodbench.datasets.pose_text import (
     read_cameras,
     read_hypotheses,
     read_poses,
+    read_words,
 )
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.datasets.references import read_references
@@ -40,6 +42,7 @@ from lodbench.storage import write_text
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
 ABOUT_FILE = "dataset.json"
+SEQUENCE_FILE = "sequences.txt"
 # What training data calls the same: nothing there was measured on the ground.
 RENDERED_TRUTH_FILE, RENDERED_IMAGES = "poses.txt", "images"
 _LAYOUT_HINT = (
@@ -214,7 +217,10 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
         notes.append(f"{split}: there is no truth, so nothing is scored")
     if not has_priors:
         notes.append(f"{split}: there are no priors; prior=uniform draws them around the truth")
-    entries = [_entry(folder, split, name, cameras, priors.get(name, ())) for name in names]
+    sequences = read_words(folder / SEQUENCE_FILE) if (folder / SEQUENCE_FILE).is_file() else {}
+    entries = [
+        _entry(folder, split, name, cameras, priors.get(name, ()), sequences.get(name, "")) for name in names
+    ]
     several = sum(len(entry.hypotheses) > 1 for entry in entries)
     if several:
         notes.append(f"{split}: {several} queries have several priors; the first is the prior of each")
@@ -222,7 +228,12 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
 
 
 def _entry(
-    folder: Path, split: str, name: str, cameras: dict[str, Camera], priors: tuple[Pose, ...]
+    folder: Path,
+    split: str,
+    name: str,
+    cameras: dict[str, Camera],
+    priors: tuple[Pose, ...],
+    sequence: str,
 ) -> Entry:
     return Entry(
         name=name,
@@ -233,6 +244,7 @@ def _entry(
         # A mask is stored under the photo's name, or under its stem as PNG.
         mask=_first_file(folder / "masks", [name, Path(name).stem + ".png"]),
         hypotheses=priors,
+        sequence=sequence,
     )
 
 

@@ -50,6 +50,15 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     return _only_ones(Path(path), parse_camera, "name PINHOLE W H fx fy cx cy")
 
 
+def read_words(path: str | Path) -> dict[str, str]:
+    """Returns one word by image name, from lines ``name word``: the flight of each photo, for example.
+
+    Raises:
+        DatasetError: As for ``read_poses``.
+    """
+    return _only_ones(Path(path), _only_word, "name sequence")
+
+
 def format_pose(name: str, pose: Pose, decimals: tuple[int, int] | None = None) -> str:
     """Returns the line of a pose; its translation comes back to the last bit, its rotation to rounding.
 
@@ -75,6 +84,12 @@ def format_camera(name: str, camera: Camera) -> str:
 def lines_to_text(lines: Iterable[str]) -> str:
     """Returns lines as the text of a file."""
     return "".join(line + "\n" for line in lines)
+
+
+def _only_word(words: list[str]) -> str:
+    if len(words) != 1:
+        raise LodbenchError(f"{len(words)} words after the name instead of 1")
+    return words[0]
 
 
 def _only_ones(path: Path, parse: Callable[[list[str]], T], layout: str) -> dict[str, T]:

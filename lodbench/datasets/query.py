@@ -33,6 +33,7 @@ class Query:
             segmenter is one that looks at the map; None otherwise. Raises QueryFault.
         true_pixels: Returns where (N, 3) points of the scene are in the photo in truth, (N, 2) COLMAP
             pixels, NaN behind the camera: for a method that requires it, which is an oracle and told as one.
+        sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Query:
     instances: NDArray[np.bool_] | None = None
     segment: Callable[[Pose], NDArray[np.float32]] | None = None
     true_pixels: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
+    sequence: str = ""
 
     @property
     def mask(self) -> NDArray[np.float32]:
@@ -70,6 +72,7 @@ class Entry:
         image: The photo.
         mask: A building mask made beforehand.
         hypotheses: All rough poses the dataset states, the prior first; may be empty.
+        sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
     """
 
     name: str
@@ -79,6 +82,7 @@ class Entry:
     image: Path | None
     mask: Path | None
     hypotheses: tuple[Pose, ...] = ()
+    sequence: str = ""
 
     @property
     def key(self) -> str:

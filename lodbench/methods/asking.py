@@ -10,7 +10,15 @@ from pathlib import Path
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
-from lodbench.methods.protocol import Estimate, Method, Streams, SupportsBatches, SupportsWeights
+from lodbench.methods.protocol import (
+    Estimate,
+    FlightEstimate,
+    Method,
+    Streams,
+    SupportsBatches,
+    SupportsFlights,
+    SupportsWeights,
+)
 
 
 def localize_query(method: Method, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
@@ -46,6 +54,27 @@ def localize_queries(
     if len(answers) != len(queries):
         raise TypeError(f"localize_batch returned {len(answers)} answers to {len(queries)} queries")
     return [found if isinstance(found, QueryFault) else _measured(found, drawn, seconds) for found in answers]
+
+
+def localize_flight(
+    method: SupportsFlights, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
+) -> FlightEstimate:
+    """Returns a method's answer to a flight, poses drawn and time shared evenly among its photos.
+
+    Raises:
+        TypeError: The method returned another number of answers, or something else.
+    """
+    city_map.usage.take()
+    started = time.perf_counter()
+    found = method.localize_flight(queries, city_map, streams)
+    seconds = (time.perf_counter() - started) / max(1, len(queries))
+    drawn = sum(city_map.usage.take().values()) // max(1, len(queries))
+    if not isinstance(found, FlightEstimate) or len(found.estimates) != len(queries):
+        raise TypeError(f"localize_flight returned no FlightEstimate of {len(queries)} photos")
+    answers = [
+        each if isinstance(each, QueryFault) else _measured(each, drawn, seconds) for each in found.estimates
+    ]
+    return FlightEstimate(answers, found.findings)
 
 
 def weight_files(method: Method) -> tuple[Path, ...]:

@@ -117,6 +117,30 @@ class SupportsBatches(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightEstimate:
+    """A method's answer to a whole flight.
+
+    Attributes:
+        estimates: One per photo, or why there is none.
+        findings: What the flight says besides, as JSON values; stored with the run.
+    """
+
+    estimates: Sequence[Estimate | QueryFault]
+    findings: dict[str, Any] = field(default_factory=dict)
+
+
+@runtime_checkable
+class SupportsFlights(Protocol):
+    """A method that answers all photos of a flight together; it is always asked for whole flights."""
+
+    def localize_flight(
+        self, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
+    ) -> FlightEstimate:
+        """Returns the answers to the queries of one flight, in their order."""
+        ...
+
+
 @runtime_checkable
 class SupportsWeights(Protocol):
     """A method that reads files besides its code: a run's digest names their content."""

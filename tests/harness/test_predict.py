@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.harness import RunSettings, run_method
 from lodbench.methods import Estimate
+from lodbench.methods.protocol import FlightEstimate
 from lodbench.segmentation import notes_of
 from lodbench.segmentation.masks import MaskFiles, MasksParams
 from lodbench.segmentation.none import NoMask, NoMaskParams
@@ -56,6 +57,17 @@ class Batched(Scripted):
             except QueryFault as fault:
                 found.append(fault)
         return found
+
+
+@dataclass
+class Flying(Scripted):
+    """The same, a whole flight at a time."""
+
+    flights: list[list[str]] = field(default_factory=list)
+
+    def localize_flight(self, queries, city_map, streams):
+        self.flights.append([query.name for query in queries])
+        return FlightEstimate([Estimate(query.prior, 1.0) for query in queries], {"lost": []})
 
 
 @dataclass
@@ -300,3 +312,34 @@ def test_a_query_without_a_mask_says_so_to_whom_it_concerns(dataset):
     entry = dataset.entries[0]
     with pytest.raises(QueryFault, match="there is no mask"):
         _ = Query(entry.name, "all", entry.camera, entry.prior).mask
+
+
+def test_flights_are_asked_whole_and_what_they_say_is_kept(dataset, tmp_path):
+    entries = tuple(
+        replace(entry, sequence="west" if entry.name == NAMES[0] else "east") for entry in dataset.entries
+    )
+    flown = replace(dataset, entries=entries)
+    method = Flying()
+    done = run(method, flown, tmp_path)
+    assert method.flights == [[NAMES[0]], NAMES[1:]]
+    assert [found.pose is not None for found in done.predictions.values()] == [True] * 3
+    told = sorted(path.name for path in (done.folder / "flights").iterdir())
+    assert told == [f"{entries[0].split}-east.json", f"{entries[0].split}-west.json"]
+    # One photo's line is lost: its whole flight is asked again, the other is not.
+    ledger = done.folder / "predictions.jsonl"
+    lines = ledger.read_text().splitlines(keepends=True)
+    ledger.write_text("".join(line for line in lines if NAMES[2] not in line))
+    again = Flying()
+    resumed = run(again, flown, tmp_path)
+    assert again.flights == [NAMES[1:]]
+    assert resumed.predictions.keys() == done.predictions.keys()
+    assert len(ledger.read_text().splitlines()) == 3
+
+
+def test_a_flight_that_breaks_is_each_photo_s_failure(dataset, tmp_path):
+    class Breaking(Flying):
+        def localize_flight(self, queries, city_map, streams):
+            return FlightEstimate([])
+
+    done = run(Breaking(), dataset, tmp_path)
+    assert all("FlightEstimate of 3 photos" in reason for reason in failures(done))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -20,10 +21,13 @@ from lodbench.geometry import Pose
 from lodbench.harness.runs.method_inputs import keep_traceback
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.methods import Estimate, Method
-from lodbench.methods.asking import localize_queries, localize_query
-from lodbench.methods.protocol import Streams, SupportsBatches
+from lodbench.methods.asking import localize_flight, localize_queries, localize_query
+from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.segmentation import binary_mask
+from lodbench.storage import make_folder, write_text
 
+# What flights say besides poses, one file each.
+FLIGHTS_FOLDER = "flights"
 # Masks are stored, and compared with the truth, at most at this width, pixels: the paper's fine size.
 _MASK_WIDTH = 602
 
@@ -84,6 +88,9 @@ def answer(
             each.query = preparation.query(each.entry)
             each.prepare_s = time.perf_counter() - started
     ready = [(each, each.query) for each in asked if each.query is not None]
+    if isinstance(method, SupportsFlights) and ready:
+        _answer_flight(method, city_map, ready, folder)
+        return
     if isinstance(method, SupportsBatches) and len(ready) > 1:
         try:
             answers = localize_queries(
@@ -103,6 +110,33 @@ def answer(
     for each, query in ready:
         with _failing(each, folder):
             each.estimate = localize_query(method, query, city_map, each.streams)
+
+
+def _answer_flight(
+    method: SupportsFlights, city_map: CityMap, ready: Sequence[tuple[Asked, Query]], folder: Path
+) -> None:
+    """Fills in the estimates of a flight's photos; what it says besides goes to the run's folder."""
+    first = ready[0][0].entry
+    try:
+        found = localize_flight(
+            method, [query for _, query in ready], city_map, [each.streams for each, _ in ready]
+        )
+    except ConfigError:
+        raise
+    except Exception as error:
+        keep_traceback(folder, f"flight {first.key}", error)
+        for each, _ in ready:
+            each.failure = f"{type(error).__name__}: {error}"
+        return
+    for (each, _), answer in zip(ready, found.estimates, strict=True):
+        with _failing(each, folder):
+            if isinstance(answer, QueryFault):
+                raise answer
+            each.estimate = answer
+    if found.findings:
+        make_folder(folder / FLIGHTS_FOLDER)
+        told = json.dumps(found.findings, indent=1, sort_keys=True)
+        write_text(folder / FLIGHTS_FOLDER / f"{first.split}-{first.sequence or 'all'}.json", told + "\n")
 
 
 @contextmanager

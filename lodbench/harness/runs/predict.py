@@ -24,7 +24,7 @@ from lodbench.harness.runs.answer import Asked, answer
 from lodbench.harness.runs.method_inputs import prepare_method
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.methods import Method
-from lodbench.methods.protocol import Streams, SupportsBatches
+from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream
 
@@ -109,8 +109,8 @@ def predict(
     """
     stored = open_predictions(work.folder)
     waiting = [e for e in entries if e.key not in stored or (retries_failed and stored[e.key]["failure"])]
-    size = work.method.batch_size if isinstance(work.method, SupportsBatches) else 1
-    batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
+    again = {entry.key for entry in waiting}
+    batches = _batches(work.method, entries, waiting)
     with Progress(f"{work.method.name} on {work.dataset.name}", len(entries)) as progress:
         progress.advance(len(entries) - len(waiting))
         answers: Iterator[list[tuple[str, dict[str, Any]]]]
@@ -121,9 +121,22 @@ def predict(
             answers = spread(executor, _answer_here, batches, _open_here, (work,))
         for answered in answers:
             for key, answer in answered:
-                stored.record(key, answer)
-                progress.advance()
+                if key in again:
+                    stored.record(key, answer)
+                    progress.advance()
     return {entry.key: Prediction.from_json(stored[entry.key]) for entry in entries}
+
+
+def _batches(method: Method, entries: Sequence[Entry], waiting: Sequence[Entry]) -> list[list[Entry]]:
+    """Returns the queries that are asked together: whole flights where any of their photos waits."""
+    if isinstance(method, SupportsFlights):
+        flights: dict[tuple[str, str], list[Entry]] = {}
+        for entry in entries:
+            flights.setdefault((entry.split, entry.sequence), []).append(entry)
+        wanted = {(entry.split, entry.sequence) for entry in waiting}
+        return [photos for flight, photos in flights.items() if flight in wanted]
+    size = method.batch_size if isinstance(method, SupportsBatches) else 1
+    return [list(waiting[start : start + size]) for start in range(0, len(waiting), size)]
 
 
 # What this worker process has opened; set once, before its first query.

@@ -109,6 +109,7 @@ class Preparation:
             instances=self._instances(entry, camera) if Input.INSTANCES in self.needs else None,
             segment=partial(self._probability, entry, camera) if guided and needs_mask else None,
             true_pixels=self._true_pixels(entry, camera) if Input.TRUE_PIXELS in self.needs else None,
+            sequence=entry.sequence,
         )
 
     def _true_pixels(self, entry: Entry, camera: Camera) -> Callable[[Points], Points]:

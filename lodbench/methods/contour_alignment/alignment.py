@@ -151,16 +151,21 @@ class Aligner:
         prior_information, prior_gradient = self.prior_terms(vector)
         return Linearization(information + prior_information, gradient + prior_gradient, here.iou)
 
-    def measure(self, vector: Floats, size: tuple[int, int]) -> Residuals | None:
-        """Returns how far a pose's outline lies from the mask's; None if too little outline is seen."""
-        level, pose = self._level(size), pose_from_vector(vector)
+    def outline(self, vector: Floats, size: tuple[int, int]) -> tuple[OutlinePoints, float]:
+        """Returns the outline of the silhouette at (7,) numbers, and the IoU of silhouette and mask."""
+        level, pose = self.level(size), pose_from_vector(vector)
         stretch = 1.0 + 0.01 * vector[6]
         camera = replace(level.camera, fx=level.camera.fx * stretch, fy=level.camera.fy * stretch)
         silhouette = self._city_map.render(camera, pose)
         union = int(np.count_nonzero(silhouette | level.mask))
         iou = int(np.count_nonzero(silhouette & level.mask)) / union if union else 0.0
         derivatives, spacing = rotation_derivatives(vector), self._params.spacing_px
-        points = sample_outline(self.edges, camera, pose, derivatives, silhouette, spacing)
+        return sample_outline(self.edges, camera, pose, derivatives, silhouette, spacing), iou
+
+    def measure(self, vector: Floats, size: tuple[int, int]) -> Residuals | None:
+        """Returns how far a pose's outline lies from the mask's; None if too little outline is seen."""
+        level = self.level(size)
+        points, iou = self.outline(vector, size)
         count = len(points)
         if count < _FEWEST_POINTS:
             return None
@@ -180,7 +185,8 @@ class Aligner:
         offset[5] = (offset[5] + 180.0) % 360.0 - 180.0
         return offset
 
-    def _level(self, size: tuple[int, int]) -> Level:
+    def level(self, size: tuple[int, int]) -> Level:
+        """Returns the query at a size, width and height in pixels."""
         if size not in self._levels:
             mask = binary_mask(self._query.mask, *size)
             scale = size[0] / self._params.fine_size[0]

@@ -34,6 +34,7 @@ class EdgeArrays(NamedTuple):
         spheres: (B, 4) float64 centre and radius.
         floors: (B,) float64 lowest height of each building, metres.
         rises: (B,) float64 height of each building from there, metres.
+        rows: (B,) int64 which of the scene's buildings they are.
     """
 
     vertices: Floats
@@ -45,6 +46,7 @@ class EdgeArrays(NamedTuple):
     spheres: Floats
     floors: Floats
     rises: Floats
+    rows: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +60,7 @@ class OutlinePoints:
         moves: (N, 9, 2) pixels per metre of x, y, z, per degree of pitch, roll, yaw, per percent of a
             longer lens, and per metre that the building's roof is higher and that its base is.
         buildings: (N,) index into the arrays' buildings.
+        places: (N, 2) where they are east and north, scene metres.
     """
 
     pixels: Floats
@@ -65,6 +68,7 @@ class OutlinePoints:
     lengths: Floats
     moves: Floats
     buildings: NDArray[np.int64]
+    places: Floats
 
     def __len__(self) -> int:
         return len(self.lengths)
@@ -88,7 +92,7 @@ def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, tu
     planes = view_planes(camera, 0, camera.width)
     rotation, center = np.ascontiguousarray(prior.rotation), np.ascontiguousarray(prior.center)
     chosen = visible_buildings(wider, rotation, center, planes)
-    return _edge_arrays(_part(scene, chosen), spheres[chosen])
+    return _edge_arrays(_part(scene, chosen), spheres[chosen], chosen)
 
 
 def sample_outline(
@@ -114,15 +118,15 @@ def sample_outline(
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     room = _ROOM
     while True:
-        found = np.empty((room, 23)), np.empty(room, dtype=np.int64)
+        found = np.empty((room, 25)), np.empty(room, dtype=np.int64)
         view = rotation, center, derivatives, intrinsics
         count = sample_edges(edges, visible, *view, silhouette, spacing_px, *found)
         if count <= room:
             break
         room = count
     rows, buildings = found[0][:count], found[1][:count]
-    moves = np.ascontiguousarray(rows[:, 5:].reshape(count, 9, 2))
-    return OutlinePoints(rows[:, 0:2], rows[:, 2:4], rows[:, 4], moves, buildings)
+    moves = np.ascontiguousarray(rows[:, 5:23].reshape(count, 9, 2))
+    return OutlinePoints(rows[:, 0:2], rows[:, 2:4], rows[:, 4], moves, buildings, rows[:, 23:])
 
 
 def _part(scene: Scene, chosen: NDArray[np.int64]) -> Scene:
@@ -152,7 +156,7 @@ def _rows(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.in
     return np.asarray(np.arange(counts.sum()) + np.repeat(starts - before, counts), dtype=np.int64)
 
 
-def _edge_arrays(scene: Scene, spheres: Floats) -> EdgeArrays:
+def _edge_arrays(scene: Scene, spheres: Floats, rows: NDArray[np.int64]) -> EdgeArrays:
     table = edge_table(scene)
     vertices = scene.vertices.astype(np.float64)
     a, b, c = (vertices[scene.triangles[:, k]] for k in range(3))
@@ -173,4 +177,5 @@ def _edge_arrays(scene: Scene, spheres: Floats) -> EdgeArrays:
         spheres=np.ascontiguousarray(spheres),
         floors=floors,
         rises=tops - floors,
+        rows=rows,
     )

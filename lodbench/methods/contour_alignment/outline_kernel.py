@@ -72,8 +72,8 @@ def _write_moves(rotation, derivatives, f, world, share, row):  # type: ignore[n
 def sample_edges(edges, visible, rotation, center, derivatives, f, silhouette, spacing, rows, buildings):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Writes a row per point on the silhouette's outline; returns how many there are.
 
-    Rows hold u, v, the normal, the length and the moves. Points beyond the room in ``rows`` are
-    counted and not written.
+    Rows hold u, v, the normal, the length, the moves and where the point is east and north, metres. Points
+    beyond the room in ``rows`` are counted and not written.
     """
     height, width = silhouette.shape
     count = 0
@@ -114,7 +114,8 @@ def sample_edges(edges, visible, rotation, center, derivatives, f, silhouette, s
                     )
                     rise = edges.rises[b]
                     share = (world[2] + center[2] - edges.floors[b]) / rise if rise > 0.0 else 0.0
-                    _write_moves(rotation, derivatives, f, world, share, row[5:])
+                    _write_moves(rotation, derivatives, f, world, share, row[5:23])
+                    row[23], row[24] = world[0] + center[0], world[1] + center[1]
                     buildings[count] = b
                 count += 1
     return count

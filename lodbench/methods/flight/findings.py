@@ -1,0 +1,100 @@
+"""What a flight says of drone and map, as JSON values: constants with sigmas, buildings in doubt."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from lodbench.citymap import CityMap
+from lodbench.methods.flight.joint import (
+    CONSTANTS,
+    ROOFS,
+    Solution,
+    State,
+    covariance_of,
+    shared_covariance,
+)
+from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.photo_terms import PhotoTerms
+
+# Of the shared numbers before the buildings': name and unit.
+_NAMES = (
+    ("east", "m"),
+    ("north", "m"),
+    ("height", "m"),
+    ("pitch", "deg"),
+    ("roll", "deg"),
+    ("yaw", "deg"),
+    ("focal length", "share"),
+    ("radial distortion k1", ""),
+    ("masks too large by", "px"),
+    ("roofs higher than the map", "m"),
+    ("feet of walls higher than the map", "m"),
+)
+# Where photos narrow a number by less than this, they do not tell it.
+_TOLD = 0.7
+# A building's height is in doubt where it differs from the others' by so many metres and sigmas.
+_DOUBT_M, _DOUBT_SIGMAS = 1.0, 2.0
+
+
+def findings_of(
+    state: State,
+    solution: Solution,
+    terms: Sequence[PhotoTerms | None],
+    names: Sequence[str],
+    city_map: CityMap,
+    params: Params,
+) -> dict[str, Any]:
+    """Returns what a flight says, beside the poses.
+
+    ``constants``: by name the ``value`` to be added to what the sensors or the map say, ``sigma``, ``unit``
+    and whether the photos ``told`` it; ``buildings``: id, metres ``higher_m`` against the map and all other
+    buildings, ``sigma_m``, number of ``photos`` and whether it is in ``doubt``; ``lost``: photos placed by
+    the others alone.
+    """
+    spread = np.sqrt(np.diag(shared_covariance(solution, np.arange(CONSTANTS))))
+    beforehand = params.constant_sigmas()
+    constants = {
+        name: {
+            "value": float(state.constants[k]),
+            "sigma": float(spread[k]),
+            "unit": unit,
+            "told": bool(spread[k] < _TOLD * beforehand[k]),
+        }
+        for k, (name, unit) in enumerate(_NAMES)
+        if beforehand[k] > 1e-3 * (1.0 if unit == "m" else 0.1)
+    }
+    photos: Counter[int] = Counter()
+    for term in terms:
+        if term is not None:
+            shown = state.roofs.building[term.parts]
+            photos.update(int(b) for b in np.unique(shown[shown >= 0]))
+    buildings = [
+        {
+            "id": city_map.scene.building_ids[building],
+            "higher_m": higher,
+            "sigma_m": sigma,
+            "photos": photos[int(building)],
+            "doubt": bool(abs(higher) > max(_DOUBT_M, _DOUBT_SIGMAS * sigma)),
+        }
+        for building, higher, sigma in _heights(state, solution)
+    ]
+    lost = [name for name, weight in zip(names, state.weights, strict=True) if weight == 0.0]
+    return {"constants": constants, "buildings": buildings, "lost": lost}
+
+
+def _heights(state: State, solution: Solution) -> Iterator[tuple[int, float, float]]:
+    """Yields each building's row, and how much higher its parts are than all roofs, with sigma; metres."""
+    first = CONSTANTS + len(solution.buildings)
+    sums = np.zeros((len(solution.buildings), first + len(state.roofs)))
+    sums[:, ROOFS] = -1.0
+    for row, building in enumerate(solution.buildings):
+        parts = np.flatnonzero(state.roofs.building == building)
+        sums[row, first + parts] = 1.0 / len(parts)
+    values = np.concatenate([state.constants, state.buildings_m[solution.buildings], state.roofs.heights_m])
+    sigmas = np.sqrt(np.diag(covariance_of(solution, sums)))
+    for building, higher, sigma in zip(solution.buildings, sums @ values, sigmas, strict=True):
+        yield int(building), float(higher), float(sigma)

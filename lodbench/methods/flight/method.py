@@ -1,0 +1,149 @@
+"""The method: each photo alone, what all are wrong about by vote, then all in one least-squares problem."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.inputs import Input
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.methods.contour_alignment.alignment import Aligner
+from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.methods.contour_alignment.uncertainty import probability_within
+from lodbench.methods.flight.consensus import flight_error
+from lodbench.methods.flight.findings import findings_of
+from lodbench.methods.flight.joint import Solution, State, differences, photo_covariance, solve
+from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.photo_terms import PhotoTerms, photo_terms
+from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
+
+Floats = NDArray[np.float64]
+
+# Scales of the robust kernel in the joint steps, first and last, pixels of the fine size.
+_REACHES_PX = (24.0, 4.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Aligned:
+    """A flight at the end of its steps; photos in the order of the state's.
+
+    Attributes:
+        state: Poses, and what photos share.
+        terms: What each photo says there.
+        solution: The last normal equations.
+    """
+
+    state: State
+    terms: Sequence[PhotoTerms | None]
+    solution: Solution
+
+
+class FlightMethod:
+    """Finds the poses of a flight's photos jointly, and what drone and map are wrong about."""
+
+    params_type = Params
+    name = "flight"
+    requires = frozenset({Input.MASK})
+
+    def __init__(self, params: Params | None = None) -> None:
+        self.params = params or Params()
+
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
+        """Returns the pose of a flight of one photo.
+
+        Raises:
+            QueryFault: As for ``ContourAlignment.localize``.
+        """
+        (found,) = self.localize_flight([query], city_map, [streams]).estimates
+        if isinstance(found, QueryFault):
+            raise found
+        return found
+
+    def localize_flight(
+        self, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
+    ) -> FlightEstimate:
+        """Returns the poses of a flight's photos, in their order, and what it says of drone and map.
+
+        A photo that shows nothing of the map, or whose outline fits nowhere near where the others say it
+        was, is placed by the others alone; its covariance tells.
+        """
+        single = ContourAlignment(self.params.photo())
+        alone = [_alone(single, query, city_map, own) for query, own in zip(queries, streams, strict=True)]
+        faults = [found for found in alone if isinstance(found, QueryFault)]
+        if len(faults) == len(alone):
+            return FlightEstimate(faults)
+        priors = np.array([vector_from_pose(query.prior) for query in queries])
+        offsets = np.array(
+            [
+                differences(vector_from_pose(found.pose)[None], prior[None])[0]
+                for found, prior in zip(alone, priors, strict=True)
+                if isinstance(found, Estimate)
+            ]
+        )
+        offset, _ = flight_error(queries, priors, offsets, city_map, self.params)
+        aligned = self._align(queries, priors, offset, city_map)
+        estimates = [self._estimate(aligned, row) for row in range(len(queries))]
+        names = [query.name for query in queries]
+        found = findings_of(aligned.state, aligned.solution, aligned.terms, names, city_map, self.params)
+        return FlightEstimate(estimates, found)
+
+    def _align(self, queries: Sequence[Query], priors: Floats, offset: Floats, city_map: CityMap) -> _Aligned:
+        photo = self.params.photo()
+        aligners = [Aligner(query, city_map, photo) for query in queries]
+        state = State(
+            vectors=priors + offset,
+            priors=priors,
+            roofs=RoofParts(self.params.part_width_m),
+            buildings_m=np.zeros(city_map.scene.num_buildings),
+            weights=np.ones(len(queries)),
+        )
+        state.constants[:6] = offset
+        steps = self.params.steps
+        reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
+        for number, reach_px in enumerate(reaches):
+            terms = [
+                photo_terms(
+                    aligner, vector, state.lens, state.roofs, reach_px, photo, self.params.view_roof_m
+                )
+                for aligner, vector in zip(aligners, state.vectors, strict=True)
+            ]
+            if number >= steps:
+                self._leave_out_lost(state, terms)
+            solution = solve(state, terms, self.params)
+            state.step(solution)
+        return _Aligned(state, terms, solution)
+
+    def _leave_out_lost(self, state: State, terms: Sequence[PhotoTerms | None]) -> None:
+        """Takes the weight from photos that are further from where the flight says than sensors err."""
+        gaps = differences(state.vectors, state.priors) - state.offset
+        away = np.sqrt(((gaps / self.params.own_sigmas()) ** 2).mean(axis=1))
+        fits = np.array([0.0 if term is None else term.iou for term in terms])
+        lost = (away > self.params.lost_sigmas) | (fits < 0.5 * np.median(fits))
+        state.weights = np.where(lost, 0.0, 1.0)
+
+    def _estimate(self, aligned: _Aligned, row: int) -> Estimate:
+        vector = aligned.state.vectors[row]
+        spread = photo_covariance(aligned.solution, row)
+        term = aligned.terms[row]
+        return Estimate(
+            pose=pose_from_vector(vector),
+            score=0.0 if term is None else term.iou,
+            covariance=spread,
+            probability=probability_within(spread, vector),
+        )
+
+
+def _alone(
+    method: ContourAlignment, query: Query, city_map: CityMap, streams: Streams
+) -> Estimate | QueryFault:
+    try:
+        return method.localize(query, city_map, streams)
+    except QueryFault as fault:
+        return fault

@@ -1,0 +1,105 @@
+"""Parameters of the joint alignment of flights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import ConfigError
+from lodbench.methods.contour_alignment import Params as PhotoParams
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """Everything the method can be told.
+
+    Errors are half widths of what is uniform, or standard deviations where that is said. An error of 0
+    is switched off: that number is held at the prior's.
+
+    Attributes:
+        name: Name to report.
+        shared_m: Error of all of a flight's positions, east and north, metres.
+        own_m: Error of each photo's position, east, north and up, metres.
+        shared_height_m: Error of all of a flight's heights, metres.
+        shared_tilt_deg: Error of the gimbal's pitch and roll, degrees.
+        own_tilt_deg: The same of each photo.
+        shared_yaw_deg: Error of the compass, degrees.
+        own_yaw_deg: The same of each photo.
+        focal: Standard deviation of the focal length, as a share of it.
+        distortion: Standard deviation of the lens's radial distortion k1, of normalised coordinates.
+        mask_px: Standard deviation of how much masks are grown or shrunk, pixels of the fine size.
+        roofs_m: Standard deviation of what all roofs of the map are wrong about alike, metres.
+        roof_m: Standard deviation of each building's height in the map, metres.
+        part_m: Standard deviation of the height of parts of a roof around it, metres.
+        part_width_m: Width of a part, metres.
+        view_roof_m: The same as one view sees it: a ridge from here, eaves from there.
+        steps: Joint steps with robust kernels that narrow, and as many final ones.
+        votes: Most photos whose own answers are tried as the flight's error, and that judge them.
+        lost_sigmas: A photo this far from what the flight says of it is lost.
+    """
+
+    name: str = "flight"
+    shared_m: float = 8.0
+    own_m: float = 2.0
+    shared_height_m: float = 28.0
+    shared_tilt_deg: float = 0.8
+    own_tilt_deg: float = 0.3
+    shared_yaw_deg: float = 5.0
+    own_yaw_deg: float = 2.5
+    focal: float = 0.01
+    distortion: float = 0.01
+    mask_px: float = 1.0
+    roofs_m: float = 1.5
+    roof_m: float = 2.0
+    part_m: float = 2.0
+    feet_m: float = 0.5
+    foot_m: float = 0.5
+    part_width_m: float = 20.0
+    view_roof_m: float = 0.5
+    steps: int = 8
+    votes: int = 24
+    lost_sigmas: float = 6.0
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__[1:19]:
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
+        if self.steps < 1 or self.votes < 1:
+            raise ConfigError("method.steps and method.votes are at least 1.")
+
+    def shared_sigmas(self) -> Floats:
+        """Returns (6,) standard deviations of the flight's x, y, z, pitch, roll and yaw."""
+        widths = (self.shared_m, self.shared_m, self.shared_height_m)
+        return _sigmas(*widths, self.shared_tilt_deg, self.shared_tilt_deg, self.shared_yaw_deg)
+
+    def own_sigmas(self) -> Floats:
+        """Returns (6,) standard deviations of each photo's x, y, z, pitch, roll and yaw."""
+        widths = (self.own_m, self.own_m, self.own_m)
+        return _sigmas(*widths, self.own_tilt_deg, self.own_tilt_deg, self.own_yaw_deg)
+
+    def constant_sigmas(self) -> Floats:
+        """Returns (11,) standard deviations beforehand of what photos share, in the order of ``joint``."""
+        lens = (self.focal, self.distortion, self.mask_px)
+        return np.concatenate([self.shared_sigmas(), np.maximum([*lens, self.roofs_m, self.feet_m], 1e-7)])
+
+    def photo(self) -> PhotoParams:
+        """Returns the parameters by which each photo is aligned alone, over all that is left open."""
+        plane = 2.0 * (self.shared_m + self.own_m)
+        return replace(
+            PhotoParams(),
+            range_x_m=plane,
+            range_y_m=plane,
+            range_z_m=2.0 * (self.shared_height_m + self.own_m),
+            range_yaw_deg=2.0 * (self.shared_yaw_deg + self.own_yaw_deg),
+            range_tilt_deg=2.0 * (self.shared_tilt_deg + self.own_tilt_deg),
+        )
+
+
+def _sigmas(*widths: float) -> Floats:
+    # What is held is held to a tenth of a millimetre, or of a thousandth of a degree.
+    return np.maximum(np.array(widths) / math.sqrt(3.0), 1e-4)

@@ -1,0 +1,174 @@
+"""What one photo says of its pose, and of what all photos share: a block of the joint least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.methods.contour_alignment.alignment import Aligner
+from lodbench.methods.contour_alignment.correlated import error_covariance, whiten
+from lodbench.methods.contour_alignment.outline import OutlinePoints
+from lodbench.methods.contour_alignment.outline_kernel import measure_distances
+from lodbench.methods.contour_alignment.params import Params as PhotoParams
+from lodbench.methods.flight.roof_parts import RoofParts
+
+Floats = NDArray[np.float64]
+
+# Points of one matrix, which costs their number cubed, and matrices of a photo; see contour_alignment.
+_MOST_POINTS, _MOST_SUBSETS = 250, 4
+_FEWEST_POINTS, _BORDER_PX = 12, 2.0
+# The outline's noise is never less or more, and is looked for among points nearer than this, pixels.
+_NOISE_PX, _FAR_PX, _AGREES = (0.5, 6.0), 20.0, 0.3
+_OWN_SHARE, _LEAST_WEIGHT = 0.3, 1e-8
+# Numbers of a camera: the focal length's change as a share, radial distortion, and by how much masks are too
+# large, pixels.
+LENS = 3
+# Columns of slopes: the roof's height, the foot's, and the lens's numbers.
+_TOP, _FOOT, _LENS = 7, 8, slice(9, 9 + LENS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoTerms:
+    """A quadratic in a photo's pose (6), the lens (2) and the heights of the N parts of roofs it shows.
+
+    Attributes:
+        information: (6 + 2 + N, 6 + 2 + N) its curvature.
+        gradient: (6 + 2 + N,) its slope.
+        parts: (N,) numbers of the parts.
+        iou: Of silhouette and mask.
+        noise_px: Standard deviation of the mask's outline.
+        count: Points it rests on.
+    """
+
+    information: Floats
+    gradient: Floats
+    parts: NDArray[np.int64]
+    iou: float
+    noise_px: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Outline points through a lens: where they are looked up, and how far they are from the mask's outline.
+
+    Attributes:
+        pixels: (N, 2) of the working size.
+        distances: (N,) positive inside the mask.
+        slopes: (N, 12) their change per unit of ``OutlinePoints.moves`` and of the lens's numbers.
+        agreement: (N,) 1 where the mask's outline runs as the silhouette's does.
+        buildings: (N,) rows of the edges' buildings.
+        places: (N, 2) east and north, scene metres.
+    """
+
+    pixels: Floats
+    distances: Floats
+    slopes: Floats
+    agreement: Floats
+    buildings: NDArray[np.int64]
+    places: Floats
+
+
+def photo_terms(
+    aligner: Aligner,
+    vector: Floats,
+    lens: Floats,
+    roofs: RoofParts,
+    reach_px: float | None,
+    params: PhotoParams,
+    view_roof_m: float,
+) -> PhotoTerms | None:
+    """Returns what a photo says at a pose; None if too little outline is seen.
+
+    Args:
+        aligner: Of the photo.
+        vector: (6,) its pose: metres and degrees.
+        lens: (3,) change of the focal length as a share, radial distortion k1, pixels masks are too large by.
+        roofs: By how much parts of roofs are higher than in the map.
+        reach_px: Scale of the robust kernel; None for what the outline's noise calls for.
+        params: Of the alignment of photos.
+        view_roof_m: Standard deviation of a roof's height as one view sees it, metres.
+    """
+    # The lens bends points afterwards: what is rendered has the focal length as told.
+    points, iou = aligner.outline(np.append(vector, 0.0), params.fine_size)
+    seen = _through_lens(aligner, points, lens, params.fine_size)
+    if len(seen.distances) < _FEWEST_POINTS:
+        return None
+    rows = aligner.edges.rows[seen.buildings]
+    # Where walls end has heights of its own, numbered apart from roofs.
+    tops, feet = roofs.numbers_of(rows, seen.places), roofs.numbers_of(-1 - rows, seen.places)
+    # The map's silhouette stands where the map has its roofs: the heights found move it to first order.
+    lifted = seen.slopes[:, _TOP] * roofs.heights_m[tops] + seen.slopes[:, _FOOT] * roofs.heights_m[feet]
+    seen = replace(seen, distances=seen.distances + lifted)
+    noise_px = _noise(seen.distances, seen.agreement)
+    reach_px = params.outlier_sigmas * max(noise_px, 1.0) if reach_px is None else reach_px
+    parts, column = np.unique(np.stack([tops, feet]), return_inverse=True)
+    column = column.reshape(2, -1)
+    size = 6 + LENS + len(parts)
+    information, gradient = np.zeros((size, size)), np.zeros(size)
+    subsets = -(-len(rows) // _MOST_POINTS)
+    used = min(subsets, _MOST_SUBSETS)
+    for k in range(used):
+        chosen = slice(k * subsets // used, None, subsets)
+        jacobian = np.zeros((len(rows[chosen]), size + 1))
+        jacobian[:, :6] = seen.slopes[chosen, :6]
+        jacobian[:, 6 : 6 + LENS] = seen.slopes[chosen, _LENS]
+        lines = np.arange(len(jacobian))
+        jacobian[lines, 6 + LENS + column[0, chosen]] += seen.slopes[chosen, _TOP]
+        jacobian[lines, 6 + LENS + column[1, chosen]] += seen.slopes[chosen, _FOOT]
+        jacobian[:, -1] = seen.distances[chosen]
+        whiten(_covariance(seen, chosen, noise_px, reach_px, params, view_roof_m), jacobian)
+        information += jacobian[:, :-1].T @ jacobian[:, :-1] / used
+        gradient += jacobian[:, :-1].T @ jacobian[:, -1] / used
+    return PhotoTerms(information, gradient, parts, iou, noise_px, len(rows))
+
+
+def _covariance(
+    seen: _Seen, chosen: slice, noise_px: float, reach_px: float, params: PhotoParams, view_roof_m: float
+) -> Floats:
+    """Returns the lower half of the covariance of some points' distances; see ``contour_alignment``."""
+    kernel = 1.0 / (1.0 + (seen.distances[chosen] / reach_px) ** 2)
+    weights = np.maximum(kernel**2 * np.maximum(seen.agreement[chosen], 1e-3), _LEAST_WEIGHT)
+    matrix: Floats = error_covariance(
+        seen.pixels[chosen],
+        np.ascontiguousarray(seen.slopes[chosen, _TOP]),
+        np.ascontiguousarray(seen.slopes[chosen, _FOOT]),
+        seen.buildings[chosen],
+        ((1.0 - _OWN_SHARE) * noise_px**2, _OWN_SHARE * noise_px**2),
+        (params.outline_px, params.roof_part_px),
+        (0.0, view_roof_m**2, 0.0),
+    )
+    # Outliers have an error of their own beside the shared one.
+    matrix[np.diag_indices(len(matrix))] += noise_px**2 * (1.0 / weights - 1.0)
+    return matrix
+
+
+def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: tuple[int, int]) -> _Seen:
+    """Returns outline points as a lens of another focal length and with distortion shows them."""
+    level = aligner.level(size)
+    camera = level.camera
+    away = points.pixels - np.array([camera.cx, camera.cy])
+    square = ((away / np.array([camera.fx, camera.fy])) ** 2).sum(axis=1)[:, None]
+    stretch = (1.0 + lens[0]) * (1.0 + lens[1] * square)
+    pixels = np.array([camera.cx, camera.cy]) + away * stretch
+    limit = np.array([camera.width, camera.height]) - _BORDER_PX
+    inside = ((pixels > _BORDER_PX) & (pixels < limit)).all(axis=1)
+    by_lens = np.stack([away * (1.0 + lens[1] * square), away * (1.0 + lens[0]) * square], axis=1)
+    moves = np.concatenate([points.moves * stretch[:, None], by_lens], axis=1)[inside]
+    count = int(inside.sum())
+    distances, slopes, agreement = np.empty(count), np.empty((count, 11)), np.empty(count)
+    pixels = np.ascontiguousarray(pixels[inside])
+    normals, moves = np.ascontiguousarray(points.normals[inside]), np.ascontiguousarray(moves)
+    measure_distances(pixels, normals, moves, level.distance, distances, slopes, agreement)
+    slopes = np.column_stack([slopes, -np.ones(count)])
+    distances = distances - lens[2]
+    return _Seen(pixels, distances, slopes, agreement, points.buildings[inside], points.places[inside])
+
+
+def _noise(distances: Floats, agreement: Floats) -> float:
+    """Returns the standard deviation of the mask's outline in pixels, from the median distance."""
+    near = np.abs(distances[(agreement > _AGREES) & (np.abs(distances) < _FAR_PX)])
+    low, high = _NOISE_PX
+    return float(np.clip(1.4826 * np.median(near), low, high)) if len(near) else high

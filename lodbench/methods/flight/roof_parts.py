@@ -1,0 +1,62 @@
+"""Heights of roofs, part by part: unknowns that all photos of a flight share.
+
+A map of a low level of detail has one height where a roof has many, so a building is cut by a grid into
+parts, each with a height of its own around its building's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+# More cells than a city is wide.
+_MOST_CELLS = 1 << 20
+
+
+class RoofParts:
+    """The parts that photos have shown so far, numbered in the order they were met.
+
+    Attributes:
+        heights_m: (N,) by how much each is higher than in the map, metres.
+        building: (N,) row of the scene's building it belongs to.
+
+    Args:
+        cell_m: Width of a part, metres.
+    """
+
+    def __init__(self, cell_m: float) -> None:
+        self._cell_m = cell_m
+        self._numbers: dict[tuple[int, int], int] = {}
+        self.heights_m: Floats = np.zeros(0)
+        self.building: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self.building)
+
+    def numbers_of(self, buildings: NDArray[np.int64], places: Floats) -> NDArray[np.int64]:
+        """Returns the numbers of the parts that points lie in, (N,); new parts are as high as their building.
+
+        Args:
+            buildings: (N,) rows of the scene.
+            places: (N, 2) east and north, scene metres.
+        """
+        cells = np.floor(places / self._cell_m).astype(np.int64)
+        keys = (cells[:, 0] + _MOST_CELLS // 2) * _MOST_CELLS + cells[:, 1] + _MOST_CELLS // 2
+        pairs, inverse = np.unique(np.column_stack([buildings, keys]), axis=0, return_inverse=True)
+        found = [(int(building), int(cell)) for building, cell in pairs]
+        new = [pair for pair in found if pair not in self._numbers]
+        for pair in new:
+            self._numbers[pair] = len(self._numbers)
+        if new:
+            owners = np.array([building for building, _ in new], dtype=np.int64)
+            heights = [self._height_of(int(building)) for building in owners]
+            self.building = np.concatenate([self.building, owners])
+            self.heights_m = np.concatenate([self.heights_m, heights])
+        numbers = np.array([self._numbers[pair] for pair in found], dtype=np.int64)
+        return numbers[inverse.reshape(-1)]
+
+    def _height_of(self, building: int) -> float:
+        same = self.heights_m[self.building == building]
+        return float(same.mean()) if len(same) else 0.0

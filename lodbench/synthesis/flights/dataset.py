@@ -1,0 +1,235 @@
+"""``dataset=flights``: seeded flights over any city, with errors that the photos of a flight share.
+
+Masks are as wrong as a network's; the map may be made wrong on purpose, which ``map_truth.json`` tells
+the evaluator and nobody else.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.cache import OpenCity, open_cached_city, store_city
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.folder import SEQUENCE_FILE, FolderParams, open_folder
+from lodbench.datasets.query import Dataset
+from lodbench.errors import ConfigError, DatasetError, nearest_names
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering import Renderer, make_renderer
+from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
+from lodbench.storage.paths import cache_root
+from lodbench.synthesis.flights.errors import SensorErrors, moved
+from lodbench.synthesis.flights.map_changes import MapErrors, change_map
+from lodbench.synthesis.flights.paths import PATHS
+from lodbench.synthesis.mask_degradation import degrade_mask, mask_iou
+from lodbench.synthesis.queries import SyntheticQuery, write_queries
+from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewCheck, target_near
+
+# Raised whenever the same settings would draw something else.
+FLIGHTS_VERSION = 1
+SPLIT, MAP_TRUTH_FILE, _MAP_FOLDER = "flights", "map_truth.json", "map"
+# The share of buildings in a photo that is kept, as for ``dataset=views``.
+_BUILDING_SHARE = (0.10, 0.80)
+# Places tried before a city is said to have none for such a flight.
+_MOST_TRIES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class FlightsParams:
+    """Settings of ``dataset=flights``; all errors are half widths of uniform draws.
+
+    Attributes:
+        city_model: City model: a file, an archive, or a folder of tiles.
+        num_flights: Flights over the city; asking for more keeps the first ones.
+        num_photos: Photos of each.
+        path: How it goes over the place: grid, orbit, facade or corridor; all of them in turn if None.
+        mask_iou: IoU of each query mask with the silhouette at the truth.
+        shared_m: Error of all of a flight's positions, east and north, metres.
+        own_m: Error of each photo's position, east, north and up, metres.
+        shared_height_m: Error of all of a flight's heights, metres.
+        shared_tilt_deg: Error of the gimbal's pitch and roll, degrees.
+        own_tilt_deg: The same of each photo.
+        shared_yaw_deg: Error of the compass, degrees.
+        own_yaw_deg: The same of each photo.
+        focal: Share by which a flight's focal length may be off.
+        distortion: Radial distortion of a flight's lens that nobody tells of (k1 of normalised coordinates).
+        wrong_heights: Share of the map's buildings whose height is wrong by 1.5 to 5 m.
+        missing: Share of buildings that the map lacks.
+        extra: Share of buildings that stand in the map only.
+        flights_seed: Seed of everything.
+        lod: Level of detail to localise against; None for the lowest.
+        mask_lod: Level of detail that masks are drawn from; None for ``lod``.
+        crs: CRS of the city model, where its file says none or a wrong one.
+        roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
+        name: Name to report.
+    """
+
+    city_model: str
+    num_flights: int = 4
+    num_photos: int = 20
+    path: str | None = None
+    mask_iou: float = 0.88
+    shared_m: float = 8.0
+    own_m: float = 2.0
+    shared_height_m: float = 28.0
+    shared_tilt_deg: float = 0.8
+    own_tilt_deg: float = 0.3
+    shared_yaw_deg: float = 5.0
+    own_yaw_deg: float = 2.5
+    focal: float = 0.0
+    distortion: float = 0.0
+    wrong_heights: float = 0.0
+    missing: float = 0.0
+    extra: float = 0.0
+    flights_seed: int = 0
+    lod: str | None = None
+    mask_lod: str | None = None
+    crs: str | None = None
+    roof_height: str | None = None
+    name: str = "flights"
+
+    def __post_init__(self) -> None:
+        if self.num_flights < 1 or self.num_photos < 1:
+            raise ConfigError("dataset.num_flights and dataset.num_photos are at least 1.")
+        if self.path is not None and self.path not in PATHS:
+            raise ConfigError(f"dataset.path={self.path} is not known.", nearest_names(self.path, PATHS))
+        if not 0 < self.mask_iou <= 1:
+            raise ConfigError(f"dataset.mask_iou lies in (0, 1], not {self.mask_iou}.")
+        if not (0 <= self.focal <= 0.2 and -0.3 <= self.distortion <= 0.3):
+            raise ConfigError("dataset.focal lies within 0 and 0.2, dataset.distortion within -0.3 and 0.3.")
+        self.shared(), self.own(), self.map_errors()
+
+    def shared(self) -> SensorErrors:
+        """Returns what all photos of a flight are wrong about."""
+        return SensorErrors(self.shared_m, self.shared_height_m, self.shared_tilt_deg, self.shared_yaw_deg)
+
+    def own(self) -> SensorErrors:
+        """Returns what each photo is wrong about by itself."""
+        return SensorErrors(self.own_m, self.own_m, self.own_tilt_deg, self.own_yaw_deg)
+
+    def map_errors(self) -> MapErrors:
+        """Returns what the map is wrong about."""
+        return MapErrors(self.wrong_heights, self.missing, self.extra)
+
+
+def open_flights(params: FlightsParams) -> Dataset:
+    """Returns the dataset of seeded flights; draws them first if the cache does not hold them.
+
+    Raises:
+        LodbenchError: The city cannot be read, or no flight can be drawn over it.
+    """
+    city = Path(params.city_model).expanduser()
+    if not city.exists():
+        raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
+    options = ReadOptions(crs=params.crs)
+    world = open_cached_city(
+        city, lod=params.mask_lod or params.lod, options=options, roof_height=params.roof_height
+    ).scene
+    left_out = ("city_model", "crs", "name") if params.map_errors() else ("city_model", "crs", "name", "lod")
+    drawn = {key: value for key, value in asdict(params).items() if key not in left_out}
+    root = (
+        cache_root() / "flights" / digest_of([FLIGHTS_VERSION, drawn, world.digest(), world.origin.tolist()])
+    )
+    if not root.is_dir():
+        make_folder(root.parent)
+        with new_folder(root) as building:
+            _draw(params, world, building)
+            if params.map_errors():
+                level = open_cached_city(
+                    city, lod=params.lod, options=options, roof_height=params.roof_height
+                )
+                _write_map(params, level, building)
+    where = str(root / _MAP_FOLDER) if params.map_errors() else str(city)
+    lod, rule = (None, None) if params.map_errors() else (params.lod, params.roof_height)
+    folder = open_folder(FolderParams(str(root), where, lod, params.crs, rule, params.name))
+    return replace(folder, version=f"flights {FLIGHTS_VERSION}, seed {params.flights_seed}")
+
+
+def _draw(params: FlightsParams, world: Scene, folder: Path) -> None:
+    """Writes all flights as one split of a folder."""
+    renderer = make_renderer("silhouette", world, None)
+    queries, sequences = [], {}
+    for flight in range(params.num_flights):
+        for query in draw_flight(params, world, renderer, flight):
+            queries.append(query)
+            sequences[query.file_name] = f"flight_{flight:02d}"
+    write_queries(folder / SPLIT, queries, RGB_CAMERA, world.origin)
+    lines = [f"{name} {flight}" for name, flight in sequences.items()]
+    write_text(folder / SPLIT / SEQUENCE_FILE, "\n".join(lines) + "\n", False)
+
+
+def draw_flight(params: FlightsParams, world: Scene, renderer: Renderer, flight: int) -> list[SyntheticQuery]:
+    """Returns the photos of one flight in the order they were taken; it depends on seed and number only.
+
+    Raises:
+        DatasetError: No place of the city shows enough buildings along such a flight.
+    """
+    names = (params.flights_seed, "flight", flight)
+    generator = random_stream(*names, "errors")
+    shared = params.shared().draw(generator)
+    focal = 1.0 + params.focal * float(generator.uniform(-1.0, 1.0))
+    distortion = params.distortion * float(generator.uniform(-1.0, 1.0))
+    camera = RGB_CAMERA.scaled(*FINE_SIZE)
+    true_camera = replace(camera, fx=camera.fx * focal, fy=camera.fy * focal)
+    queries = []
+    for number, truth in enumerate(_poses(params, world, renderer, camera, flight)):
+        name = f"flight_{flight:02d}_{number:04d}"
+        clean = _silhouette(renderer, true_camera, truth, distortion)
+        rough, _ = degrade_mask(clean, params.mask_iou, random_stream(*names, number, "mask"))
+        own = params.own().draw(random_stream(*names, number, "prior"))
+        queries.append(SyntheticQuery(name, truth, moved(truth, shared + own), rough, mask_iou(rough, clean)))
+    return queries
+
+
+def _poses(
+    params: FlightsParams, world: Scene, renderer: Renderer, camera: Camera, flight: int
+) -> list[Pose]:
+    kind = params.path or list(PATHS)[flight % len(PATHS)]
+    check = ViewCheck(world, renderer, camera, _BUILDING_SHARE)
+    generator = random_stream(params.flights_seed, "flight", flight, "path")
+    for _ in range(_MOST_TRIES):
+        target = target_near(check.ground, generator)
+        seen = [pose for pose in PATHS[kind](target, generator, params.num_photos) if check.accepts(pose)]
+        if len(seen) >= params.num_photos:
+            first = (len(seen) - params.num_photos) // 2
+            return seen[first : first + params.num_photos]
+    raise DatasetError(
+        f"No {kind} flight of {params.num_photos} photos that all show buildings was found.",
+        "Set dataset.path=orbit, or fewer dataset.num_photos.",
+    )
+
+
+def _silhouette(renderer: Renderer, camera: Camera, pose: Pose, distortion: float) -> NDArray[np.bool_]:
+    """Returns (H, W) what a lens with a radial distortion (k1) shows of the city."""
+    if distortion == 0.0:
+        return renderer.render(camera, pose)
+    margin = round(0.15 * camera.width)
+    wide = replace(
+        camera,
+        width=camera.width + 2 * margin,
+        height=camera.height + 2 * margin,
+        cx=camera.cx + margin,
+        cy=camera.cy + margin,
+    )
+    clean = renderer.render(wide, pose)
+    u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+    seen = np.stack([u.ravel(), v.ravel()], axis=1)
+    lens = np.array([distortion, 0.0, 0.0, 0.0])
+    straight = cv2.undistortPoints(seen[:, None], matrix, lens, P=matrix)[:, 0]
+    columns = np.clip(np.floor(straight[:, 0]).astype(int) + margin, 0, wide.width - 1)
+    rows = np.clip(np.floor(straight[:, 1]).astype(int) + margin, 0, wide.height - 1)
+    return np.asarray(clean[rows, columns].reshape(camera.height, camera.width))
+
+
+def _write_map(params: FlightsParams, level: OpenCity, folder: Path) -> None:
+    generator = random_stream(params.flights_seed, "flights", "map")
+    wrong, changed = change_map(level.scene, params.map_errors(), generator)
+    store_city(replace(level, scene=wrong), folder / _MAP_FOLDER, survives_power_cut=False)
+    write_text(folder / MAP_TRUTH_FILE, json.dumps(changed, indent=1, sort_keys=True) + "\n", False)

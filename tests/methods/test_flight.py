@@ -1,0 +1,215 @@
+"""Flights: the joint problem against a dense one, what photos share recovered, photos that go astray."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.query import Query
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.evaluation import pose_error
+from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.flight.joint import State, photo_covariance, solve
+from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
+from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.methods.protocol import SupportsFlights
+from lodbench.storage import random_stream
+from lodbench.synthesis.flights.map_changes import MapErrors, change_map
+from tests.town import CAMERA, true_poses
+
+SHARED = np.array([4.0, -5.0, 12.0, 0.6, -0.5, 3.0])
+FOCAL = 1.015
+
+
+def flight(city_map, count=6, focal=FOCAL, seed=1):
+    """Returns the queries and true poses of a flight whose gimbal, GPS and focal length are off."""
+    generator = np.random.default_rng(seed)
+    poses = list(true_poses(count).values())
+    true_camera = replace(CAMERA, fx=CAMERA.fx * focal, fy=CAMERA.fy * focal)
+    queries = []
+    for k, pose in enumerate(poses):
+        own = generator.uniform(-1, 1, 6) * [1.5, 1.5, 1.5, 0.2, 0.2, 1.5]
+        prior = pose_from_vector(vector_from_pose(pose) - SHARED - own)
+        mask = city_map.render(true_camera, pose).astype(np.float32)
+        queries.append(Query(f"q{k}", "all", CAMERA, prior, mask, sequence="one"))
+    return queries, poses
+
+
+def localize(queries, city_map, params=None):
+    streams = [partial(random_stream, 0, query.name) for query in queries]
+    return FlightMethod(params).localize_flight(queries, city_map, streams)
+
+
+@pytest.fixture(scope="module")
+def found(city_map):
+    queries, poses = flight(city_map)
+    return localize(queries, city_map), poses
+
+
+def test_a_flight_is_found_with_a_focal_length_and_a_gimbal_that_are_off(found):
+    answer, poses = found
+    errors = [pose_error(each.pose, pose) for each, pose in zip(answer.estimates, poses, strict=True)]
+    assert max(error.translation_m for error in errors) < 0.7
+    assert all(each.probability > 0.8 for each in answer.estimates)
+
+
+def test_what_photos_share_is_told_with_its_sigma(found):
+    constants = found[0].findings["constants"]
+    for name, value, tolerance in (
+        ("pitch", SHARED[3], 0.2),
+        ("height", SHARED[2], 1.2),
+        ("focal length", FOCAL - 1.0, 0.004),
+    ):
+        told = constants[name]
+        assert told["told"]
+        assert told["value"] == pytest.approx(value, abs=tolerance), name
+        assert abs(told["value"] - value) < 4.0 * told["sigma"] + 0.1
+    assert found[0].findings["lost"] == []
+
+
+def test_a_photo_that_shows_something_else_is_placed_by_the_others(city_map):
+    queries, poses = flight(city_map, focal=1.0)
+    elsewhere = np.zeros((240, 320), dtype=np.float32)
+    elsewhere[:60, :60] = 1.0
+    queries[2] = replace(queries[2], building_probability=elsewhere)
+    answer = localize(queries, city_map)
+    assert answer.findings["lost"] == ["q2"]
+    error = pose_error(answer.estimates[2].pose, poses[2])
+    # No better than sensors are, but not led astray by its own mask, and it knows.
+    assert error.translation_m < 4.0
+    assert answer.estimates[2].probability < min(answer.estimates[k].probability for k in (0, 1, 3, 4, 5))
+
+
+def test_a_building_whose_height_the_map_has_wrong_is_in_doubt(scene):
+    errors = MapErrors(heights=0.15)
+    wrong, changed = change_map(scene, errors, np.random.default_rng(3))
+    queries, _ = flight(CityMap(scene, threads=1), count=8, focal=1.0)
+    buildings = localize(queries, CityMap(wrong, threads=1)).findings["buildings"]
+    (name, higher_m) = next(iter(changed["heights"].items()))
+    told = next(building for building in buildings if building["id"] == name)
+    assert told["doubt"]
+    assert told["higher_m"] == pytest.approx(-higher_m, abs=1.0)
+    assert sum(building["doubt"] for building in buildings) <= 2
+
+
+def test_a_flight_of_one_photo_and_one_without_any_building(city_map):
+    (query,), (pose,) = flight(city_map, count=1, focal=1.0)
+    streams = partial(random_stream, 0, "one")
+    assert isinstance(FlightMethod(), SupportsFlights)
+    assert pose_error(FlightMethod().localize(query, city_map, streams).pose, pose).translation_m < 3.0
+    empty = replace(query, building_probability=np.zeros((240, 320), dtype=np.float32))
+    with pytest.raises(QueryFault, match="no building"):
+        FlightMethod().localize(empty, city_map, streams)
+
+
+@pytest.mark.parametrize("wrong", [{"own_m": -1.0}, {"focal": float("inf")}, {"steps": 0}])
+def test_parameters_out_of_range_are_refused(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        Params(**wrong)
+
+
+def random_problem(generator, photos=4):
+    """Returns a state and terms with random curvatures over six parts of three buildings."""
+    params = Params()
+    roofs = RoofParts(10.0)
+    places = np.array([[5.0, 5.0], [15.0, 5.0]])
+    for building in range(3):
+        roofs.numbers_of(np.full(2, building), places)
+    roofs.heights_m = generator.normal(size=6)
+    state = State(
+        vectors=generator.normal(size=(photos, 6)),
+        priors=generator.normal(size=(photos, 6)),
+        roofs=roofs,
+        buildings_m=generator.normal(size=3),
+        weights=np.array([1.0, 1.0, 0.0, 1.0])[:photos],
+    )
+    state.constants = generator.normal(size=len(state.constants)) * 0.1
+    terms = []
+    for _ in range(photos):
+        parts = np.sort(generator.choice(6, 3, replace=False))
+        root = generator.normal(size=(6 + LENS + 3, 6 + LENS + 3))
+        terms.append(PhotoTerms(root @ root.T, generator.normal(size=len(root)), parts, 0.5, 1.0, 100))
+    return state, terms, params
+
+
+def dense_solution(state, terms, params):
+    """Returns the whole problem's curvature inverted and its step: photos first, then what they share."""
+    photos = len(terms)
+    constants, buildings, parts = len(state.constants), 3, 6
+    size = 6 * photos + constants + buildings + parts
+    matrix, gradient = np.zeros((size, size)), np.zeros(size)
+    base = 6 * photos
+    own = np.diag(params.own_sigmas() ** -2.0)
+    for k, term in enumerate(terms):
+        pose, offset = np.arange(6 * k, 6 * k + 6), np.arange(base, base + 6)
+        rows = np.concatenate(
+            [
+                pose,
+                np.arange(base + 6, base + 6 + LENS),
+                base + constants + buildings + term.parts,
+            ]
+        )
+        matrix[np.ix_(rows, rows)] += state.weights[k] * term.information
+        gradient[rows] += state.weights[k] * term.gradient
+        tie = np.zeros((6, size))
+        tie[np.arange(6), pose], tie[np.arange(6), offset] = 1.0, -1.0
+        gap = state.vectors[k] - state.priors[k] - state.offset
+        matrix += tie.T @ own @ tie
+        gradient += tie.T @ own @ gap
+    sigmas = params.constant_sigmas()
+    shared = np.arange(base, base + constants)
+    matrix[shared, shared] += sigmas**-2.0
+    gradient[shared] += state.constants * sigmas**-2.0
+    roofs = base + 6 + LENS
+    ties = [
+        (base + constants + b, roofs, state.buildings_m[b] - state.constants[6 + LENS], params.roof_m)
+        for b in range(3)
+    ]
+    for p in range(parts):
+        b = int(state.roofs.building[p])
+        gap = state.roofs.heights_m[p] - state.buildings_m[b]
+        ties.append((base + constants + buildings + p, base + constants + b, gap, params.part_m))
+    for one, other, gap, sigma in ties:
+        row = np.zeros(size)
+        row[one], row[other] = 1.0, -1.0
+        matrix += np.outer(row, row) / sigma**2
+        gradient += row * gap / sigma**2
+    inverse = np.linalg.inv(matrix)
+    return inverse, -inverse @ gradient
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_eliminating_photos_gives_what_the_dense_problem_does(seed):
+    state, terms, params = random_problem(np.random.default_rng(seed))
+    inverse, step = dense_solution(state, terms, params)
+    solution = solve(state, terms, params)
+    poses = step[:24].reshape(4, 6)
+    longest = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
+    limited = poses / np.maximum(1.0, np.abs(poses / longest).max(axis=1))[:, None]
+    np.testing.assert_allclose(solution.photo_steps, limited, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(solution.shared_step, step[24:], rtol=1e-6, atol=1e-8)
+    for k in range(4):
+        np.testing.assert_allclose(
+            photo_covariance(solution, k),
+            inverse[6 * k : 6 * k + 6, 6 * k : 6 * k + 6],
+            rtol=1e-6,
+            atol=1e-10,
+        )
+
+
+def test_parts_keep_their_numbers():
+    roofs = RoofParts(10.0)
+    first = roofs.numbers_of(np.array([4, 4, 4]), np.array([[1.0, 1.0], [11.0, 1.0], [2.0, 3.0]]))
+    assert first[0] == first[2] != first[1]
+    roofs.heights_m[:] = [2.0, 4.0]
+    again = roofs.numbers_of(np.array([4, 4, 7]), np.array([[11.0, 1.0], [-1.0, 1.0], [1.0, 1.0]]))
+    assert again[0] == first[1]
+    # A new part is as high as its building's others; another building starts at the map's height.
+    assert roofs.heights_m[again[1]] == 3.0
+    assert roofs.heights_m[again[2]] == 0.0
+    assert len(roofs) == 4
