@@ -89,6 +89,9 @@ def lines_to_text(lines: Iterable[str]) -> str:
 def _only_word(words: list[str]) -> str:
     if len(words) != 1:
         raise LodbenchError(f"{len(words)} words after the name instead of 1")
+    if PurePosixPath(words[0]).name != words[0] or words[0] == "..":
+        # It names a file of the run's folder.
+        raise LodbenchError(f"{words[0]} is no plain name")
     return words[0]
 
 

@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text, read_cameras, read_poses
+from lodbench.datasets.pose_text import (
+    format_camera,
+    format_pose,
+    lines_to_text,
+    read_cameras,
+    read_poses,
+    read_words,
+)
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 
@@ -149,3 +156,15 @@ class TestFormat:
         assert (
             read_cameras(write(tmp_path, lines_to_text([format_camera("a.jpg", camera)])))["a.jpg"] == camera
         )
+
+
+@pytest.mark.parametrize(
+    ("line", "told"), [("a.jpg one two", "2 words"), ("a.jpg ../up", "no plain name"), ("a.jpg ..", "plain")]
+)
+def test_the_flight_of_a_photo_is_one_plain_name(tmp_path, line, told):
+    path = tmp_path / "sequences.txt"
+    path.write_text(f"b.jpg morning\n{line}\n")
+    with pytest.raises(DatasetError, match=f"line 2.*{told}"):
+        read_words(path)
+    path.write_text("b.jpg morning\n")
+    assert read_words(path) == {"b.jpg": "morning"}
