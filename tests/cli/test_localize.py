@@ -179,6 +179,8 @@ class TestFromPixels:
         assert found["trusted"]
         assert found["probability"] > 0.5
         assert set(found["sigmas"]) == {"x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg"}
+        variances = [row[k] for k, row in enumerate(found["covariance"])]
+        assert [sigma**2 for sigma in found["sigmas"].values()] == pytest.approx(variances)
         assert cv2.imread(found["overlay"]).shape[1] == WIDTH
 
     def test_a_photo_of_something_else_is_not_trusted(self, capsys, tmp_path, shared_data):

@@ -99,6 +99,7 @@ class LocalizedPhoto:
         moved: How far the estimate lies from the prior.
         score: Of the method: the overlap (IoU) of mask and model for LoD-Loc v2.
         probability: That the pose is within 2 m and 2 degrees, where the method knows it.
+        covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where it knows it.
         sigmas: Standard deviations of x, y, z (metres), pitch, roll and yaw (degrees), where it knows them.
         alternatives: Other poses that fit nearly as well, in the city's coordinates, best first.
         is_trusted: Whether the pose is more likely right than wrong, as far as can be told.
@@ -119,6 +120,7 @@ class LocalizedPhoto:
     moved: PoseError
     score: float
     probability: float | None
+    covariance: NDArray[np.float64] | None
     sigmas: tuple[float, ...] | None
     alternatives: tuple[Pose, ...]
     is_trusted: bool
@@ -143,6 +145,7 @@ class LocalizedPhoto:
             "turned_deg": self.moved.rotation_deg,
             "score": self.score,
             "probability": self.probability,
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
             "sigmas": None if self.sigmas is None else dict(zip(_SIGMA_NAMES, self.sigmas, strict=True)),
             "alternatives": [_pose_values(pose) for pose in self.alternatives],
             "trusted": self.is_trusted,
@@ -197,6 +200,7 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
         moved=pose_error(estimate.pose, prior),
         score=float(estimate.score),
         probability=estimate.probability,
+        covariance=estimate.covariance,
         sigmas=_sigmas(estimate),
         alternatives=estimate.alternatives,
         is_trusted=is_trusted(estimate.probability, estimate.score, mask is not None),
