@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo ablation test test-slow fuzz weights docs lint clean
+.PHONY: demo ablation test test-slow fuzz faults determinism matrix weights docs lint audit clean
 
 # Builds the demo town and localises its 40 photos from pixels, with the sensor's tilt, by three methods.
 demo: $(VENV)/.base
@@ -26,6 +26,18 @@ fuzz: $(VENV)/.test
 	$(BIN)/python -m tests.citymodel.test_fuzz $(COUNT)
 	$(BIN)/python -W ignore -m tests.fuzz_readers $(COUNT)
 
+# Every operation of the disk, of every command that writes, fails or kills once, about an hour; `make test` tries a slice.
+faults: $(VENV)/.test
+	$(BIN)/python -m tests.faults
+
+# The demo under other hash seeds, threads, workers, locales, time zones and chunk sizes: the same bytes.
+determinism: $(VENV)/.test
+	$(BIN)/python -m tests.determinism
+
+# Python 3.11 to 3.13, lowest and newest packages, wheel and sdist, read-only and without a home; needs all three Pythons.
+matrix: $(VENV)/.test
+	$(BIN)/python -m tests.matrix
+
 # The weights of segmenter=compact, from nothing: views in 20 minutes, training in three hours, on two cores. CITIES= adds open city models.
 OUT ?= weights
 weights: $(VENV)/.test
@@ -39,6 +51,12 @@ lint: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python -m bandit -q -c pyproject.toml -r lodbench baselines
+
+# Known holes in the packages of constraints.txt; asks PyPI, so it is no part of `make test`.
+audit: $(VENV)/.test
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-audit
+	$(BIN)/pip-audit --requirement constraints.txt --no-deps --disable-pip --progress-spinner off
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)

@@ -8,194 +8,250 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
-import itertools
 import os
 import shutil
 import sys
 import tempfile
+import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 
 from lodbench.cli import main
+from lodbench.storage.atomic import _swept
 from lodbench.storage.disk import Disk, another_disk
-from tests.town import write_dataset
+from tests.fault_commands import COMMANDS, Command, prepare_inputs
 
 KINDS = ("kill", "full", "failing", "short")
-# What differs from one undisturbed run to the next: times, and the answers with theirs.
-TIMED = {"timings.csv", "provenance.json", "predictions.jsonl"}
+# Exit codes of a fork that tells how a disturbed command ended.
+KILLED, AS_IT_SHOULD, DONE, NOT_REACHED, UNCLEAR = 137, 0, 76, 77, 78
 
 
 class FaultyDisk(Disk):
-    """Does as the disk does until its n-th operation."""
+    """Does as the disk does until its n-th operation; without a place it only counts.
 
-    def __init__(self, place: int, kind: str) -> None:
-        self.place, self.kind, self.done = place, kind, 0
+    Attributes:
+        done: Names of the operations so far.
+    """
 
-    def _reaches(self, path: Path) -> bool:
-        self.done += 1
-        if self.done != self.place:
+    def __init__(self, place: int = -1, kind: str = "") -> None:
+        self.place, self.kind, self.done = place, kind, list[str]()
+
+    def _reaches(self, path: Path, name: str) -> bool:
+        self.done.append(name)
+        if len(self.done) != self.place:
             return False
         if self.kind == "kill":
-            os._exit(137)
+            os._exit(KILLED)
         if self.kind != "short":
             code = errno.ENOSPC if self.kind == "full" else errno.EIO
             raise OSError(code, os.strerror(code), str(path))
         return True
 
     def write(self, stream, content, path):
-        if self._reaches(path):
+        if self._reaches(path, "write"):
             super().write(stream, memoryview(content).cast("B")[: len(content) // 2], path)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
         super().write(stream, content, path)
 
     def sync(self, stream, path):
-        self._reaches(path)
+        self._reaches(path, "sync")
         super().sync(stream, path)
 
     def sync_folder(self, folder):
-        self._reaches(folder)
+        self._reaches(folder, "sync_folder")
         super().sync_folder(folder)
 
     def rename(self, source, target):
-        self._reaches(target)
+        self._reaches(target, "rename")
         super().rename(source, target)
 
     def swap(self, one, other):
-        self._reaches(other)
+        self._reaches(other, "swap")
         return super().swap(one, other)
 
     def make_folder(self, folder):
-        self._reaches(folder)
+        self._reaches(folder, "make_folder")
         super().make_folder(folder)
 
     def remove(self, path):
-        self._reaches(path)
+        self._reaches(path, "remove")
         super().remove(path)
 
 
-@dataclass(frozen=True)
-class Command:
-    """A command under test: its words, given in a folder that `before` has filled."""
-
-    name: str
-    words: Callable[[Path], list[str]]
-    before: Callable[[Path], None] = lambda folder: None
-
-
-def _data(folder: Path) -> list[str]:
-    town = folder / "town"
-    words = [f"dataset.root={town / 'data'}", f"dataset.city_model={town / 'city.obj'}"]
-    return ["dataset=folder", *words, f"paths.runs={folder / 'runs'}"]
-
-
-def _run(folder: Path) -> list[str]:
-    return ["run", *_data(folder), "method=prior_only", "segmenter=masks"]
-
-
-def _evaluate(folder: Path) -> list[str]:
-    return ["evaluate", *_data(folder), f"poses={folder / 'town/data/GPS_pose.txt'}"]
-
-
-def _convert(folder: Path) -> list[str]:
-    return ["city", "convert", str(folder / "town/city.obj"), str(folder / "town.scene")]
-
-
-def _once(words: Callable[[Path], list[str]]) -> Callable[[Path], None]:
-    return lambda folder: quietly(words(folder))[1] and None
-
-
-COMMANDS = [
-    Command("run", _run),
-    Command("evaluate", _evaluate),
-    Command("city convert", _convert),
-    Command("city convert, over a scene", _convert, _once(_convert)),
-]
-
-
-def quietly(words: list[str]) -> tuple[int, str]:
+def quietly(words: Sequence[str]) -> tuple[int, str]:
     """Runs a command; returns its exit code and what it wrote to standard error."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main(words)
+        try:
+            code = main(words)
+        except SystemExit as leaving:
+            code = leaving.code if isinstance(leaving.code, int) else 1
     return code, err.getvalue()
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    """Returns every file below a folder that is the same from run to run."""
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name not in TIMED)
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
-
-
 def apart(work: Callable[[], int]) -> int:
-    """Returns the exit code of work done in a fork of this process."""
+    """Returns the exit code of work done in a fork of this process, which has no threads."""
     child = os.fork()
     if child == 0:
         code = 99
-        with contextlib.suppress(BaseException):
+        try:
             code = work()
+        except BaseException as error:
+            os.write(2, f"{type(error).__name__}: {error}\n".encode())
         os._exit(code)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def disturbed(command: Command, town: Path, places: Iterator[int]) -> Iterator[tuple[str, int]]:
-    """Yields kind and place of every fault tried: the command ends as it should, and then goes right.
+class Stage:
+    """A folder that every trial of a command finds as the first did; results name its path.
 
-    Every command runs in a fork of this process, which has computed nothing and so has no threads.
+    Args:
+        command: The command under test.
+        scratch: Where the folder is made.
+        inputs: The town, and what else commands start from.
     """
+
+    def __init__(self, command: Command, scratch: Path, inputs: Path) -> None:
+        self.command, self.folder = command, scratch / "work"
+        self._inputs = scratch / "inputs"
+        os.environ["LODBENCH_CACHE"] = str(self.folder / "cache")
+        shutil.rmtree(self._inputs, ignore_errors=True)
+        shutil.copytree(inputs, self._inputs)
+        self.renew()
+        for words in command.before:
+            code, said = quietly(words(self.folder))
+            assert code == 0, said
+        shutil.rmtree(self._inputs)
+        shutil.copytree(self.folder, self._inputs)
+        for name in command.remembered:
+            _remember(name)
+        # Twice in this process, so that all is imported and compiled in every fork of it.
+        self.operations = self._undisturbed()
+        self.expected = self.contents()
+        assert self._undisturbed() == self.operations
+        assert self.differing() == []
+
+    def renew(self) -> None:
+        """Makes the folder as it was before the first trial."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        shutil.copytree(self._inputs, self.folder)
+
+    def contents(self) -> dict[str, bytes]:
+        """Returns every file of the folder that is the same from run to run; left-overs too."""
+        files = [path for path in sorted(self.folder.rglob("*")) if path.is_file()]
+        return {
+            path.relative_to(self.folder).as_posix(): self.command.without_times(path)
+            for path in files
+            if not self.command.is_timed(path)
+        }
+
+    def differing(self) -> list[str]:
+        """Returns the files that are not those of an undisturbed run."""
+        found = self.contents()
+        names = sorted(set(found) | set(self.expected))
+        return [name for name in names if found.get(name) != self.expected.get(name)]
+
+    def again(self) -> int:
+        """Gives the command in the folder as it is; returns the exit code."""
+        _swept.clear()
+        code, said = quietly(self.command.words(self.folder))
+        if code:
+            os.write(2, said.encode())
+        return code
+
+    def disturbed(self, place: int, kind: str) -> int:
+        """Gives the command on a disk that fails; tells whether it ended as it should."""
+        disk = FaultyDisk(place, kind)
+        _swept.clear()
+        with another_disk(disk):
+            code, said = quietly(self.command.words(self.folder))
+        if len(disk.done) < place:
+            return NOT_REACHED
+        line = next((line for line in said.splitlines() if line.startswith("lodbench: ")), "")
+        is_clear = code == 0 or (code == 2 and bool(line))
+        if is_clear and "Traceback" not in said:
+            return DONE if code == 0 else AS_IT_SHOULD
+        os.write(2, f"exit code {code}\n{said}".encode())
+        return UNCLEAR
+
+    def _undisturbed(self) -> list[str]:
+        self.renew()
+        disk = FaultyDisk()
+        _swept.clear()
+        with another_disk(disk):
+            code, said = quietly(self.command.words(self.folder))
+        assert code == 0, (self.command.name, said)
+        return disk.done
+
+
+def _remember(name: str) -> None:
+    """Lets a function compute in its first call only: writing is under test, and forks share the result."""
+    module, _, function = name.rpartition(".")
+    real = getattr(import_module(module), function)
+    results: list[object] = []
+
+    def remembered(*args: object, **named: object) -> object:
+        if not results:
+            results.append(real(*args, **named))
+        return results[0]
+
+    setattr(import_module(module), function, remembered)
+
+
+def try_faults(stage: Stage, places: Sequence[int], kinds: Sequence[str] = KINDS) -> Iterator[str]:
+    """Yields the kind of every fault tried, once it lost nothing.
+
+    Args:
+        stage: The command in its folder.
+        places: Numbers of the operations to disturb, from 1.
+        kinds: Kinds of faults; half a write only where the operation is one.
+
+    Raises:
+        AssertionError: The command did not end as it should, or gives other bytes when given again.
+    """
+    for place in places:
+        for kind in kinds:
+            if kind == "short" and stage.operations[place - 1] != "write":
+                continue
+            where = (stage.command.name, kind, place, stage.operations[place - 1])
+            stage.renew()
+            code = apart(lambda place=place, kind=kind: stage.disturbed(place, kind))
+            assert code in ((KILLED,) if kind == "kill" else (AS_IT_SHOULD, DONE)), (*where, code)
+            # What refuses to write over its work may be killed when all of it is there.
+            is_over = stage.command.is_once and (code == DONE or not stage.differing())
+            assert is_over or apart(stage.again) == 0, where
+            # A cache that could not be written is only slower.
+            differing = [name for name in stage.differing() if not (is_over and name.startswith("cache/"))]
+            assert not differing, (*where, differing)
+            yield kind
+
+
+def try_all(names: Sequence[str], step: int) -> int:
+    """Prints, for each command, how many faults of each kind it survived; returns how many failed."""
+    total, faults = 0, 0
     with tempfile.TemporaryDirectory() as scratch:
-        # The same path each time: results name it.
-        folder = Path(scratch) / "work"
-
-        def fresh() -> None:
-            shutil.rmtree(folder, ignore_errors=True)
-            shutil.copytree(town, folder / "town")
-            assert apart(lambda: (command.before(folder), 0)[1]) == 0
-
-        fresh()
-        assert apart(lambda: quietly(command.words(folder))[0]) == 0
-        expected = contents(folder)
-        for place in places:
-            for kind in KINDS:
-                fresh()
-
-                def faulty(kind: str = kind, place: int = place) -> int:
-                    disk = FaultyDisk(place, kind)
-                    with another_disk(disk):
-                        code, said = quietly(command.words(folder))
-                    if disk.done < place:
-                        return 77
-                    is_clear = code == 0 or (
-                        code == 2 and said.startswith("lodbench: ") and said.count("\n") <= 2
-                    )
-                    return 0 if is_clear else 78
-
-                code = apart(faulty)
-                if code == 77:
-                    return
-                assert code == (137 if kind == "kill" else 0), (command.name, kind, place, code)
-                assert apart(lambda: quietly(command.words(folder))[0]) == 0, (command.name, kind, place)
-                found = contents(folder)
-                assert found == expected, (command.name, kind, place, sorted(set(found) ^ set(expected)))
-                yield kind, place
-
-
-def try_all(step: int) -> None:
-    """Prints, for each command, how many faults of each kind it survived; every `step`-th place is tried."""
-    total = 0
-    with tempfile.TemporaryDirectory() as scratch:
-        os.environ["LODBENCH_CACHE"] = str(Path(scratch) / "cache")
-        assert apart(lambda: bool(write_dataset(Path(scratch) / "town", 2)) - 1) == 0
+        inputs = prepare_inputs(Path(scratch) / "town")
         for command in COMMANDS:
-            tried = Counter(
-                kind for kind, _ in disturbed(command, Path(scratch) / "town", itertools.count(1, step))
-            )
+            if names and command.name not in names:
+                continue
+            started, tried = time.monotonic(), Counter[str]()
+            try:
+                stage = Stage(command, Path(scratch), inputs)
+                tried.update(try_faults(stage, range(1, len(stage.operations) + 1, step)))
+                words = (
+                    f"{len(stage.operations)} operations, {tried.total()} faults {dict(tried)}: nothing lost"
+                )
+            except AssertionError as error:
+                words, faults = f"{dict(tried)}, then FAILED: {error}", faults + 1
             total += tried.total()
-            sys.stdout.write(f"{command.name}: {dict(tried)}: nothing lost\n")
+            sys.stdout.write(f"{command.name}: {words} ({time.monotonic() - started:.0f} s)\n")
             sys.stdout.flush()
-    sys.stdout.write(f"{total} faults, none that lost or changed anything\n")
+    sys.stdout.write(f"{total} faults survived, {faults} commands failed\n")
+    return faults
 
 
 if __name__ == "__main__":
-    try_all(int(sys.argv[1]) if len(sys.argv) > 1 else 1)
+    STEP = int(sys.argv[1]) if len(sys.argv) > 1 and sys.argv[1].isdigit() else 1
+    sys.exit(min(1, try_all([word for word in sys.argv[1:] if not word.isdigit()], STEP)))

@@ -162,6 +162,29 @@ def test_nothing_prints_unpickles_or_parses_xml_elsewhere():
     assert not wrong
 
 
+# Numba's own files are written without a disk of ours; trials and benches fill folders that they throw away.
+NOT_THROUGH_THE_DISK = ("kernel_cache.py", "conformance/", "bench/")
+CHANGES_THE_DISK = {"mkdir", "write_bytes", "write_text", "unlink", "rename", "rmdir", "rmtree", "imwrite"}
+
+
+def test_every_change_of_the_disk_goes_through_the_layer_that_tests_let_fail():
+    wrong = []
+    for path, tree in TREES.items():
+        name = name_of(path)
+        if name.startswith("lodbench/storage/") or any(part in name for part in NOT_THROUGH_THE_DISK):
+            continue
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+                continue
+            owner = ast.unparse(node.func.value)
+            is_change = node.func.attr in CHANGES_THE_DISK and owner != "disk()"
+            modes = [word.value for word in [*node.args, *node.keywords] if isinstance(word, ast.Constant)]
+            is_change |= node.func.attr == "open" and bool({"w", "wb", "a", "x", "xb"} & set(map(str, modes)))
+            if is_change:
+                wrong.append(f"{name}, line {node.lineno}: {owner}.{node.func.attr}")
+    assert not wrong
+
+
 def test_the_list_of_packages_is_the_tree():
     listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
     found = set()

@@ -19,6 +19,7 @@ from lodbench.errors import ConfigError, LodbenchError
 from lodbench.execution.fan_out import fan_out
 from lodbench.geometry import Camera
 from lodbench.rendering import open_renderer
+from lodbench.storage import make_folder
 from lodbench.synthesis.training_data.generate import open_cities, world_parts
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView, plan_views
@@ -122,7 +123,7 @@ def _rate(
     """Returns views written per second, and seconds of CPU time per view."""
     out = Path(tempfile.mkdtemp(dir=params.out))
     for path in files_of(params, views[0], out):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
     workers = min(workers, len(views))
     cpu, started, count = 0.0, None, 0
     for seconds in fan_out(_timed, _warmed(views, workers), workers, _open, (params, parts, out)):
@@ -178,7 +179,7 @@ def _memory(params: GenerateParams, parts: PictureParts, views: tuple[PlannedVie
     small = replace(params, size=(256, 256))
     out = Path(tempfile.mkdtemp(dir=params.out))
     for path in files_of(small, views[0], out):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
     world = ViewWriter(small, parts)
     tenth = max(1, len(views) // 10)
     for view in views[:tenth]:

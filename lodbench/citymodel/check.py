@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.codes import VAL3DITY
-from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.mesh import NothingToMesh, mesh_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.plane_check import check_folds, check_parts, check_planes
 from lodbench.citymodel.shells import check_shells
 from lodbench.citymodel.solid_check import check_solids
-from lodbench.errors import CityModelError
 from lodbench.findings import Finding, FindingCode, Findings, Severity
 
 _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.INFO: 2}
@@ -144,8 +143,9 @@ def check_city(model: CityModel) -> CityReport:
     for lod in model.lods:
         try:
             mesh = mesh_model(model, lod, stands_in=False)
-        except CityModelError:
-            areas.append(LevelAreas(lod, 0.0, 0.0, 0.0))  # the findings of reading say why
+        except NothingToMesh as nothing:
+            areas.append(LevelAreas(lod, nothing.area_m2, 0.0, nothing.area_m2))
+            found += _of_level(model, lod, nothing.findings)
             continue
         found += _of_level(model, lod, mesh.findings)
         areas.append(LevelAreas(lod, mesh.area_m2, mesh.meshed_m2, mesh.lost_m2))

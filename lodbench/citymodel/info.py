@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.mesh import NothingToMesh, mesh_model
 from lodbench.citymodel.model import CityModel
-from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
 
@@ -38,8 +37,9 @@ def city_info(model: CityModel) -> dict[str, Any]:
         row: dict[str, float] = {"polygons": num_read, "triangles": 0, "area_m2": 0.0}
         try:
             mesh = mesh_model(model, name, stands_in=False)
-        except CityModelError:
-            pass  # every polygon of the level is degenerate; the findings say so
+        except NothingToMesh as nothing:
+            findings.items += nothing.findings.items
+            row["lost_m2"] = row["area_m2"] = round(nothing.area_m2, 3)
         else:
             findings.items += mesh.findings.items
             row["triangles"] = len(mesh.scene.triangles)

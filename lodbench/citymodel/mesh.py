@@ -19,6 +19,21 @@ from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
 
+class NothingToMesh(CityModelError):
+    """A level of detail whose polygons make no triangle.
+
+    Attributes:
+        area_m2: Newell area of the polygons, all of it lost.
+        findings: Why.
+    """
+
+    def __init__(self, source: str, lod: str, area_m2: float, findings: Findings) -> None:
+        super().__init__(
+            f"{source} has no surface to mesh at level of detail {lod}.", "Try lodbench city check."
+        )
+        self.area_m2, self.findings = area_m2, findings
+
+
 @dataclass(frozen=True, slots=True)
 class CityMesh:
     """A scene and what became of the model's area on the way to it.
@@ -86,9 +101,7 @@ def _mesh_level(model: CityModel, lod: str, chosen: NDArray[np.int64], findings:
         areas += result.area_m2.sum(), result.meshed_m2.sum(), result.lost_m2, result.excess_m2
         num_triangles += len(result.triangles)
     if num_triangles == 0:
-        raise CityModelError(
-            f"{model.source} has no surface to mesh at level of detail {lod}.", "Try lodbench city check."
-        )
+        raise NothingToMesh(model.source, lod, float(areas[0]), findings)
     area_m2, meshed_m2, lost_m2, excess_m2 = areas.tolist()
     scene = builder.finish(lod=lod, crs=model.crs, origin=model.origin)
     return CityMesh(scene, len(chosen), area_m2, meshed_m2, lost_m2, excess_m2, findings)

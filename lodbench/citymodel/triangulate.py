@@ -22,6 +22,9 @@ _MAX_BEND_M = 1.0  # beyond it nobody knows which surface was meant
 AREA_TOLERANCE = 1e-4  # relative
 # Below this a surface is invisible at any distance a drone keeps, and relative areas mean nothing.
 _MIN_AREA_M2 = 1e-6
+# Cutting ears takes the square of a polygon's corners: 4 s at this many that cross each other, hours at
+# millions. No roof, wall or ground of a building comes near; a larger polygon is not cut, and told as lost.
+_MAX_CORNERS = 10_000
 # A few megabytes of points at a time: fast in the processor's cache, and no peak on large cities.
 CHUNK_POLYGONS = 16384
 
@@ -200,7 +203,8 @@ def _cut_ears(
     for begin, end in zip(first_ring, end_ring, strict=True):
         offset = ring_starts[begin]
         ends = (ring_starts[begin + 1 : end + 1] - offset).astype(np.uint32)
-        corners = earcut(plane[offset : ring_starts[end]], ends)
+        is_cut = ends[-1] <= _MAX_CORNERS
+        corners = earcut(plane[offset : ring_starts[end]], ends) if is_cut else np.zeros(0, np.uint32)
         pieces.append(corners.astype(np.int64) + offset)
         counts.append(len(corners) // 3)
     return np.concatenate(pieces).reshape(-1, 3), np.asarray(counts, np.int64)
@@ -236,6 +240,7 @@ def _report(
 ) -> None:
     is_flat = result.area_m2 < _MIN_AREA_M2
     tolerance = AREA_TOLERANCE * result.area_m2
+    counts = _points_per_polygon(polygons)
     is_off = ~is_flat & (np.abs(result.covered_m2 - result.area_m2) > tolerance + _MIN_AREA_M2)
     is_bent = ~is_flat & ~is_off & (result.deviation_m > PLANAR_TOLERANCE_M)
     is_far = is_bent & (result.deviation_m > _MAX_BEND_M)
@@ -250,6 +255,8 @@ def _report(
                 f"polygon {num_before + polygon}: {result.deviation_m[polygon]:.3f} m off its plane, "
                 f"area {result.area_m2[polygon]:.4f} m2, triangles {result.meshed_m2[polygon]:.4f} m2"
             )
+            if counts[polygon] > _MAX_CORNERS:
+                detail += f", {counts[polygon]:,} corners are not cut"
             corner = polygons.points[polygons.ring_starts[polygons.polygon_starts[polygon]]]
             findings.add(
                 code,

@@ -15,6 +15,7 @@ from lodbench.bench.evaluation import EvaluationOptions, measure_evaluation
 from lodbench.bench.figures import Report
 from lodbench.bench.scale import ScaleOptions, measure_scale
 from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
+from lodbench.bench.slopes import SlopeOptions, measure_slopes
 from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
 from lodbench.bench.wide_priors import measure_wide_priors
 from lodbench.cli import bench_real
@@ -100,6 +101,11 @@ def _city(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     return measure_city(_city_file(options), asked, steps)
 
 
+def _slopes(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    reach = options.hypotheses, options.buildings, options.queries, options.workers
+    return measure_slopes(SlopeOptions(*reach, seed=options.seed), steps)
+
+
 def _evaluation(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     asked = EvaluationOptions(options.queries, options.methods, options.seed)
     return measure_evaluation(asked, steps)
@@ -123,6 +129,7 @@ MEASURES: dict[str, Callable[[argparse.Namespace, ProgressCallback], Report]] = 
     "evaluation": _evaluation,
     "real": bench_real.measure,
     "segmentation": measure_segmentation,
+    "slopes": _slopes,
     "training-data": _training_data,
     "wide-priors": _wide_priors,
 }
@@ -147,6 +154,14 @@ def _parser() -> argparse.ArgumentParser:
     scale.add_argument("--buildings", type=int, default=1_000_000, help="of the large city (1000000: 1.7 GB)")
     scale.add_argument("--views", type=int, default=10, help="seeded views of each kind (10)")
     scale.add_argument("--hypotheses", type=int, default=400, help="around each view (400)")
+    slopes = actions.add_parser(
+        "slopes", help="CPU time over hypotheses, pixels, buildings, queries, workers"
+    )
+    slopes.add_argument("--hypotheses", type=int, default=100_000, help="most of a query (100000)")
+    slopes.add_argument("--buildings", type=int, default=100_000, help="most of a city (100000)")
+    slopes.add_argument("--queries", type=int, default=10_000, help="most of a run (10000)")
+    slopes.add_argument("--workers", type=int, default=4, help="most processes (4)")
+    slopes.add_argument("--pictures", type=Path, help="folder for the picture")
     accuracy = actions.add_parser("accuracy", help="recall of methods on synthetic views of a real model")
     accuracy.add_argument("--views", type=int, default=200, help="seeded views (200)")
     accuracy.add_argument("--method", default="lodlocv2", help="methods, comma-separated (lodlocv2)")
@@ -207,11 +222,12 @@ def _parser() -> argparse.ArgumentParser:
     training.add_argument("--views", type=int, default=24, help="photos of each size; masks 10 x (24)")
     training.add_argument("--workers", type=int, help="processes (one per core)")
     training.add_argument("--props", type=Path, help="scene props to picture; made up if not given")
-    for action in (speed, scale, accuracy, budget, wide, evaluation, training):
+    for action in (speed, scale, slopes, accuracy, budget, wide, evaluation, training):
         action.add_argument("--seed", type=int, default=0)
     for action in (speed, accuracy, budget, wide, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
-    for action in (speed, scale, accuracy, budget, wide, city, evaluation, real, segmentation, training):
+    every = (speed, scale, slopes, accuracy, budget, wide, city, evaluation, real, segmentation, training)
+    for action in every:
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser
 

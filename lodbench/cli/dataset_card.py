@@ -15,7 +15,7 @@ from lodbench.datasets.cards import read_card
 from lodbench.datasets.croissant import croissant_text
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.errors import ConfigError, nearest_names
-from lodbench.storage import write_text
+from lodbench.storage import make_folder, write_text
 from lodbench.synthesis.demo_card import DEMO, demo_card_markdown
 
 MARKDOWN, CROISSANT = ".md", ".croissant.json"
@@ -43,7 +43,7 @@ def main(argv: Sequence[str]) -> int:
             )
         sys.stdout.write(texts[CROISSANT if options.croissant else MARKDOWN])
         return 0
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     for ending, text in texts.items():
         path = options.out / f"{options.dataset}{ending}"
         write_text(path, text)

@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.sources import profile_of
 from lodbench.errors import ConfigError
+from lodbench.execution.executor import ExecutorParams
 from lodbench.params import to_params
 from lodbench.synthesis.photo import LookRanges
 from lodbench.synthesis.training_data.generate import Generated, generate_training_data
@@ -28,9 +29,11 @@ def task(config: DictConfig) -> None:
     """Generates the set of one configuration."""
     values = with_demo(plain(config))
     source = profile_of(values.pop("source"), values.get("crs"))
+    executor = to_params(section(values, "executor"), ExecutorParams, "executor")
+    values.pop("executor")
     params = params_of(values)
     params = params if params.lod else replace(params, lod=source.lod)
-    sys.stdout.write(report(generate_training_data(params, source.options)))
+    sys.stdout.write(report(generate_training_data(params, source.options, executor)))
 
 
 def with_demo(values: dict[str, Any]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from inspect import signature
 from pathlib import Path
 from typing import Any, cast
@@ -18,6 +18,7 @@ from lodbench.cli.run_dataset import open_dataset, with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.queries import has_truth
+from lodbench.harness.runs.named_paths import is_own, without_paths
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
 from lodbench.params import to_params
@@ -59,33 +60,69 @@ def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str
         LodbenchError: The run cannot be read, or the data at a given place cannot.
     """
     config = read_config(folder)
-    provenance = read_run(folder).provenance
-    root = dataset_root or provenance.get("dataset_root")
-    city = city_model or provenance.get("city_model")
-    if city is not None and city_model is None and not Path(city).exists():
-        city = None
+    opened = _opened(folder, config, dataset_root, city_model)
     try:
-        dataset = _reopen(folder, config, root, city)
+        dataset = _reopen(folder, opened.config, opened.root, opened.city_if_there())
     except LodbenchError:
         if dataset_root or city_model:
             raise
         dataset = None
     segmenter = None
-    if "masks" in read_run(folder).summary["dataset"]:
+    if "masks" in read_run(folder).summary["dataset"] and opened.config["segmenter"] == config["segmenter"]:
         kind = load_plugin("segmenters", config["segmenter"]["name"])
         segmenter = kind(to_params(config["segmenter"], kind.params_type, "segmenter"))
-    return verify_run(folder, config, dataset, segmenter, has_own_priors=_keeps_priors(config))
+    verdict = verify_run(folder, config, dataset, segmenter, has_own_priors=_keeps_priors(config))
+    is_whole = dataset is not None and dataset.city_model is not None and opened.config == config
+    return verdict if opened.is_own or is_whole else replace(verdict, notes=(*verdict.notes, _NOT_OWN))
 
 
 def reopen_dataset(folder: Path, dataset_root: str | None = None, city_model: str | None = None) -> Dataset:
     """Returns the dataset of a run, from where it was, or is said to be, now.
 
     Raises:
-        LodbenchError: The run or the data cannot be read.
+        LodbenchError: The run or the data cannot be read, or only a stranger's run names their place.
     """
+    opened = _opened(folder, read_config(folder), dataset_root, city_model)
+    try:
+        return _reopen(folder, opened.config, opened.root, opened.city)
+    except LodbenchError as error:
+        if opened.is_own or dataset_root:
+            raise
+        raise DatasetError(f"{folder} names paths that were not opened.", f"{_NOT_OWN}.") from error
+
+
+_NOT_OWN = (
+    "the run was made elsewhere or by an older version, so no path that it names was opened; "
+    "--dataset-root and --city-model name them"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Opened:
+    """What may be opened for a run.
+
+    Attributes:
+        config: Its configuration, without paths that it names and nobody vouches for.
+        root: Where its dataset lies, or None.
+        city: Where its city lies, or None.
+        is_own: Whether the user made the run, and so named the paths.
+    """
+
+    config: dict[str, Any]
+    root: str | None
+    city: str | None
+    is_own: bool
+
+    def city_if_there(self) -> str | None:
+        """Returns the city's place; None where it is gone, which ``verify_run`` notes."""
+        return self.city if self.city is not None and Path(self.city).exists() else None
+
+
+def _opened(folder: Path, config: dict[str, Any], root: str | None, city: str | None) -> _Opened:
     provenance = read_run(folder).provenance
-    root, city = provenance.get("dataset_root"), provenance.get("city_model")
-    return _reopen(folder, read_config(folder), dataset_root or root, city_model or city)
+    if not is_own(provenance, config):
+        return _Opened(without_paths(config), root, city, False)
+    return _Opened(config, root or provenance["dataset_root"], city or provenance["city_model"], True)
 
 
 # A run's configuration has some kilobytes.

@@ -8,6 +8,7 @@ from typing import Any
 
 from lodbench.datasets.published.spec import Download
 from lodbench.errors import DatasetError
+from lodbench.storage.disk import disk, make_folder
 
 _CHUNK_BYTES = 1 << 16
 _TIMEOUT_S = 30
@@ -43,7 +44,7 @@ def fetch(
         raise DatasetError(
             f"{target} is another file than the published one.", "Move it away to fetch that one."
         )
-    target.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(target.parent)
     # pooch keeps the file's name free until the checksum is right.
     pooch.get_logger().setLevel("WARNING")
     try:
@@ -55,12 +56,12 @@ def fetch(
             downloader=_Resumed(target, download.num_bytes, progress),
         )
     except ValueError as error:  # pooch's word for a wrong checksum
-        _partial_of(target).unlink(missing_ok=True)
+        disk().remove(_partial_of(target))
         raise DatasetError(
             f"{download.url} is not the published file: its SHA-256 differs.",
             "Try again; if it stays so, the publisher changed the file.",
         ) from error
-    _partial_of(target).unlink(missing_ok=True)
+    disk().remove(_partial_of(target))
     return target, True
 
 
@@ -91,7 +92,7 @@ class _Resumed:
             raise DatasetError(
                 f"{url} cannot be fetched: {_reason(error)}.", "The same command goes on where it stopped."
             ) from error
-        Path(output_file).write_bytes(partial.read_bytes())
+        disk().rename(partial, Path(output_file))
 
     def _append(self, url: str, partial: Path) -> None:
         import requests
@@ -104,16 +105,16 @@ class _Resumed:
             response.raise_for_status()
             if response.status_code != _PARTIAL:
                 have = 0  # the server sends all of it again
-            with partial.open("ab" if have else "wb") as stream:
+            with partial.open("ab" if have else "wb", buffering=0) as stream:
                 for chunk in response.iter_content(_CHUNK_BYTES):
                     have += len(chunk)
                     if have > self._num_bytes:
                         break
-                    stream.write(chunk)
+                    disk().write(stream, chunk, partial)
                     if self._progress is not None:
                         self._progress(have, self._num_bytes)
         if have > self._num_bytes:
-            partial.unlink()
+            disk().remove(partial)
             raise DatasetError(
                 f"{url} sends more than the {self._num_bytes:,} bytes that the file has.", "Nothing was kept."
             )

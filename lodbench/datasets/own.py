@@ -17,7 +17,7 @@ from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
-from lodbench.storage import make_folder, write_bytes, write_text
+from lodbench.storage import make_folder, new_folder, write_bytes, write_text
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _JPEG_QUALITY = 95
@@ -127,22 +127,23 @@ def write_dataset(
     """
     require_new_folder(folder)
     names = _dataset_names(images)
-    make_folder(folder)
+    make_folder(folder.parent)
     left_out = list(left_out)
     kept: list[tuple[str, OwnImage, Camera]] = []
     num_undistorted = 0
-    for name, image in zip(names, images, strict=True):
-        try:
-            pinhole = pinhole_of(image.camera)
-            num_undistorted += _write_pictures(folder, name, image, pinhole)
-            kept.append((name, image, pinhole))
-        except LodbenchError as fault:
-            left_out.append((image.name, fault.message))
-        advance()
-    if not kept:
-        name, reason = left_out[0] if left_out else ("", "there are no images")
-        raise DatasetError(f"No image could be used; the first is {name}: {reason}")
-    _write_texts(folder, kept, {**about, "left_out": [list(pair) for pair in left_out]})
+    with new_folder(folder) as filling:
+        for name, image in zip(names, images, strict=True):
+            try:
+                pinhole = pinhole_of(image.camera)
+                num_undistorted += _write_pictures(filling, name, image, pinhole)
+                kept.append((name, image, pinhole))
+            except LodbenchError as fault:
+                left_out.append((image.name, fault.message))
+            advance()
+        if not kept:
+            name, reason = left_out[0] if left_out else ("", "there are no images")
+            raise DatasetError(f"No image could be used; the first is {name}: {reason}")
+        _write_texts(filling, kept, {**about, "left_out": [list(pair) for pair in left_out]})
     return Written(folder, tuple(name for name, _, _ in kept), num_undistorted, tuple(left_out))
 
 

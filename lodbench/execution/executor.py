@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from importlib import import_module
-from itertools import islice
 from typing import Any, TypeVar
-from uuid import uuid4
 
-from lodbench.errors import ConfigError, LodbenchError
+from lodbench.errors import ConfigError
 from lodbench.execution.fan_out import fan_out
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_LOGGER = logging.getLogger(__name__)
 SERIAL, PROCESS, DASK = "serial", "process", "dask"
-# Items handed to the cluster per thread of it: one at work, one waiting.
-_AHEAD = 2
-# So often an item is tried again on another worker when the one it was on died.
-_RETRIES = 3
-# A scheduler that does not answer for so long is not there.
-_CONNECT_S = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +25,14 @@ class ExecutorParams:
         workers: Processes; None for one per core. Of a scheduler at an address, what it has.
         threads: Threads of the engine in each process, None for the cores divided by the workers.
         address: Dask's scheduler, ``tcp://HOST:8786``, or None for a cluster of its own on this machine.
+        patience_s: Seconds without any result after which workers count as hung and are replaced.
     """
 
     name: str = SERIAL
     workers: int | None = None
     threads: int | None = None
     address: str | None = None
+    patience_s: float = 3600.0
 
     def __post_init__(self) -> None:
         if self.name not in (SERIAL, PROCESS, DASK):
@@ -49,6 +40,8 @@ class ExecutorParams:
         for name, value in (("threads", self.threads), ("workers", self.workers)):
             if value is not None and value < 1:
                 raise ConfigError(f"executor.{name}={value} is not a number of {name}.")
+        if not self.patience_s > 0:
+            raise ConfigError(f"executor.patience_s={self.patience_s} is no time to wait.")
 
     @property
     def num_workers(self) -> int:
@@ -86,77 +79,7 @@ def spread(
         Exception: What the work raised.
     """
     if executor.name == DASK:
-        return _dask(executor, work, items, prepare, prepare_with)
-    return fan_out(work, items, executor.num_workers, prepare, prepare_with)
+        from lodbench.execution.cluster import over_dask
 
-
-def _dask(
-    executor: ExecutorParams,
-    work: Callable[[Item], Result],
-    items: Iterable[Item],
-    prepare: Callable[..., None],
-    prepare_with: tuple[Any, ...],
-) -> Iterator[Result]:
-    try:
-        distributed: Any = import_module("distributed")
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            "executor=dask needs Dask, which is not installed.", "pip install 'lodbench[cluster]'"
-        ) from error
-    # Workers in processes of their own, of one thread: the engine has threads itself.
-    own = None
-    try:
-        if executor.address is None:
-            own = distributed.LocalCluster(n_workers=executor.num_workers, threads_per_worker=1)
-        with distributed.Client(executor.address or own, timeout=_CONNECT_S) as client:
-            _LOGGER.warning("Dask's dashboard: %s", client.dashboard_link)
-            # One name for all that is prepared alike: a worker does it once, a new one does it again.
-            # A task, not scattered data: made again where the worker that held it died.
-            token = uuid4().hex
-            common = client.submit(
-                _together, token, work, prepare, prepare_with, pure=False, retries=_RETRIES
-            )
-            waiting = iter(items)
-
-            def submit(count: int) -> list[Any]:
-                taken = islice(waiting, count)
-                return [
-                    client.submit(_on_worker, common, item, pure=False, retries=_RETRIES) for item in taken
-                ]
-
-            slots = max(1, sum(client.nthreads().values()) or executor.num_workers)
-            running = distributed.as_completed(submit(_AHEAD * slots))
-            for future in running:
-                yield future.result()
-                running.update(submit(1))
-    except distributed.KilledWorker as error:
-        raise LodbenchError(
-            "Workers keep dying, perhaps for lack of memory.", "Fewer workers need less."
-        ) from error
-    except OSError as error:
-        if executor.address is None or error.errno is not None:
-            raise
-        raise LodbenchError(
-            f"Dask's scheduler {executor.address} does not answer.", "dask scheduler starts one."
-        ) from error
-    finally:
-        if own is not None:
-            own.close()
-
-
-# Token, work, preparation and its arguments: what all items have in common.
-_Common = tuple[str, Callable[[Any], Any], Callable[..., None], tuple[Any, ...]]
-# What this worker has prepared, by its token; the latest only, since it may hold a city.
-_prepared: list[str] = []
-
-
-def _together(*common: Any) -> tuple[Any, ...]:
-    return common
-
-
-def _on_worker(common: _Common, item: Any) -> Any:
-    token, work, prepare, prepare_with = common
-    if _prepared != [token]:
-        prepare(*prepare_with)
-        _prepared[:] = [token]
-    return work(item)
+        return over_dask(executor, work, items, prepare, prepare_with)
+    return fan_out(work, items, executor.num_workers, prepare, prepare_with, executor.patience_s)

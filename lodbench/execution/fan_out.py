@@ -20,6 +20,8 @@ Result = TypeVar("Result")
 
 # Items handed out per worker: one at work, one waiting.
 _AHEAD = 2
+KEEP_DYING = "Workers keep dying, perhaps for lack of memory, or give no result."
+KEEP_DYING_HINT = "Fewer workers need less; executor.patience_s=SECONDS is how long one may take."
 # Workers that may die one after the other with no result in between.
 _DEATHS = 3
 
@@ -30,6 +32,7 @@ def fan_out(
     workers: int,
     prepare: Callable[..., None],
     prepare_with: tuple[Any, ...],
+    patience_s: float | None = None,
 ) -> Iterator[Result]:
     """Yields the results of work on items, in the order they come.
 
@@ -42,9 +45,11 @@ def fan_out(
         workers: Number of processes.
         prepare: Module-level function, called once in each worker before its first item.
         prepare_with: Its arguments.
+        patience_s: Seconds without any result after which the workers count as hung and are replaced; None
+            waits for ever.
 
     Raises:
-        LodbenchError: Workers keep dying.
+        LodbenchError: Workers keep dying or hanging.
         Exception: What the work raised; items not yet handed out are left.
     """
     if workers == 1:
@@ -54,16 +59,14 @@ def fan_out(
     waiting, again, deaths = iter(items), list[Item](), 0
     while True:
         try:
-            for result in _over_processes(work, waiting, again, workers, prepare, prepare_with):
+            for result in _over_processes(work, waiting, again, workers, prepare, prepare_with, patience_s):
                 deaths = 0
                 yield result
             return
         except BrokenProcessPool as error:
             deaths += 1
             if deaths > _DEATHS:
-                raise LodbenchError(
-                    "Worker processes keep dying, perhaps for lack of memory.", "Fewer workers need less."
-                ) from error
+                raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
 
 
 def _over_processes(
@@ -73,10 +76,12 @@ def _over_processes(
     workers: int,
     prepare: Callable[..., None],
     prepare_with: tuple[Any, ...],
+    patience_s: float | None,
 ) -> Iterator[Result]:
     """Yields results until all items are done or a worker dies; what was at work is in ``again`` then."""
     # Fresh processes, not forks: a fork would copy locks that other threads hold.
     context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, context, _prepare, (prepare, prepare_with))
     at_work: dict[Future[Result], Item] = {}
     try:
@@ -90,7 +95,11 @@ def _over_processes(
                 at_work[future] = again.pop()
             if not at_work:
                 return
-            done, _ = wait(at_work, return_when=FIRST_COMPLETED)
+            done, _ = wait(at_work, patience_s, return_when=FIRST_COMPLETED)
+            if not done:
+                # Nobody knows which of them hangs; what they were at fails now, and is done again.
+                for worker in set(multiprocessing.active_children()) - others:
+                    worker.kill()
             for future in done:
                 result = future.result()
                 del at_work[future]

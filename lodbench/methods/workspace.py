@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
 from lodbench.errors import LodbenchError
+from lodbench.storage.disk import disk, make_folder
 from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
@@ -27,7 +27,7 @@ class Workspace:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
 
     def part(self, name: str, make: Callable[[Path], None]) -> Path:
         """Returns a part's file, made first if it is not there.
@@ -56,13 +56,13 @@ class Workspace:
                     f"Nothing was written for the part {path.name}.", "Write to the path given."
                 )
             try:
-                unfinished.rename(path)
+                disk().rename(unfinished, path)
             except OSError:
                 # Another process may have made a folder of the same content meanwhile.
                 if not path.exists():
                     raise
         finally:
-            _remove(unfinished)
+            disk().remove(unfinished)
 
 
 def open_workspace(method: str, digest: str) -> Workspace:
@@ -77,10 +77,3 @@ def open_workspace(method: str, digest: str) -> Workspace:
     mark_used(workspace.folder)
     prune_cache(root, cache_limit_bytes(), keep=workspace.folder)
     return workspace
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)

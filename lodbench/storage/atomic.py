@@ -13,27 +13,37 @@ from typing import Any
 
 from lodbench.storage.disk import disk
 
-# What is being written has a hidden name with this ending.
-_PARTIAL = ".part"
+# What is being written has a hidden name with this ending, which no other program gives.
+_PARTIAL = ".lodbench.part"
+# Folders that this process has swept: what was left there before it came is gone.
+_swept: set[Path] = set()
 
 
-def write_bytes(path: Path, content: bytes, survives_power_cut: bool = True) -> None:
+def write_bytes(path: Path, content: bytes, survives_power_cut: bool = True, mode: int | None = None) -> None:
     """Writes a file so that a reader, or a crash, never meets half of it; see ``write_chunks``."""
-    write_chunks(path, (content,), survives_power_cut)
+    write_chunks(path, (content,), survives_power_cut, mode)
 
 
-def write_chunks(path: Path, chunks: Iterable[bytes], survives_power_cut: bool = True) -> None:
+def write_chunks(
+    path: Path, chunks: Iterable[bytes], survives_power_cut: bool = True, mode: int | None = None
+) -> None:
     """Writes a file piece by piece so that a reader, or a crash, never meets half of it.
+
+    What killed processes left in its folder is removed by the first file that this process writes there.
 
     Args:
         path: The file.
         chunks: What to write, in a row.
         survives_power_cut: Wait until the disk has it, some milliseconds. Otherwise a killed process leaves
             it whole or not at all just the same, but after a power cut it may be empty.
+        mode: Its permissions; None for those of any new file of the user.
 
     Raises:
         OSError: The folder is missing or the disk is full; nothing is left behind then.
     """
+    if path.parent not in _swept:
+        _swept.add(path.parent)
+        remove_leftovers(path.parent)
     temporary, handle = _claimed(path, tempfile.mkstemp)
     try:
         with os.fdopen(handle, "wb", buffering=0) as stream:
@@ -42,7 +52,7 @@ def write_chunks(path: Path, chunks: Iterable[bytes], survives_power_cut: bool =
             if survives_power_cut:
                 disk().sync(stream, path)
         # mkstemp makes files private; a result is as readable as any other file of the user.
-        temporary.chmod(0o666 & ~_umask())
+        temporary.chmod(0o666 & ~_umask() if mode is None else mode)
         disk().rename(temporary, path)
         if survives_power_cut:
             disk().sync_folder(path.parent)

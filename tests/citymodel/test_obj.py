@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
+from lodbench.citymodel.check import check_city
+from lodbench.citymodel.info import city_info
 from lodbench.citymodel.obj import read_obj
 from lodbench.errors import CityModelError
 
@@ -90,6 +92,24 @@ def test_concave_outline_of_many_corners(tmp_path: Path) -> None:
     assert mesh.area_m2 == pytest.approx(shoelace, rel=1e-12)
     assert mesh.meshed_m2 == pytest.approx(shoelace, rel=1e-9)
     assert mesh.findings.counts() == {}
+
+
+def test_a_face_of_too_many_corners_is_told_as_lost_at_once(tmp_path: Path) -> None:
+    turns = np.linspace(0, 400 * np.pi, 200_000)
+    lines = [f"v {r * np.cos(a):.4f} {r * np.sin(a):.4f} 0" for a, r in zip(turns, turns, strict=True)]
+    lines += ["f " + " ".join(map(str, range(1, len(turns) + 1))), "v 0 0 9", "v 9 0 9", "v 0 9 9"]
+    lines += [f"f {len(turns) + 1} {len(turns) + 2} {len(turns) + 3}"]
+    mesh = mesh_model(read_city_model(write(tmp_path / "spiral.obj", "\n".join(lines))))
+    assert (len(mesh.scene.triangles), mesh.meshed_m2) == (1, pytest.approx(40.5))
+    assert mesh.lost_m2 == pytest.approx(mesh.area_m2 - 40.5)
+    (finding,) = mesh.findings.items
+    assert finding.detail.endswith("200,000 corners are not cut")
+
+
+def test_a_level_that_is_lost_whole_is_told_too(tmp_path: Path) -> None:
+    model = read_city_model(write(tmp_path / "flat.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"))
+    assert city_info(model)["findings"] == {"LB104 ZERO_AREA": 1}
+    assert [row.code.name for row in check_city(model).rows] == ["ZERO_AREA"]
 
 
 def test_obj_serves_any_lod(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -16,7 +17,7 @@ from tests.town import write_dataset
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> tuple[Path, Path, Path]:
+def made(tmp_path_factory, cache) -> tuple[Path, Path, Path]:
     """A dataset's root, its city, and the folder of a run on it."""
     home = tmp_path_factory.mktemp("made")
     root, city = write_dataset(home, count=3)
@@ -30,7 +31,9 @@ def made(tmp_path_factory) -> tuple[Path, Path, Path]:
         f"dataset.root={root}",
         f"dataset.city_model={city}",
     ]
-    subprocess.run([sys.executable, "-m", "lodbench", *words], cwd=home, check=True, capture_output=True)
+    environment = {**os.environ, "LODBENCH_CACHE": str(cache)}
+    command = [sys.executable, "-m", "lodbench", *words]
+    subprocess.run(command, cwd=home, check=True, capture_output=True, env=environment)
     (folder,) = (home / "runs" / "folder" / "prior_only").iterdir()
     return root, city, folder
 
@@ -118,6 +121,30 @@ def test_without_the_data_the_weaker_check_is_said(lodbench, run):
     done = lodbench("verify", str(run))
     assert done.returncode == 1
     assert "5m-5deg is 0.0, not 33.3" in done.stdout
+
+
+@pytest.mark.parametrize("command", [("verify",), ("leaderboard", "add"), ("report",)])
+def test_no_path_that_a_stranger_s_run_names_is_opened(lodbench, made, run, tmp_path, command):
+    """What a run names is a pipe: a command that opens it waits for ever; one that looks at it is told of."""
+    trap = tmp_path / "trap"
+    trap.mkdir()
+    for name in ("GT_pose.txt", "GPS_pose.txt", "intrinsic.txt", "city.obj"):
+        os.mkfifo(trap / name)
+    change(run / "provenance.json", r'("dataset_root": )".*"', rf'\g<1>"{trap}"')
+    change(run / "provenance.json", r'("city_model": )".*"', rf'\g<1>"{trap / "city.obj"}"')
+    done = lodbench(*command, str(run))
+    assert done.returncode == 0, done.stderr
+    if command == ("verify",):
+        assert "no path that it names was opened" in done.stdout
+        named = lodbench(*command, str(run), "--dataset-root", str(made[0]), "--city-model", str(made[1]))
+        assert (named.returncode, "note:" in named.stdout) == (0, False), named.stdout
+    if command[0] == "leaderboard":
+        assert "kept out of the ranking: not verified" in done.stdout
+
+
+def test_a_run_whose_cache_is_gone_names_no_path_either(lodbench, made, tmp_path):
+    done = lodbench("verify", str(made[2]), LODBENCH_CACHE=str(tmp_path / "empty"))
+    assert (done.returncode, "no path that it names was opened" in done.stdout) == (0, True)
 
 
 def test_a_folder_that_is_no_run_is_one_line(lodbench, tmp_path):

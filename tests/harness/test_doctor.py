@@ -131,3 +131,14 @@ def test_only_the_base_decides():
     optional, base = Check("renderers", "open3d", ABSENT, ""), Check("machine", "numba", OK, "", "", True)
     assert not is_base_broken([optional, base])
     assert is_base_broken([optional, Check("machine", "numba", BROKEN, "", "", True)])
+
+
+def test_an_extra_of_extras_is_as_ready_as_they_are() -> None:
+    from packaging.requirements import Requirement
+
+    from lodbench.harness.doctor.doctor import _wanted_by
+
+    lines = ["numpy", "dask; extra == 'cluster'", "torch; extra == 'torch'"]
+    lines += ["lodbench[cluster,torch]; extra == 'all'", "onnx; extra == 'other'"]
+    found = _wanted_by("all", [Requirement(line) for line in lines])
+    assert [requirement.name for requirement in found] == ["dask", "torch"]

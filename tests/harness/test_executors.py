@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from lodbench.errors import LodbenchError
 from lodbench.execution.executor import ExecutorParams, spread
 from tests.town import write_dataset
 
+# Times, machine facts, and answers in the order they came.
+APART = {"timings.csv", "provenance.json", "predictions.jsonl", "multirun.yaml"}
 SAME = ("config.yaml", "poses.txt", "queries.csv", "summary.json", "priors.txt")
 
 
@@ -43,9 +46,45 @@ def test_dask(serial) -> None:
     assert run(folder, "dask", "executor=dask", "executor.workers=2") == expected
 
 
+def test_a_wide_row_of_a_basin_over_two_processes(serial, tmp_path, monkeypatch) -> None:
+    made = {}
+    words = [f"dataset.root={serial[0] / 'town/data'}", f"dataset.city_model={serial[0] / 'town/city.obj'}"]
+    words += [
+        "dataset=folder",
+        "segmenter=masks",
+        "method.steps=1",
+        "ranges=[200]",
+        "yaw_ranges=[]",
+        "limit=2",
+    ]
+    for name, more in (("serial", []), ("process", ["executor.workers=2"])):
+        (tmp_path / name).mkdir()
+        # Results name the folders of their runs: the same name, seen from where the command stands.
+        monkeypatch.chdir(tmp_path / name)
+        assert main(["basin", *words, "ranges=[200]", "maps=false", f"executor={name}", *more]) == 0
+        files = [path for path in (tmp_path / name).rglob("*") if path.is_file() and path.name not in APART]
+        made[name] = {path.relative_to(tmp_path / name): path.read_bytes() for path in files}
+    assert any(path.name == "basin.csv" for path in made["serial"])
+    assert made["process"] == made["serial"]
+
+
+def test_training_data_over_dask(serial, tmp_path) -> None:
+    pytest.importorskip("distributed")
+    words = [f"city={serial[0] / 'town/city.obj'}", "pitch=[40]", "height=[90]", "size=[96,80]"]
+    words += ["yaw=[0,180]", "spacing_m=60", "val_share=0", "test_share=0"]
+    made = {}
+    for name in ("serial", "dask"):
+        more = [f"out={tmp_path / name}", f"executor={name}", *["executor.workers=2"] * (name == "dask")]
+        assert main(["generate-training-data", *words, *more, "limit=6"]) == 0
+        files = (path for path in (tmp_path / name).rglob("*") if path.is_file())
+        made[name] = {path.relative_to(tmp_path / name): path.read_bytes() for path in files}
+    assert len(made["serial"]) > 12
+    assert made["dask"] == made["serial"]
+
+
 def test_a_scheduler_that_is_not_there(serial, capsys, monkeypatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("lodbench.execution.executor._CONNECT_S", 1)
+    monkeypatch.setattr("lodbench.execution.cluster._CONNECT_S", 1)
     words = [f"dataset.root={serial[0] / 'town/data'}", f"dataset.city_model={serial[0] / 'town/city.obj'}"]
     more = ["segmenter=masks", f"paths.runs={serial[0] / 'none'}", "executor=dask"]
     assert main(["run", "dataset=folder", *words, *more, "executor.address=tcp://127.0.0.1:9"]) == 2
@@ -95,3 +134,36 @@ def die(item: int) -> int:
 def test_workers_that_keep_dying_end_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(LodbenchError, match="keep dying"):
         list(spread(ExecutorParams("process", workers=2), die, range(4), prepare, (Deadly(tmp_path),)))
+
+
+def hang_once(item: int) -> int:
+    lives = _deadly[0].folder / f"{item}"
+    if lives.exists():
+        lives.unlink()
+        time.sleep(600)
+    return item * item
+
+
+@pytest.mark.parametrize("name", ["process", pytest.param("dask", marks=pytest.mark.slow)])
+def test_what_a_hung_worker_was_at_is_done_again(tmp_path: Path, name: str) -> None:
+    if name == "dask":
+        pytest.importorskip("distributed")
+    (tmp_path / "5").touch()
+    # Longer than workers take to start, where many things run.
+    executor = ExecutorParams(name, workers=2, patience_s=8)
+    results = sorted(spread(executor, hang_once, range(8), prepare, (Deadly(tmp_path),)))
+    assert results == [item * item for item in range(8)]
+
+
+def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
+    try:
+        executor = ExecutorParams("dask", address=cluster.scheduler_address)
+        results = spread(executor, square_or_die, range(200), prepare, (Deadly(tmp_path),))
+        next(results)
+        cluster.close()
+        with pytest.raises(LodbenchError, match="is gone"):
+            list(results)
+    finally:
+        cluster.close()

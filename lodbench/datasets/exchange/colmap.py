@@ -12,7 +12,7 @@ from lodbench.datasets.pose_text import lines_to_text, parse_pose
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.camera import colmap_parameters
-from lodbench.storage import write_text
+from lodbench.storage import make_folder, write_text
 
 _IMAGE_LAYOUT = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
 # COLMAP's number of each camera model in binary files.
@@ -90,7 +90,7 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
         model, params = camera_model.to_colmap()
         size = f"{camera_model.width} {camera_model.height}"
         camera_lines.append(f"{number} {model} {size} {' '.join(map(repr, params))}")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_text(folder / "cameras.txt", lines_to_text(camera_lines))
     write_text(folder / "images.txt", lines_to_text(image_lines))
     write_text(folder / "points3D.txt", "# no points\n")

@@ -9,7 +9,7 @@ from lodbench.datasets.exchange.posed import FoundPose, Place, content, numbers_
 from lodbench.datasets.pose_text import lines_to_text, parse_pose
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
-from lodbench.storage import write_text
+from lodbench.storage import make_folder, write_text
 
 _VERSION = "# kapture format: 1.1"
 _SENSORS, _TRAJECTORIES, _RECORDS, _RIGS = (
@@ -80,7 +80,7 @@ def write_kapture(images: Sequence[FoundPose], folder: Path) -> None:
         model, params = camera.to_colmap()
         cells = [device, "", "camera", model, str(camera.width), str(camera.height), *map(repr, params)]
         sensors.append(", ".join(cells))
-    (folder / "sensors").mkdir(parents=True, exist_ok=True)
+    make_folder(folder / "sensors")
     for name, head, lines in (
         (_SENSORS, "# sensor_id, name, sensor_type, [sensor_params]+", sensors),
         (_TRAJECTORIES, "# timestamp, device_id, qw, qx, qy, qz, tx, ty, tz", poses),

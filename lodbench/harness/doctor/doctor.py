@@ -127,11 +127,24 @@ def _packages() -> Iterator[Check]:
             found = fault or version(requirement.name)
             yield Check("packages", requirement.name, BROKEN if fault else OK, found, hint, is_base=True)
     for extra in distribution("lodbench").metadata.get_all("Provides-Extra") or []:
-        wanted = [r for r in requirements if _is_wanted(r, extra) and not _is_wanted(r, "")]
+        wanted = _wanted_by(extra, requirements)
         faults = {r.name: fault for r in wanted if (fault := _fault(r))}
         detail = ", ".join(f"{name} {fault}" for name, fault in faults.items())
         hint = f"pip install 'lodbench[{extra}]'" if faults else ""
         yield Check("extras", extra, ABSENT if faults else OK, detail or "complete", hint)
+
+
+def _wanted_by(extra: str, requirements: list[Requirement]) -> list[Requirement]:
+    """Returns what an extra adds to the base; an extra of extras, as ``all``, what these add."""
+    own = [r for r in requirements if _is_wanted(r, extra) and not _is_wanted(r, "")]
+    inner = [
+        part
+        for r in own
+        if r.name == "lodbench"
+        for name in sorted(r.extras)
+        for part in _wanted_by(name, requirements)
+    ]
+    return [r for r in own if r.name != "lodbench"] + inner
 
 
 def _is_wanted(requirement: Requirement, extra: str) -> bool:

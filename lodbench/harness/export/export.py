@@ -12,6 +12,7 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
 from lodbench.harness.runs.stored import StoredRun
+from lodbench.storage import make_folder
 
 # What a format may require beside the run.
 DATASET, CITY, CRS = "dataset", "city", "crs"
@@ -101,7 +102,7 @@ def export_run(export: Export, form: ExportFormat, out: Path | None = None) -> E
     if not run.poses:
         raise DatasetError(f"{run.folder} holds no poses.", "queries.csv says why each query failed.")
     path = out or run.folder / "export" / form.file_name
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     form.write(export, path)
     without = run.queries["query"][~run.queries.index.isin(list(run.poses))]
     return Exported(path, len(run.poses), tuple(without))

@@ -18,7 +18,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.queries import is_without_truth, queries_csv
 from lodbench.harness.export.export import CRS, DATASET, Export
 from lodbench.harness.runs.stored import StoredRun
-from lodbench.storage import write_text
+from lodbench.storage import write_bytes, write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -158,7 +158,7 @@ class Parquet:
             ConfigError: pyarrow is not installed.
         """
         try:
-            queries_with_poses(export.run).to_parquet(path, index=False)
+            write_bytes(path, queries_with_poses(export.run).to_parquet(index=False))
         except ImportError as error:
             raise ConfigError("Parquet needs pyarrow.", "pip install 'lodbench[parquet]'") from error
 

@@ -42,7 +42,7 @@ from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import MapGuidedSegmenter, Segmenter, check_mask, notes_of
 from lodbench.segmentation.masks import read_mask
-from lodbench.storage import file_digest, write_text
+from lodbench.storage import file_digest, make_folder, write_text
 
 # What one photo has; masks come with --mask or from a segmenter.
 _GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
@@ -183,7 +183,7 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     name, features = request.photo.name, []
     if frame is not None:
         features = photo_features(frame, name, pinhole, city.scene, prior, estimate)
-    request.out.mkdir(parents=True, exist_ok=True)
+    make_folder(request.out)
     digest = file_digest(request.photo)
     label = _label(request.out, request.photo.stem, digest)
     overlay = request.out / f"{label}_overlay.png"

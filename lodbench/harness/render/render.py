@@ -28,7 +28,7 @@ from lodbench.rendering.projection import require_pinhole
 from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.textured import TexturedRenderer
 from lodbench.reporting.overlays import is_readable_picture, write_picture
-from lodbench.storage import write_text
+from lodbench.storage import make_folder, write_text
 
 # Kinds and renderers that can draw a textured map.
 _TEXTURED = (("colour", None), ("colour", "raster"), ("colour", "pyrender"))
@@ -129,7 +129,7 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
         drawn = _draw_textured(textured, shots, city.scene.origin, Path(params.out).expanduser())
         return Rendered(drawn, city.notes() + mesh.notes)
     out = Path(params.out).expanduser()
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     files = kind.prepare(city.scene, out)
     with Progress(f"{params.kind} pictures", len(shots)) as progress:
         for shot in shots:
@@ -143,7 +143,7 @@ def _draw_textured(
     renderer: TexturedRenderer | PyrenderTextured, shots: list[Shot], origin: NDArray[np.float64], out: Path
 ) -> tuple[Path, ...]:
     """Draws a textured map, and writes poses and cameras beside it: the folder serves as references."""
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     files = []
     with Progress("colour pictures", len(shots)) as progress:
         for shot in shots:

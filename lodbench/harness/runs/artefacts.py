@@ -14,12 +14,14 @@ from lodbench import __version__
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
 from lodbench.evaluation.queries import queries_csv, summarize_queries
+from lodbench.harness.runs.named_paths import named_by
 from lodbench.harness.runs.result import Result
 from lodbench.harness.runs.run import Run
 from lodbench.plugins import load_plugin
 from lodbench.reporting.leaderboard_entry import has_random_weights
 from lodbench.reporting.summaries import SUMMARY_SCHEMA
 from lodbench.storage import hide_formula, write_text
+from lodbench.storage.seal import seal_of
 
 
 def write_artefacts(run: Result, config_yaml: str) -> None:
@@ -43,7 +45,9 @@ def write_artefacts(run: Result, config_yaml: str) -> None:
     write_text(run.folder / "timings.csv", _timings_csv(run))
     # What lets a reader see that a file was changed afterwards, down to the last digit of a score.
     digests = {name: sha256(content.encode()).hexdigest() for name, content in contents.items()}
-    write_text(run.folder / "provenance.json", _json({**_provenance(run), "files": digests}))
+    provenance = {**_provenance(run), "files": digests}
+    provenance["seal"] = seal_of(named_by(provenance, run.config))
+    write_text(run.folder / "provenance.json", _json(provenance))
 
 
 def summary_of(run: Result) -> dict[str, Any]:

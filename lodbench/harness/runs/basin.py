@@ -71,6 +71,7 @@ def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
     make_folder(folder)
     write_text(folder / "protocol.txt", "\n".join(basin.protocol) + "\n")
     write_text(folder / "basin.csv", _basin_csv(basin))
+    write_text(folder / "timings.csv", _timings_csv(basin))
     write_text(folder / "basin.md", "\n".join(map(format_markdown, basin.tables())))
     write_text(folder / "basin.tex", "\n".join(map(format_latex, basin.tables())))
     runs = [{"kind": s.kind, "half_width": s.half_width, "run": str(r.folder)} for s, r in basin.steps]
@@ -130,6 +131,19 @@ def _curves(basin: Basin, kind: str) -> list[RecallCurve]:
     ]
 
 
+def _timings_csv(basin: Basin) -> str:
+    """Returns what may differ from run to run, apart from the tables that may not."""
+    import pandas as pd
+
+    rows = [
+        (step.kind, step.half_width, split, run.seconds_per_query(split))
+        for step, run in basin.steps
+        for split in run.splits
+    ]
+    frame = pd.DataFrame(rows, columns=["kind", "half_width", "split", "seconds_per_query"])
+    return str(frame.to_csv(index=False, lineterminator="\n"))
+
+
 def _basin_csv(basin: Basin) -> str:
     import pandas as pd
 
@@ -150,7 +164,6 @@ def _basin_csv(basin: Basin) -> str:
                 "median_translation_m": summary.median_translation_m,
                 "median_rotation_deg": summary.median_rotation_deg,
                 "hypotheses_per_query": summary.hypotheses_per_query,
-                "seconds_per_query": run.seconds_per_query(split),
                 "run": run.folder.name,
             }
             rows.append(row)

@@ -211,7 +211,7 @@ def _remove_unused(folder: Path) -> None:
     """Removes a run folder that no query was answered into: wrong settings leave nothing behind."""
     if len(open_predictions(folder, read_only=True)) or (folder / "tracebacks").exists():
         return
-    (folder / PLAN_FILE).unlink(missing_ok=True)
+    disk().remove(folder / PLAN_FILE)
     with suppress(OSError):  # folders that hold something else stay
         for place in (folder, folder.parent, folder.parent.parent):
             place.rmdir()

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import errno
-import os
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -20,8 +19,8 @@ from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
-from lodbench.execution.fan_out import fan_out
-from lodbench.storage import make_folder, random_stream
+from lodbench.execution.executor import PROCESS, ExecutorParams, spread
+from lodbench.storage import make_folder, random_stream, remove_leftovers
 from lodbench.synthesis.objects.scene_props import read_props
 from lodbench.synthesis.surroundings.surroundings import Surroundings, make_surroundings
 from lodbench.synthesis.training_data.contact_sheet import SHEET_FILE, write_sheet
@@ -50,7 +49,9 @@ class Generated:
     notes: tuple[str, ...]
 
 
-def generate_training_data(params: GenerateParams, options: ReadOptions | None = None) -> Generated:
+def generate_training_data(
+    params: GenerateParams, options: ReadOptions | None = None, executor: ExecutorParams | None = None
+) -> Generated:
     """Writes a training set, or what is still missing of it.
 
     Every file of a view depends on the settings, the inputs and its name only, not on the workers or on
@@ -59,20 +60,23 @@ def generate_training_data(params: GenerateParams, options: ReadOptions | None =
     Args:
         params: What to generate.
         options: How to read the city; ``params.crs`` goes before its ``crs``.
+        executor: Where views are drawn; processes of this machine if None.
 
     Raises:
         LodbenchError: An input is at fault, no view can be taken, the folder holds another set, or the
             disk is full; finished files stay, and the same command goes on from there.
     """
-    out = Path(params.out).expanduser()
+    # Workers elsewhere stand in other folders.
+    out = Path(params.out).expanduser().absolute()
     parts, plan, notes = _prepare(params, options or ReadOptions())
     manifest = begin_manifest(params, parts.scene, plan, out)
     _write_layout(params, parts.scene, plan, out)
-    for leftover in out.glob("*/*/.*.part"):
-        leftover.unlink()  # what a killed run was writing
+    for folder in out.glob("*/*/"):
+        remove_leftovers(folder)  # what a killed run was writing
     missing = [view for view in plan.views if not _is_written(params, view, out)]
     resumed = len(plan.views) - len(missing)
-    _write_views(params, parts, missing, out, resumed)
+    executor = _fitting(executor or ExecutorParams(PROCESS), params.workers, len(missing))
+    _write_views(params, parts, missing, out, resumed, executor)
     write_sheet(params, plan.views, out / SHEET_FILE)
     finish_manifest(manifest, out)
     counts = Counter(view.split for view in plan.views)
@@ -151,14 +155,25 @@ def _write_layout(params: GenerateParams, scene: Scene, plan: ViewPlan, out: Pat
         write_poses(out / split, cameras, truth, priors, truth_file=RENDERED_TRUTH_FILE)
 
 
+def _fitting(executor: ExecutorParams, workers: int | None, num_views: int) -> ExecutorParams:
+    """Returns an executor of no more processes than there are views; ``workers`` goes before its own."""
+    if executor.name != PROCESS:
+        return executor
+    return replace(executor, workers=min(workers or executor.num_workers, max(1, num_views)))
+
+
 def _write_views(
-    params: GenerateParams, parts: PictureParts, missing: list[PlannedView], out: Path, resumed: int
+    params: GenerateParams,
+    parts: PictureParts,
+    missing: list[PlannedView],
+    out: Path,
+    resumed: int,
+    executor: ExecutorParams,
 ) -> None:
-    workers = min(params.workers or os.cpu_count() or 1, max(1, len(missing)))
     done = 0
     try:
         with Progress("views", len(missing)) as progress:
-            for _ in fan_out(_write_view, missing, workers, _open_writer, (params, parts, out)):
+            for _ in spread(executor, _write_view, missing, _open_writer, (params, parts, out)):
                 done += 1
                 progress.advance()
     except OSError as error:

@@ -13,7 +13,7 @@ from lodbench import __version__
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import DatasetError
-from lodbench.storage import digest_of, file_digest, make_folder, write_text
+from lodbench.storage import digest_of, file_digest, make_folder, remove_leftovers, write_text
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, ViewPlan
 
@@ -33,6 +33,7 @@ def begin_manifest(params: GenerateParams, scene: Scene, plan: ViewPlan, out: Pa
     """
     manifest = _manifest(params, scene, plan)
     path = out / MANIFEST_FILE
+    remove_leftovers(out)
     if out.exists() and any(out.iterdir()):
         found = _read(path)
         if found.get("digest") != manifest["digest"]:

@@ -81,7 +81,7 @@ class GenerateParams:
         naming: ``index``, or ``pose`` for X@Y@Z@PITCH@YAW@ROLL.
         format: Of the pictures, ``jpg`` or ``png``.
         sheet: Width of a picture on the contact sheet, pixels.
-        workers: Processes; None for one per core.
+        workers: Processes on this machine; None for the executor's number, or one per core.
         seed: Seed of everything drawn.
         look: From what the look of each picture is drawn.
 

@@ -1,0 +1,209 @@
+"""The commands that write, each as small as it can be, for the disks that fail under them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tests.town import write_dataset
+
+# What differs from one undisturbed run to the next: times, machine facts, and a key drawn once per cache.
+TIMED = {"timings.csv", "provenance.json", "predictions.jsonl", "own_runs.key", "multirun.yaml"}
+SECONDS = re.compile(rb'("(?:[a-z_]*seconds[a-z_]*|[a-z_]+_s)": )[-+.\de]+')
+Words = list[str]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command under test.
+
+    Attributes:
+        name: For the counts.
+        words: What is typed, in a folder.
+        before: What is typed there before, undisturbed.
+        timed: More files that hold times.
+        is_once: Whether it refuses to write over what it wrote.
+        remembered: Functions of the package whose result is the same in every trial.
+    """
+
+    name: str
+    words: Callable[[Path], Words]
+    before: tuple[Callable[[Path], Words], ...] = ()
+    timed: tuple[str, ...] = ()
+    is_once: bool = False
+    remembered: tuple[str, ...] = ()
+
+    def is_timed(self, path: Path) -> bool:
+        """Tells whether a file differs from run to run."""
+        return path.name in TIMED or path.name in self.timed
+
+    def without_times(self, path: Path) -> bytes:
+        """Returns a file's content, the seconds in JSON taken out."""
+        content = path.read_bytes()
+        return SECONDS.sub(rb"\1", content) if path.suffix == ".json" else content
+
+
+def prepare_inputs(folder: Path) -> Path:
+    """Writes a town of boxes with two queries, masks, photos, and views to train on; returns the folder."""
+    root, _ = write_dataset(folder / "town", 2)
+    (root / "Query_image").mkdir()
+    for mask in sorted((root / "masks").iterdir()):
+        photo = np.repeat(cv2.imread(str(mask))[:, :, :1] // 2 + 60, 3, axis=2)
+        cv2.imwrite(str(root / "Query_image" / mask.name), photo)
+    for split, count in (("train", 3), ("val", 1)):
+        for kind in ("images", "masks"):
+            (folder / "views" / split / kind).mkdir(parents=True)
+        for number in range(count):
+            mask = np.zeros((64, 64), np.uint8)
+            mask[10 : 40 + number, 12:50] = 255
+            cv2.imwrite(str(folder / "views" / split / "masks" / f"{number}.png"), mask)
+            picture = np.repeat(mask[:, :, None] // 2 + 20, 3, axis=2)
+            cv2.imwrite(str(folder / "views" / split / "images" / f"{number}.png"), picture)
+    return folder
+
+
+def _data(folder: Path) -> Words:
+    town = folder / "town"
+    words = [f"dataset.root={town / 'data'}", f"dataset.city_model={town / 'city.obj'}"]
+    return ["dataset=folder", *words, f"paths.runs={folder / 'runs'}"]
+
+
+def _run(folder: Path) -> Words:
+    return ["run", *_data(folder), "method=prior_only", "segmenter=masks", "executor.threads=1"]
+
+
+def _found(folder: Path) -> Path:
+    (run,) = (folder / "runs").glob("*/*/*/summary.json")
+    return run.parent
+
+
+def _of_run(*words: str) -> Callable[[Path], Words]:
+    """Returns a command about the one run in a folder; ``{}`` stands for the folder."""
+    return lambda folder: [
+        str(_found(folder)) if word == "RUN" else word.replace("{}", str(folder)) for word in words
+    ]
+
+
+def _in(*words: str) -> Callable[[Path], Words]:
+    return lambda folder: [word.replace("{}", str(folder)) for word in words]
+
+
+def _search(folder: Path) -> Words:
+    method = ["method=lodlocv2", "method.steps=1"]
+    return ["run", *_data(folder), *method, "segmenter=compact", "executor.threads=1"]
+
+
+def _basin(folder: Path) -> Words:
+    options = ["ranges=[5,10]", "yaw_ranges=[]", "limit=1"]
+    return ["basin", *_data(folder), "method=prior_only", "segmenter=masks", "executor.threads=1", *options]
+
+
+def _convert(ending: str) -> Callable[[Path], Words]:
+    return _in("city", "convert", "{}/town/city.obj", f"{{}}/town.{ending}")
+
+
+GENERATE = _in(
+    "generate-training-data",
+    "city={}/town/city.obj",
+    "out={}/set",
+    "pitch=[40]",
+    "height=[90]",
+    "yaw=[0,180]",
+    "size=[96,80]",
+    "spacing_m=60",
+    "labels=true",
+    "depth=true",
+    "workers=1",
+    "val_share=0",
+    "test_share=0",
+)
+TRAIN = _in(
+    "train",
+    "data={}/views",
+    "out={}/net",
+    "schedule.epochs=2",
+    "schedule.batch=2",
+    "schedule.crop=64",
+    "schedule.val_every=1",
+    "threads=1",
+    "device=cpu",
+)
+IMPORT = _in(
+    "dataset",
+    "import",
+    "lines",
+    "{}/town/data/GT_pose.txt",
+    "{}/own",
+    "--city",
+    "{}/town/city.obj",
+    "--cameras",
+    "{}/town/data/intrinsic.txt",
+    "--images",
+    "{}/town/data/Query_image",
+)
+RENDER = _in(
+    "render",
+    "city={}/town/city.obj",
+    "poses={}/town/data/GT_pose.txt",
+    "intrinsics={}/town/data/intrinsic.txt",
+    "out={}/drawn",
+    "kind=silhouette",
+)
+
+COMMANDS = [
+    Command("run", _run),
+    Command("run, masks made from photos", _search),
+    Command("basin", _basin),
+    Command("evaluate", lambda f: ["evaluate", *_data(f), f"poses={f / 'town/data/GPS_pose.txt'}"]),
+    Command("report", _of_run("report", "RUN"), (_run,), timed=("report.html",)),
+    Command("leaderboard add", _of_run("leaderboard", "add", "RUN", "--root", "{}/board"), (_run,)),
+    Command(
+        "leaderboard build",
+        _in("leaderboard", "build", "--root", "{}/board"),
+        (_run, _of_run("leaderboard", "add", "RUN", "--root", "{}/board")),
+    ),
+    *(
+        Command(f"export {name}", _of_run("export", "RUN", "--format", name), (_run,))
+        for name in ("colmap", "kapture", "tum", "nerfstudio", "csv", "parquet")
+    ),
+    *(
+        Command(f"city convert to {name}", _convert(name))
+        for name in ("scene", "obj", "ply", "glb", "city.json")
+    ),
+    Command("city convert over a scene", _convert("scene"), (_convert("scene"),)),
+    Command("render", RENDER),
+    Command("dataset import", IMPORT, is_once=True),
+    Command(
+        "dataset prior", _in("dataset", "prior", "{}/town/data", "--kind", "uniform", "--out", "{}/p.txt")
+    ),
+    Command(
+        "dataset make-demo",
+        _in("dataset", "make-demo", "{}/demo", "--num-queries", "2"),
+        remembered=tuple(
+            f"lodbench.synthesis.town.build.{name}"
+            for name in (
+                "grow_town",
+                "demo_props",
+                "citygml_text",
+                "fine_citygml_text",
+                "relief_text",
+                "ascii_grid_text",
+                "open_scene",
+                "SilhouetteRenderer",
+                "Photographer",
+                "make_splits",
+            )
+        ),
+    ),
+    Command(
+        "generate-training-data",
+        GENERATE,
+        remembered=("lodbench.synthesis.training_data.generate.make_surroundings",),
+    ),
+    Command("train", TRAIN),
+]
