@@ -26,6 +26,11 @@ def task(config: DictConfig) -> None:
     values = plain(config)
     settings, schedule = section(values, "segmenter"), section(values, "schedule")
     others = {key: value for key, value in values.items() if key not in ("segmenter", "schedule")}
+    if settings.get("weights") is not None:
+        raise ConfigError(
+            "lodbench train makes weights and reads none from segmenter.weights.",
+            "init=FILE goes on from them; segmenter.encoder_weights=FILE starts from an encoder's.",
+        )
     params = to_params(schedule | others, TrainParams, "")
     part = load_plugin("segmenters", settings.get("name", ""))
     if not hasattr(part, "build"):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.segmentation.sam2_unet import Sam2UNetParams
-from lodbench.segmentation.torch_segmenter import TorchSegmenter, weights_file
+from lodbench.segmentation.torch_segmenter import ENCODER_SETTING, TorchSegmenter, weights_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,9 @@ class Sam1AdapterSegmenter(TorchSegmenter):
         from lodbench.segmentation.nets.sam1_adapter import Sam1Adapter, fill_sam
         from lodbench.segmentation.nets.weights import load_own, read_weights
 
+        self.require_room(lambda: Sam1Adapter(self.params.encoder, self.params.size), init)
         net = Sam1Adapter(self.params.encoder, self.params.size)
         if init is None and self.params.encoder_weights is not None:
-            path = weights_file(self.params.encoder_weights, self.name)
+            path = weights_file(self.params.encoder_weights, self.name, ENCODER_SETTING)
             fill_sam(net, read_weights(Path(path)), str(path))
         return load_own(net, init)

@@ -8,7 +8,7 @@ from typing import Any
 
 from lodbench.errors import ConfigError
 from lodbench.segmentation.probability import check_normalise
-from lodbench.segmentation.torch_segmenter import RANDOM, TorchSegmenter, weights_file
+from lodbench.segmentation.torch_segmenter import ENCODER_SETTING, TorchSegmenter, weights_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +19,7 @@ class Sam2UNetParams:
         name: Name to report.
         encoder: Size of the encoder: ``tiny``, ``small``, ``base_plus`` or ``large``.
         weights: Checkpoint of the whole network, by its authors' names or ours: safetensors or torch;
-            ``random`` for none, which makes a run invalid.
+            ``random`` for none, which makes a run invalid; None where it is trained.
         encoder_weights: SAM2's encoder to train on: Meta's file, transformers' file or folder, or the id
             of a repository fetched before; None for none.
         size: Photos are brought to ``size`` x ``size``, pixels.
@@ -32,7 +32,7 @@ class Sam2UNetParams:
 
     name: str = "sam2_unet"
     encoder: str = "large"
-    weights: str = RANDOM
+    weights: str | None = None
     encoder_weights: str | None = None
     size: int = 1024
     normalise: str = "paper"
@@ -58,10 +58,11 @@ class Sam2UNetSegmenter(TorchSegmenter):
         from lodbench.segmentation.nets.sam2_unet import Sam2UNet, fill_encoder, whole_checkpoint
         from lodbench.segmentation.nets.weights import fill, read_weights
 
+        self.require_room(lambda: Sam2UNet(self.params.encoder), init)
         net = Sam2UNet(self.params.encoder)
         if init is not None:
             fill(net, whole_checkpoint(read_weights(Path(init).expanduser())), init)
         elif self.params.encoder_weights is not None:
-            path = weights_file(self.params.encoder_weights, self.name)
+            path = weights_file(self.params.encoder_weights, self.name, ENCODER_SETTING)
             fill_encoder(net, read_weights(path), str(path))
         return net

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from abc import abstractmethod
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,12 +14,15 @@ from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError
 from lodbench.segmentation.extras import require
+from lodbench.segmentation.memory import require_memory
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.tiles import MemoryTiles
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
 from lodbench.storage import file_digest
 
 RANDOM = "random"
+# The settings that weights stand in.
+SETTING, ENCODER_SETTING = "segmenter.weights", "segmenter.encoder_weights"
 
 
 class TorchSegmenter(PhotoSegmenter):
@@ -53,8 +58,18 @@ class TorchSegmenter(PhotoSegmenter):
 
     @cached_property
     def weights_digest(self) -> str:
-        """Returns the SHA-256 of the weights' file, or ``random``."""
+        """Returns the SHA-256 of the weights' file, or ``random``, of which it warns.
+
+        Raises:
+            ConfigError: No weights are named, or they are not there.
+        """
+        if self.params.weights is None:
+            raise ConfigError(
+                f"segmenter={self.name} comes without weights.",
+                f"{SETTING}=FILE; {SETTING}={RANDOM} tries it without any, and the run is invalid.",
+            )
         if self.params.weights == RANDOM:
+            sys.stderr.write(f"lodbench: INVALID from here on: {self.name} has random weights.\n")
             return RANDOM
         return file_digest(weights_file(self.params.weights, self.name))
 
@@ -76,7 +91,21 @@ class TorchSegmenter(PhotoSegmenter):
     def _init(self) -> str | None:
         """Returns the file that the network's weights are in, or None for random ones."""
         weights = self.params.weights
-        return None if weights == RANDOM else str(weights_file(weights, self.name))
+        return None if weights in (None, RANDOM) else str(weights_file(weights, self.name))
+
+    def require_room(self, build: Callable[[], Any], init: str | None) -> None:
+        """Makes sure that a network, and the file it is filled from, fit into memory.
+
+        Raises:
+            ConfigError: They do not.
+        """
+        import torch
+
+        with torch.device("meta"):
+            net = build()
+        stored = sum(weight.numel() * weight.element_size() for weight in net.state_dict().values())
+        is_filled = init is not None or self.params.encoder_weights is not None
+        require_memory(self.name, 2 * stored if is_filled else stored)
 
     @cached_property
     def _device(self) -> Any:
@@ -121,7 +150,7 @@ class TorchSegmenter(PhotoSegmenter):
         return path
 
 
-def weights_file(weights: str, name: str) -> Path:
+def weights_file(weights: str, name: str, setting: str = SETTING) -> Path:
     """Returns the file that weights are in: a path, or the safetensors of a hub id fetched before.
 
     Nothing is fetched here: a run must not depend on a network, and licences are accepted by people.
@@ -140,10 +169,10 @@ def weights_file(weights: str, name: str) -> Path:
             f"{path} holds {len(found)} safetensors files instead of one.", "Name the file itself."
         )
     if weights.count("/") == 1 and not weights.startswith((".", "/", "~")) and not path.suffix:
-        return weights_file(str(hub_folder(weights)), name)
+        return weights_file(str(hub_folder(weights)), name, setting)
     raise ConfigError(
         f"There are no weights {weights} for {name}.",
-        "segmenter.weights= takes a file, a folder with one safetensors file, or a hub id fetched before.",
+        f"{setting}= takes a file, a folder with one safetensors file, or a hub id fetched before.",
     )
 
 

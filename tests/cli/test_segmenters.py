@@ -85,7 +85,16 @@ def test_random_weights_enter_no_table(dataset, tmp_path, capsys, monkeypatch):
             return (8 * torch.sin(pictures.sum(dim=1, keepdim=True)) - 4,)
 
     monkeypatch.setattr(Sam2UNetSegmenter, "build", lambda self, init: Stripes())
-    assert run((photos, dataset[1]), tmp_path / "runs", "segmenter=sam2_unet", "segmenter.size=64") == 0
+    assert (
+        run(
+            (photos, dataset[1]),
+            tmp_path / "runs",
+            "segmenter=sam2_unet",
+            "segmenter.weights=random",
+            "segmenter.size=64",
+        )
+        == 0
+    )
     printed = capsys.readouterr().out
     assert "INVALID, in no table: random weights" in printed
     assert "2m-2deg" not in printed

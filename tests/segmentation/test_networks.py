@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError, QueryFault
+from lodbench.segmentation import memory
 from lodbench.segmentation.tiles import MemoryTiles, tiled
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
@@ -96,10 +97,32 @@ def test_the_authors_checkpoints_can_be_read(small, tmp_path):
     assert segmenter.weights_digest != again.weights_digest
 
 
-def test_random_weights_say_so(small):
-    segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=64))
+def test_random_weights_say_so(small, capsys):
+    segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=64, weights="random"))
     assert segmenter.weights_digest == "random"
+    assert "INVALID" in capsys.readouterr().err
     assert "random weights" in segmenter.notes()[0]
+
+
+def test_no_weights_are_no_random_ones(small):
+    with pytest.raises(ConfigError, match="comes without weights") as told:
+        _ = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=64)).weights_digest
+    assert "segmenter.weights=random" in told.value.hint
+
+
+def test_a_missing_encoder_is_told_by_its_own_setting(small):
+    segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=64, encoder_weights="no.pt"))
+    with pytest.raises(ConfigError, match=r"no weights no\.pt") as told:
+        segmenter.build(None)
+    assert "segmenter.encoder_weights=" in told.value.hint
+
+
+def test_what_does_not_fit_into_memory_is_told_before_it_is_built(monkeypatch):
+    monkeypatch.setattr(memory, "free_bytes", lambda: 500 << 20)
+    with pytest.raises(ConfigError, match=r"need 0\.8 GiB of memory, 0\.5 GiB are free"):
+        Sam2UNetSegmenter(Sam2UNetParams(encoder="large")).build(None)
+    monkeypatch.setattr(memory, "free_bytes", lambda: None)
+    memory.require_memory("any", 1 << 60)
 
 
 def test_wrong_weights_get_a_report_of_shapes(small, tmp_path):
