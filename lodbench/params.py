@@ -43,6 +43,13 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
         raise ConfigError(f"{_dotted(prefix, str(error.full_key))}: {reason}") from error
 
 
+def read_settings(text: str) -> dict[str, Any]:
+    """Returns the settings of a YAML text by name, as plain values."""
+    from omegaconf import OmegaConf
+
+    return cast(dict[str, Any], OmegaConf.to_container(OmegaConf.create(text)))
+
+
 def _dotted(prefix: str, name: str) -> str:
     return f"{prefix}.{name}" if prefix else name
 

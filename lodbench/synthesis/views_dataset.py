@@ -1,7 +1,8 @@
 """``dataset=views``: seeded drone views of any city, each with a mask as wrong as a network's.
 
 Drawn once and written to the cache in the text layout, so that every command that takes a dataset can run
-on a city that has no photos. `lodbench bench accuracy` and its kin are runs of it.
+on a city that has no photos. `lodbench bench accuracy` and its kin are runs of it. With a look each view
+has a drawn photo too.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from lodbench.storage.paths import cache_root
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
 from lodbench.synthesis.queries import SyntheticQuery, write_queries
+from lodbench.synthesis.view_photos import with_photos
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 from lodbench.synthesis.world import World
 
@@ -33,6 +35,8 @@ SPLIT = "views"
 # The halves of a city's bounding box: tune on one, report on the other.
 AREAS = ("west", "east", "south", "north")
 _FACTS_FILE = "drawn.json"
+# Width and height of drawn photos.
+_PHOTO_SIZE = (1204, 902)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +51,8 @@ class ViewsParams:
         range_m: Half width of their error along x, y and z, metres; None for the published ones.
         height_m: The same along z alone; None for ``range_m``.
         area: The half of the city that views look at the middle of, one of ``AREAS``; None for all of it.
-        views_seed: Seed of views, masks and priors.
+        views_seed: Seed of views, masks, priors and photos.
+        look: What photos look like, a name of ``conf/training``; None for views without photos.
         lod: Level of detail to localise against; None for the lowest.
         mask_lod: Level of detail that views and masks are drawn from; None for ``lod``.
         crs: CRS of the city model, where its file says none or a wrong one.
@@ -65,6 +70,7 @@ class ViewsParams:
     height_m: float | None = None
     area: str | None = None
     views_seed: int = 0
+    look: str | None = None
     lod: str | None = None
     mask_lod: str | None = None
     crs: str | None = None
@@ -131,7 +137,7 @@ def open_views(params: ViewsParams) -> Dataset:
     """Returns the dataset of seeded views of a city; draws them first if the cache does not hold them.
 
     Raises:
-        LodbenchError: The city cannot be read, or no views can be drawn over it.
+        LodbenchError: The city cannot be read, no views can be drawn over it, or the look is unknown.
     """
     city = Path(params.city_model).expanduser()
     if not city.exists():
@@ -147,12 +153,17 @@ def open_views(params: ViewsParams) -> Dataset:
         make_folder(root.parent)
         renderer = make_renderer("silhouette", scene, None)
         queries, rejections = draw_queries(scene, renderer, params)
+        camera = RGB_CAMERA
+        if params.look is not None:
+            camera = RGB_CAMERA.scaled(*_PHOTO_SIZE)
+            queries = with_photos(queries, scene, camera, params.look, params.views_seed)
         with new_folder(root) as building:
-            write_queries(building / SPLIT, queries, RGB_CAMERA, scene.origin)
+            write_queries(building / SPLIT, queries, camera, scene.origin)
             write_text(building / _FACTS_FILE, json.dumps({"rejections": rejections, "mask_lod": scene.lod}))
     same = {key: getattr(params, key) for key in ("lod", "crs", "roof_height", "name", "layers")}
     folder = open_folder(FolderParams(str(root), str(city), **same))
-    return replace(folder, version=f"views {VIEWS_VERSION}, seed {params.views_seed}")
+    look = "" if params.look is None else f", look {params.look}"
+    return replace(folder, version=f"views {VIEWS_VERSION}{look}, seed {params.views_seed}")
 
 
 def drawing_facts(dataset: Dataset) -> dict[str, Any]:

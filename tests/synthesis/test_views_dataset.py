@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -83,6 +84,27 @@ def test_the_same_settings_draw_nothing_again(city):
     stamp = (root / "views" / "GT_pose.txt").stat().st_mtime_ns
     assert open_views(ViewsParams(str(city), num_views=1)).root == root
     assert (root / "views" / "GT_pose.txt").stat().st_mtime_ns == stamp
+
+
+def test_photos_show_the_city_and_change_nothing_else(city):
+    plain = open_views(ViewsParams(str(city), num_views=1))
+    hard, again = (open_views(ViewsParams(str(city), num_views=1, look="hard", name=n)) for n in ("a", "b"))
+    (entry,) = hard.entries
+    assert hard.root == again.root != plain.root
+    np.testing.assert_array_equal(read_mask(entry.mask), read_mask(plain.entries[0].mask))
+    np.testing.assert_allclose(entry.prior.cam_from_world, plain.entries[0].prior.cam_from_world)
+    photo = cv2.imread(str(entry.image))
+    assert photo.shape == (entry.camera.height, entry.camera.width, 3)
+    scene = open_scene(city)
+    truth = hard.truth[entry.key].shifted(-scene.origin)
+    seen = SilhouetteRenderer(scene).render(entry.camera, truth)
+    inside, outside = (photo[part].mean(axis=0) for part in (seen, ~seen))
+    assert np.abs(inside - outside).max() > 5.0
+
+
+def test_a_look_that_is_not_known_is_refused(city):
+    with pytest.raises(ConfigError, match="no look hart"):
+        open_views(ViewsParams(str(city), num_views=1, look="hart"))
 
 
 @pytest.mark.parametrize(

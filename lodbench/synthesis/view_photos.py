@@ -1,0 +1,47 @@
+"""Drawn photos of seeded views: a city among made-up ground, trees and cars, in a named look."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.pictures import encoded
+from lodbench.geometry import Camera
+from lodbench.storage import random_stream
+from lodbench.synthesis.photo import PhotoRenderer, draw_look
+from lodbench.synthesis.photo.named_looks import look_ranges
+from lodbench.synthesis.queries import SyntheticQuery
+from lodbench.synthesis.surroundings.surroundings import make_surroundings
+
+
+def with_photos(
+    queries: list[SyntheticQuery], scene: Scene, camera: Camera, look: str, seed: int
+) -> list[SyntheticQuery]:
+    """Returns queries with photos; the photo of one depends on the seed and its name only.
+
+    A query's name becomes that of a JPEG file.
+
+    Args:
+        queries: In the scene's frame.
+        scene: The city as photos show it.
+        camera: Of the photos.
+        look: A name of ``conf/training``.
+        seed: Of surroundings and looks.
+
+    Raises:
+        ConfigError: There is no such look.
+    """
+    ranges = look_ranges(look)
+    made = make_surroundings(scene, seed)
+    renderer = PhotoRenderer(scene, made.props, made.land_cover)
+    pictured = []
+    for query in queries:
+        light, response = draw_look(ranges, random_stream(seed, "views", "look", query.name))
+        picture = renderer.photo(camera, query.truth, light, response)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality]
+        photo = encoded(np.ascontiguousarray(picture[..., ::-1]), ".jpg", quality)
+        pictured.append(replace(query, name=f"{query.name}.jpg", photo=photo))
+    return pictured
