@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lodbench.citymap import CityMap
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evolution import Cloud, climb
 from lodbench.methods.registry import make_method
-from lodbench.rendering import make_renderer
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
@@ -59,9 +59,7 @@ class TestTheMethod:
     def test_threads_and_repetition_change_no_bit(self, scene, city_map, photographed):
         first = Region(FAST).localize(photographed[0], city_map, streams())
         for threads in (1, 3):
-            again = Region(FAST).localize(
-                photographed[0], make_renderer("silhouette", scene, threads), streams()
-            )
+            again = Region(FAST).localize(photographed[0], CityMap(scene, threads=threads), streams())
             np.testing.assert_array_equal(again.pose.cam_from_world, first.pose.cam_from_world)
             assert (again.probability, again.hypotheses) == (first.probability, first.hypotheses)
 

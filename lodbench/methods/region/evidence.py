@@ -71,12 +71,19 @@ class Evidence:
 
     def log_posterior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the posterior of poses (N, 6)."""
+        return self.nats(vectors) + self.log_prior(vectors)
+
+    def nats(self, vectors: Floats) -> Floats:
+        """Returns the (N,) logarithm of the photo's likelihood, up to a constant."""
+        return np.asarray(self._samples * self.fits(vectors))
+
+    def log_prior(self, vectors: Floats) -> Floats:
+        """Returns the (N,) logarithm of the prior, up to a constant."""
         offsets = vectors - self._prior
         offsets[:, 5] = [wrap_deg(float(turn)) for turn in offsets[:, 5]]
         # What lies outside the prior's range by a fifth of it is as unlikely as one standard deviation.
         beyond = np.maximum(np.abs(offsets) - self._range, 0.0) / (_EDGE_SHARE * self._range)
-        penalty = 0.5 * ((offsets / self._sigmas) ** 2 + beyond**2).sum(axis=1)
-        return np.asarray(self._samples * self.fits(vectors) - penalty)
+        return np.asarray(-0.5 * ((offsets / self._sigmas) ** 2 + beyond**2).sum(axis=1))
 
     def prior_information(self) -> Floats:
         """Returns (6, 6) the inverse of the prior's covariance."""

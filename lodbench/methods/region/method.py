@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.evidence import Evidence, PhotoFit
+from lodbench.methods.region.lines import aligned_by_lines
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts
 from lodbench.methods.region.uncertainty import covariance_at, share_of_best
@@ -69,7 +71,11 @@ class Region:
         if not modes:
             raise QueryFault("no outline of a building is in view of any pose that fits")
         vector = modes[0].cloud.mean
-        covariance = covariance_at(final, vector, around, params)
+        nats: Callable[[Floats], Floats] = final.nats
+        if params.lines_weight > 0:
+            exact = aligned_by_lines(photo, query, city_map, vector, final, around, params, streams)
+            vector, nats = exact or (vector, nats)
+        covariance = covariance_at(nats, vector, final, around)
         finished = time.perf_counter()
         return Estimate(
             pose=pose_from_vector(vector),

@@ -40,6 +40,10 @@ class Params:
         effective_pixels: How many independent pixels a photo is worth against the prior.
         edge_weight: Weight of the photo's edges along the outline beside its regions; 0 leaves them out.
         edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
+        lines_width: Width of the photo where the model's lines are laid over its edges, pixels.
+        lines_weight: What a pixel of line is worth, independent pixels; 0 leaves lines out.
+        least_sharpness: How sharply edges must fall off beside the lines for the map to count as exact, 0 to
+            1; lines of a map that is not are left out.
     """
 
     name: str = "region"
@@ -63,12 +67,15 @@ class Params:
     effective_pixels: float = 2000.0
     edge_weight: float = 2.0
     edge_blur_px: float = 1.0
+    lines_width: int = 640
+    lines_weight: float = 0.1
+    least_sharpness: float = 0.6
 
     def __post_init__(self) -> None:
-        for name in ("coarse_width", "fine_width"):
+        for name in ("coarse_width", "fine_width", "lines_width"):
             if not 16 <= getattr(self, name) <= GUARD_PX:
                 raise ConfigError(f"method.{name} is 16 to {GUARD_PX} px, not {getattr(self, name)}.")
-        for name in (*_RANGES, "effective_pixels", "edge_weight"):
+        for name in (*_RANGES, "effective_pixels", "edge_weight", "lines_weight", "least_sharpness"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
         for name in _POSITIVE:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.params import Params
 from lodbench.methods.region.search import Mode, Surroundings
 from lodbench.storage import random_stream
 
@@ -19,11 +20,19 @@ _REACH_PX = 1.5
 _PAIRS = np.triu_indices(6)
 
 
-def covariance_at(evidence: Evidence, vector: Floats, around: Surroundings, params: Params) -> Floats:
+def covariance_at(
+    nats: Callable[[Floats], Floats], vector: Floats, evidence: Evidence, around: Surroundings
+) -> Floats:
     """Returns the covariance (6, 6) of a mode's error, metres and degrees.
 
-    A quadratic is fitted to the fit at poses around the mode. What curves upwards there says nothing: the
-    prior alone holds it.
+    A quadratic is fitted to the likelihood of poses around the mode. What curves upwards there says nothing:
+    the prior alone holds it.
+
+    Args:
+        nats: (N, 6) poses to the (N,) logarithm of their likelihood.
+        vector: (6,) the mode.
+        evidence: Knows the prior and the working size.
+        around: How the outline moves.
     """
     shape = around.cloud(vector, evidence, _REACH_PX)
     prior = evidence.prior_information()
@@ -34,7 +43,7 @@ def covariance_at(evidence: Evidence, vector: Floats, around: Surroundings, para
     # The same draws for every query: the answer is a function of the mode alone.
     draws = random_stream(0, "curvature of the region fit").standard_normal((_SAMPLES // 2, 6))
     draws = np.concatenate([draws, -draws])
-    values = params.effective_pixels * evidence.fits(vector + draws @ roots.T)
+    values = nats(vector + draws @ roots.T)
     design = np.column_stack([np.ones(len(draws)), draws, draws[:, _PAIRS[0]] * draws[:, _PAIRS[1]]])
     coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
     hessian = np.zeros((6, 6))

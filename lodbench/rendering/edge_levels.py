@@ -1,0 +1,106 @@
+"""How strongly a photo changes along every direction at every pixel, and what a model's lines find there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lodbench.rendering.projection import camera_axes
+
+Floats = NDArray[np.float64]
+Levels = NDArray[np.uint8]
+
+# Levels of strength, equally full over all pixels and directions, and directions over half a turn.
+EDGE_LEVELS, DIRECTIONS = 16, 12
+# The part of the width that the mean strength is taken over.
+_AROUND_SHARE = 12.0
+# Every so many-th row and column says where one level ends and the next begins.
+_STEP = 3
+# Steps of strength per mean strength, and how many are told apart.
+_FINE_STEPS, _FINEST = 256.0, 4095
+
+
+def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Levels:
+    """Returns (H, W, 12) uint8 how strongly brightness and colour change along each direction, 0 to 15.
+
+    Gradients of L, a and b (CIE Lab) are taken after a blur and divided by their mean around the pixel, so
+    that a sharp foreground does not outweigh what lies in haze. Direction ``k`` is ``k * pi / 12`` from the
+    picture's x axis towards its y axis.
+
+    Args:
+        photo: (H, W) or (H, W, 3) BGR, 8 bits.
+        size: Width and height to work at, pixels.
+        blur_px: Standard deviation of the blur, pixels of that size.
+    """
+    small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    if small.ndim == 2:
+        small = np.repeat(small[..., None], 3, axis=2)
+    lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
+    across, down = (cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125) for axis in ((1, 0), (0, 1)))
+    # The strength along a direction is a quadratic form of it: three sums over the channels say all.
+    xx, xy, yy = ((p * q).sum(axis=2) for p, q in ((across, across), (across, down), (down, down)))
+    around = cv2.GaussianBlur(np.sqrt(xx + yy), (0, 0), size[0] / _AROUND_SHARE) + np.float32(1e-3)
+    angles = np.arange(DIRECTIONS) * (np.pi / DIRECTIONS)
+    turns = np.stack(
+        [np.cos(angles) ** 2, 2.0 * np.cos(angles) * np.sin(angles), np.sin(angles) ** 2], axis=1
+    )
+    forms = np.ascontiguousarray(np.stack([xx, xy, yy], axis=2) / (around**2)[..., None])
+    some = np.sqrt(np.maximum(forms[::_STEP, ::_STEP] @ turns.T, 0.0)) * _FINE_STEPS
+    ends = np.quantile(np.minimum(np.floor(some), _FINEST), np.arange(1, EDGE_LEVELS) / EDGE_LEVELS)
+    # Strengths in fine steps are looked up in a table: a search for each would take longer than all else.
+    table = np.searchsorted(ends, np.arange(_FINEST + 1), side="right").astype(np.uint8)
+    levels: Levels = _looked_up(forms, turns, table)
+    return levels
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _looked_up(forms, turns, table):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns (H, W, 12) uint8 levels of quadratic forms (H, W, 3) of directions (12, 3)."""
+    height, width = forms.shape[:2]
+    levels = np.empty((height, width, len(turns)), dtype=np.uint8)
+    for row in range(height):
+        for column in range(width):
+            form = forms[row, column]
+            for k in range(len(turns)):
+                square = form[0] * turns[k, 0] + form[1] * turns[k, 1] + form[2] * turns[k, 2]
+                step = np.sqrt(max(square, 0.0)) * _FINE_STEPS
+                levels[row, column, k] = table[int(min(step, _FINEST))]
+    return levels
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_levels(points, kinds, rotations, centers, intrinsics, levels, offset_px, counts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Counts the levels that points of lines meet in a photo, seen from N poses; outside is not counted.
+
+    Args:
+        points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
+        kinds: (P,) int64 which histogram a point belongs to.
+        rotations: (N, 3, 3) cam_from_world.
+        centers: (N, 3) metres.
+        intrinsics: fx, fy, cx, cy.
+        levels: (H, W, 12) uint8 of ``directed_edge_levels``.
+        offset_px: How far beside the line to look.
+        counts: (N, K, 16) int64 to add to.
+    """
+    height, width = levels.shape[:2]
+    focal_x, focal_y, middle_x, middle_y = intrinsics
+    for n in range(len(rotations)):
+        for i in range(len(points)):
+            p, q = points[i, 0], points[i, 1]
+            x, y, z = camera_axes(p[0], p[1], p[2], rotations[n], centers[n])
+            s, t, r = camera_axes(q[0], q[1], q[2], rotations[n], centers[n])
+            if z < 1.0 or r < 1.0:
+                continue
+            u, v = focal_x * x / z + middle_x, focal_y * y / z + middle_y
+            along_u, along_v = focal_x * s / r + middle_x - u, focal_y * t / r + middle_y - v
+            normal = np.arctan2(along_u, -along_v)
+            u += offset_px * np.cos(normal)
+            v += offset_px * np.sin(normal)
+            if not (0.0 <= u < width and 0.0 <= v < height):
+                continue
+            k = int(np.floor(normal / np.pi * DIRECTIONS + 0.5)) % DIRECTIONS
+            counts[n, kinds[i], levels[int(v), int(u), k]] += 1

@@ -1,0 +1,60 @@
+"""Levels of edges by direction, and their counts along lines, against plain numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lodbench.geometry import Camera, EulerAngles
+from lodbench.geometry.angles import rotation_from_euler
+from lodbench.rendering.edge_levels import DIRECTIONS, EDGE_LEVELS, count_levels, directed_edge_levels
+
+
+def test_levels_are_equally_full_and_have_the_edge_s_direction():
+    rng = np.random.default_rng(0)
+    photo = rng.integers(90, 110, (120, 160)).astype(np.uint8)
+    photo[:, 80:] += 60
+    levels = directed_edge_levels(photo, (160, 120), 1.0)
+    assert levels.shape == (120, 160, DIRECTIONS)
+    shares = np.bincount(levels.ravel(), minlength=EDGE_LEVELS) / levels.size
+    np.testing.assert_allclose(shares, 1.0 / EDGE_LEVELS, atol=0.01)
+    on = levels[20:100, 79:81]
+    assert on[..., 0].mean() > 14.0
+    assert on[..., 0].mean() > on[..., DIRECTIONS // 2].mean() + 4.0
+
+
+def test_exposure_and_colours_of_grey_change_no_level():
+    photo = np.random.default_rng(1).integers(0, 120, (60, 80)).astype(np.uint8)
+    grey = directed_edge_levels(photo, (80, 60), 1.0)
+    np.testing.assert_array_equal(
+        grey, directed_edge_levels(np.repeat(photo[..., None], 3, 2), (80, 60), 1.0)
+    )
+
+
+def test_counts_are_those_of_points_one_by_one():
+    rng = np.random.default_rng(2)
+    camera = Camera(96, 64, 80.0, 79.0, 47.0, 33.0)
+    levels = rng.integers(0, EDGE_LEVELS, (64, 96, DIRECTIONS)).astype(np.uint8)
+    points = rng.uniform((-30, -30, -2), (30, 30, 20), (50, 2, 3))
+    kinds = rng.integers(0, 2, 50)
+    centers = np.array([[0.0, 0.0, 60.0], [3.0, -2.0, 55.0]])
+    rotations = np.stack([rotation_from_euler(EulerAngles(p, 1.0, 20.0)) for p in (0.0, 25.0)])
+    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+    for offset in (0.0, 3.0):
+        counts = np.zeros((2, 2, EDGE_LEVELS), dtype=np.int64)
+        count_levels(points, kinds, rotations, centers, intrinsics, levels, offset, counts)
+        expected = np.zeros_like(counts)
+        for n in range(2):
+            for (first, second), kind in zip(points, kinds, strict=True):
+                a, b = (rotations[n] @ (p - centers[n]) for p in (first, second))
+                here, there = (
+                    np.array([camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy])
+                    for p in (a, b)
+                )
+                along = there - here
+                angle = np.arctan2(along[0], -along[1])
+                u, v = here + offset * np.array([np.cos(angle), np.sin(angle)])
+                if 0 <= u < 96 and 0 <= v < 64:
+                    direction = int(np.floor(angle / np.pi * DIRECTIONS + 0.5)) % DIRECTIONS
+                    expected[n, kind, levels[int(v), int(u), direction]] += 1
+        np.testing.assert_array_equal(counts, expected)
+        assert counts.sum() > 50
