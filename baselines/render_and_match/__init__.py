@@ -1,6 +1,8 @@
 """What ``uavd4l`` and ``cadloc`` share: render views of the map, match the photo, lift, solve, repeat."""
 
+from .correspondences import resized_photo
 from .params import RenderAndMatchParams
 from .pipeline import RenderAndMatch
+from .view import shaded_views
 
-__all__ = ["RenderAndMatch", "RenderAndMatchParams"]
+__all__ = ["RenderAndMatch", "RenderAndMatchParams", "resized_photo", "shaded_views"]

@@ -51,16 +51,17 @@ class Matched:
         query: Its photo is read.
         camera: Pinhole of the working size.
         matcher: Its name.
+        weights: As for ``open_matching``.
 
     Raises:
         QueryFault: The photo cannot be read.
         ConfigError: The matcher cannot be opened.
     """
 
-    def __init__(self, query: Query, camera: Camera, matcher: str) -> None:
+    def __init__(self, query: Query, camera: Camera, matcher: str, weights: str | None = None) -> None:
         if query.image is None:
             raise QueryFault("there is no photo")
-        self._matcher, self._extractor = opened_matching(matcher)
+        self._matcher, self._extractor = opened_matching(matcher, weights)
         self._photo = self._seen(resized_photo(read_photo(query.image), camera))
 
     def with_view(self, view: View) -> Correspondences:
@@ -130,6 +131,6 @@ def resized_photo(photo: NDArray[np.uint8], camera: Camera) -> NDArray[np.uint8]
 
 
 @lru_cache(maxsize=4)
-def opened_matching(name: str) -> tuple[Matcher, FeatureExtractor | None]:
+def opened_matching(name: str, weights: str | None) -> tuple[Matcher, FeatureExtractor | None]:
     """Returns a matcher with its extractor, opened once in a process: it may hold a network."""
-    return open_matching(name)
+    return open_matching(name, weights)

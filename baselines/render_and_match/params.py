@@ -18,6 +18,8 @@ class RenderAndMatchParams:
         name: Name to report.
         matcher: Entry point under ``lodbench.matchers``; or ``oracle``: true correspondences with noise and
             outliers, to bound what any matcher can bring. It needs the truth, and is told in every table.
+        weights: Of the matcher, or its extractor: a file, or a folder or hub id fetched before; ``random``
+            for random ones, whose rows count for nothing; None for their own.
         pnp: Entry point under ``lodbench.pose_solvers``.
         views: Views rendered in the first round: the prior's, then others beside it.
         spread_m: How far beside it.
@@ -37,6 +39,7 @@ class RenderAndMatchParams:
 
     name: str = "uavd4l"
     matcher: str = "sift_nn"
+    weights: str | None = None
     pnp: str = "opencv"
     views: int = 1
     spread_m: float = 20.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from .correspondences import (
     Correspondences,
     Matched,
     Oracle,
+    opened_matching,
 )
 from .params import ORACLE, RenderAndMatchParams
 from .view import View, canvas_camera, views_around
@@ -43,6 +45,17 @@ class RenderAndMatch(ABC):
         if params.matcher == ORACLE:
             self.requires = (self.requires - {Input.IMAGE}) | {Input.TRUE_PIXELS}
 
+    def weight_files(self) -> list[Path]:
+        """Returns the files of the matcher's and its extractor's weights.
+
+        Raises:
+            ConfigError: They are not there: told before any work.
+        """
+        if self.params.matcher == ORACLE:
+            return []
+        parts = opened_matching(self.params.matcher, self.params.weights)
+        return [file for part in parts for file in getattr(part, "weight_files", list)()]
+
     @abstractmethod
     def draw(
         self, city_map: CityMap, camera: Camera, rotations: Floats, centers: Floats
@@ -62,7 +75,7 @@ class RenderAndMatch(ABC):
         if self.params.matcher == ORACLE:
             finder = Oracle(query, camera, self.params, streams("oracle", 0))
         else:
-            finder = Matched(query, camera, self.params.matcher)
+            finder = Matched(query, camera, self.params.matcher, self.params.weights)
         seconds = {"photo": time.perf_counter() - started}
         scale = width / self.params.width
         solver = open_pose_solver(self.params.pnp, threshold_px=self.params.threshold_px * scale)

@@ -7,8 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymap import CityMap
 from lodbench.geometry import Camera, Pose
 
+Floats = NDArray[np.float64]
+
+# A light from above and aside, so that no two walls of a corner are of one grey.
+_LIGHT = np.array([0.35, 0.5, 0.79])
+_DARK, _RANGE, _BACKGROUND = 70.0, 170.0, 60
 # Directions of the further views, in the order they are added: right, left, ahead, back, then between.
 _BESIDE = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
 
@@ -54,3 +60,13 @@ def views_around(pose: Pose, count: int, spread_m: float) -> list[Pose]:
         far = spread_m * (1 + number // len(_BESIDE))
         poses.append(pose.shifted(far * (side * right + forward * ahead)))
     return poses
+
+
+def shaded_views(city_map: CityMap, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
+    """Returns (N, H, W, 3) pictures of the untextured model, each face in the grey a light gives it."""
+    normals = city_map.normals(camera, rotations, centers)
+    # Half as bright on the side away from the light, so that there too faces differ.
+    shade = 0.5 + 0.5 * (normals @ _LIGHT.astype(np.float32))
+    is_building = normals.any(axis=-1)
+    grey = np.where(is_building, _DARK + _RANGE * shade, _BACKGROUND).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=-1)

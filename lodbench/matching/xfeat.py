@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError
 from lodbench.matching.mutual_nn import MutualNn
@@ -72,6 +73,10 @@ class XFeat:
         self.params = params
         self._file = _file(params.weights, "weights/xfeat.pt", _XFEAT)
 
+    def weight_files(self) -> list[Path]:
+        """Returns the file of its weights."""
+        return [] if self._file is None else [self._file]
+
     @cached_property
     def _net(self) -> Any:
         import torch
@@ -85,6 +90,20 @@ class XFeat:
             fill(net.net, read_weights(self._file), str(self._file))
         return net.eval()
 
+    def dense(self, image: Image) -> NDArray[np.float32]:
+        """Returns (h, w, 64) descriptors of length 1 of an (H, W, 3) picture, one for each 8 x 8 pixels.
+
+        Raises:
+            RenderingError: The picture is no such array.
+        """
+        import torch
+
+        rows, columns = -(-image.shape[0] // 8), -(-image.shape[1] // 8)
+        with torch.inference_mode():
+            found = self._net.net(torch.from_numpy(_filled_up(image)))[0][0].permute(1, 2, 0).numpy()
+        length = np.maximum(np.linalg.norm(found, axis=2, keepdims=True), 1e-12)
+        return np.asarray((found / length)[:rows, :columns], dtype=np.float32)
+
     def extract(self, image: Image) -> Features:
         """Returns the features of an (H, W, 3) picture: descriptors (N, 64) of length 1.
 
@@ -93,11 +112,8 @@ class XFeat:
         """
         import torch
 
-        height, width = check_image(image).shape[:2]
-        # Filled up to whole cells at the far edges: the network would squeeze the picture otherwise.
-        beyond = ((0, -height % _CELL), (0, -width % _CELL), (0, 0))
-        pixels = np.pad(image, beyond, mode="edge").transpose(2, 0, 1)[None].astype(np.float32) / 255.0
-        found = self._net.detectAndCompute(torch.from_numpy(pixels))[0]
+        height, width = image.shape[:2]
+        found = self._net.detectAndCompute(torch.from_numpy(_filled_up(image)))[0]
         # The network calls the first pixel's centre 0.
         places = found["keypoints"].numpy().reshape(-1, 2).astype(np.float32) + np.float32(0.5)
         inside = (places < (width, height)).all(axis=1)
@@ -169,6 +185,10 @@ class XFeatLighterGlue:
         self.params = params
         self._file = _file(params.weights, "weights/xfeat-lighterglue.pt", _LIGHTERGLUE)
 
+    def weight_files(self) -> list[Path]:
+        """Returns the file of its weights."""
+        return [] if self._file is None else [self._file]
+
     @cached_property
     def _net(self) -> Any:
         import torch
@@ -203,6 +223,16 @@ class XFeatLighterGlue:
         here, there = found["matches"][0].numpy().reshape(-1, 2).T
         scores = found["scores"][0].numpy().astype(np.float32)
         return Matches(first.keypoints[here], second.keypoints[there], scores)
+
+
+def _filled_up(image: Image) -> NDArray[np.float32]:
+    """Returns a picture as (1, 3, H, W) in [0, 1], filled up to whole cells at the far edges.
+
+    The network would squeeze it otherwise.
+    """
+    height, width = check_image(image).shape[:2]
+    beyond = ((0, -height % _CELL), (0, -width % _CELL), (0, 0))
+    return np.pad(image, beyond, mode="edge").transpose(2, 0, 1)[None].astype(np.float32) / np.float32(255)
 
 
 def _file(weights: str | None, packaged: str, published: Published) -> Path | None:

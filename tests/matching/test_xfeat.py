@@ -31,7 +31,7 @@ def test_random_weights_match_nothing_right(pair):  # noqa: F811
 
 def test_every_weight_of_the_package_is_used():
     matcher, _ = open_matching("xfeat_lighterglue")
-    random, _ = open_matching("xfeat_lighterglue", {"weights": "random"})
+    random, _ = open_matching("xfeat_lighterglue", "random")
     made = dict(random._net.named_parameters())
     for name, value in matcher._net.named_parameters():
         assert not (value == made[name]).all(), name

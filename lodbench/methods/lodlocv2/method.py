@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,10 @@ class Particles(NamedTuple):
     centers: Floats
     yaws_deg: Floats
     scores: Floats
+
+
+# From camera centres, (N, 3) scene metres, and yaws, (N,) degrees, to the poses with their scores.
+Scoring = Callable[[Floats, Floats], Particles]
 
 
 class PoseScorer:
@@ -71,35 +76,52 @@ class LodLocV2:
         Raises:
             QueryFault: The mask is empty, or no hypothesis overlaps it.
         """
-        started = time.perf_counter()
-        best = Particles(query.prior.center[None], np.array([query.prior.euler.yaw_deg]), np.zeros(1))
-        seconds: dict[str, float] = {}
-        trace: dict[str, tuple[float, ...]] = {}
-        if self.params.variant != "no_select":
-            score = PoseScorer(query, city_map, self.params.coarse_size, self.params.fit)
-            best = select(score, *self.params.grid().around(query.prior))
-            trace["coarse"] = (float(best.scores[0]),)
-            seconds["coarse"] = time.perf_counter() - started
-        if self.params.variant != "no_refine":
-            score = PoseScorer(query, city_map, self.params.fine_size, self.params.fit)
-            best, traces = refine(score, best, self.params, streams)
-            trace |= traces
-            seconds["fine"] = time.perf_counter() - started - seconds.get("coarse", 0.0)
-        if best.scores[0] <= 0:
+
+        def scorer_at(size: tuple[int, int]) -> Scoring:
+            return PoseScorer(query, city_map, size, self.params.fit)
+
+        found = search(scorer_at, query.prior, self.params, streams)
+        if found.score <= 0:
             raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
-        rotation = rotations_at_yaws(*query.prior.euler[:2], best.yaws_deg)[0]
-        pose = Pose.from_center(rotation, best.centers[0])
-        return Estimate(pose, float(best.scores[0]), seconds=seconds, trace=trace)
+        return found
 
 
-def select(score: PoseScorer, centers: Floats, yaws_deg: Floats) -> Particles:
+def search(
+    scorer_at: Callable[[tuple[int, int]], Scoring], prior: Pose, params: Params, streams: Streams
+) -> Estimate:
+    """Returns the best pose by grid and filter, whatever poses are scored by.
+
+    Args:
+        scorer_at: Returns the scoring at a working size: width and height, pixels.
+        prior: Its tilt is every pose's.
+        params: The search's.
+        streams: Random numbers of the query.
+    """
+    started = time.perf_counter()
+    best = Particles(prior.center[None], np.array([prior.euler.yaw_deg]), np.zeros(1))
+    seconds: dict[str, float] = {}
+    trace: dict[str, tuple[float, ...]] = {}
+    if params.variant != "no_select":
+        best = select(scorer_at(params.coarse_size), *params.grid().around(prior))
+        trace["coarse"] = (float(best.scores[0]),)
+        seconds["coarse"] = time.perf_counter() - started
+    if params.variant != "no_refine":
+        best, traces = refine(scorer_at(params.fine_size), best, params, streams)
+        trace |= traces
+        seconds["fine"] = time.perf_counter() - started - seconds.get("coarse", 0.0)
+    rotation = rotations_at_yaws(*prior.euler[:2], best.yaws_deg)[0]
+    pose = Pose.from_center(rotation, best.centers[0])
+    return Estimate(pose, float(best.scores[0]), seconds=seconds, trace=trace)
+
+
+def select(score: Scoring, centers: Floats, yaws_deg: Floats) -> Particles:
     """Returns the one best pose of a grid; ties go to the first (paper section 3.2)."""
     scored = score(centers, yaws_deg)
     return _take(scored, np.array([int(np.argmax(scored.scores))]))
 
 
 def refine(
-    score: PoseScorer, start: Particles, params: Params, streams: Streams
+    score: Scoring, start: Particles, params: Params, streams: Streams
 ) -> tuple[Particles, dict[str, tuple[float, ...]]]:
     """Returns the best pose after the filter's last step, and the best score after each step.
 

@@ -1,0 +1,39 @@
+"""Settings of MC-Loc: the loop's are LoD-Loc v2's, so that both spend the same hypotheses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lodbench.errors import ConfigError, nearest_names
+from lodbench.methods.lodlocv2 import Params
+
+MAPS = ("model", "textured")
+FEATURES = ("hog", "xfeat", "dinov2")
+
+
+@dataclass(frozen=True, slots=True)
+class McLocParams(Params):
+    """Settings of ``method=mcloc``; those not named here are LoD-Loc v2's and mean the same.
+
+    Attributes:
+        features: What pictures are compared by: ``hog``, ``xfeat`` or ``dinov2``.
+        map: What is rendered: ``model``, shaded without textures as in the papers' tables, or ``textured``.
+        weights: Of ``xfeat`` a file, of ``dinov2`` a folder or hub id fetched before; ``random`` for random
+            ones, whose rows count for nothing; None for the features' own.
+
+    Raises:
+        ConfigError: A value is unknown or out of range.
+    """
+
+    name: str = "mcloc"
+    features: str = "hog"
+    map: str = "model"
+    weights: str | None = None
+    coarse_size: tuple[int, int] = (152, 112)
+    fine_size: tuple[int, int] = (304, 224)
+
+    def __post_init__(self) -> None:
+        super(McLocParams, self).__post_init__()
+        for setting, value, known in (("features", self.features, FEATURES), ("map", self.map, MAPS)):
+            if value not in known:
+                raise ConfigError(f"method.{setting}={value} is not known.", nearest_names(value, known))
