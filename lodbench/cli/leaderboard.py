@@ -22,7 +22,9 @@ from lodbench.storage import make_folder, write_text
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
-    return _add(options) if options.action == "add" else _build(options.root, options.check)
+    if options.action == "build":
+        return _build(options.root, options.check)
+    return max(_add(run, options) for run in options.runs)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -31,7 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     add = actions.add_parser(
         "add", help="verify a run and store its row; oracle and unverifiable runs are kept out of the ranking"
     )
-    add.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    add.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
     add.add_argument("--map", default="", help="what the method localises against, for example 'LoD model'")
     add_path_options(add)
     build = actions.add_parser("build", help="write CSV, Markdown, LaTeX and pages from the entries")
@@ -43,18 +45,18 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add(options: argparse.Namespace) -> int:
-    verdict = verify_folder(options.run, options.dataset_root, options.city_model)
+def _add(run: Path, options: argparse.Namespace) -> int:
+    verdict = verify_folder(run, options.dataset_root, options.city_model)
     if verdict.differences:
         sys.stdout.write(describe(verdict))
-        sys.stderr.write("lodbench: the run was not added: its numbers do not follow from its poses.\n")
+        sys.stderr.write(f"lodbench: {run} was not added: its numbers do not follow from its poses.\n")
         return 1
-    reasons = [*reasons_against(read_config(options.run), _sizes(verdict)), *_doubts(verdict)]
+    reasons = [*reasons_against(read_config(run), _sizes(verdict)), *_doubts(verdict)]
     entry = measured_entry(
         verdict.stored.summary,
         verdict.stored.provenance,
         digests=_digests(verdict),
-        run=options.run.resolve().name,
+        run=run.resolve().name,
         map_name=options.map,
         reasons=reasons,
     )

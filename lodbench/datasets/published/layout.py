@@ -12,6 +12,8 @@ from lodbench.datasets.published.spec import (
     MODEL_FOLDERS,
     PREFIXES,
     PRIOR_FILES,
+    REFERENCE_FOLDER,
+    TEXTURED_NAMES,
     TRUTH_FILES,
     PublishedSpec,
     SplitSpec,
@@ -62,6 +64,8 @@ class Survey:
         splits: The splits that are there, in order.
         city_model: The city model, or None.
         unreadable_city: A city model in a format that is not read, or None.
+        textured_map: A textured map, or None.
+        references: A folder of posed pictures, or None.
     """
 
     spec: PublishedSpec
@@ -69,6 +73,8 @@ class Survey:
     splits: tuple[SplitFiles, ...]
     city_model: Path | None
     unreadable_city: Path | None
+    textured_map: Path | None = None
+    references: Path | None = None
 
     def missing(self) -> list[str]:
         """Returns what a run needs and is not there: one line each."""
@@ -111,6 +117,13 @@ def survey(spec: PublishedSpec, root: str | None, city: str | None, prior_file: 
         splits,
         _first(place / name for name in spec.city_files for place in places) if given is None else given,
         _first(place / name for name in spec.unreadable_city_files for place in places),
+        _first(
+            folder / name / file
+            for name in MODEL_FOLDERS[:2]
+            for file in TEXTURED_NAMES
+            for folder in folders
+        ),
+        _first(folder / name for name in (f"{spec.folder}/{REFERENCE_FOLDER}",) for folder in folders),
     )
 
 
@@ -146,6 +159,7 @@ def advice(found: Survey) -> str:
         *(f"  {split.folders[0]}/{{the same}}" for split in tests[1:]),
         f"  {spec.folder}/split/{{{lists}}}   (else all poses are queries)",
         f"  {MODEL_FOLDERS[0]}/{spec.city_files[0]}   (or city=FILE)",
+        f"  {MODEL_FOLDERS[0]}/{TEXTURED_NAMES[0]}/, {spec.folder}/{REFERENCE_FOLDER}/   (if a method asks)",
         "  masks/ is not published: building masks (255 = building) by any network, named as the photos",
         "get it:",
         *(f"  {host.what}: {host.url}\n    {host.how}" for host in spec.hosts),

@@ -12,8 +12,9 @@ from lodbench.datasets.published.frames import ENU, SHIFTED_ECEF, frame_of_city,
 from lodbench.datasets.published.layout import Survey, advice, require_data, survey
 from lodbench.datasets.published.read import SplitContent, read_split
 from lodbench.datasets.published.spec import PublishedSpec
-from lodbench.datasets.query import Dataset, notes_of
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.datasets.query import Dataset, Reference, notes_of
+from lodbench.datasets.references import read_references
+from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.geometry.frames import ShiftedEcef
@@ -33,6 +34,8 @@ class PublishedParams:
         prior_file: Name of the file of priors in each split's folder; None for the first known one.
         origin: Easting, northing and height that the local frame's zero has, to place photos by their
             GPS; the publishers withhold that of UAVD4L-LoD.
+        textured_map: Textured map in the city model's frame; None for ``MODEL/textured`` where it is there.
+        references: Folder of posed pictures; None for ``references`` beside the splits where it is there.
     """
 
     name: str
@@ -41,6 +44,8 @@ class PublishedParams:
     frame: str = "auto"
     prior_file: str | None = None
     origin: list[float] | None = None
+    textured_map: str | None = None
+    references: str | None = None
 
 
 def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
@@ -63,8 +68,15 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
     complete = [files for files in found.splits if files.is_complete]
     contents = [read_split(files, findings) for files in complete]
     options = ReadOptions()
+    textured = found.textured_map if params.textured_map is None else Path(params.textured_map).expanduser()
+    if textured is not None and not textured.exists():
+        raise DatasetError(f"The textured map {textured} does not exist.", "Set dataset.textured_map=FILE.")
+    folder = found.references if params.references is None else Path(params.references).expanduser()
+    references = () if folder is None else read_references(folder)
     if spec.ecef is not None:
-        contents, options = _to_enu(contents, found, params.frame, spec.ecef, findings)
+        contents, references, options = _to_enu(
+            (contents, references), found, params.frame, spec.ecef, findings
+        )
     return Dataset(
         name=spec.id,
         version="",
@@ -79,15 +91,22 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
         city_options=options,
         default_splits=tuple(files.spec.name for files in complete if files.spec.is_test),
         findings=tuple(findings.items),
+        references=references,
+        textured_map=textured,
         photo_crs=spec.photo_crs,
         photo_origin=None if params.origin is None else tuple(params.origin),
     )
 
 
 def _to_enu(
-    contents: list[SplitContent], found: Survey, frame: str, ecef: ShiftedEcef, findings: Findings
-) -> tuple[list[SplitContent], ReadOptions]:
-    """Returns splits in east, north, up, and how to read the city likewise; says what was turned."""
+    posed: tuple[list[SplitContent], tuple[Reference, ...]],
+    found: Survey,
+    frame: str,
+    ecef: ShiftedEcef,
+    findings: Findings,
+) -> tuple[list[SplitContent], tuple[Reference, ...], ReadOptions]:
+    """Returns splits and references in east, north, up, and how to read the city; says what was turned."""
+    contents, references = posed
     poses = [pose for content in contents for pose in content.truth.values()]
     city = _city_frame(found.city_model, ecef) if frame == "auto" else frame
     cameras = frame_of_poses(poses, ecef) if frame == "auto" else frame
@@ -104,7 +123,8 @@ def _to_enu(
     if cameras == SHIFTED_ECEF:
         findings.add(TURNED_TO_ENU, "poses", "as told" if frame != "auto" else "by the level of the pictures")
         contents = [_turned(content, ecef) for content in contents]
-    return contents, options
+        references = tuple(replace(r, pose=ecef.pose_to_enu(r.pose)) for r in references)
+    return contents, references, options
 
 
 def _city_frame(city: Path | None, ecef: ShiftedEcef) -> str | None:

@@ -18,6 +18,9 @@ CAMERA_FILES = ("intrinsic.txt",)
 IMAGE_FOLDERS = ("Query_image", "query")
 MASK_FOLDERS = ("masks", "Mask")
 MODEL_FOLDERS = ("MODEL", "model", "")
+# Not published with the queries: beside the city model, and beside the splits.
+TEXTURED_NAMES = ("textured", "textured.glb", "textured.obj")
+REFERENCE_FOLDER = "references"
 
 # Where a folder of datasets may begin below the root: as unpacked, or as either release's code has it.
 PREFIXES = ("", "dataset/", "data/")

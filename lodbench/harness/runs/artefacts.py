@@ -63,7 +63,7 @@ def summary_of(run: Result) -> dict[str, Any]:
         "dataset": {"name": run.dataset.name, "version": run.dataset.version, **run.inputs},
         "method": {
             "name": config["method"]["name"],
-            "variant": config["method"].get("variant", ""),
+            "variant": variant_of(config["method"]),
             "params": {k: v for k, v in config["method"].items() if k not in ("name", "variant", "notes")},
         },
         "protocol": {
@@ -133,3 +133,10 @@ def _work(run: Run) -> dict[str, Any]:
 
 def _json(value: dict[str, Any]) -> str:
     return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def variant_of(method: dict[str, Any]) -> str:
+    """Returns what tells rows of one method apart in tables: matcher, features, variant; "" for none."""
+    words = [str(method[key]) for key in ("matcher", "features") if method.get(key)]
+    variant = str(method.get("variant", ""))
+    return " ".join(words + ([variant] if variant and not (words and variant == "full") else []))

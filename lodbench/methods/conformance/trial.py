@@ -12,6 +12,8 @@ import numpy as np
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.blocks import scene_of_blocks
+from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import QueryFault
@@ -49,7 +51,19 @@ _REFERENCES = (
 _PRIOR_OFF = (5.0, -4.0, 6.0)
 _PRIOR_OFF_YAW_DEG = 3.0
 # What the queries and the place have.
-GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.REFERENCES, Input.TILT, Input.HEIGHT, Input.MAP})
+GIVEN = frozenset(
+    {
+        Input.MASK,
+        Input.IMAGE,
+        Input.REFERENCES,
+        Input.TEXTURED_MAP,
+        Input.TILT,
+        Input.HEIGHT,
+        Input.MAP,
+    }
+)
+# Of the textured map: side of a speckled square, metres, and how far the ground reaches.
+_SPECKLES_M, _GROUND_M = 25.0, 160.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,15 +114,23 @@ class TrialAnswers:
 def make_trial(folder: Path, method: object) -> Trial:
     """Returns the trial of a method; its pictures are written to a folder.
 
-    A query has a mask only for a method that requires one.
+    A query has a mask only for a method that requires one; so has the map its textures, which photos then
+    show in another light.
     """
     scene = scene_of_blocks(BLOCKS, _ORIGIN)
-    city_map = CityMap(scene, threads=1)
+    requires = declared_inputs(method, "requires", {Input.MASK})
+    is_textured = Input.TEXTURED_MAP in requires
+    city_map = CityMap(scene, threads=1, textured=_speckled(scene) if is_textured else None)
     painter = cast(LayerRenderer, open_renderer("raster", scene, 1))
-    has_mask = Input.MASK in declared_inputs(method, "requires", {Input.MASK})
+    has_mask = Input.MASK in requires
 
     def picture(name: str, pose: Pose) -> Path:
-        cv2.imwrite(str(folder / name), painter.draw(_CAMERA, pose).colour[:, :, ::-1])
+        if is_textured:
+            seen = city_map.colour(_CAMERA, pose.rotation[None], pose.center[None])[0]
+            seen = (0.7 * seen + 12).astype(np.uint8)
+        else:
+            seen = painter.draw(_CAMERA, pose).colour
+        cv2.imwrite(str(folder / name), seen[:, :, ::-1])
         return folder / name
 
     queries, truths = [], []
@@ -126,6 +148,21 @@ def make_trial(folder: Path, method: object) -> Trial:
         name = f"reference_{k}.png"
         references.append(Reference(name, picture(name, pose), _CAMERA, pose))
     return Trial(city_map, tuple(queries), tuple(truths), tuple(references), folder)
+
+
+def _speckled(scene: Scene) -> TexturedMesh:
+    """Returns the blocks and level ground with a picture of speckles on all of them."""
+    far = _GROUND_M
+    a, b, c, d = (-far, -far, 0.0), (far, -far, 0.0), (far, far, 0.0), (-far, far, 0.0)
+    ground = np.array([(a, b, c), (a, c, d)])
+    corners = np.concatenate([scene.vertices[scene.triangles].astype(np.float64), ground])
+    noise = random_stream(0, "trial", "speckles").normal(size=(256, 256, 3))
+    speckles = cv2.GaussianBlur(noise, (0, 0), 2.2)
+    picture = np.clip(128 + 450 * speckles, 0, 255).astype(np.uint8)
+    uv = np.stack([corners @ (1.0, 0.2, 0.3), corners @ (0.1, 1.0, -0.9)], axis=-1) / _SPECKLES_M
+    count = len(corners)
+    blank = np.zeros((count, 3, 3), np.uint8)
+    return TexturedMesh(corners, uv, np.zeros(count, np.int32), blank, (picture,))
 
 
 def streams_of(query: Query, seed: int = 0) -> Streams:
