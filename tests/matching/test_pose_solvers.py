@@ -10,9 +10,10 @@ import pytest
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.matching.pose_solver import open_pose_solver
+from lodbench.matching.upright_pose import poses_of_pairs
 
 CAMERA = Camera(1204, 896, 861.6, 853.3, 607.4, 434.8)
-NAMES = ["opencv", "poselib", "pycolmap"]
+NAMES = ["opencv", "poselib", "pycolmap", "upright"]
 
 
 def correspondences(seed: int, outliers: float, origin=(0.0, 0.0, 0.0), count: int = 500):
@@ -37,6 +38,28 @@ def test_the_pose_is_found_among_outliers(name, outliers):
         assert np.linalg.norm(found.pose.center - pose.center) < 0.5
         assert found.inliers[~wrong].mean() > 0.98
         assert found.inliers[wrong].mean() < 0.05 if wrong.any() else True
+
+
+def test_gravity_helps_where_nearly_all_is_wrong_though_it_is_a_little_off():
+    for seed in range(4):
+        pose, points, pixels, _ = correspondences(seed, 0.95)
+        pitch, roll, yaw = pose.euler
+        prior = Pose.from_euler(EulerAngles(pitch + 0.3, roll - 0.3, yaw + 40), pose.center + 30.0)
+        found = open_pose_solver("upright").solve(points, pixels, CAMERA, prior)
+        assert np.linalg.norm(found.pose.center - pose.center) < 0.5
+
+
+def test_two_points_and_gravity_give_the_pose_they_are_seen_from():
+    pose, points, _, _ = correspondences(0, 0.0)
+    yaw = np.radians(33.0)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    rays = (points - pose.center) @ turn * np.random.default_rng(0).uniform(0.01, 3, (len(points), 1))
+    pairs = np.arange(400).reshape(-1, 2)
+    yaws, centers = poses_of_pairs(points[pairs], rays[pairs])
+    is_it = np.linalg.norm(centers - pose.center, axis=1) < 1e-6
+    # One of the two poses of every pair.
+    assert is_it.sum() == len(pairs)
+    assert np.abs(np.angle(np.exp(1j * (yaws[is_it] - yaw)))).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", NAMES)
