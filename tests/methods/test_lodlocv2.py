@@ -13,7 +13,8 @@ from lodbench.datasets.query import Dataset, Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.methods import Method
+from lodbench.harness.runs.requirements import made_inputs
+from lodbench.methods import Input, Method
 from lodbench.methods.asking import localize_query
 from lodbench.methods.lodlocv2 import LodLocV2, Params
 from lodbench.methods.lodlocv2.method import PoseScorer, select
@@ -237,7 +238,9 @@ class TestTheMethodNeverSeesTheTruth:
             "hypotheses",
             "instances",
             "segment",
+            "true_pixels",  # for oracles alone
         }
+        assert Input.TRUE_PIXELS not in made_inputs(LodLocV2())
 
     def test_nor_does_any_argument_of_localize(self):
         arguments = inspect.signature(Method.localize).parameters
