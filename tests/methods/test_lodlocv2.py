@@ -238,6 +238,7 @@ class TestTheMethodNeverSeesTheTruth:
             "hypotheses",
             "instances",
             "segment",
+            "sequence",
             "true_pixels",  # for oracles alone
         }
         assert Input.TRUE_PIXELS not in made_inputs(LodLocV2())
