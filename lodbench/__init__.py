@@ -40,7 +40,7 @@ if not (Path(__file__).parent / "conf").is_dir():
     __path__.append(str(Path(__file__).parent.parent))
 
 # Where compiled functions stand; a test holds the list complete.
-_COMPILED = ("citymodel", "methods", "rendering", "synthesis")
+_COMPILED = ("citymodel", "methods", "rendering", "segmentation", "synthesis")
 keep_kernels_apart(Path(__file__).parent, _COMPILED)
 
 

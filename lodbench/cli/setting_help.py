@@ -50,8 +50,8 @@ def help_text(command: str, config_name: str, words: Sequence[str]) -> str:
     parts = [header, f"Settings: key=value, or --key value{example}.", own]
     for group in groups:
         name = chosen.get(group.key, group.name)
-        known = ", ".join(config_files(group.folder))
-        head = f"{group.key}={name}" + (f"   (others: {known})" if known != name else "")
+        others = ", ".join(known for known in config_files(group.folder) if known != name)
+        head = f"{group.key}={name}" + (f"   (others: {others})" if others else "")
         file = config_files(group.folder).get(name)
         text = "" if file is None else file.read_text(encoding="utf-8")
         about = " ".join(line.lstrip("# ") for line in takewhile(_is_comment, text.splitlines()))

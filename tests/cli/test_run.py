@@ -26,7 +26,7 @@ def dataset(tmp_path_factory) -> tuple[Path, Path]:
 
 
 def words(dataset: tuple[Path, Path], *more: str) -> list[str]:
-    return ["run", "dataset=folder", f"dataset.root={dataset[0]}", f"dataset.city_model={dataset[1]}", *more]
+    return ["run", "dataset=folder", f"dataset.root={dataset[0]}", f"city={dataset[1]}", *more]
 
 
 def run_folder(tmp_path: Path, name: str = "runs") -> Path:
@@ -151,13 +151,13 @@ def test_faults_of_single_queries_are_rows_with_reasons(lodbench, tmp_path):
     with (root / "GPS_pose.txt").open("a") as stream:
         stream.write(f"{names[6]} 0 1 0 0 90000 0 0\n")
 
-    done = lodbench("run", "dataset=folder", f"dataset.root={root}", f"dataset.city_model={city}")
+    done = lodbench("run", "dataset=folder", f"dataset.root={root}", f"city={city}")
     assert done.returncode == 0, done.stderr
     folder = run_folder(tmp_path)
     failures = {row["query"]: row["failure"] for row in csv.DictReader((folder / "queries.csv").open())}
     assert failures[names[0]] == ""
     for name, word in zip(
-        names[1:], ["true pose", "camera", "prior", "mask", "no building", "far"], strict=True
+        names[1:], ["true pose", "camera", "prior", "mask", "no building", "outside"], strict=True
     ):
         assert word in failures[name], (name, failures[name])
         assert failures[name] in done.stdout

@@ -314,7 +314,7 @@ class TestDealing:
         count = len(building)
         outline = OutlinePoints(
             generator.uniform(0, 400, (count, 2)), np.zeros((count, 2)), np.ones(count),
-            np.zeros((count, 9, 2)), building,
+            np.zeros((count, 9, 2)), building, np.zeros((count, 2)),
         )  # fmt: skip
         here = Residuals(outline, np.zeros(count), np.zeros((count, 9)), np.ones(count), 1.0, 1.0)
         chunks = deal_out(here).chunks
