@@ -36,7 +36,7 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
         for name, value in values.items()
     }
     try:
-        merged = OmegaConf.merge(OmegaConf.structured(params_type), _literal(given))
+        merged = OmegaConf.merge(_writable(OmegaConf.structured(params_type)), _literal(given))
         return cast(T, OmegaConf.to_object(merged))
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
@@ -52,6 +52,17 @@ def read_settings(text: str) -> dict[str, Any]:
 
 def _dotted(prefix: str, name: str) -> str:
     return f"{prefix}.{name}" if prefix else name
+
+
+def _writable(node: Any) -> Any:
+    """Returns the tree of a structured config whose groups take values: those of frozen classes take none."""
+    from omegaconf import OmegaConf
+
+    OmegaConf.set_readonly(node, False)
+    for key in node:
+        if not OmegaConf.is_missing(node, key) and OmegaConf.is_dict(node[key]):
+            _writable(node[key])
+    return node
 
 
 def _literal(value: Any) -> Any:

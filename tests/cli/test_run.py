@@ -265,3 +265,13 @@ def test_city_info_for_machines(lodbench, dataset):
     assert info["format"] == "OBJ"
     assert info["buildings"] == 7
     assert {"version", "crs", "parts", "extent_m", "lods", "findings"} <= set(info)
+
+
+def test_groups_within_a_dataset_s_settings_are_taken(lodbench, dataset):
+    more = ["dataset.num_views=1", "dataset.world.focal=0.02", "dataset.range_m=4", "method=prior_only"]
+    done = lodbench("run", "dataset=views", f"city={dataset[1]}", *more)
+    assert done.returncode == 0, done.stderr
+    assert "prior_only" in done.stdout
+    done = lodbench("run", "dataset=views", f"city={dataset[1]}", "dataset.world.focal=long")
+    assert done.returncode == 2
+    assert "dataset.world.focal" in done.stderr

@@ -69,7 +69,7 @@ class Params:
     edge_blur_px: float = 1.0
     lines_width: int = 640
     lines_weight: float = 0.1
-    least_sharpness: float = 0.6
+    least_sharpness: float = 0.7
 
     def __post_init__(self) -> None:
         for name in ("coarse_width", "fine_width", "lines_width"):
