@@ -107,7 +107,7 @@ def test_a_flight_of_one_photo_and_one_without_any_building(city_map):
         FlightMethod().localize(empty, city_map, streams)
 
 
-@pytest.mark.parametrize("wrong", [{"own_m": -1.0}, {"focal": float("inf")}, {"steps": 0}])
+@pytest.mark.parametrize("wrong", [{"own_m": -1.0}, {"focal": float("inf")}, {"steps": 0}, {"heat": 0.0}])
 def test_parameters_out_of_range_are_refused(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
         Params(**wrong)

@@ -109,9 +109,7 @@ class FlightMethod:
         reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
         for number, reach_px in enumerate(reaches):
             terms = [
-                photo_terms(
-                    aligner, vector, state.lens, state.roofs, reach_px, photo, self.params.view_roof_m
-                )
+                photo_terms(aligner, vector, state.lens, state.roofs, reach_px, photo, self.params.trust())
                 for aligner, vector in zip(aligners, state.vectors, strict=True)
             ]
             if number >= steps:

@@ -38,6 +38,7 @@ class Params:
         part_m: Standard deviation of the height of parts of a roof around it, metres.
         part_width_m: Width of a part, metres.
         view_roof_m: The same as one view sees it: a ridge from here, eaves from there.
+        heat: By how much less outlines say than their covariance has it: the model is not the whole truth.
         steps: Joint steps with robust kernels that narrow, and as many final ones.
         votes: Most photos whose own answers are tried as the flight's error, and that judge them.
         lost_sigmas: A photo this far from what the flight says of it is lost.
@@ -61,6 +62,7 @@ class Params:
     foot_m: float = 0.5
     part_width_m: float = 20.0
     view_roof_m: float = 0.5
+    heat: float = 2.5
     steps: int = 8
     votes: int = 24
     lost_sigmas: float = 6.0
@@ -71,6 +73,8 @@ class Params:
                 raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
         if self.steps < 1 or self.votes < 1:
             raise ConfigError("method.steps and method.votes are at least 1.")
+        if self.part_width_m == 0 or self.heat == 0:
+            raise ConfigError("method.part_width_m and method.heat are above 0.")
 
     def shared_sigmas(self) -> Floats:
         """Returns (6,) standard deviations of the flight's x, y, z, pitch, roll and yaw."""
@@ -86,6 +90,10 @@ class Params:
         """Returns (11,) standard deviations beforehand of what photos share, in the order of ``joint``."""
         lens = (self.focal, self.distortion, self.mask_px)
         return np.concatenate([self.shared_sigmas(), np.maximum([*lens, self.roofs_m, self.feet_m], 1e-7)])
+
+    def trust(self) -> tuple[float, float]:
+        """Returns ``view_roof_m`` and ``heat``: how far one view's outlines are believed."""
+        return self.view_roof_m, self.heat
 
     def photo(self) -> PhotoParams:
         """Returns the parameters by which each photo is aligned alone, over all that is left open."""

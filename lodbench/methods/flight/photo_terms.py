@@ -78,7 +78,7 @@ def photo_terms(
     roofs: RoofParts,
     reach_px: float | None,
     params: PhotoParams,
-    view_roof_m: float,
+    trust: tuple[float, float],
 ) -> PhotoTerms | None:
     """Returns what a photo says at a pose; None if too little outline is seen.
 
@@ -89,7 +89,8 @@ def photo_terms(
         roofs: By how much parts of roofs are higher than in the map.
         reach_px: Scale of the robust kernel; None for what the outline's noise calls for.
         params: Of the alignment of photos.
-        view_roof_m: Standard deviation of a roof's height as one view sees it, metres.
+        trust: Standard deviation of a roof's height as one view sees it, metres; and by how much less
+            outlines say than their covariance has it.
     """
     # The lens bends points afterwards: what is rendered has the focal length as told.
     points, iou = aligner.outline(np.append(vector, 0.0), params.fine_size)
@@ -119,9 +120,9 @@ def photo_terms(
         jacobian[lines, 6 + LENS + column[0, chosen]] += seen.slopes[chosen, _TOP]
         jacobian[lines, 6 + LENS + column[1, chosen]] += seen.slopes[chosen, _FOOT]
         jacobian[:, -1] = seen.distances[chosen]
-        whiten(_covariance(seen, chosen, noise_px, reach_px, params, view_roof_m), jacobian)
-        information += jacobian[:, :-1].T @ jacobian[:, :-1] / used
-        gradient += jacobian[:, :-1].T @ jacobian[:, -1] / used
+        whiten(_covariance(seen, chosen, noise_px, reach_px, params, trust[0]), jacobian)
+        information += jacobian[:, :-1].T @ jacobian[:, :-1] / (used * trust[1])
+        gradient += jacobian[:, :-1].T @ jacobian[:, -1] / (used * trust[1])
     return PhotoTerms(information, gradient, parts, iou, noise_px, len(rows))
 
 
