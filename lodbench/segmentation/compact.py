@@ -24,6 +24,10 @@ WEIGHTS_FILE = "compact.onnx"
 _TRAINING_FILE = "compact.json"
 
 
+# A tenth of each part of a mask is at least so probable, where it is a building to the package's weights.
+_SURE = 0.99
+
+
 @dataclass(frozen=True, slots=True)
 class CompactParams:
     """Settings of ``segmenter=compact``.
@@ -32,7 +36,8 @@ class CompactParams:
         name: Name to report.
         size: Long side that photos are brought to, pixels.
         normalise: ``none``, or ``paper`` for a stretch to 0 to 1 per photo; see ``probability_of``.
-        sure: Parts of the mask are dropped unless a tenth of them is at least so probable; 0 keeps all.
+        sure: Parts of the mask are dropped unless a tenth of them is at least so probable; 0 keeps all. None:
+            0.99 for the package's weights, 0 for others, which may never be so sure.
         weights: ONNX file of ``lodbench train segmenter=compact``; None for the weights in the package.
 
     Raises:
@@ -42,13 +47,13 @@ class CompactParams:
     name: str = "compact"
     size: int = 512
     normalise: str = "none"
-    sure: float = 0.99
+    sure: float | None = None
     weights: str | None = None
 
     def __post_init__(self) -> None:
         if not 32 <= self.size <= 4096:
             raise ConfigError(f"segmenter.size={self.size} is not within 32 to 4096.")
-        if not 0.0 <= self.sure <= 1.0:
+        if self.sure is not None and not 0.0 <= self.sure <= 1.0:
             raise ConfigError(f"segmenter.sure={self.sure} is not within 0 to 1.")
         check_normalise(self.normalise)
 
@@ -100,7 +105,10 @@ class Compact(PhotoSegmenter):
 
     def probability(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Returns the (h, w) float32 probability of building of a (H, W, 3) RGB photo."""
-        return without_unsure_parts(super().probability(photo), self.params.sure)
+        sure = self.params.sure
+        if sure is None:
+            sure = 0.0 if self.params.weights else _SURE
+        return without_unsure_parts(super().probability(photo), sure)
 
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Returns (h, w) logits of a (H, W, 3) RGB photo whose long side is brought to ``size``.

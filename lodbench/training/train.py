@@ -80,6 +80,8 @@ def train_network(
     history, weights = run_training(segmenter, params, train, val, record["digest"], keep, started_at)
     if not history:  # one of several processes, and not the one that writes
         return Trained(weights, history, source, len(train), started_at[0])
+    # One that was stopped after its last epoch was kept, and before its curves were, has none left to run.
+    write_curves(history, out / CURVES_FILE)
     finished = record | {"history": history, "weights": {weights.name: file_digest(weights)}}
     write_text(out / MANIFEST_FILE, _json(finished))
     return Trained(weights, history, source, len(train), started_at[0])
