@@ -1,11 +1,11 @@
 """The joint problem: poses of all photos, what they share, and the heights of the roofs they show.
 
 Numbers that all photos share, in this order: the flight's error of x, y, z (metres), pitch, roll, yaw
-(degrees); the focal length (share) and radial distortion; what all roofs are wrong about alike (metres);
-each building's height against the map, and each part's of its roof (metres). A photo's pose is its prior,
-the flight's error and an error of its own; a part's height is its building's and an error of its own, a
-building's that of all roofs and its own. Photos are eliminated one by one (Schur complement), so that work
-and memory grow with their number.
+(degrees); the focal length (share), radial distortion, and by how much masks are too large (pixels); what all
+roofs, and where all walls end, are wrong about alike (metres); each building's height against the map, and
+each part's of its roof or foot (metres). A photo's pose is its prior, the flight's error and an error of its
+own; a part's height is its building's and an error of its own, a building's that of all roofs and its own.
+Photos are eliminated one by one (Schur complement), so that work and memory grow with their number.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from lodbench.methods.flight.roof_parts import RoofParts
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-# The shared numbers before the buildings': flight's error, lens, all roofs.
+# The shared numbers before the buildings': flight's error, lens, all roofs, all feet of walls.
 _FLIGHT, _LENS, ROOFS, _FEET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
 # The longest step of a photo: a linearisation says little beyond it (metres, degrees).
 _LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
@@ -38,7 +38,7 @@ class State:
     Attributes:
         vectors: (P, 6) poses of the photos, metres and degrees.
         priors: (P, 6) what the sensors said of them.
-        constants: (9,) the shared numbers before the buildings', as in the module's text.
+        constants: (11,) the shared numbers before the buildings', as in the module's text.
         roofs: Heights of parts of roofs.
         buildings_m: (B,) metres by which each building of the scene is higher than in the map.
         weights: (P,) how far each photo's own words count; 0 for one that is lost.
@@ -53,7 +53,7 @@ class State:
 
     @property
     def lens(self) -> Floats:
-        """Returns (2,) the change of the focal length as a share, and k1."""
+        """Returns (3,) the focal length's change as a share, k1, and pixels that masks are too large by."""
         return self.constants[_LENS]
 
     @property

@@ -31,11 +31,11 @@ _TOP, _FOOT, _LENS = 7, 8, slice(9, 9 + LENS)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoTerms:
-    """A quadratic in a photo's pose (6), the lens (2) and the heights of the N parts of roofs it shows.
+    """A quadratic in a photo's pose (6), the lens (3) and the heights of the N parts it shows.
 
     Attributes:
-        information: (6 + 2 + N, 6 + 2 + N) its curvature.
-        gradient: (6 + 2 + N,) its slope.
+        information: (6 + 3 + N, 6 + 3 + N) its curvature.
+        gradient: (6 + 3 + N,) its slope.
         parts: (N,) numbers of the parts.
         iou: Of silhouette and mask.
         noise_px: Standard deviation of the mask's outline.
