@@ -9,33 +9,39 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lodbench.cli.localize_text import describe, describe_many
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.sources import load_profile
 from lodbench.errors import ConfigError
-from lodbench.reporting.answers import trust_word
-from lodbench.reporting.columns import format_columns
-from lodbench.reporting.safe_text import plain_text
 
 if TYPE_CHECKING:
-    from lodbench.harness.photo.localize import LocalizedPhoto
-    from lodbench.harness.photo.many import PhotoAnswer
+    from lodbench.harness.photo.many import Answers
+    from lodbench.harness.photo.request import PhotoRequest
+    from lodbench.methods import Method
 
 # Exit code where there is a pose, and it is more likely wrong than right.
 NOT_TRUSTED = 3
 
 _EXAMPLES = """\
-The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goes before it. Without a mask
-or a segmenter the photo's own pixels are aligned with the map (--method region). Of several photos, or a
-folder, localized.csv and localized.geojson have all. Exit code 3: there is a pose, and it is more likely
-wrong than right; 1: of many photos none could be localised.
+The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goes before it. One photo without
+a mask or a segmenter is aligned with the map by its own pixels (--method region).
+
+Several photos, or a folder, are flights: told apart by camera and by the clock in EXIF, and each solved as a
+whole (--method flight), with masks from --masks, from the folder's own folder masks, or from a segmenter.
+flights.json says what the drone and the map are wrong about, map_findings.geojson which buildings;
+localized.csv and localized.geojson have all photos. --each-alone takes each photo by itself.
+
+Exit code 3: there is a pose that is more likely wrong than right, or a photo without one; 1: of many photos
+none could be localised.
 
 examples:
   lodbench localize DJI_0001.JPG --city LoD2_32_280_5657_1_NW.gml
   lodbench localize DJI_0001.JPG --city LoD2_32_280_5657_1_NW.gml --mask DJI_0001_mask.png
   lodbench localize DJI_0001.JPG --city city.gml --mask mask.png --takeoff 61.5
-  lodbench localize flight1 flight2/*.JPG --city city.gml --out flight
+  lodbench localize FLIGHT --city city.gml --masks MASKS --out found
+  lodbench localize flight1 flight2/*.JPG --city city.gml --each-alone --out found
   lodbench localize photo.jpg --city city.obj --mask mask.png --camera 'PINHOLE 400 300 290 290 200 150' \\
       --center 120 -40 95 --heading 30 --pitch -50
 """
@@ -44,29 +50,60 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
+    from lodbench.harness.photo.flights import localize_flights
+    from lodbench.harness.photo.localize import localize_photo
     from lodbench.harness.photo.many import localize_photos, photos_of
-    from lodbench.methods.registry import make_method
+    from lodbench.methods.protocol import SupportsFlights
 
-    photos = photos_of(asked.photos, asked.masks)
     is_one = len(asked.photos) == 1 and asked.photos[0].is_file()
     _require_options(asked, is_one)
-    is_masked = asked.mask is not None or asked.masks is not None or asked.segmenter is not None
-    method = make_method(asked.method or ("contour_alignment" if is_masked else "region"))
-    if is_masked and "mask" not in method.requires:
-        flag = next(
-            f"--{name}" for name in ("mask", "masks", "segmenter") if getattr(asked, name) is not None
-        )
-        hint = f"Leave {flag} out, or take --method contour_alignment."
-        raise ConfigError(f"Method {method.name} looks at no mask.", hint)
-    segmenter = None
-    if asked.mask is None and asked.masks is None and "mask" in method.requires:
-        segmenter = segmenter_of(asked.segmenter or "compact", asked.segmenter_option)
-    from lodbench.datasets.photo_pose import RoughPlace
-    from lodbench.harness.photo.localize import PhotoRequest, localize_photo
+    masks = asked.masks or _masks_inside(asked)
+    photos = photos_of(asked.photos, masks)
+    method = _method(asked, is_one, masks)
+    request = _request(asked, photos[0], method, masks)
+    if is_one:
+        found = localize_photo(request)
+        text = json.dumps(found.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(found)
+        sys.stdout.write(text + "\n")
+        return 0 if found.is_trusted else NOT_TRUSTED
+    if isinstance(method, SupportsFlights) and not asked.each_alone:
+        return _tell_many(localize_flights(request, photos, masks), asked)
+    return _tell_many(localize_photos(request, photos, masks), asked)
 
+
+def _masks_inside(asked: argparse.Namespace) -> Path | None:
+    """Returns the folder ``masks`` in the one folder that was asked for; None where there is none."""
+    inside: Path = asked.photos[0] / "masks"
+    return inside if len(asked.photos) == 1 and inside.is_dir() else None
+
+
+def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Method:
+    """Returns the method that was asked for, or the one for what was given.
+
+    Raises:
+        ConfigError: It looks at no mask, and one was named.
+    """
+    from lodbench.methods.registry import make_method
+
+    named = [f"--{name}" for name in ("mask", "masks", "segmenter") if getattr(asked, name) is not None]
+    alone = "contour_alignment" if named or masks is not None else "region"
+    method = make_method(asked.method or (alone if is_one or asked.each_alone else "flight"))
+    if named and "mask" not in method.requires:
+        hint = f"Leave {named[0]} out, or take --method contour_alignment."
+        raise ConfigError(f"Method {method.name} looks at no mask.", hint)
+    return method
+
+
+def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
+    from lodbench.datasets.photo_pose import RoughPlace
+    from lodbench.harness.photo.request import PhotoRequest
+
+    segmenter = None
+    if asked.mask is None and masks is None and "mask" in method.requires:
+        segmenter = segmenter_of(asked.segmenter or "compact", asked.segmenter_option)
     profile = load_profile(asked.source, asked.option, asked.crs)
-    request = PhotoRequest(
-        photo=photos[0],
+    return PhotoRequest(
+        photo=photo,
         city=asked.city,
         out=asked.out,
         mask=asked.mask,
@@ -81,12 +118,6 @@ def main(argv: Sequence[str]) -> int:
         method=method,
         seed=asked.seed,
     )
-    if not is_one:
-        return _tell_many(localize_photos(request, photos, asked.masks), asked)
-    found = localize_photo(request)
-    text = json.dumps(found.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(found)
-    sys.stdout.write(text + "\n")
-    return 0 if found.is_trusted else NOT_TRUSTED
 
 
 def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
@@ -107,101 +138,24 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
         raise ConfigError(f"--masks {asked.masks} is no folder.", "Name the folder of the photos' masks.")
 
 
-def _tell_many(answers: Sequence[PhotoAnswer], asked: argparse.Namespace) -> int:
+def _tell_many(answers: Answers, asked: argparse.Namespace) -> int:
     """Prints what became of many photos; returns the exit code."""
-    from lodbench.harness.photo.many import MAP_FILE, TABLE_FILE
-
     if asked.json:
         values = [
-            {"photo": str(answer.photo), "failure": answer.failure}
-            if answer.found is None
-            else {**answer.found.to_json(), "photo": str(answer.photo)}
-            for answer in answers
+            {
+                **({"failure": answer.failure} if answer.found is None else answer.found.to_json()),
+                "photo": str(answer.photo),
+                "flight": answer.flight or None,
+            }
+            for answer in answers.photos
         ]
         sys.stdout.write(json.dumps(values, indent=2, ensure_ascii=False) + "\n")
     else:
         sys.stdout.write(describe_many(answers))
-        sys.stdout.write(f"table:    {asked.out / TABLE_FILE}\nmap:      {asked.out / MAP_FILE}\n")
-    if all(answer.found is None for answer in answers):
+    if all(answer.found is None for answer in answers.photos):
         return 1
-    return (
-        0 if all(answer.found is not None and answer.found.is_trusted for answer in answers) else NOT_TRUSTED
-    )
-
-
-def describe_many(answers: Sequence[PhotoAnswer]) -> str:
-    """Returns a line per photo, what failed and why, and how many are to be trusted."""
-    rows = [["", "latitude", "longitude", "height m", "heading deg", "pitch deg", "moved m", "sure", "trust"]]
-    for answer in answers:
-        row = answer.row()
-        cells = [
-            *((name, ".7f") for name in ("latitude_deg", "longitude_deg")),
-            *((name, ".2f") for name in ("height_m", "heading_deg", "pitch_deg", "moved_m", "probability")),
-        ]
-        texts = ["-" if row[name] is None else format(row[name], spec) for name, spec in cells]
-        rows.append([plain_text(str(answer.photo)), *texts, answer.trust])
-    lines = [format_columns(rows), ""]
-    lines += [
-        f"failed: {plain_text(str(a.photo))}: {plain_text(a.failure)}" for a in answers if a.found is None
-    ]
-    shared = [set(answer.found.notes) for answer in answers if answer.found is not None]
-    lines += [f"note: {note}" for note in sorted(set.intersection(*shared))] if shared else []
-    good = sum(answer.found is not None and answer.found.is_trusted for answer in answers)
-    failed = sum(answer.found is None for answer in answers)
-    doubted = len(answers) - good - failed
-    lines.append(f"{len(answers)} photos: {good} found, {doubted} not to be trusted, {failed} failed")
-    if doubted:
-        lines.append(
-            "Look at the overlays of those not to be trusted; a mask of each (--masks DIR) helps most."
-        )
-    return "\n".join(lines) + "\n"
-
-
-def describe(found: LocalizedPhoto) -> str:
-    """Returns what a reader is told."""
-    x, y, z = (float(v) for v in found.pose.center)
-    pitch, roll, yaw = found.pose.euler
-    rows = [
-        ("local", f"{x:.2f} {y:.2f} {z:.2f} m in {found.crs or 'the frame of the city model'}"),
-        ("", f"pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg (0 looks down; yaw from grid north)"),
-        ("prior", f"{found.moved.translation_m:.2f} m and {found.moved.rotation_deg:.2f} deg away"),
-        ("score", f"{found.score:.3f}  (LoD {found.lod or 'unnamed'}; camera: {found.camera_source})"),
-        *_trust_rows(found),
-        ("overlay", str(found.overlay)),
-    ]
-    if found.geojson is not None:
-        rows.append(("map", str(found.geojson)))
-    place = found.place
-    if place is not None:
-        rows = [
-            ("latitude", f"{place.latitude_deg:.7f}"),
-            ("longitude", f"{place.longitude_deg:.7f}"),
-            ("height", f"{place.height_m:.2f} m, in the city's heights"),
-            ("heading", f"{place.heading_deg:.2f} deg from true north, pitch {place.pitch_deg:.2f}"),
-            *rows,
-        ]
-    lines = [found.photo, *(f"  {name:<9}  {text}" for name, text in rows)]
-    return "\n".join([*lines, *(f"  note: {note}" for note in found.notes)])
-
-
-def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
-    """Returns how sure the method is, and the next best pose."""
-    rows = []
-    if found.probability is None:
-        rows.append(("sure", "this method does not say"))
-    else:
-        percent = f"{100 * found.probability:.0f} % within 2 m and 2 deg"
-        rows.append(("sure", f"{percent}: {trust_word(found.probability)}"))
-    if found.sigmas is not None:
-        x, y, z, pitch, roll, yaw = found.sigmas
-        rows.append(
-            ("sigmas", f"{x:.2f} {y:.2f} {z:.2f} m; pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg")
-        )
-    if found.alternatives:
-        away = found.alternatives[0].center - found.pose.center
-        x, y, z = (float(v) for v in away)
-        rows.append(("or", f"{x:+.1f} {y:+.1f} {z:+.1f} m from there, which fits less well"))
-    return rows
+    is_well = all(answer.found is not None and answer.found.is_trusted for answer in answers.photos)
+    return 0 if is_well else NOT_TRUSTED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -244,8 +198,11 @@ def _parser() -> argparse.ArgumentParser:
     add_height_options(parser)
     parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
     parser.add_argument(
-        "--method", metavar="NAME", help="region; with --mask or --segmenter contour_alignment"
+        "--method",
+        metavar="NAME",
+        help="flight; of one photo region, with --mask or --segmenter contour_alignment",
     )
+    parser.add_argument("--each-alone", action="store_true", help="solve each photo of many by itself")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("localized"), metavar="DIR", help="(localized)")
     parser.add_argument("--json", action="store_true", help="for machines")

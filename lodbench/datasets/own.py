@@ -84,7 +84,7 @@ def find_mask(folder: Path | None, name: str) -> Path | None:
     """Returns the mask of an image: a file of its name, or of its stem as PNG."""
     if folder is None:
         return None
-    return find_inside(folder, name) or find_inside(folder, f"{PurePosixPath(name).stem}.png")
+    return find_inside(folder, name) or find_inside(folder, str(PurePosixPath(name).with_suffix(".png")))
 
 
 def find_inside(folder: Path, name: str) -> Path | None:

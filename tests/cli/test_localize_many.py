@@ -43,6 +43,7 @@ def flight(case, tmp_path_factory) -> Path:
 def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight, tmp_path):
     out = tmp_path / "out"
     words = [flight / "a", flight / "b", "--city", case.city, "--masks", flight / "masks", "--out", out]
+    words += ["--each-alone"]
     code = main(["localize", *map(str, words)])
     told = capsys.readouterr().out
     # One failed, so not all is well; two were found.

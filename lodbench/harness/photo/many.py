@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,14 +13,16 @@ from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
 from lodbench.datasets.own import find_mask, find_photos
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
-from lodbench.harness.photo.localize import LocalizedPhoto, PhotoRequest, localize_photo
+from lodbench.harness.photo.flight_answer import FlightAnswer
+from lodbench.harness.photo.localize import localize_photo
+from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.reporting.answers import trust_word
-from lodbench.storage import hide_formula, write_text
+from lodbench.storage import hide_formula, make_folder, write_text
 
 TABLE_FILE, MAP_FILE = "localized.csv", "localized.geojson"
 COLUMNS = (
     "photo", "latitude_deg", "longitude_deg", "height_m", "heading_deg", "pitch_deg", "roll_deg", "crs",
-    "east", "north", "up", "score", "probability", "trust", "moved_m", "failure",
+    "east", "north", "up", "score", "probability", "trust", "moved_m", "failure", "flight",
 )  # fmt: skip
 
 
@@ -30,11 +34,13 @@ class PhotoAnswer:
         photo: The file.
         found: The answer, or None.
         failure: Why there is none, or "".
+        flight: It was taken on, where that was looked for.
     """
 
     photo: Path
     found: LocalizedPhoto | None
     failure: str = ""
+    flight: str = ""
 
     @property
     def trust(self) -> str:
@@ -49,12 +55,40 @@ class PhotoAnswer:
         """Returns the row of the table: ``COLUMNS``, None for what is not known."""
         values: dict[str, Any] = dict.fromkeys(COLUMNS)
         values |= {"photo": str(self.photo), "trust": self.trust, "failure": self.failure}
+        values["flight"] = self.flight or None
         if self.found is not None:
             values |= {} if self.found.place is None else self.found.place._asdict()
             values |= dict(zip(("east", "north", "up"), map(float, self.found.pose.center), strict=True))
             values |= {"crs": self.found.crs, "score": self.found.score}
             values |= {"probability": self.found.probability, "moved_m": self.found.moved.translation_m}
         return values
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What became of many photos.
+
+    Attributes:
+        photos: One answer each, in the order asked.
+        flights: They were taken on, where that was looked for.
+        folder: Written to.
+        number: At the end of the names of files written; 1 for none.
+    """
+
+    photos: tuple[PhotoAnswer, ...]
+    flights: tuple[FlightAnswer, ...]
+    folder: Path
+    number: int
+
+    @property
+    def table(self) -> Path:
+        """Returns the file with a row per photo."""
+        return numbered(self.folder / TABLE_FILE, self.number)
+
+    @property
+    def map(self) -> Path:
+        """Returns the file with all cameras on a map."""
+        return numbered(self.folder / MAP_FILE, self.number)
 
 
 def photos_of(paths: Sequence[Path], masks: Path | None = None) -> list[Path]:
@@ -73,7 +107,7 @@ def photos_of(paths: Sequence[Path], masks: Path | None = None) -> list[Path]:
     return list(found.values())
 
 
-def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path | None) -> list[PhotoAnswer]:
+def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path | None) -> Answers:
     """Returns what became of each photo, and writes ``localized.csv`` and ``localized.geojson``.
 
     Args:
@@ -87,10 +121,34 @@ def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path |
             mask = find_mask(masks, photo.name)
             answers.append(_answer(replace(request, photo=photo, mask=mask), masks))
             progress.advance()
-    request.out.mkdir(parents=True, exist_ok=True)
-    _write_table(request.out / TABLE_FILE, answers)
-    _write_map(request.out / MAP_FILE, answers)
-    return answers
+    return write_answers(request.out, answers)
+
+
+def write_answers(out: Path, answers: Sequence[PhotoAnswer], flights: Sequence[FlightAnswer] = ()) -> Answers:
+    """Writes ``localized.csv`` and ``localized.geojson``, numbered where those of other photos are there."""
+    make_folder(out)
+    photos = {hide_formula(str(answer.photo)) for answer in answers}
+    number = next(n for n in itertools.count(1) if _is_free(numbered(out / TABLE_FILE, n), photos))
+    written = Answers(tuple(answers), tuple(flights), out, number)
+    _write_table(written.table, answers)
+    _write_map(written.map, answers)
+    return written
+
+
+def numbered(path: Path, number: int) -> Path:
+    """Returns a path with a number at the end of its stem; as it is for 1."""
+    return path if number == 1 else path.with_stem(f"{path.stem}_{number}")
+
+
+def _is_free(table: Path, photos: set[str]) -> bool:
+    """Tells whether a table may be written: there is none, or it is of these very photos."""
+    if not table.exists():
+        return True
+    try:
+        with table.open(encoding="utf-8", newline="") as stream:
+            return {row["photo"] for row in csv.DictReader(stream)} == photos
+    except (OSError, ValueError, KeyError, csv.Error):
+        return False  # a file of somebody else's
 
 
 def _answer(request: PhotoRequest, masks: Path | None) -> PhotoAnswer:

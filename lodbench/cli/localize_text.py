@@ -1,0 +1,101 @@
+"""What `lodbench localize` prints."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lodbench.reporting.answers import trust_word
+from lodbench.reporting.columns import format_columns
+from lodbench.reporting.safe_text import plain_text
+
+if TYPE_CHECKING:
+    from lodbench.harness.photo.many import Answers
+    from lodbench.harness.photo.request import LocalizedPhoto
+
+
+def describe_many(answers: Answers) -> str:
+    """Returns what flights say, a line per photo, what failed and why, and how many are to be trusted."""
+    rows = [["", "latitude", "longitude", "height m", "heading deg", "pitch deg", "moved m", "sure", "trust"]]
+    for answer in answers.photos:
+        row = answer.row()
+        cells = [
+            *((name, ".7f") for name in ("latitude_deg", "longitude_deg")),
+            *((name, ".2f") for name in ("height_m", "heading_deg", "pitch_deg", "moved_m", "probability")),
+        ]
+        texts = ["-" if row[name] is None else format(row[name], spec) for name, spec in cells]
+        rows.append([plain_text(str(answer.photo)), *texts, answer.trust])
+    lines = [] if not answers.flights else [*_flight_lines(answers), ""]
+    lines += [format_columns(rows), ""]
+    lines += [
+        f"failed: {plain_text(str(a.photo))}: {plain_text(a.failure)}"
+        for a in answers.photos
+        if a.found is None
+    ]
+    shared = [set(answer.found.notes) for answer in answers.photos if answer.found is not None]
+    lines += [f"note: {note}" for note in sorted(set.intersection(*shared))] if shared else []
+    good = sum(answer.found is not None and answer.found.is_trusted for answer in answers.photos)
+    failed = sum(answer.found is None for answer in answers.photos)
+    doubted = len(answers.photos) - good - failed
+    lines.append(f"{len(answers.photos)} photos: {good} found, {doubted} not to be trusted, {failed} failed")
+    if doubted:
+        lines.append(
+            "Look at the overlays of those not to be trusted; a mask of each (--masks DIR) helps most."
+        )
+    files = [("table", answers.table), ("map", answers.map)]
+    return "\n".join([*lines, *(f"{name + ':':<9} {path}" for name, path in files)]) + "\n"
+
+
+def _flight_lines(answers: Answers) -> list[str]:
+    """Returns what each flight was taken with, and what it says of drone and map."""
+    lines = []
+    for flight in answers.flights:
+        first, *more = map(plain_text, (*flight.taken, *flight.sentences()))
+        lines += [f"{flight.name}: {first}", *(f"  {line}" for line in more)]
+    return lines
+
+
+def describe(found: LocalizedPhoto) -> str:
+    """Returns what a reader is told."""
+    x, y, z = (float(v) for v in found.pose.center)
+    pitch, roll, yaw = found.pose.euler
+    rows = [
+        ("local", f"{x:.2f} {y:.2f} {z:.2f} m in {found.crs or 'the frame of the city model'}"),
+        ("", f"pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg (0 looks down; yaw from grid north)"),
+        ("prior", f"{found.moved.translation_m:.2f} m and {found.moved.rotation_deg:.2f} deg away"),
+        ("score", f"{found.score:.3f}  (LoD {found.lod or 'unnamed'}; camera: {found.camera_source})"),
+        *_trust_rows(found),
+        ("overlay", str(found.overlay)),
+    ]
+    if found.geojson is not None:
+        rows.append(("map", str(found.geojson)))
+    place = found.place
+    if place is not None:
+        rows = [
+            ("latitude", f"{place.latitude_deg:.7f}"),
+            ("longitude", f"{place.longitude_deg:.7f}"),
+            ("height", f"{place.height_m:.2f} m, in the city's heights"),
+            ("heading", f"{place.heading_deg:.2f} deg from true north, pitch {place.pitch_deg:.2f}"),
+            *rows,
+        ]
+    lines = [found.photo, *(f"  {name:<9}  {text}" for name, text in rows)]
+    return "\n".join([*lines, *(f"  note: {note}" for note in found.notes)])
+
+
+def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
+    """Returns how sure the method is, and the next best pose."""
+    rows = []
+    if found.probability is None:
+        rows.append(("sure", "this method does not say"))
+    else:
+        percent = f"{100 * found.probability:.0f} % within 2 m and 2 deg"
+        rows.append(("sure", f"{percent}: {trust_word(found.probability)}"))
+    if found.sigmas is not None:
+        x, y, z, pitch, roll, yaw = found.sigmas
+        rows.append(
+            ("sigmas", f"{x:.2f} {y:.2f} {z:.2f} m; pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg")
+        )
+    if found.alternatives:
+        away = found.alternatives[0].center - found.pose.center
+        x, y, z = (float(v) for v in away)
+        rows.append(("or", f"{x:+.1f} {y:+.1f} {z:+.1f} m from there, which fits less well"))
+    return rows

@@ -1,0 +1,45 @@
+"""What became of a flight, beside the poses of its photos."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lodbench.reporting.flight_words import buildings_in_words, constants_in_words
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightAnswer:
+    """What became of a flight.
+
+    Attributes:
+        name: ``flight 1``, and so on.
+        photos: How many are in it, those left out aside.
+        taken: With what and when, and what is odd about it, in sentences.
+        findings: What its photos say besides where they were taken; see ``findings_of`` of the method.
+    """
+
+    name: str
+    photos: tuple[Path, ...]
+    taken: tuple[str, ...]
+    findings: dict[str, Any]
+
+    def sentences(self) -> list[str]:
+        """Returns what the flight says of drone, camera and map."""
+        lines = constants_in_words(self.findings.get("constants", {}))
+        lines += buildings_in_words(self.findings.get("buildings", []))
+        lost = [Path(name).name for name in self.findings.get("lost", [])]
+        if lost:
+            lines.append(f"placed by the other photos alone: {', '.join(lost)}")
+        return lines
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain values for JSON."""
+        return {
+            "flight": self.name,
+            "photos": [str(photo) for photo in self.photos],
+            "taken": list(self.taken),
+            "in_words": self.sentences(),
+            **self.findings,
+        }

@@ -1,0 +1,147 @@
+"""A photo made ready for a method: its camera, its pinhole, its mask, and where it was, roughly."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.inputs import Input
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
+from lodbench.datasets.photo_pose import pose_at, pose_from_photo, require_stated
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.query import Entry
+from lodbench.datasets.undistort import pinhole_of, undistorted
+from lodbench.errors import DatasetError
+from lodbench.geometry import Camera, Pose
+from lodbench.harness.city import FURTHEST_M, distance_outside_m
+from lodbench.harness.photo.outputs import PhotoView
+from lodbench.harness.photo.request import PhotoRequest
+from lodbench.reporting.overlays import write_picture
+from lodbench.segmentation import MapGuidedSegmenter, check_mask
+from lodbench.segmentation.masks import read_mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedPhoto:
+    """What is known of a photo before the city is.
+
+    Attributes:
+        request: What is asked of it.
+        stated: What its metadata say.
+        camera: Of the photo as stored, lens included.
+        camera_source: Where the camera's numbers came from.
+        pinhole: The camera that is localised.
+        mask: (H, W) probability of building as the pinhole sees it; None where no mask is looked at.
+    """
+
+    request: PhotoRequest
+    stated: PhotoMetadata
+    camera: Camera
+    camera_source: str
+    pinhole: Camera
+    mask: NDArray[np.float32] | None
+
+    def view(self) -> PhotoView:
+        """Returns the photo with its pixels."""
+        path = self.request.photo
+        return PhotoView(path.name, read_picture(path), self.camera, self.pinhole, self.mask)
+
+    def prior(self, scene: Scene, frame: MapFrame | None) -> Pose:
+        """Returns the rough pose, in the city's coordinates.
+
+        Raises:
+            DatasetError: Nobody states it, or it is kilometres outside the city.
+        """
+        prior = _prior(self.request, self.stated, frame)
+        distance = distance_outside_m(prior, scene)
+        if distance > FURTHEST_M:
+            raise DatasetError(
+                f"By its position {self.stated.name} was taken {distance / 1000:.1f} km outside the city "
+                "model.",
+                "Is it the right tile, and its reference system right? lodbench city info says where it is.",
+            )
+        return prior
+
+
+def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedPhoto:
+    """Returns what a method needs of a photo.
+
+    Args:
+        request: The photo, and what goes before what it states.
+        requires: What the method requires.
+
+    Raises:
+        LodbenchError: The photo, its metadata, mask or camera is missing or not fit.
+    """
+    stated = read_photo_metadata(request.photo)
+    has_camera, has_place = request.camera is not None, request.center is not None
+    require_stated(stated, request.heights, request.given, knows_place=has_place, knows_camera=has_camera)
+    camera, camera_source = _camera(request, stated)
+    pinhole = pinhole_of(camera)
+    mask = _pinhole_mask(request, camera, pinhole) if Input.MASK in requires else None
+    return PreparedPhoto(request, stated, camera, camera_source, pinhole, mask)
+
+
+def undistorted_photo(view: PhotoView, folder: Path) -> Path:
+    """Returns a file of the photo as the pinhole sees it.
+
+    Raises:
+        DatasetError: Its pixels cannot be decoded.
+    """
+    pixels = view.undistorted()
+    if pixels is None:
+        raise DatasetError(f"The pixels of {view.name} cannot be decoded.", "Take a JPEG, PNG or TIFF.")
+    path = folder / f"{Path(view.name).stem}.png"
+    write_picture(path, pixels)
+    return path
+
+
+def _camera(request: PhotoRequest, photo: PhotoMetadata) -> tuple[Camera, str]:
+    if request.camera is None:
+        found = camera_from_photo(photo)
+        return found.camera, found.source
+    camera = request.camera
+    if (camera.width, camera.height) != (photo.width, photo.height):
+        raise DatasetError(
+            f"The camera is of {camera.width} x {camera.height} pixels, {photo.name} has "
+            f"{photo.width} x {photo.height}.",
+            "Give the intrinsics of the photo as it is stored.",
+        )
+    return camera, "given"
+
+
+def _pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:
+    """Returns the probability of building at each pixel, as the pinhole sees it."""
+    if request.mask is not None:
+        probability = read_mask(request.mask)
+    elif isinstance(request.segmenter, MapGuidedSegmenter):
+        raise DatasetError(
+            f"segmenter {request.segmenter.name} looks at the map, which needs a dataset.",
+            "Make one with lodbench dataset init, and use lodbench run.",
+        )
+    elif request.segmenter is not None:
+        entry = Entry(request.photo.name, "", camera, None, request.photo, None)
+        probability = request.segmenter.segment(entry)
+    else:
+        raise DatasetError("There is no mask of the buildings.", "Give --mask FILE: white is building.")
+    return np.asarray(undistorted(check_mask(probability, camera), camera, pinhole))
+
+
+def _prior(request: PhotoRequest, photo: PhotoMetadata, frame: MapFrame | None) -> Pose:
+    if request.center is not None:
+        east, north, _ = request.center
+        convergence = 0.0 if frame is None else frame.convergence_deg(east, north)
+        return pose_at(request.center, convergence, photo, request.given)
+    if frame is None:
+        raise DatasetError(
+            f"{request.city.name} names no reference system, so GPS means nothing in it.",
+            "Name it with --crs, or give --center EAST NORTH UP in the city's coordinates.",
+        )
+    return pose_from_photo(photo, frame, request.heights, request.given)

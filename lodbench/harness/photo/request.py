@@ -1,0 +1,136 @@
+"""What is asked of a photo, and what is answered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.options import ReadOptions
+from lodbench.datasets.map_frame import Place
+from lodbench.datasets.photo_pose import HeightOptions, RoughPlace
+from lodbench.evaluation import PoseError
+from lodbench.geometry import Camera, Pose
+from lodbench.methods import Method
+from lodbench.segmentation import Segmenter
+
+_SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoRequest:
+    """What to localise, and how; what is None is taken from the photo's metadata.
+
+    Attributes:
+        photo: The photo.
+        city: City model.
+        out: Folder for the overlay and the map.
+        mask: Building mask of the photo as it is stored, white = building; goes before the segmenter.
+        segmenter: Makes the mask where none is given.
+        camera: Intrinsics of the photo as it is stored, lens distortion included.
+        given: Rough place and angles that go before the photo's.
+        center: Rough place in the city's coordinates (east, north, up, metres); goes before all others.
+        heights: How the drone's heights become the city's.
+        lod: Level of detail, or None for the lowest.
+        options: How to read the city.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+        method: How to localise; LoD-Loc v2 by default.
+        seed: Seed of the search.
+    """
+
+    photo: Path
+    city: Path
+    out: Path
+    mask: Path | None = None
+    segmenter: Segmenter | None = None
+    camera: Camera | None = None
+    given: RoughPlace = field(default_factory=RoughPlace)
+    center: tuple[float, float, float] | None = None
+    heights: HeightOptions = field(default_factory=HeightOptions)
+    lod: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    roof_height: str | None = None
+    method: Method | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizedPhoto:
+    """The answer.
+
+    Attributes:
+        photo: File name.
+        crs: Reference system of ``pose``, or None for a local frame.
+        lod: Level of detail localised against.
+        pose: In the city's coordinates.
+        prior: Likewise.
+        moved: How far the estimate lies from the prior.
+        score: Of the method: the overlap (IoU) of mask and model for LoD-Loc v2.
+        probability: That the pose is within 2 m and 2 degrees, where the method knows it.
+        covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where it knows it.
+        sigmas: Standard deviations of x, y, z (metres), pitch, roll and yaw (degrees), where it knows them.
+        alternatives: Other poses that fit nearly as well, in the city's coordinates, best first.
+        is_trusted: Whether the pose is more likely right than wrong, as far as can be told.
+        place: Where on Earth, or None without a reference system.
+        camera: Pinhole that was localised.
+        camera_source: Where its numbers came from.
+        overlay: Picture written.
+        geojson: Map written, or None without a reference system.
+        notes: What the reader should know.
+        features: Of the map.
+    """
+
+    photo: str
+    crs: str | None
+    lod: str
+    pose: Pose
+    prior: Pose
+    moved: PoseError
+    score: float
+    probability: float | None
+    covariance: NDArray[np.float64] | None
+    sigmas: tuple[float, ...] | None
+    alternatives: tuple[Pose, ...]
+    is_trusted: bool
+    place: Place | None
+    camera: Camera
+    camera_source: str
+    overlay: Path
+    geojson: Path | None
+    notes: tuple[str, ...]
+    features: tuple[dict[str, Any], ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain values for JSON, units in the names."""
+        return {
+            "photo": self.photo,
+            "place": None if self.place is None else self.place._asdict(),
+            "crs": self.crs,
+            "lod": self.lod,
+            "pose": _pose_values(self.pose),
+            "prior": _pose_values(self.prior),
+            "moved_m": self.moved.translation_m,
+            "turned_deg": self.moved.rotation_deg,
+            "score": self.score,
+            "probability": self.probability,
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
+            "sigmas": None if self.sigmas is None else dict(zip(_SIGMA_NAMES, self.sigmas, strict=True)),
+            "alternatives": [_pose_values(pose) for pose in self.alternatives],
+            "trusted": self.is_trusted,
+            "camera": {"colmap": [*self.camera.to_colmap()], "source": self.camera_source},
+            "overlay": str(self.overlay),
+            "geojson": None if self.geojson is None else str(self.geojson),
+            "notes": list(self.notes),
+        }
+
+
+def _pose_values(pose: Pose) -> dict[str, Any]:
+    return {
+        "center_m": [float(v) for v in pose.center],
+        **pose.euler._asdict(),
+        "quat_wxyz": list(pose.quat_wxyz),
+        "translation_m": [float(v) for v in pose.translation],
+    }

@@ -1,0 +1,78 @@
+"""What a flight says of drone, camera and map, in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+# What constants are called where people read them.
+_CALLED = {
+    "east": "positions, to the east", "north": "positions, to the north", "pitch": "gimbal pitch",
+    "roll": "gimbal roll", "yaw": "heading, counter-clockwise",
+    "roofs higher than the map": "the map's roofs",
+    "feet of walls higher than the map": "the map's feet of walls",
+}  # fmt: skip
+# Heights this far off, beyond doubt, are of another zero rather than of a barometer.
+_OTHER_ZERO_M, _BEYOND_DOUBT = 8.0, 3.0
+
+
+def constants_in_words(constants: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Returns a sentence per constant that the photos told, and one that names those they did not.
+
+    Args:
+        constants: By name ``value`` (to be added to what sensors or map say), ``sigma``, ``unit``, ``told``.
+    """
+    told = {name: value for name, value in constants.items() if value["told"]}
+    silent = [_CALLED.get(name, name) for name, value in constants.items() if not value["told"]]
+    lines = [_height(told["height"])] if "height" in told else []
+    added = [
+        f"{_CALLED.get(name, name)} {_amount(value)}" for name, value in told.items() if name != "height"
+    ]
+    lines += [f"to be added to what was stated: {'; '.join(added)}"] if added else []
+    lines += [f"not told by these photos, and left as stated: {'; '.join(silent)}"] if silent else []
+    return lines
+
+
+def _amount(constant: Mapping[str, Any], *, signed: bool = True) -> str:
+    """Returns ``-0.80 deg +-0.10``."""
+    value, sigma, unit = constant["value"], constant["sigma"], constant["unit"]
+    if unit == "share":
+        value, sigma, unit = 100.0 * value, 100.0 * sigma, "%"
+    # As many digits as the sigma's first.
+    digits = min(max(-math.floor(math.log10(sigma)), 0), 5) if sigma > 0 else 2
+    number = f"{round(value, digits) + 0.0:+.{digits}f}" if signed else f"{abs(value):.{digits}f}"
+    return f"{number}{' ' if unit else ''}{unit} +-{sigma:.{digits}f}"
+
+
+def _height(constant: Mapping[str, Any]) -> str:
+    """Returns by how much heights are stated too high or too low, and what that looks like."""
+    value, sigma = constant["value"], constant["sigma"]
+    word = "high" if value < 0 else "low"
+    amount = _amount(constant, signed=False).replace(" m", f" m too {word}", 1)
+    if abs(value) < max(_OTHER_ZERO_M, _BEYOND_DOUBT * sigma):
+        return f"heights are stated {amount}"
+    asked = "ellipsoid or take-off" if value < 0 else "take-off"
+    return f"heights are stated {amount}: {asked}? --heights says what they are above"
+
+
+def buildings_in_words(buildings: Sequence[Mapping[str, Any]], most: int = 5) -> list[str]:
+    """Returns sentences about the buildings whose height the photos contradict, the surest first."""
+    doubted = doubted_buildings(buildings)
+    if not doubted:
+        return []
+    lines = [f"{len(doubted)} of {len(buildings)} buildings stand in doubt:"]
+    lines += [
+        f"- {each['id']}: {abs(each['higher_m']):.1f} m +-{each['sigma_m']:.1f} "
+        f"{'higher' if each['higher_m'] > 0 else 'lower'} than in the map, by {each['photos']} photos"
+        for each in doubted[:most]
+    ]
+    if len(doubted) > most:
+        lines.append(f"- and {len(doubted) - most} more")
+    return lines
+
+
+def doubted_buildings(buildings: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Returns the buildings in doubt, the surest first."""
+    doubted = [each for each in buildings if each["doubt"]]
+    return sorted(doubted, key=lambda each: -abs(each["higher_m"]) / max(each["sigma_m"], 1e-9))

@@ -1,0 +1,159 @@
+"""`lodbench localize` of flights: told apart, solved jointly, and what is left out named with its reason."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.citymodel import open_scene
+from lodbench.cli import main
+from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.photo.flights import FINDINGS_FILE, FLIGHTS_FILE
+from lodbench.rendering import make_renderer
+from lodbench.synthesis.view_sampling import view_of
+from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
+from tests.flight import OFF_DEG, OFF_M, stated
+
+CAMERA = Camera(400, 300, 290.0, 290.0, 200.0, 150.0)
+CRS = "EPSG:25832+7837"
+COUNT = 4
+
+
+@dataclass
+class Flight:
+    """Photos, their masks, and the truth behind them."""
+
+    photos: Path
+    masks: Path
+    city: Path
+    truth: dict[str, Pose]
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory, shared_data) -> Flight:
+    """Half a circle round the middle of a real tile, metadata off by what a drone's is, alike in all."""
+    folder = tmp_path_factory.mktemp("flight")
+    city = shared_data / "city/germany_lod2/LoD2_32_280_5657_1_NW.gml"
+    scene = open_scene(city)
+    renderer = make_renderer("silhouette", scene)
+    middle = np.median(scene.vertices.astype(float), axis=0)
+    found = Flight(folder / "photos", folder / "masks", city, {})
+    for part in (found.photos, found.masks):
+        part.mkdir()
+    for number in range(COUNT):
+        pose = view_of(middle, 110.0, EulerAngles(40.0, 0.3, 50.0 * number))
+        mask = renderer.render(CAMERA, pose).astype(np.uint8) * 255
+        name = f"DJI_{number + 1:04d}"
+        write(found.photos / f"{name}.JPG", pose.shifted(scene.origin), f"11:46:{10 + number:02d}", mask)
+        cv2.imwrite(str(found.masks / f"{name}.png"), mask)
+        found.truth[f"{name}.JPG"] = pose.shifted(scene.origin)
+    return found
+
+
+def write(photo: Path, pose: Pose, clock: str, mask: np.ndarray, **changed: str) -> None:
+    said = stated(pose, CAMERA, CRS) | changed
+    exif = exif_of().replace(b"11:46:19", clock.encode())
+    packet = xmp_packet({key: value for key, value in said.items() if value})
+    write_photo(photo, (90 + mask // 3).astype(np.uint8), exif, packet)
+
+
+def localize(capsys, *words: object) -> tuple[int, str]:
+    code = main(["localize", *map(str, words)])
+    return code, capsys.readouterr().out
+
+
+def errors_m(out: Path, truth: dict[str, Pose]) -> dict[str, float]:
+    """Returns how far each photo of a table was found from its truth, metres."""
+    with (out / "localized.csv").open() as stream:
+        rows = [row for row in csv.DictReader(stream) if row["east"]]
+    return {
+        Path(row["photo"]).name: float(
+            np.linalg.norm(
+                [float(row[axis]) for axis in ("east", "north", "up")] - truth[Path(row["photo"]).name].center
+            )
+        )
+        for row in rows
+    }
+
+
+def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
+    code, told = localize(
+        capsys, flight.photos, "--city", flight.city, "--masks", flight.masks, "--out", tmp_path
+    )
+    assert code == 0
+    assert (
+        f"flight 1: {COUNT} photos, DJI_0001.JPG to DJI_0004.JPG, FC6310R 400 x 300, 2023-10-18 11:46:10"
+        in told
+    )
+    assert f"heights are stated {OFF_M[2]:.0f}" in told
+    errors = errors_m(tmp_path, flight.truth)
+    assert len(errors) == COUNT
+    assert max(errors.values()) < 1.0
+    (values,) = json.loads((tmp_path / FLIGHTS_FILE).read_text())["flights"]
+    # Sensors are off by what is to be taken away again; compass and yaw count in opposite directions.
+    assert values["constants"]["height"]["value"] == pytest.approx(-OFF_M[2], abs=1.0)
+    assert values["constants"]["yaw"]["value"] == pytest.approx(OFF_DEG, abs=0.5)
+    assert json.loads((tmp_path / FINDINGS_FILE).read_text())["type"] == "FeatureCollection"
+    found = json.loads((tmp_path / "DJI_0001.json").read_text())
+    assert found["probability"] > 0.9
+    assert (tmp_path / "DJI_0004_overlay.png").is_file()
+
+
+def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp_path):
+    folder = tmp_path / "all"
+    shutil.copytree(flight.photos, folder / "a")
+    shutil.copytree(flight.masks, folder / "masks")
+    pose, mask = flight.truth["DJI_0001.JPG"], cv2.imread(str(flight.masks / "DJI_0001.png"), 0)
+    put = {
+        "town.JPG": {"GpsLatitude": "+48.1", "GpsLongitude": "+11.5"},
+        **{f"nowhere_{k}.JPG": {"GpsLatitude": "", "GpsLongitude": ""} for k in range(3)},
+    }
+    for k, (name, changed) in enumerate(put.items()):
+        write(folder / "a" / name, pose, f"11:47:{10 + k:02d}", mask, **changed)
+        cv2.imwrite(str(folder / "masks" / f"{Path(name).stem}.png"), mask)
+    (folder / "a" / "broken.JPG").write_bytes(b"no photo")
+    shutil.copy(folder / "masks" / "town.png", folder / "masks" / "broken.png")
+    shutil.copy(folder / "a" / "DJI_0002.JPG", folder / "a" / "copy.JPG")
+    # One mask for two photos: a second card has a photo of the same name.
+    (folder / "b").mkdir()
+    write(folder / "b" / "DJI_0004.JPG", pose, "11:48:00", mask)
+    # The clock jumps, and jumps back.
+    write(folder / "a" / "DJI_0003.JPG", flight.truth["DJI_0003.JPG"], "03:00:00", mask)
+    code, told = localize(capsys, folder, "--city", flight.city, "--out", tmp_path / "out")
+    assert code == 3
+    for line in (
+        "town.JPG: By its position town.JPG was taken",
+        "nowhere_0.JPG: nowhere_0.JPG does not say where it was taken",
+        "nowhere_2.JPG: nowhere_2.JPG does not say where it was taken",
+        "broken.JPG is no JPEG, PNG or TIFF picture",
+        "copy.JPG: it is a copy of",
+        "DJI_0004.png may be of",
+        "the clock jumps at 1 photos, which are placed by name: DJI_0003.JPG",
+        "flight 1: 3 photos",
+    ):
+        assert line in told
+    assert "flight 2" not in told
+    errors = errors_m(tmp_path / "out", flight.truth)
+    assert sorted(errors) == ["DJI_0001.JPG", "DJI_0002.JPG", "DJI_0003.JPG"]
+    assert max(errors.values()) < 1.5
+    left_out = json.loads((tmp_path / "out" / FLIGHTS_FILE).read_text())["left_out"]
+    assert len(left_out) == 8
+
+
+def test_results_of_other_photos_are_not_written_over(capsys, flight, tmp_path):
+    words = ["--city", flight.city, "--masks", flight.masks, "--out", tmp_path, "--each-alone"]
+    one, two = (sorted(flight.photos.iterdir())[k : k + 2] for k in (0, 2))
+    for photos in (one, two, one):
+        assert localize(capsys, *photos, *words)[0] == 0
+    assert sorted(path.name for path in tmp_path.glob("localized*.csv")) == [
+        "localized.csv",
+        "localized_2.csv",
+    ]
+    assert set(errors_m(tmp_path, flight.truth)) == {"DJI_0001.JPG", "DJI_0002.JPG"}

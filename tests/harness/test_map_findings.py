@@ -1,0 +1,53 @@
+"""Outlines of buildings that flights doubt, on the map and on Earth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from shapely.geometry import Polygon, shape
+
+from lodbench.citymodel.scene import build_scene
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.harness.flights.map_findings import building_outline, doubt_features
+
+# A ring of flat roof, 20 m x 20 m with a court of 8 m x 8 m, as four rectangles; and a wall of it.
+_RECTANGLES = ((0, 0, 20, 6), (0, 14, 20, 20), (0, 6, 6, 14), (14, 6, 20, 14))
+ORIGIN = np.array([500_000.0, 5_600_000.0, 100.0])
+
+
+@pytest.fixture
+def scene():
+    points, triangles = [], []
+    for x, y, x2, y2 in _RECTANGLES:
+        start = len(points)
+        points += [(x, y, 9.0), (x2, y, 9.0), (x2, y2, 9.0), (x, y2, 9.0)]
+        triangles += [(start, start + 1, start + 2), (start, start + 2, start + 3)]
+    points += [(0, 0, 0.0), (20, 0, 0.0), (20, 0, 9.0)]
+    triangles.append((len(points) - 3, len(points) - 2, len(points) - 1))
+    owners = np.zeros(len(triangles), dtype=np.int64)
+    return build_scene(
+        np.array(points, float),
+        np.array(triangles),
+        owners,
+        ("court",),
+        lod="1",
+        crs="EPSG:25832",
+        origin=ORIGIN,
+    )
+
+
+def test_an_outline_has_its_court_as_a_hole(scene):
+    ((outer, hole),) = building_outline(scene, 0)
+    assert Polygon(outer, [hole]).area == pytest.approx(400.0 - 64.0)
+    assert Polygon(outer).exterior.is_ccw
+    assert outer.min(axis=0) == pytest.approx(ORIGIN[:2])
+
+
+def test_only_buildings_in_doubt_are_told_and_lie_where_they_stand(scene):
+    frame = MapFrame("EPSG:25832")
+    doubted = {"id": "court", "higher_m": 2.0, "sigma_m": 0.3, "photos": 3, "doubt": True}
+    assert doubt_features(scene, frame, [{**doubted, "doubt": False}], "flight 1") == []
+    (feature,) = doubt_features(scene, frame, [doubted], "flight 1")
+    assert feature["properties"]["flight"] == "flight 1"
+    middle = shape(feature["geometry"]).centroid
+    assert frame.east_north(middle.y, middle.x) == pytest.approx((500_010.0, 5_600_010.0), abs=0.01)
