@@ -22,6 +22,7 @@ from lodbench.citymodel.gml_names import (
 )
 from lodbench.citymodel.gml_walk import GeometryWalk
 from lodbench.citymodel.growing import GrowingArray
+from lodbench.citymodel.json_documents import paused_collector
 from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.objects import ObjectTable, Solids
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
@@ -62,7 +63,7 @@ def read_citygml(
         CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
     """
     reader = _Reader(source, is_strict, has_details, layers)
-    with open_stream() as stream:
+    with paused_collector(), open_stream() as stream:
         reader.read(stream)
     if reader.links.unresolved:
         with open_stream() as stream:
@@ -106,6 +107,7 @@ class _Reader:
             if self._version is None and members.root is not None:
                 self._read_root(members.root)
             self._read_member(member)
+            self.walk.end_member()
             if self.walk.batch.num_characters > _BATCH_CHARACTERS:
                 self._flush()
         self._flush()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -47,14 +47,7 @@ def read_cityjson(
     """
     reader = _Reader(source, is_strict, has_details, layers)
     with paused_collector(), open_stream() as stream:
-        documents = documents_of(stream, source, reader.repeated)
-        header = next(documents)
-        reader.read_header(header)
-        is_sequence = False
-        for feature in documents:
-            is_sequence = True
-            reader.read_feature(feature)
-    return reader.result("CityJSONSeq" if is_sequence else "CityJSON")
+        return reader.result(reader.read(documents_of(stream, source, reader.repeated)))
 
 
 class _Reader:
@@ -73,6 +66,15 @@ class _Reader:
         self._others: Counter[str] = Counter()
         self._has_textures = False
         self.repeated: list[str] = []  # keys of objects that one mapping has twice
+
+    def read(self, documents: Iterator[Any]) -> str:
+        """Reads all documents, and forgets them; returns the name of the format."""
+        self.read_header(next(documents))
+        is_sequence = False
+        for feature in documents:
+            is_sequence = True
+            self.read_feature(feature)
+        return "CityJSONSeq" if is_sequence else "CityJSON"
 
     def read_header(self, document: Any) -> None:
         kind = document.get("type") if isinstance(document, dict) else None

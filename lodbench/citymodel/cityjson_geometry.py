@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -125,11 +126,10 @@ class GeometryReader:
         collector.owners += [(building, lod, kind, part) for kind in kinds]
         if collector.objects is not None and collector.objects.has_details:
             self._note_solids(geometry, collector.objects, part, len(surfaces))
-        for surface in surfaces:
-            for ring in surface:
-                indices += ring
-            collector.ring_lengths += map(len, surface)
-            collector.ring_counts.append(len(surface))
+        rings = list(chain.from_iterable(surfaces))
+        indices += chain.from_iterable(rings)
+        collector.ring_lengths += map(len, rings)
+        collector.ring_counts += map(len, surfaces)
         return len(surfaces)
 
     def _note_solids(self, geometry: dict[str, Any], table: ObjectTable, part: int, count: int) -> None:
@@ -209,8 +209,11 @@ def surface_kinds(geometry: dict[str, Any], num_surfaces: int, is_interior: bool
     values, is_aligned = _labels(semantics["values"], geometry["boundaries"], _DEPTHS[geometry["type"]])
     if len(values) != num_surfaces:
         return unknown, f"{len(values)} labels of {num_surfaces} surfaces: none is taken"
-    kinds = [known[v] if type(v) is int and 0 <= v < len(known) else 0 for v in values]
-    num_lost = sum(v is not None and not (type(v) is int and 0 <= v < len(known)) for v in values)
+    if set(map(type, values)) == {int} and 0 <= min(values) and max(values) < len(known):
+        kinds, num_lost = [known[v] for v in values], 0
+    else:
+        kinds = [known[v] if type(v) is int and 0 <= v < len(known) else 0 for v in values]
+        num_lost = sum(v is not None and not (type(v) is int and 0 <= v < len(known)) for v in values)
     if num_lost:
         return kinds, f"{num_lost} of {num_surfaces} labels name no surface type of the geometry"
     return kinds, "" if is_aligned else f"{num_surfaces} labels nested otherwise, taken in their order"
@@ -244,11 +247,11 @@ def _align(values: Any, boundaries: list[Any], depth: int, flat: list[Any]) -> b
     if depth:
         return all(_align(v, b, depth - 1, flat) for v, b in zip(values, boundaries, strict=True))
     flat += values
-    return not any(isinstance(value, list) for value in values)
+    return list not in set(map(type, values))
 
 
 def _flatten(boundaries: list[Any], depth: int) -> list[Any]:
     """Returns the surfaces of a solid or of several."""
     for _ in range(depth):
-        boundaries = [inner for outer in boundaries for inner in outer]
+        boundaries = list(chain.from_iterable(boundaries))
     return boundaries

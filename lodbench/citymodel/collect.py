@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,8 @@ class PolygonCollector:
         self, *, source: str, format: str, version: str | None, srs_names: tuple[str | None, ...]
     ) -> RawCity:
         """Returns everything collected; all of it is in the first of ``srs_names``."""
-        owners = np.asarray(self.owners, np.int64).reshape(-1, 4)
+        # A third of the time that asarray takes for a list of tuples.
+        owners = np.fromiter(chain.from_iterable(self.owners), np.int64).reshape(-1, 4)
         table = self.objects
         solids: Solids | None = None
         polygon_ids: tuple[str, ...] = ()

@@ -48,8 +48,8 @@ def drop_repeats(
     is_kept = kept_as == np.arange(len(polygons))
     if is_kept.all():
         return polygons, kept_as, kept_as
-    for polygon in np.flatnonzero(~is_kept):
-        findings.add(DUPLICATE_POLYGON, building_ids[building[polygon]])
+    for owner in building[~is_kept].tolist():
+        findings.add(DUPLICATE_POLYGON, building_ids[owner])
     rank = np.cumsum(is_kept) - 1
     kept = np.flatnonzero(is_kept)
     return select_polygons(polygons, kept), rank[kept_as], kept
@@ -73,18 +73,16 @@ def _find_repeats(polygons: Polygons, chosen: NDArray[np.int64], kept_as: NDArra
     if len(twice) == 0:
         return
     part = polygons.building if polygons.part is None else polygons.part
-    # Surfaces of a kind come before faces of solids, each in the order of the file.
-    is_solid = polygons.kind[chosen[twice]] == SurfaceKind.UNKNOWN
-    first_known: dict[int, int] = {}
-    first_of_part: dict[tuple[int, int], int] = {}
-    for n in twice[np.argsort(is_solid, kind="stable")].tolist():
-        polygon, group = int(chosen[n]), int(number[n])
-        if polygons.kind[polygon] == SurfaceKind.UNKNOWN and group in first_known:
-            kept_as[polygon] = first_known[group]
-            continue
-        kept_as[polygon] = first_of_part.setdefault((group, int(part[polygon])), polygon)
-        if polygons.kind[polygon] != SurfaceKind.UNKNOWN:
-            first_known.setdefault(group, polygon)
+    polygon, group = chosen[twice], number[twice]
+    is_surface = polygons.kind[polygon] != SurfaceKind.UNKNOWN
+    first_surface = np.full(len(sizes), -1, np.int64)
+    first_surface[group[is_surface][::-1]] = polygon[is_surface][::-1]  # the first of a group is written last
+    stand_in = first_surface[group]
+    # Among surfaces, and among faces that no surface repeats, the first of each part stays.
+    own = np.flatnonzero(is_surface | (stand_in < 0))
+    rank, first = number_rows([group[own].astype(np.uint64), part[polygon[own]].astype(np.uint64)])
+    stand_in[own] = polygon[own[first[rank]]]
+    kept_as[polygon] = stand_in
 
 
 @numba.njit(cache=True, nogil=True)

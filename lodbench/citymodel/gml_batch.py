@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,7 @@ def read_batch(
     _settle_dimensions(values, counts, dimensions)
     has_remainder = counts % dimensions != 0
     ring_counts = np.asarray(batch.ring_counts, np.int64)
-    building, lod, kind, srs, part = np.asarray(batch.owners, np.int64).reshape(-1, 5).T
+    building, lod, kind, srs, part = np.fromiter(chain.from_iterable(batch.owners), np.int64).reshape(-1, 5).T
     ring_polygon = np.repeat(np.arange(len(ring_counts)), ring_counts)
     faults: list[tuple[FindingCode, NDArray[np.bool_]]] = [
         (BAD_COORDINATE, is_bad),

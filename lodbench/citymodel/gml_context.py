@@ -6,6 +6,9 @@ from lodbench.citymodel.gml_names import INTERIOR_NAMES, OUTER_NAMES, SURFACE_KI
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element, local_name
 
+# Plain integers: looking a member up in its class costs more than the rest of a step.
+_UNKNOWN, _INTERIOR = int(SurfaceKind.UNKNOWN), int(SurfaceKind.INTERIOR)
+
 
 def plain_numbers(element: Element) -> str:
     """Returns the numbers of a GML2 ``coordinates`` element separated by blanks.
@@ -25,17 +28,17 @@ def surface_kind(prop: Element, building: Element) -> int:
     """Returns the ``SurfaceKind`` of a geometry property, from the elements around it."""
     node = prop.getparent()
     if node is None or node is building:
-        return SurfaceKind.UNKNOWN
+        return _UNKNOWN
     name = local_name(node.tag)
     if name in OUTER_NAMES:
         return SURFACE_KINDS[name]
-    kind = SurfaceKind.UNKNOWN
+    kind = _UNKNOWN
     while node is not None and node is not building:
         name = local_name(node.tag)
         if name in INTERIOR_NAMES:
-            return SurfaceKind.INTERIOR
-        if kind == SurfaceKind.UNKNOWN:
-            kind = SURFACE_KINDS.get(name, SurfaceKind.UNKNOWN)
+            return _INTERIOR
+        if kind == _UNKNOWN:
+            kind = SURFACE_KINDS.get(name, _UNKNOWN)
         node = node.getparent()
     return kind
 

@@ -55,7 +55,7 @@ WALKED_IN_BUILDINGS = (
 )
 WALKED = (*GEOMETRY_PROPERTIES, *_NESTED, "{*}" + RELIEF_SURFACE, *("{*}" + name for name in _MULTI_SOLIDS))
 
-SURFACE_KINDS = {
+_KINDS = {
     "WallSurface": SurfaceKind.WALL,
     "RoofSurface": SurfaceKind.ROOF,
     "GroundSurface": SurfaceKind.GROUND,
@@ -75,6 +75,7 @@ SURFACE_KINDS = {
     "TunnelConstructiveElement": SurfaceKind.INSTALLATION,
     "OtherConstruction": SurfaceKind.INSTALLATION,
 }
+SURFACE_KINDS = {name: int(kind) for name, kind in _KINDS.items()}  # they are compared for every surface
 # Surfaces that only ever bound the outside: no look at what is around them is needed.
 OUTER_NAMES = frozenset(
     {"WallSurface", "RoofSurface", "GroundSurface", "OuterFloorSurface", "OuterCeilingSurface"}

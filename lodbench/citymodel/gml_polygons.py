@@ -69,7 +69,10 @@ class NameTable:
         Raises:
             CityModelError: There are more names than any city has.
         """
-        number = self._numbers.setdefault(name, len(self._numbers))
+        known = self._numbers.get(name)
+        if known is not None:
+            return known
+        number = self._numbers[name] = len(self._numbers)
         if number >= _MAX_NAMES:
             raise CityModelError(
                 f"The file declares more than {_MAX_NAMES} reference systems.",

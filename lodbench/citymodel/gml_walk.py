@@ -12,6 +12,7 @@ from lodbench.citymodel.gml_names import (
     CURVE,
     GML_IDS,
     NESTED_TYPES,
+    NOTHING,
     NUMBERS,
     ORIENTABLE,
     POLYGON,
@@ -70,8 +71,11 @@ class GeometryWalk:
         """Forgets the ids and references of the member before."""
         self.polygon_ids.clear()
         self.references.clear()
-        self.properties.clear()
         self.first_polygon = len(self.batch.owners)
+
+    def end_member(self) -> None:
+        """Lets go of the elements of a member, or freeing it would have to keep theirs."""
+        self.properties.clear()
 
     def take_batch(self) -> PolygonBatch:
         """Returns what was collected and begins anew; call between members only."""
@@ -114,7 +118,7 @@ class GeometryWalk:
                     continue
                 lod_name = relief_lod(prop)
             lod = self.lods.index(lod_name)
-            kind = int(surface_kind(prop, element))
+            kind = surface_kind(prop, element)
             self.part = owner_of(prop, element, part_of, own) if part_of else own
             name = local_name(prop.tag)
             if name.endswith("ImplicitRepresentation"):
@@ -191,6 +195,8 @@ class GeometryWalk:
                     batch.solid_rings.append(len(texts) - 1)
                 elif ring_dimension or declared is not None:
                     self._note_dimension(len(texts) - 1, declared, ring_dimension)
+            elif node == NOTHING:
+                continue
             elif node == RING:
                 is_new_ring = True
                 if len(element) == 0:
@@ -212,7 +218,8 @@ class GeometryWalk:
                 self._note_orientation(element)
             elif node == CURVE:
                 is_in_polygon = is_in_polygon and is_in_ring(element)
-        self._turned.clear()
+        if self._turned:
+            self._turned.clear()
 
     def _read_attributes(
         self, attributes: Sequence[tuple[Any, Any]], srs: int, dimension: int

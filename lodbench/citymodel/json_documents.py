@@ -47,11 +47,16 @@ def documents_of(stream: BinaryIO, source: str, repeated: list[str]) -> Iterator
 
 def _parse(data: bytes, source: str, line: int | None, repeated: list[str]) -> Any:
     where = f"{source}, line {line}" if line is not None else source
+
+    def mapping(pairs: list[tuple[str, Any]]) -> Json:
+        values = dict(pairs)
+        return values if len(values) == len(pairs) else _apart(pairs, repeated)
+
     try:
         return json.loads(
             data.decode("utf-8-sig"),
             parse_constant=_refuse_constant,
-            object_pairs_hook=lambda pairs: _mapping(pairs, repeated),
+            object_pairs_hook=mapping,
         )
     except RecursionError:
         raise CityModelError(
@@ -69,12 +74,9 @@ def _parse(data: bytes, source: str, line: int | None, repeated: list[str]) -> A
         ) from None
 
 
-def _mapping(pairs: list[tuple[str, Any]], repeated: list[str]) -> Json:
-    """Returns a JSON object; city objects of one id stay apart, the later as ``id~2``."""
-    values = dict(pairs)
-    if len(values) == len(pairs):
-        return values
-    values = {}
+def _apart(pairs: list[tuple[str, Any]], repeated: list[str]) -> Json:
+    """Returns a JSON object with keys that stand twice; city objects stay apart, the later as ``id~2``."""
+    values: Json = {}
     for key, value in pairs:
         own, number = key, 1
         if isinstance(value, dict) and "type" in value:

@@ -16,11 +16,9 @@ _MAX_KEPT_SCALE_ERROR = 1e-2
 def is_true_to_scale(known: KnownCrs, middle: NDArray[np.float64], findings: Findings) -> bool:
     """Tells whether the metres of a system are metres at a place (east, north), to a hundredth.
 
-    UTM is 4e-4 short in its middle and 1e-3 long at its rim; what is further off is told, and what is off by
-    a hundredth, as Mercator of the whole world is, does for no measuring: it is projected anew.
+    What is off by more than a thousandth is told, and what is off by a hundredth, as Mercator of the whole
+    world is, does for no measuring: it is projected anew.
     """
-    if known.horizontal.utm_zone is not None:
-        return True  # the data lies in its zone
     scales = _scales(known, middle)
     worst = max(abs(scale - 1.0) for scale in scales)
     if not worst > _MAX_SCALE_ERROR:

@@ -8,12 +8,14 @@ is not planar or crosses itself, and a finding gives both areas.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import AREA_MISMATCH, FAR_FROM_PLANAR, NOT_PLANAR, ZERO_AREA
 from lodbench.citymodel.model import Polygons
+from lodbench.citymodel.raw import take_segments
 from lodbench.citymodel.selection import slice_polygons
 from lodbench.findings import Findings
 
@@ -196,18 +198,20 @@ def _cut_ears(
     import mapbox_earcut
 
     earcut = mapbox_earcut.triangulate_float64
-    ring_starts = polygons.ring_starts
-    first_ring = polygons.polygon_starts[chosen].tolist()
-    end_ring = polygons.polygon_starts[chosen + 1].tolist()
-    pieces, counts = [], []
-    for begin, end in zip(first_ring, end_ring, strict=True):
-        offset = ring_starts[begin]
-        ends = (ring_starts[begin + 1 : end + 1] - offset).astype(np.uint32)
-        is_cut = ends[-1] <= _MAX_CORNERS
-        corners = earcut(plane[offset : ring_starts[end]], ends) if is_cut else np.zeros(0, np.uint32)
-        pieces.append(corners.astype(np.int64) + offset)
-        counts.append(len(corners) // 3)
-    return np.concatenate(pieces).reshape(-1, 3), np.asarray(counts, np.int64)
+    rings, cuts = take_segments(polygons.polygon_starts, chosen)
+    first = polygons.ring_starts[polygons.polygon_starts[chosen]]
+    last = polygons.ring_starts[polygons.polygon_starts[chosen + 1]]
+    ends = (polygons.ring_starts[rings + 1] - np.repeat(first, np.diff(cuts))).astype(np.uint32)
+    uncut = np.zeros(0, np.uint32)
+    pieces = [
+        earcut(plane[begin:end], ends[ring:next_ring]) if end - begin <= _MAX_CORNERS else uncut
+        for begin, end, (ring, next_ring) in zip(
+            first.tolist(), last.tolist(), pairwise(cuts.tolist()), strict=True
+        )
+    ]
+    counts = np.array(list(map(len, pieces)), np.int64)
+    corners = np.concatenate(pieces).astype(np.int64) + np.repeat(first, counts)
+    return corners.reshape(-1, 3), counts // 3
 
 
 def _triangle_vectors(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -30,6 +31,7 @@ _PROLOG_DOCTYPE = re.compile(
 _NAMESPACE_ERRORS = frozenset({"NS_ERR_UNDEFINED_NAMESPACE"})
 
 
+@lru_cache(maxsize=1024)  # a file has some dozen tags, and asks a thousand times a second
 def local_name(tag: str) -> str:
     """Returns a tag without its namespace.
 
