@@ -42,6 +42,7 @@ def describe_many(answers: Answers) -> str:
             "Look at the overlays of those not to be trusted; a mask of each (--masks DIR) helps most."
         )
     files = [("table", answers.table), ("map", answers.map)]
+    files += [("page", answers.page(flight)) for flight in answers.flights]
     return "\n".join([*lines, *(f"{name + ':':<9} {path}" for name, path in files)]) + "\n"
 
 

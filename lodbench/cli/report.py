@@ -8,7 +8,9 @@ from pathlib import Path
 
 from lodbench.cli.parser import Parser
 from lodbench.cli.verify import add_path_options, read_config, verify_folder
-from lodbench.harness.runs.report import run_report
+from lodbench.harness.runs.answer import FLIGHTS_FOLDER
+from lodbench.harness.runs.flight_pages import flight_findings, pages_of_run
+from lodbench.harness.runs.report import city_of, run_report
 from lodbench.storage import write_text
 
 
@@ -16,7 +18,8 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if the run's numbers do not follow from its poses."""
     parser = Parser(
         "lodbench report",
-        description="Write one HTML page of a run, pictures inside; its numbers are verified on the way.",
+        description="Write one HTML page of a run, pictures inside, and one of each flight that a method "
+        "solved as a whole; its numbers are verified on the way.",
     )
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (report.html in the run folder)")
@@ -24,8 +27,14 @@ def main(argv: Sequence[str]) -> int:
     options = parser.parse_args(argv)
     verdict = verify_folder(options.run, options.dataset_root, options.city_model)
     out = options.out or options.run / "report.html"
-    write_text(out, run_report(verdict, str(read_config(options.run)["tilt"])))
+    tilt = str(read_config(options.run)["tilt"])
+    write_text(out, run_report(verdict, tilt))
     sys.stdout.write(f"{out}\n")
+    scene = city_of(verdict) if flight_findings(verdict) else None
+    if scene is not None:
+        for name, page in pages_of_run(verdict, scene, tilt).items():
+            write_text(options.run / FLIGHTS_FOLDER / f"{name}.html", page)
+            sys.stdout.write(f"{options.run / FLIGHTS_FOLDER / f'{name}.html'}\n")
     for line in verdict.differences:
         sys.stderr.write(f"lodbench: {line}\n")
     return 1 if verdict.differences else 0

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 # Below this probability, or this overlap of mask and model, a pose is not to be trusted.
 TRUSTED_PROBABILITY, TRUSTED_OVERLAP = 0.5, 0.5
-_UNTRUSTED = "do not trust"
+UNTRUSTED = "do not trust"
 # From these probabilities of being within 2 m and 2 degrees on.
-_WORDS = ((0.9, "good"), (TRUSTED_PROBABILITY, "doubtful"), (0.0, _UNTRUSTED))
+_WORDS = ((0.9, "good"), (TRUSTED_PROBABILITY, "doubtful"), (0.0, UNTRUSTED))
 
 
 def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction]) -> str:
@@ -47,7 +47,7 @@ def trust_of(prediction: Prediction) -> str:
     if prediction.pose is None:
         return "failed"
     if not is_trusted(prediction.probability, prediction.score, bool(prediction.mask_png)):
-        return _UNTRUSTED
+        return UNTRUSTED
     return "-" if prediction.probability is None else trust_word(prediction.probability)
 
 
@@ -68,7 +68,7 @@ def is_trusted(probability: float | None, score: float | None, has_mask: bool) -
 def untrusted_note(predictions: Iterable[Prediction]) -> str:
     """Returns a line that says how many answers are not to be trusted, and what to do; "" if none."""
     answered = [found for found in predictions if found.pose is not None]
-    count = sum(trust_of(found) == _UNTRUSTED for found in answered)
+    count = sum(trust_of(found) == UNTRUSTED for found in answered)
     if not count:
         return ""
     return (

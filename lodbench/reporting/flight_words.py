@@ -6,10 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-# What constants are called where people read them.
+# What constants are called where people read them, in this order.
 _CALLED = {
     "east": "positions, to the east", "north": "positions, to the north", "pitch": "gimbal pitch",
-    "roll": "gimbal roll", "yaw": "heading, counter-clockwise",
+    "roll": "gimbal roll", "yaw": "heading, counter-clockwise", "focal length": "focal length",
+    "radial distortion k1": "radial distortion k1", "masks too large by": "masks too large by",
     "roofs higher than the map": "the map's roofs",
     "feet of walls higher than the map": "the map's feet of walls",
 }  # fmt: skip
@@ -23,15 +24,21 @@ def constants_in_words(constants: Mapping[str, Mapping[str, Any]]) -> list[str]:
     Args:
         constants: By name ``value`` (to be added to what sensors or map say), ``sigma``, ``unit``, ``told``.
     """
-    told = {name: value for name, value in constants.items() if value["told"]}
-    silent = [_CALLED.get(name, name) for name, value in constants.items() if not value["told"]]
-    lines = [_height(told["height"])] if "height" in told else []
-    added = [
-        f"{_CALLED.get(name, name)} {_amount(value)}" for name, value in told.items() if name != "height"
-    ]
+    height, rows = constants.get("height"), constant_rows(constants)
+    lines = [heights_in_words(height)] if height is not None and height["told"] else []
+    added = [f"{called} {amount}" for called, amount, is_told in rows if is_told]
+    silent = ["heights"] if height is not None and not height["told"] else []
+    silent += [called for called, _, is_told in rows if not is_told]
     lines += [f"to be added to what was stated: {'; '.join(added)}"] if added else []
     lines += [f"not told by these photos, and left as stated: {'; '.join(silent)}"] if silent else []
     return lines
+
+
+def constant_rows(constants: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str, bool]]:
+    """Returns each constant but the height: its name, what is to be added, and whether photos told it."""
+    order = [name for name in _CALLED if name in constants]
+    order += [name for name in constants if name not in _CALLED and name != "height"]
+    return [(_CALLED.get(name, name), _amount(constants[name]), constants[name]["told"]) for name in order]
 
 
 def _amount(constant: Mapping[str, Any], *, signed: bool = True) -> str:
@@ -45,7 +52,7 @@ def _amount(constant: Mapping[str, Any], *, signed: bool = True) -> str:
     return f"{number}{' ' if unit else ''}{unit} +-{sigma:.{digits}f}"
 
 
-def _height(constant: Mapping[str, Any]) -> str:
+def heights_in_words(constant: Mapping[str, Any]) -> str:
     """Returns by how much heights are stated too high or too low, and what that looks like."""
     value, sigma = constant["value"], constant["sigma"]
     word = "high" if value < 0 else "low"

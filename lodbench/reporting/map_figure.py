@@ -19,22 +19,42 @@ _MARGIN_M = 40.0
 
 
 class Spot(NamedTuple):
-    """A query on the map: (2,) east and north in metres of each camera, None where there is none."""
+    """A query on the map: (2,) east and north in metres of each camera, None where there is none.
+
+    ``covariance`` is (2, 2) of the estimate's error, square metres, where the method knows it.
+    """
 
     key: str
     prior: Floats | None
     estimate: Floats | None
     truth: Floats | None
     trust: str = ""
+    covariance: Floats | None = None
 
 
-def draw_map(spots: Sequence[Spot], vertices: Floats | None, triangles: NDArray[np.int32] | None) -> str:
+class Marked(NamedTuple):
+    """A part of the city that is pointed at: what is said of it; its rings, (N, 2) east and north each."""
+
+    title: str
+    rings: Sequence[Floats]
+
+
+def draw_map(
+    spots: Sequence[Spot],
+    vertices: Floats | None,
+    triangles: NDArray[np.int32] | None,
+    *,
+    marked: Sequence[Marked] = (),
+    is_flight: bool = False,
+) -> str:
     """Returns the map as HTML; "" where no camera is known.
 
     Args:
         spots: The queries.
         vertices: (V, 3) the city's, in the coordinates of the spots; None to leave the city out.
         triangles: (T, 3) their indices.
+        marked: Parts of the city to point at.
+        is_flight: Whether the spots were taken one after the other: their paths are drawn.
     """
     known = [place for spot in spots for place in spot[1:4] if place is not None]
     if not known:
@@ -47,13 +67,53 @@ def draw_map(spots: Sequence[Spot], vertices: Floats | None, triangles: NDArray[
     if vertices is not None and triangles is not None:
         city = _outlines(vertices, triangles, (low + high) / 2, float((high - low).max()), low)
     width, height = high - low
+    enlarged = _enlarged(spots, float(max(width, height)))
     return rendered(
         "map.html.jinja",
         box=(0.0, -round(float(height), 1), round(float(width), 1), round(float(height), 1)),
         city=city,
-        spots=[(spot.key, spot.trust, _lines(spot, low), _dots(spot, low)) for spot in spots],
+        marked=[(part.title, "".join(_ring(ring, low) for ring in part.rings)) for part in marked],
+        tracks=_tracks(spots, low) if is_flight else [],
+        spots=[
+            (spot.key, spot.trust, _ellipse(spot, low, enlarged), _lines(spot, low), _dots(spot, low))
+            for spot in spots
+        ],
         has_truth=any(spot.truth is not None for spot in spots),
+        enlarged=enlarged if any(spot.covariance is not None for spot in spots) else 0,
     )
+
+
+def _enlarged(spots: Sequence[Spot], width_m: float) -> int:
+    """Returns how many times ellipses are enlarged, so that most can be seen beside the dots."""
+    widths = [2.0 * float(np.sqrt(np.trace(s.covariance) / 2.0)) for s in spots if s.covariance is not None]
+    wanted = 0.03 * width_m / max(float(np.median(widths)), 1e-9) if widths else 1.0
+    return max(factor for factor in (1, 2, 5, 10, 20, 50, 100) if factor == 1 or factor <= wanted)
+
+
+def _ellipse(spot: Spot, low: Floats, enlarged: int) -> str:
+    """Returns the path of two standard deviations round an estimate; "" where they are not known."""
+    if spot.covariance is None or spot.estimate is None:
+        return ""
+    mirrored = spot.covariance * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    squares, axes = np.linalg.eigh(mirrored)
+    one, other = (2.0 * enlarged * float(np.sqrt(max(square, 0.0))) for square in squares[::-1])
+    turn = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
+    middle = np.array(_at(spot.estimate, low))
+    (x, y), (u, v) = middle + one * axes[:, 1], middle - one * axes[:, 1]
+    arc = f"A{one:.4g} {other:.4g} {turn:.1f} 1 0"
+    return f"M{x:.2f} {y:.2f}{arc} {u:.2f} {v:.2f}{arc} {x:.2f} {y:.2f}Z"
+
+
+def _tracks(spots: Sequence[Spot], low: Floats) -> list[tuple[str, str]]:
+    """Returns kind and path of the ways from photo to photo, before and after."""
+    named = (("prior", [s.prior for s in spots]), ("estimate", [s.estimate for s in spots]))
+    found = [(kind, [_at(place, low) for place in places if place is not None]) for kind, places in named]
+    return [(kind, "M" + "L".join(f"{x:g} {y:g}" for x, y in places)) for kind, places in found if places]
+
+
+def _ring(ring: Floats, low: Floats) -> str:
+    places = [_at(place, low) for place in ring]
+    return "M" + "L".join(f"{x:g} {y:g}" for x, y in places) + "Z"
 
 
 def _outlines(

@@ -74,7 +74,11 @@ const turn = (step) => {
 };
 const open = (key) => {
   const figure = shown().find((f) => f.dataset.key === key);
-  if (figure) show(figure);
+  const slides = figure?.closest(".slides");
+  if (slides) {
+    slides.turnTo(figure);
+    slides.scrollIntoView({ block: "nearest", behavior: "smooth" });
+  } else if (figure) show(figure);
 };
 viewer.querySelector(".close").addEventListener("click", () => viewer.close());
 viewer.querySelector(".previous").addEventListener("click", () => turn(-1));
@@ -90,6 +94,22 @@ for (const figure of all("figure[data-key]")) {
 for (const row of all("tr[data-key]")) {
   row.addEventListener("click", () => open(row.dataset.key));
   row.addEventListener("keydown", (event) => { if (event.key === "Enter") open(row.dataset.key); });
+}
+
+// One picture at a time, by a slider and two buttons; its row and its camera on the map are marked.
+for (const slides of all(".slides")) {
+  const figures = all("figure", slides);
+  const range = slides.querySelector("input[type=range]");
+  slides.turnTo = (figure) => {
+    figures.forEach((other) => { other.hidden = other !== figure; });
+    range.value = figures.indexOf(figure);
+    for (const part of all("[data-key]")) part.classList.toggle("current", part.dataset.key === figure.dataset.key);
+  };
+  const step = (by) => slides.turnTo(figures[(Number(range.value) + by + figures.length) % figures.length]);
+  range.addEventListener("input", () => step(0));
+  slides.querySelector(".previous").addEventListener("click", () => step(-1));
+  slides.querySelector(".next").addEventListener("click", () => step(1));
+  step(0);
 }
 
 // Moves and zooms a map by its viewBox, and says how long its bar is on the ground.

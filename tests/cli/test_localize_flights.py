@@ -104,6 +104,9 @@ def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
     found = json.loads((tmp_path / "DJI_0001.json").read_text())
     assert found["probability"] > 0.9
     assert (tmp_path / "DJI_0004_overlay.png").is_file()
+    page = (tmp_path / "flight_1.html").read_text()
+    assert "Photo by photo" in page
+    assert page.count("<img alt") == COUNT + 1  # and the one of the viewer
 
 
 def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp_path):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.reporting.browser import PHONE, column_texts, fits, opened, press
-from tests.town import write_dataset
+from tests.town import box_obj, write_dataset
 
 
 @pytest.fixture(scope="module")
@@ -146,3 +146,26 @@ def test_a_scored_pose_file_has_a_page_with_overlays(lodbench, tmp_path, data):
 def test_no_run_is_one_line(lodbench, tmp_path):
     done = lodbench("report", str(tmp_path))
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 2)
+
+
+def test_each_flight_of_a_run_has_a_page(lodbench, tmp_path):
+    (tmp_path / "city.obj").write_text(box_obj())
+    words = [
+        "dataset=flights",
+        "dataset.city_model=city.obj",
+        "dataset.num_flights=2",
+        "dataset.num_photos=3",
+    ]
+    words += ["dataset.path=orbit", "dataset.wrong_heights=0.3", "method=flight", "method.steps=2"]
+    done = lodbench("run", *words)
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / re.search(r"results:\s+(\S+)", done.stdout)[1]
+    told = lodbench("report", str(folder))
+    assert told.returncode == 0, told.stderr
+    for name in ("flights-flight_00", "flights-flight_01"):
+        page = (folder / "flights" / f"{name}.html").read_text()
+        assert "3 photos placed" in page
+        assert f"{name}.html" in told.stdout
+    report = (folder / "report.html").read_text()
+    assert "What flights say" in report
+    assert "to be added to what was stated" in report

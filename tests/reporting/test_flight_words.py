@@ -21,8 +21,8 @@ def test_constants_are_told_with_as_many_digits_as_they_have():
         }
     )
     assert found == [
-        "to be added to what was stated: gimbal pitch -0.80 deg +-0.10; focal length +2.0 % +-0.2; "
-        "gimbal roll +0.00 deg +-0.09",
+        "to be added to what was stated: gimbal pitch -0.80 deg +-0.10; gimbal roll +0.00 deg +-0.09; "
+        "focal length +2.0 % +-0.2",
         "not told by these photos, and left as stated: heading, counter-clockwise",
     ]
 

@@ -117,6 +117,13 @@ def test_the_map_to_localise_on_is_the_wrong_one_and_masks_are_of_the_right_one(
         assert mask_iou(SilhouetteRenderer(wrong).render(camera, truth), mask) < 1.0
 
 
+def test_flights_over_a_wrong_map_are_found_again_by_that_map(city):
+    dataset = open_flights(params(city, wrong_heights=0.3, num_flights=1))
+    again = open_flights(params(dataset.city_model, wrong_heights=0.3, num_flights=1))
+    assert again.root == dataset.root
+    assert again.city_model == dataset.city_model
+
+
 def test_a_distorted_silhouette_is_what_opencv_draws(city):
     scene = open_scene(city)
     renderer = SilhouetteRenderer(scene)

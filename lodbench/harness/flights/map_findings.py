@@ -61,6 +61,18 @@ def doubt_features(
     return features
 
 
+def city_and_doubts(
+    scene: Scene, findings: Mapping[str, Any]
+) -> tuple[tuple[NDArray[np.float64], NDArray[np.int32]], dict[str, list[NDArray[np.float64]]]]:
+    """Returns the city in its coordinates, and the rings of the buildings in doubt."""
+    rows = {name: row for row, name in enumerate(scene.building_ids)}
+    doubted = [each["id"] for each in doubted_buildings(findings.get("buildings", [])) if each["id"] in rows]
+    outlines = {
+        name: [ring for rings in building_outline(scene, rows[name]) for ring in rings] for name in doubted
+    }
+    return (scene.vertices + scene.origin, scene.triangles), outlines
+
+
 def _on_earth(ring: NDArray[np.float64], frame: MapFrame) -> list[list[float]]:
     places = [frame.latitude_longitude(float(east), float(north)) for east, north in ring]
     return [[round(longitude, _DIGITS), round(latitude, _DIGITS)] for latitude, longitude in places]

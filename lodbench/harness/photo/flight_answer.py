@@ -29,7 +29,7 @@ class FlightAnswer:
         """Returns what the flight says of drone, camera and map."""
         lines = constants_in_words(self.findings.get("constants", {}))
         lines += buildings_in_words(self.findings.get("buildings", []))
-        lost = [Path(name).name for name in self.findings.get("lost", [])]
+        lost = self.findings.get("lost", [])
         if lost:
             lines.append(f"placed by the other photos alone: {', '.join(lost)}")
         return lines

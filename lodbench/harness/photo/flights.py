@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.flights.map_findings import doubt_features
 from lodbench.harness.photo.flight_answer import FlightAnswer
+from lodbench.harness.photo.flight_pages import page_of_photos
 from lodbench.harness.photo.localize import inputs_of, open_map, write_answer
 from lodbench.harness.photo.many import Answers, PhotoAnswer, numbered, write_answers
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo, undistorted_photo
@@ -53,7 +54,8 @@ def localize_flights(request: PhotoRequest, photos: Sequence[Path], masks: Path 
     """
     assert request.method is not None  # noqa: S101 - the caller has chosen
     requires = inputs_of(request.method)
-    city, frame = open_map(request)
+    place = open_map(request)
+    names = _names(photos)
     masks_of, failures = _masks_of(photos, masks)
     ready: dict[int, tuple[PreparedPhoto, Pose]] = {}
     with Progress("masks", len(photos)) as progress:
@@ -62,37 +64,53 @@ def localize_flights(request: PhotoRequest, photos: Sequence[Path], masks: Path 
                 try:
                     wanted = replace(request, photo=photo, mask=masks_of[row])
                     prepared = _with_small_mask(prepare_photo(wanted, requires))
-                    ready[row] = prepared, prepared.prior(city.scene, frame)
+                    ready[row] = prepared, prepared.prior(place.scene, place.frame)
                 except LodbenchError as fault:
                     failures[row] = fault.message.rstrip(".")
             progress.advance()
     rows = list(ready)
-    names = [photos[row].name for row in rows]
-    city_map = CityMap(city.scene)
+    city_map = CityMap(place.scene)
     flights: list[FlightAnswer] = []
     estimates: dict[int, Estimate] = {}
     for flight in split_flights([(photos[row], ready[row][0].stated) for row in rows]):
         mine = [rows[row] for row in flight.rows]
-        found = _solve(request, [ready[row] for row in mine], city_map)
+        found = _solve(request, {names[row]: ready[row] for row in mine}, city_map)
         for row, estimate in zip(mine, found.estimates, strict=True):
             if isinstance(estimate, QueryFault):
                 failures[row] = estimate.message
             else:
                 estimates[row] = estimate
+        taken = _taken(flight, [names[row] for row in rows])
         name, paths = f"flight {len(flights) + 1}", tuple(photos[row] for row in mine)
-        flights.append(FlightAnswer(name, paths, tuple(_taken(flight, names)), found.findings))
+        flights.append(FlightAnswer(name, paths, tuple(taken), found.findings))
     answers = []
     with Progress("overlays", len(photos)) as progress:
         for row, photo in enumerate(photos):
             located = None
             if row in estimates:
                 prepared, prior = ready[row]
-                located = write_answer(prepared, prepared.view(), city, frame, prior, estimates[row])
+                located = write_answer(prepared, prepared.view(), place, prior, estimates[row])
             answers.append(PhotoAnswer(photo, located, failures.get(row, ""), _flight_of(photo, flights)))
             progress.advance()
     written = write_answers(request.out, answers, flights)
-    _write_findings(written, city.scene, frame)
+    _write_findings(written, place.scene, place.frame)
+    for flight_answer in flights:
+        page = page_of_photos(flight_answer, dict(zip(photos, names, strict=True)), answers, place.scene)
+        write_text(written.page(flight_answer), page)
     return written
+
+
+def _names(photos: Sequence[Path]) -> list[str]:
+    """Returns what photos are called: by their file names, with as many folders as tell them apart."""
+    names = [photo.name for photo in photos]
+    longest = max(len(photo.parts) for photo in photos)
+    for depth in range(2, longest + 1):
+        counts = Counter(names)
+        names = [
+            "/".join(photo.parts[-depth:]) if counts[name] > 1 else name
+            for photo, name in zip(photos, names, strict=True)
+        ]
+    return names
 
 
 def _masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | None], dict[int, str]]:
@@ -127,20 +145,19 @@ def _with_small_mask(photo: PreparedPhoto) -> PreparedPhoto:
 
 
 def _solve(
-    request: PhotoRequest, photos: Sequence[tuple[PreparedPhoto, Pose]], city_map: CityMap
+    request: PhotoRequest, photos: Mapping[str, tuple[PreparedPhoto, Pose]], city_map: CityMap
 ) -> FlightEstimate:
     """Returns the answers to the photos of a flight, in the city's coordinates."""
     method, origin = request.method, city_map.scene.origin
     assert isinstance(method, SupportsFlights)  # noqa: S101 - the caller has looked
     with TemporaryDirectory() as folder:
         queries = []
-        for number, (photo, prior) in enumerate(photos):
+        for number, (name, (photo, prior)) in enumerate(photos.items()):
             image = None
             if Input.IMAGE in inputs_of(request.method):
                 own = Path(folder) / str(number)
                 make_folder(own)
                 image = undistorted_photo(photo.view(), own)
-            name = str(photo.request.photo)
             queries.append(
                 Query(name, "", photo.pinhole, prior.shifted(-origin), photo.mask, image, sequence="flight")
             )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from lodbench.citymodel.cache import OpenCity
+from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
 from lodbench.datasets.map_frame import MapFrame
@@ -23,6 +25,7 @@ from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.methods import Estimate, Method
 from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted
 from lodbench.segmentation import notes_of
 from lodbench.storage import file_digest, make_folder, write_text
@@ -42,14 +45,14 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     requires = inputs_of(method)
     photo = prepare_photo(request, requires)
     view = photo.view()
-    city, frame = open_map(request)
-    prior = photo.prior(city.scene, frame)
+    place = open_map(request)
+    prior = photo.prior(place.scene, place.frame)
     with TemporaryDirectory() as folder:
         image = undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
         estimate = localize(
-            city.scene, photo.pinhole, prior, photo.mask, image=image, method=method, seed=request.seed
+            place.scene, photo.pinhole, prior, photo.mask, image=image, method=method, seed=request.seed
         )
-    return write_answer(photo, view, city, frame, prior, estimate)
+    return write_answer(photo, view, place, prior, estimate)
 
 
 def inputs_of(method: Method) -> frozenset[str]:
@@ -63,17 +66,41 @@ def inputs_of(method: Method) -> frozenset[str]:
     return requires
 
 
-def open_map(request: PhotoRequest) -> tuple[OpenCity, MapFrame | None]:
-    """Returns the city of a request, and its coordinates where their reference system is known."""
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenMap:
+    """The city of a request.
+
+    Attributes:
+        city: Its scene, and what was met in reading it.
+        frame: Its coordinates on Earth, where their reference system is known.
+        renderer: Draws its outlines.
+    """
+
+    city: OpenCity
+    frame: MapFrame | None
+    renderer: Renderer
+
+    @property
+    def scene(self) -> Scene:
+        """Returns the city's triangles."""
+        return self.city.scene
+
+
+def open_map(request: PhotoRequest) -> OpenMap:
+    """Returns the city of a request.
+
+    Raises:
+        LodbenchError: It cannot be read, or its coordinates are not in metres.
+    """
     city = open_city(request.city, request.lod, request.options, request.roof_height)
-    return city, None if city.scene.crs is None else MapFrame(city.scene.crs)
+    frame = None if city.scene.crs is None else MapFrame(city.scene.crs)
+    return OpenMap(city, frame, make_renderer("silhouette", city.scene))
 
 
 def write_answer(
     photo: PreparedPhoto,
     view: PhotoView,
-    city: OpenCity,
-    frame: MapFrame | None,
+    place: OpenMap,
     prior: Pose,
     estimate: Estimate,
 ) -> LocalizedPhoto:
@@ -82,27 +109,27 @@ def write_answer(
     Args:
         photo: The photo.
         view: Its pixels.
-        city: The map.
-        frame: Its coordinates on Earth, where they are known.
+        place: The map.
         prior: In the city's coordinates.
         estimate: Likewise.
     """
     request, name, features = photo.request, photo.request.photo.name, []
+    scene, frame = place.scene, place.frame
     if frame is not None:
-        features = photo_features(frame, name, photo.pinhole, city.scene, prior, estimate)
+        features = photo_features(frame, name, photo.pinhole, scene, prior, estimate)
     make_folder(request.out)
     digest = file_digest(request.photo)
     label = _label(request.out, request.photo.stem, digest)
     overlay = request.out / f"{label}_overlay.png"
-    write_photo_overlay(overlay, view, city.scene, prior, estimate)
+    write_photo_overlay(overlay, view, place.renderer, prior, estimate)
     geojson = request.out / f"{label}.geojson" if features else None
     if geojson is not None:
         write_geojson(features, geojson)
     has_mask = photo.mask is not None
     found = LocalizedPhoto(
         photo=name,
-        crs=city.scene.crs,
-        lod=city.scene.lod,
+        crs=scene.crs,
+        lod=scene.lod,
         pose=estimate.pose,
         prior=prior,
         moved=pose_error(estimate.pose, prior),
@@ -118,7 +145,7 @@ def write_answer(
         overlay=overlay,
         geojson=geojson,
         notes=(
-            *city.notes(),
+            *place.city.notes(),
             *(notes_of(request.segmenter) if has_mask and request.mask is None else ()),
             *_notes(photo, frame, view, estimate),
         ),

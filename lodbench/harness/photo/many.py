@@ -90,6 +90,10 @@ class Answers:
         """Returns the file with all cameras on a map."""
         return numbered(self.folder / MAP_FILE, self.number)
 
+    def page(self, flight: FlightAnswer) -> Path:
+        """Returns the page of a flight."""
+        return numbered(self.folder / f"{flight.name.replace(' ', '_')}.html", self.number)
+
 
 def photos_of(paths: Sequence[Path], masks: Path | None = None) -> list[Path]:
     """Returns the photos that files and folders name, each once, in that order; masks among them are none.

@@ -14,7 +14,7 @@ from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.undistort import undistorted
 from lodbench.geometry import Camera, Pose
 from lodbench.methods import Estimate
-from lodbench.rendering import make_renderer
+from lodbench.rendering import Renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.segmentation import binary_mask
 
@@ -44,19 +44,21 @@ class PhotoView(NamedTuple):
         return None if self.pixels is None else undistorted(self.pixels, self.camera, self.pinhole)
 
 
-def write_photo_overlay(path: Path, view: PhotoView, scene: Scene, prior: Pose, estimate: Estimate) -> None:
+def write_photo_overlay(
+    path: Path, view: PhotoView, renderer: Renderer, prior: Pose, estimate: Estimate
+) -> None:
     """Writes the photo with the city's outline at the estimate beside it at the prior."""
-    mask = view.mask
+    mask, origin = view.mask, renderer.scene.origin
     shown = OverlayInput(
         camera=view.pinhole,
         mask=None if mask is None else binary_mask(mask, mask.shape[1], mask.shape[0]),
         image=view.undistorted(),
-        prior=prior.shifted(-scene.origin),
-        estimate=estimate.pose.shifted(-scene.origin),
+        prior=prior.shifted(-origin),
+        estimate=estimate.pose.shifted(-origin),
         truth=None,
         caption=f"{view.name}: score {estimate.score:.3f}",
     )
-    write_picture(path, draw_overlay(shown, make_renderer("silhouette", scene)))
+    write_picture(path, draw_overlay(shown, renderer))
 
 
 def photo_features(

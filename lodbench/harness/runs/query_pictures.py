@@ -14,9 +14,9 @@ from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.verify import Verdict
-from lodbench.rendering import make_renderer
+from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import trust_of
-from lodbench.reporting.overlays import OverlayInput, draw_overlay
+from lodbench.reporting.overlays import OverlayInput, draw_overlay, jpeg_bytes
 from lodbench.reporting.page import Picture
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 # Of more queries than this the page shows the worst and the best, half of it each: a picture has 60 kB.
 MAX_PICTURES = 240
-# JPEG quality of the pictures inside the page: outlines stay sharp.
-_QUALITY = 82
 
 
 def query_pictures(verdict: Verdict, scene: Scene, tilt: str) -> list[Picture]:
@@ -38,14 +36,21 @@ def query_pictures(verdict: Verdict, scene: Scene, tilt: str) -> list[Picture]:
     renderer = make_renderer("silhouette", scene)
     pictures = []
     with Progress("pictures", len(queries)) as progress:
-        for key, row in queries.iterrows():
+        for key in queries.index:
             entry = entries.get(str(key))
-            # A camera that cannot be drawn is that query's fault already.
-            if entry is not None and entry.camera is not None and not entry.camera.distortion:
-                drawn = draw_overlay(_shown(verdict, scene, tilt, entry), renderer)
-                pictures.append(Picture(_jpeg(drawn), "jpeg", _caption(verdict, row), "", str(key)))
+            picture = None if entry is None else picture_of(verdict, renderer, tilt, entry)
+            pictures += [] if picture is None else [picture]
             progress.advance()
     return pictures
+
+
+def picture_of(verdict: Verdict, renderer: Renderer, tilt: str, entry: Entry) -> Picture | None:
+    """Returns the picture of a query; None where its camera cannot be drawn, which is its own fault."""
+    if entry.camera is None or entry.camera.distortion:
+        return None
+    drawn = draw_overlay(_shown(verdict, renderer.scene, tilt, entry), renderer)
+    row = verdict.stored.queries.loc[[entry.key]].iloc[0]
+    return Picture(jpeg_bytes(drawn), "jpeg", _caption(verdict, row), "", entry.key)
 
 
 def _ordered(queries: pd.DataFrame) -> pd.DataFrame:
@@ -73,12 +78,6 @@ def _shown(verdict: Verdict, scene: Scene, tilt: str, entry: Entry) -> OverlayIn
         truth=local(verdict.dataset.truth.get(entry.key)),
         caption=entry.key,
     )
-
-
-def _jpeg(picture: Any) -> bytes:
-    import cv2
-
-    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
 
 
 def _caption(verdict: Verdict, row: pd.Series[Any]) -> str:

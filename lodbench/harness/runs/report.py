@@ -20,6 +20,7 @@ from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, is
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
+from lodbench.harness.runs.flight_pages import flight_findings
 from lodbench.harness.runs.gallery import chosen_queries
 from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.prepare import prior_of
@@ -27,6 +28,7 @@ from lodbench.harness.runs.query_pictures import query_pictures
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.answers import trust_of, untrusted_note
 from lodbench.reporting.calibration_figures import draw_calibration
+from lodbench.reporting.flight_words import buildings_in_words, constants_in_words
 from lodbench.reporting.map_figure import Spot, draw_map
 from lodbench.reporting.page import Picture, facts, markup, rendered
 from lodbench.reporting.run_figures import (
@@ -72,12 +74,13 @@ def run_report(verdict: Verdict, tilt: str) -> str:
     splits = tuple(summary["splits"])
     is_scored = bool(has_truth(stored.queries).any())
     name = " ".join(filter(None, [summary["method"]["name"], summary["method"]["variant"]]))
-    scene = _scene(verdict)
+    scene = city_of(verdict)
     pictures = [] if scene is None else query_pictures(verdict, scene, tilt)
     sections = [
         ("tables", "Recall", _tables(summary) if is_scored else "", []),
         ("errors", "Errors", "", _error_curves(stored.queries, splits)),
         ("calibration", "How sure it was", "", _calibration(stored.queries, splits) if is_scored else []),
+        ("flights", "What flights say", _flights(verdict), []),
         ("places", "From above", _map(verdict, scene, tilt), []),
         ("queries", "Every query", _query_table(verdict, tilt), []),
         ("pictures", _pictures_title(len(pictures), len(stored.queries)), "", pictures),
@@ -221,7 +224,18 @@ def _map(verdict: Verdict, scene: Scene | None, tilt: str) -> str:
     return draw_map(spots, scene.vertices + scene.origin, scene.triangles)
 
 
-def _scene(verdict: Verdict) -> Scene | None:
+def _flights(verdict: Verdict) -> str:
+    said = {
+        name: [
+            *constants_in_words(found.get("constants", {})),
+            *buildings_in_words(found.get("buildings", [])),
+        ]
+        for name, found in flight_findings(verdict).items()
+    }
+    return rendered("run_flights.html.jinja", flights=said) if said else ""
+
+
+def city_of(verdict: Verdict) -> Scene | None:
     """Returns the city, or None: the page can do without."""
     dataset = verdict.dataset
     if dataset is None or dataset.city_model is None:

@@ -127,6 +127,9 @@ def open_flights(params: FlightsParams) -> Dataset:
     city = Path(params.city_model).expanduser()
     if not city.exists():
         raise DatasetError(f"The city model {city} does not exist.", "Set dataset.city_model=FILE.")
+    if city.name == _MAP_FOLDER and (city.parent / MAP_TRUTH_FILE).is_file():
+        # A run that is opened again names the wrong map it was given: its flights lie around it.
+        return _opened(params, city.parent)
     options = ReadOptions(crs=params.crs)
     world = open_cached_city(
         city, lod=params.mask_lod or params.lod, options=options, roof_height=params.roof_height
@@ -145,7 +148,11 @@ def open_flights(params: FlightsParams) -> Dataset:
                     city, lod=params.lod, options=options, roof_height=params.roof_height
                 )
                 _write_map(params, level, building)
-    where = str(root / _MAP_FOLDER) if params.map_errors() else str(city)
+    return _opened(params, root)
+
+
+def _opened(params: FlightsParams, root: Path) -> Dataset:
+    where = str(root / _MAP_FOLDER) if params.map_errors() else str(Path(params.city_model).expanduser())
     lod, rule = (None, None) if params.map_errors() else (params.lod, params.roof_height)
     folder = open_folder(FolderParams(str(root), where, lod, params.crs, rule, params.name))
     return replace(folder, version=f"flights {FLIGHTS_VERSION}, seed {params.flights_seed}")

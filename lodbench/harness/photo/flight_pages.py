@@ -1,0 +1,65 @@
+"""Pages of the flights whose photos `lodbench localize` found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.pictures import read_picture
+from lodbench.evaluation import PoseError
+from lodbench.harness.flights.map_findings import city_and_doubts
+from lodbench.harness.photo.flight_answer import FlightAnswer
+from lodbench.harness.photo.many import PhotoAnswer
+from lodbench.reporting.flight_page import chosen_for_pictures, flight_page, photo_on_page
+from lodbench.reporting.overlays import jpeg_bytes
+from lodbench.reporting.page import Picture
+
+
+def page_of_photos(
+    flight: FlightAnswer, names: Mapping[Path, str], answers: Sequence[PhotoAnswer], scene: Scene
+) -> str:
+    """Returns the page of a flight whose photos `lodbench localize` found.
+
+    Args:
+        flight: The flight.
+        names: Of all photos, by file.
+        answers: Of all photos.
+        scene: The map.
+    """
+    mine = [answer for answer in answers if answer.flight == flight.name]
+    placed = {names[answer.photo]: (answer, answer.found) for answer in mine if answer.found is not None}
+    photos = [
+        photo_on_page(
+            key,
+            (found.prior, found.pose, None),
+            found.covariance,
+            found.probability,
+            found.score,
+            answer.trust,
+        )
+        for key, (answer, found) in placed.items()
+    ]
+    pictures = []
+    for key in chosen_for_pictures(list(placed)):
+        answer, found = placed[key]
+        drawn = read_picture(found.overlay)
+        if drawn is not None:
+            caption = _caption(key, answer.trust, found.moved)
+            pictures.append(Picture(jpeg_bytes(drawn), "jpeg", caption, "", key))
+    # Photos that are on no flight are on every flight's page: nobody knows which they belong to.
+    left_out = [(names[each.photo], each.failure) for each in answers if each.found is None]
+    title = f"{flight.name[0].upper()}{flight.name[1:]}: {len(photos)} photos"
+    return flight_page(
+        title,
+        flight.taken,
+        flight.findings,
+        photos,
+        pictures,
+        left_out,
+        *city_and_doubts(scene, flight.findings),
+    )
+
+
+def _caption(key: str, trust: str, moved: PoseError) -> str:
+    return f"{key}: moved {moved.translation_m:.2f} m, turned {moved.rotation_deg:.2f} deg; {trust}"

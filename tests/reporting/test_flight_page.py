@@ -1,0 +1,95 @@
+"""The page of a flight, in a real browser; ellipses against the covariance they are drawn from."""
+
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.geometry import EulerAngles, Pose
+from lodbench.reporting.flight_page import MAX_PICTURES, chosen_for_pictures, flight_page, photo_on_page
+from lodbench.reporting.map_figure import Spot, draw_map
+from lodbench.reporting.page import Picture
+from tests.reporting.browser import PHONE, fits, opened
+
+COUNT = 5
+
+
+def page(**changed):
+    dot = cv2.imencode(".png", np.zeros((60, 80, 3), np.uint8))[1].tobytes()
+    photos, pictures = [], []
+    for k in range(COUNT):
+        estimate = Pose.from_euler(EulerAngles(30.0, 0.0, 10.0 * k), (30.0 * k, 5.0 * k, 100.0))
+        prior, spread = estimate.shifted((4.0, 3.0, 0.0)), np.diag([0.04, 0.01, 0.09, 0.1, 0.1, 0.1])
+        poses = prior, estimate, None
+        trust = "do not trust" if k == 3 else "good"
+        photos.append(photo_on_page(f"p{k}.jpg", poses, spread, 0.99, 0.8, trust))
+        pictures.append(Picture(dot, "png", f"p{k}.jpg: caption", "", f"p{k}.jpg"))
+    findings = {
+        "constants": {
+            "height": {"value": -31.9, "sigma": 0.4, "unit": "m", "told": True},
+            "pitch": {"value": -0.8, "sigma": 0.1, "unit": "deg", "told": True},
+            "focal length": {"value": 0.0, "sigma": 0.01, "unit": "share", "told": False},
+        },
+        "buildings": [{"id": "B<1>", "higher_m": -2.4, "sigma_m": 0.3, "photos": 4, "doubt": True}],
+        "lost": ["p3.jpg"],
+    }
+    values = {
+        "title": "Flight 1", "lines": ["5 photos"], "findings": findings, "photos": photos,
+        "pictures": pictures, "left_out": [("other.jpg", "9.0 km outside the city model")],
+        "city": None, "outlines": {"B<1>": [np.array([(0, 0), (20, 0), (20, 9), (0, 0)], float)]},
+    }  # fmt: skip
+    return flight_page(**{**values, **changed})
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme):
+    (tmp_path / "flight.html").write_text(page())
+    with opened(tmp_path / "flight.html", PHONE, scheme) as (here, complaints):
+        assert fits(here)
+        words = here.inner_text("main")
+        for said in (
+            "Heights are stated 31.9 m too high +-0.4: ellipsoid or take-off?",
+            "1 not to be trusted, 1 by the other photos alone, 1 left out",
+            "no: left as stated",
+            "B<1>",
+            "do not trust, by the others alone",
+            "other.jpg: 9.0 km outside the city model",
+        ):
+            assert said in words
+        shown = ".slides figure:not([hidden]) figcaption"
+        assert here.locator(shown).all_inner_texts() == ["p0.jpg: caption"]
+        here.locator(".slides .previous").click()
+        assert here.locator(shown).all_inner_texts() == ["p4.jpg: caption"]
+        here.locator(".slides input").fill("2")
+        assert here.locator(shown).all_inner_texts() == ["p2.jpg: caption"]
+        here.locator("tr[data-key='p1.jpg']").click()
+        assert here.locator(shown).all_inner_texts() == ["p1.jpg: caption"]
+        assert here.locator("g.current").get_attribute("data-key") == "p1.jpg"
+        assert here.locator(".map .ellipse").count() == COUNT
+        assert complaints == []
+
+
+def test_an_ellipse_has_the_axes_of_the_covariance():
+    turn = np.radians(30.0)
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    spread = axes @ np.diag([400.0, 100.0]) @ axes.T  # 20 m along 30 degrees from east, 10 m across
+    html = draw_map([Spot("a", None, np.zeros(2), None, "", spread)], None, None)
+    numbers = re.search(r'class="ellipse" d="M([-\d. ]+)A([\d.]+) ([\d.]+) ([-\d.]+) 1 0 ([-\d. ]+)A', html)
+    assert numbers is not None
+    assert (float(numbers[2]), float(numbers[3])) == (40.0, 20.0)
+    (x, y), (u, v) = (tuple(map(float, numbers[k].split())) for k in (1, 5))
+    # North is up in the map, so y counts downwards.
+    angle = np.degrees(np.arctan2(-(y - v), x - u)) % 180.0
+    assert angle == pytest.approx(30.0, abs=0.1)
+    assert (-float(numbers[4])) % 180.0 == pytest.approx(30.0, abs=0.1)
+
+
+def test_of_many_photos_some_are_pictured_from_first_to_last():
+    keys = [str(k) for k in range(1000)]
+    chosen = chosen_for_pictures(keys)
+    assert len(chosen) == MAX_PICTURES
+    assert (chosen[0], chosen[-1]) == ("0", "999")
+    assert chosen_for_pictures(keys[:7]) == keys[:7]
