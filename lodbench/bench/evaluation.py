@@ -15,6 +15,7 @@ from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.predictions import Prediction
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
+from lodbench.harness.runs.places import scene_of
 from lodbench.harness.runs.report import run_report
 from lodbench.harness.runs.result import Result, queries_digest
 from lodbench.harness.runs.stored import read_run
@@ -77,7 +78,7 @@ def measure_evaluation(options: EvaluationOptions | None = None, progress: Progr
         read_s = time.perf_counter() - started
         started = time.perf_counter()
         verdict = verify_run(stored.folder, stored.config, dataset)
-        page = run_report(verdict, "prior")
+        page = run_report(verdict, "prior", scene_of(verdict))
         page_s = time.perf_counter() - started
     figures = [
         Figure("evaluate all methods", score_s, "s"),

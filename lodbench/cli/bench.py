@@ -20,6 +20,7 @@ from lodbench.bench.training_data import TrainingDataOptions, measure_training_d
 from lodbench.bench.wide_priors import measure_wide_priors
 from lodbench.cli import bench_real
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
+from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
@@ -136,7 +137,7 @@ MEASURES: dict[str, Callable[[argparse.Namespace, ProgressCallback], Report]] = 
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("lodbench bench", description="Measure speed and accuracy.")
+    parser = Parser("lodbench bench", description="Measure speed and accuracy.")
     actions = parser.add_subparsers(dest="what", required=True)
     speed = actions.add_parser("silhouettes", help="time per hypothesis, beside other renderers")
     speed.add_argument("--views", type=int, default=20, help="seeded views (20)")
@@ -223,7 +224,7 @@ def _parser() -> argparse.ArgumentParser:
     training.add_argument("--workers", type=int, help="processes (one per core)")
     training.add_argument("--props", type=Path, help="scene props to picture; made up if not given")
     for action in (speed, scale, slopes, accuracy, budget, wide, evaluation, training):
-        action.add_argument("--seed", type=int, default=0)
+        action.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     for action in (speed, accuracy, budget, wide, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
     every = (speed, scale, slopes, accuracy, budget, wide, city, evaluation, real, segmentation, training)

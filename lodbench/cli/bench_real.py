@@ -46,7 +46,7 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
     parser.add_argument("--prior-yaw", type=float, default=7.5, metavar="DEG", help="+- (7.5)")
     parser.add_argument("--prior-tilt", type=float, default=1.0, metavar="DEG", help="+- pitch and roll (1)")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="folder for a picture of the basins")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     return parser
 
 

@@ -53,6 +53,7 @@ def main(argv: Sequence[str]) -> int:
     from lodbench.harness.photo.flights import localize_flights
     from lodbench.harness.photo.localize import localize_photo
     from lodbench.harness.photo.many import localize_photos, photos_of
+    from lodbench.harness.photo.view import write_view
     from lodbench.methods.protocol import SupportsFlights
 
     is_one = len(asked.photos) == 1 and asked.photos[0].is_file()
@@ -63,12 +64,15 @@ def main(argv: Sequence[str]) -> int:
     request = _request(asked, photos[0], method, masks)
     if is_one:
         found = localize_photo(request)
+        write_view(found.view, request, [found])
         text = json.dumps(found.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(found)
         sys.stdout.write(text + "\n")
         return 0 if found.is_trusted else NOT_TRUSTED
-    if isinstance(method, SupportsFlights) and not asked.each_alone:
-        return _tell_many(localize_flights(request, photos, masks), asked)
-    return _tell_many(localize_photos(request, photos, masks), asked)
+    is_joint = isinstance(method, SupportsFlights) and not asked.each_alone
+    answers = (localize_flights if is_joint else localize_photos)(request, photos, masks)
+    if answers.found:
+        write_view(answers.view, request, answers.found)
+    return _tell_many(answers, asked)
 
 
 def _masks_inside(asked: argparse.Namespace) -> Path | None:
@@ -203,7 +207,7 @@ def _parser() -> argparse.ArgumentParser:
         help="flight; of one photo region, with --mask or --segmenter contour_alignment",
     )
     parser.add_argument("--each-alone", action="store_true", help="solve each photo of many by itself")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     parser.add_argument("--out", type=Path, default=Path("localized"), metavar="DIR", help="(localized)")
     parser.add_argument("--json", action="store_true", help="for machines")
     return parser

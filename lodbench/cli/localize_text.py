@@ -43,6 +43,7 @@ def describe_many(answers: Answers) -> str:
         )
     files = [("table", answers.table), ("map", answers.map)]
     files += [("page", answers.page(flight)) for flight in answers.flights]
+    files += [("in 3D", answers.view)] if answers.found else []
     return "\n".join([*lines, *(f"{name + ':':<9} {path}" for name, path in files)]) + "\n"
 
 
@@ -66,6 +67,7 @@ def describe(found: LocalizedPhoto) -> str:
         ("score", f"{found.score:.3f}  (LoD {found.lod or 'unnamed'}; camera: {found.camera_source})"),
         *_trust_rows(found),
         ("overlay", str(found.overlay)),
+        ("in 3D", str(found.view)),
     ]
     if found.geojson is not None:
         rows.append(("map", str(found.geojson)))

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def _serve(session: MaskSession, name: str, save: Callable[[], str], port: int) 
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         "lodbench mask",
         description="Correct the mask of a photo's buildings, or hand it to another program.",
         epilog=_EXAMPLES,

@@ -42,6 +42,13 @@ class Parser(argparse.ArgumentParser):
                 known = [name for name in self._option_string_actions if name.startswith("--")]
                 raise ConfigError(f"{self.prog} has no option {flag}.", nearest_names(flag, known))
 
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            name = "/".join(action.option_strings) or "action"
+            raise ConfigError(
+                f"{self.prog}: there is no {name} {value!r}.", nearest_names(str(value), action.choices)
+            )
+
     def error(self, message: str) -> NoReturn:
         """Tells a fault.
 

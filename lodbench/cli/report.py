@@ -1,4 +1,4 @@
-"""`lodbench report RUN`: one self-contained HTML page of a finished run."""
+"""`lodbench report RUN`: a self-contained HTML page of a finished run, and one of it in three dimensions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from lodbench.cli.parser import Parser
 from lodbench.cli.verify import add_path_options, read_config, verify_folder
 from lodbench.harness.runs.answer import FLIGHTS_FOLDER
 from lodbench.harness.runs.flight_pages import flight_findings, pages_of_run
-from lodbench.harness.runs.report import city_of, run_report
+from lodbench.harness.runs.places import scene_of, view_of_run
+from lodbench.harness.runs.report import run_report, title_of
 from lodbench.storage import write_text
 
 
@@ -19,7 +20,8 @@ def main(argv: Sequence[str]) -> int:
     parser = Parser(
         "lodbench report",
         description="Write one HTML page of a run, pictures inside, and one of each flight that a method "
-        "solved as a whole; its numbers are verified on the way.",
+        "solved as a whole; numbers are verified on the way. Beside it PAGE_3d.html shows city and cameras "
+        "in three dimensions.",
     )
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (report.html in the run folder)")
@@ -28,10 +30,15 @@ def main(argv: Sequence[str]) -> int:
     verdict = verify_folder(options.run, options.dataset_root, options.city_model)
     out = options.out or options.run / "report.html"
     tilt = str(read_config(options.run)["tilt"])
-    write_text(out, run_report(verdict, tilt))
+    scene = scene_of(verdict)
+    view = out.with_name(f"{out.stem}_3d.html")
+    seen = "" if scene is None else view_of_run(verdict, scene, tilt, title_of(verdict))
+    write_text(out, run_report(verdict, tilt, scene, view.name if seen else ""))
     sys.stdout.write(f"{out}\n")
-    scene = city_of(verdict) if flight_findings(verdict) else None
-    if scene is not None:
+    if seen:
+        write_text(view, seen)
+        sys.stdout.write(f"{view}\n")
+    if scene is not None and flight_findings(verdict):
         for name, page in pages_of_run(verdict, scene, tilt).items():
             write_text(options.run / FLIGHTS_FOLDER / f"{name}.html", page)
             sys.stdout.write(f"{options.run / FLIGHTS_FOLDER / f'{name}.html'}\n")

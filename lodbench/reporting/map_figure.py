@@ -46,6 +46,7 @@ def draw_map(
     *,
     marked: Sequence[Marked] = (),
     is_flight: bool = False,
+    view: str = "",
 ) -> str:
     """Returns the map as HTML; "" where no camera is known.
 
@@ -55,6 +56,7 @@ def draw_map(
         triangles: (T, 3) their indices.
         marked: Parts of the city to point at.
         is_flight: Whether the spots were taken one after the other: their paths are drawn.
+        view: File beside the page that shows the same in three dimensions; "" for none.
     """
     known = [place for spot in spots for place in spot[1:4] if place is not None]
     if not known:
@@ -78,6 +80,7 @@ def draw_map(
             (spot.key, spot.trust, _ellipse(spot, low, enlarged), _lines(spot, low), _dots(spot, low))
             for spot in spots
         ],
+        view=view,
         has_truth=any(spot.truth is not None for spot in spots),
         enlarged=enlarged if any(spot.covariance is not None for spot in spots) else 0,
     )

@@ -45,7 +45,12 @@ def test_the_page_shows_a_run_in_one_quiet_file(lodbench, tmp_path, data):
         anchors = page.eval_on_selector_all("nav a", "all => all.map(a => a.getAttribute('href'))")
         assert all(page.locator(f"section{anchor}").count() == 1 for anchor in anchors)
         assert fits(page)
+        assert page.get_by_text("The same in 3D").get_attribute("href") == "report_3d.html"
         assert complaints == []
+    with opened(folder / "report_3d.html") as (page, _):
+        page.wait_for_function("document.querySelector('.state').textContent === ''")
+        assert page.locator(".list li").count() == 4
+        assert {"prior", "estimate", "truth"} <= set(page.inner_text(".legend").split())
 
 
 def test_a_row_a_camera_and_a_picture_lead_to_the_picture_and_a_filter_hides_all_three(

@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+# WebGL without a graphics card.
+_SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 PHONE = {"width": 390, "height": 844}
 DESK = {"width": 1280, "height": 900}
 
@@ -26,7 +28,7 @@ def opened(
         pytest.skip("there is no Chromium on this machine (apt-get install chromium)")
     complaints: list[str] = []
     with sync_api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=binary, args=["--no-sandbox"])
+        browser = play.chromium.launch(executable_path=binary, args=["--no-sandbox", *_SOFTWARE_GL])
         page = browser.new_context(viewport=size, color_scheme=scheme, offline=True).new_page()
         page.on("console", lambda message: complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))

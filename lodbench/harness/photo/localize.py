@@ -150,6 +150,7 @@ def write_answer(
             *_notes(photo, frame, view, estimate),
         ),
         features=tuple(features),
+        thumbnail=view.thumbnail(),
     )
     values = {"sha256": digest, **found.to_json()}
     write_text(request.out / f"{label}.json", json.dumps(values, indent=2, ensure_ascii=False) + "\n")

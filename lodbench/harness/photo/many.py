@@ -19,7 +19,7 @@ from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.reporting.answers import trust_word
 from lodbench.storage import hide_formula, make_folder, write_text
 
-TABLE_FILE, MAP_FILE = "localized.csv", "localized.geojson"
+TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
 COLUMNS = (
     "photo", "latitude_deg", "longitude_deg", "height_m", "heading_deg", "pitch_deg", "roll_deg", "crs",
     "east", "north", "up", "score", "probability", "trust", "moved_m", "failure", "flight",
@@ -84,6 +84,16 @@ class Answers:
     def table(self) -> Path:
         """Returns the file with a row per photo."""
         return numbered(self.folder / TABLE_FILE, self.number)
+
+    @property
+    def found(self) -> list[LocalizedPhoto]:
+        """Returns the photos that have an answer."""
+        return [answer.found for answer in self.photos if answer.found is not None]
+
+    @property
+    def view(self) -> Path:
+        """Returns the file that shows them in three dimensions."""
+        return numbered(self.folder / VIEW_FILE, self.number)
 
     @property
     def map(self) -> Path:

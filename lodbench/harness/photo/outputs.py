@@ -16,6 +16,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.methods import Estimate
 from lodbench.rendering import Renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
+from lodbench.reporting.view3d import photo_jpeg
 from lodbench.segmentation import binary_mask
 
 # The ground is where the lowest corners of the city are, this near a camera; a few may be cellars.
@@ -42,6 +43,11 @@ class PhotoView(NamedTuple):
     def undistorted(self) -> NDArray[np.uint8] | None:
         """Returns the pixels as the pinhole sees them."""
         return None if self.pixels is None else undistorted(self.pixels, self.camera, self.pinhole)
+
+    def thumbnail(self) -> bytes | None:
+        """Returns these pixels as a small JPEG."""
+        pixels = self.undistorted()
+        return None if pixels is None else photo_jpeg(pixels)
 
 
 def write_photo_overlay(

@@ -81,6 +81,7 @@ class LocalizedPhoto:
         geojson: Map written, or None without a reference system.
         notes: What the reader should know.
         features: Of the map.
+        thumbnail: A small JPEG of the photo as the pinhole sees it; None where it cannot be decoded.
     """
 
     photo: str
@@ -102,6 +103,12 @@ class LocalizedPhoto:
     geojson: Path | None
     notes: tuple[str, ...]
     features: tuple[dict[str, Any], ...] = ()
+    thumbnail: bytes | None = None
+
+    @property
+    def view(self) -> Path:
+        """Returns the file that shows it over the city in three dimensions, where that was written."""
+        return self.overlay.with_name(f"{self.overlay.stem.removesuffix('_overlay')}_3d.html")
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain values for JSON, units in the names."""

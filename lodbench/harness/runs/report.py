@@ -9,19 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lodbench.citymodel.scene import Scene
-from lodbench.errors import LodbenchError
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.calibration import calibrate
 from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, is_without_truth, of_split
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
-from lodbench.geometry import Pose
-from lodbench.harness.city import open_city
 from lodbench.harness.runs.flight_pages import flight_findings
 from lodbench.harness.runs.gallery import chosen_queries
+from lodbench.harness.runs.places import draw_places
 from lodbench.harness.runs.predict import open_predictions
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.query_pictures import query_pictures
@@ -29,7 +24,6 @@ from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.answers import trust_of, untrusted_note
 from lodbench.reporting.calibration_figures import draw_calibration
 from lodbench.reporting.flight_words import buildings_in_words, constants_in_words
-from lodbench.reporting.map_figure import Spot, draw_map
 from lodbench.reporting.page import Picture, facts, markup, rendered
 from lodbench.reporting.run_figures import (
     ErrorSample,
@@ -44,7 +38,6 @@ from lodbench.reporting.tables import tables_of
 if TYPE_CHECKING:
     import pandas as pd
 
-Floats = NDArray[np.float64]
 # Head, column and format of the table of every query; texts have no format.
 _SCORED_COLUMNS = (
     ("m", ERROR[0], ".2f"), ("deg", ERROR[1], ".2f"), ("along the ground m", PARTS[0], ".2f"),
@@ -62,36 +55,35 @@ _LAST_COLUMNS = (
 )  # fmt: skip
 
 
-def run_report(verdict: Verdict, tilt: str) -> str:
+def run_report(verdict: Verdict, tilt: str, scene: Scene | None, view: str = "") -> str:
     """Returns the page of a run that has been verified.
 
     Args:
         verdict: The run, what verifying it found, and its dataset where that is there.
         tilt: The run's ``tilt``: which prior it had.
+        scene: Its city (``scene_of``), or None: the page can do without.
+        view: Name of the file beside the page that shows the same in three dimensions; "" for none.
     """
     stored = verdict.stored
     summary = with_seconds(stored.summary, stored.provenance.get("seconds_per_query", {}))
     splits = tuple(summary["splits"])
     is_scored = bool(has_truth(stored.queries).any())
-    name = " ".join(filter(None, [summary["method"]["name"], summary["method"]["variant"]]))
-    scene = city_of(verdict)
     pictures = [] if scene is None else query_pictures(verdict, scene, tilt)
     sections = [
         ("tables", "Recall", _tables(summary) if is_scored else "", []),
         ("errors", "Errors", "", _error_curves(stored.queries, splits)),
         ("calibration", "How sure it was", "", _calibration(stored.queries, splits) if is_scored else []),
         ("flights", "What flights say", _flights(verdict), []),
-        ("places", "From above", _map(verdict, scene, tilt), []),
+        ("places", "From above", draw_places(verdict, scene, tilt, view), []),
         ("queries", "Every query", _query_table(verdict, tilt), []),
         ("pictures", _pictures_title(len(pictures), len(stored.queries)), "", pictures),
         ("traces", "How the score rose", "", _traces(stored.folder, stored.queries, splits)),
         ("provenance", "Where it comes from", _provenance(verdict), []),
     ]
-    dataset = f"{summary['dataset']['name']} {summary['dataset']['version']}".strip()
     answered = sum(found.pose is not None for found in stored.predictions.values())
     return rendered(
         "run.html.jinja",
-        title=f"{name} on {dataset}",
+        title=title_of(verdict),
         differences=verdict.differences,
         is_weak=verdict.is_weak,
         has_truth=is_scored,
@@ -104,6 +96,13 @@ def run_report(verdict: Verdict, tilt: str) -> str:
             if html or pictures
         ],
     )
+
+
+def title_of(verdict: Verdict) -> str:
+    """Returns what a run is called: its method, and the dataset."""
+    summary = verdict.stored.summary
+    name = " ".join(filter(None, [summary["method"]["name"], summary["method"]["variant"]]))
+    return f"{name} on {summary['dataset']['name']} {summary['dataset']['version']}".strip()
 
 
 def _tables(summary: dict[str, Any]) -> str:
@@ -201,29 +200,6 @@ def _calibration(queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:
     return [Picture(draw_calibration(curves)["svg"], "svg+xml", caption, "chart")]
 
 
-def _map(verdict: Verdict, scene: Scene | None, tilt: str) -> str:
-    dataset = verdict.dataset
-    if dataset is None:
-        return ""
-
-    def place(pose: Pose | None) -> Floats | None:
-        return None if pose is None else pose.center[:2]
-
-    spots = [
-        Spot(
-            entry.key,
-            place(prior_of(entry, dataset, tilt)),
-            place(verdict.stored.poses.get(entry.key)),
-            place(dataset.truth.get(entry.key)),
-            _trust(verdict, entry.key),
-        )
-        for entry in verdict.entries
-    ]
-    if scene is None:
-        return draw_map(spots, None, None)
-    return draw_map(spots, scene.vertices + scene.origin, scene.triangles)
-
-
 def _flights(verdict: Verdict) -> str:
     said = {
         name: [
@@ -233,17 +209,6 @@ def _flights(verdict: Verdict) -> str:
         for name, found in flight_findings(verdict).items()
     }
     return rendered("run_flights.html.jinja", flights=said) if said else ""
-
-
-def city_of(verdict: Verdict) -> Scene | None:
-    """Returns the city, or None: the page can do without."""
-    dataset = verdict.dataset
-    if dataset is None or dataset.city_model is None:
-        return None
-    try:
-        return open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
-    except LodbenchError:
-        return None
 
 
 def _traces(folder: Path, queries: pd.DataFrame, splits: Sequence[str]) -> list[Picture]:

@@ -1,0 +1,112 @@
+"""Where a run's cameras are: on the map of its page, and in three dimensions."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.query import Entry
+from lodbench.errors import LodbenchError
+from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, is_without_truth
+from lodbench.geometry import Pose
+from lodbench.harness.city import open_city
+from lodbench.harness.runs.prepare import prior_of
+from lodbench.harness.runs.verify import Verdict
+from lodbench.reporting.answers import trust_of
+from lodbench.reporting.map_figure import Spot, draw_map
+from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d, photo_jpeg
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def scene_of(verdict: Verdict) -> Scene | None:
+    """Returns the city of a verified run, or None where it is not there."""
+    dataset = verdict.dataset
+    if dataset is None or dataset.city_model is None:
+        return None
+    try:
+        return open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
+    except LodbenchError:
+        return None
+
+
+def draw_places(verdict: Verdict, scene: Scene | None, tilt: str, view: str) -> str:
+    """Returns the map of a run's page as HTML; "" where the dataset is not there.
+
+    Args:
+        verdict: The run.
+        scene: Its city, or None.
+        tilt: Which prior it had.
+        view: File of the view in three dimensions that the map leads to; "" for none.
+    """
+    dataset = verdict.dataset
+    if dataset is None:
+        return ""
+
+    def place(pose: Pose | None) -> NDArray[np.float64] | None:
+        return None if pose is None else pose.center[:2]
+
+    spots = []
+    for entry in verdict.entries:
+        prior, estimate, truth = map(place, _poses(verdict, entry, tilt))
+        found = verdict.stored.predictions.get(entry.key)
+        spots.append(Spot(entry.key, prior, estimate, truth, "-" if found is None else trust_of(found)))
+    if scene is None:
+        return draw_map(spots, None, None)
+    return draw_map(spots, scene.vertices + scene.origin, scene.triangles, view=view)
+
+
+def view_of_run(verdict: Verdict, scene: Scene, tilt: str, title: str) -> str:
+    """Returns a run in three dimensions: one HTML file of city, cameras and photos; "" without a camera.
+
+    Args:
+        verdict: The run.
+        scene: Its city.
+        tilt: Which prior it had.
+        title: Of the page.
+    """
+    cameras = []
+    for number, entry in enumerate(verdict.entries):
+        prior, estimate, truth = (
+            None if pose is None else pose.shifted(-scene.origin) for pose in _poses(verdict, entry, tilt)
+        )
+        photo = read_picture(entry.image) if number < MAX_PHOTOS and entry.image is not None else None
+        jpeg = None if photo is None else photo_jpeg(photo)
+        facts = _facts(verdict, entry.key)
+        cameras.append(ViewedCamera(entry.key, facts, entry.camera, prior, estimate, truth, jpeg))
+    return draw_view3d(title, scene, cameras)
+
+
+def _poses(verdict: Verdict, entry: Entry, tilt: str) -> tuple[Pose | None, Pose | None, Pose | None]:
+    """Returns prior, estimate and truth of a query, in the dataset's coordinates."""
+    assert verdict.dataset is not None  # noqa: S101 - there are entries
+    prior = prior_of(entry, verdict.dataset, tilt)
+    return prior, verdict.stored.poses.get(entry.key), verdict.dataset.truth.get(entry.key)
+
+
+def _facts(verdict: Verdict, key: str) -> dict[str, str]:
+    """Returns what is told of a query, by name."""
+    found = verdict.stored.predictions.get(key)
+    if key not in verdict.stored.queries.index:
+        return {}
+    row: pd.Series[Any] = verdict.stored.queries.loc[key]  # type: ignore[assignment]
+    facts = {"error": _error(row, ERROR), "prior": _error(row, PRIOR_ERROR)}
+    if found is not None:
+        facts |= {"score": "" if found.score is None else f"{found.score:.3f}", "trust": trust_of(found)}
+        if found.probability is not None:
+            facts["sure"] = f"{100 * found.probability:.0f} %"
+    reason = str(row["failure"])
+    if reason and not is_without_truth(reason):
+        facts["failure"] = reason
+    return facts
+
+
+def _error(row: pd.Series[Any], columns: tuple[str, ...]) -> str:
+    metres, degrees = (float(row[name]) for name in columns)
+    return f"{metres:.2f} m, {degrees:.2f} deg" if math.isfinite(metres) else ""

@@ -1,0 +1,152 @@
+"""The view of city and cameras in three dimensions, in a real browser without a network."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import hashlib
+import json
+import re
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel.scene import build_scene
+from lodbench.reporting import view3d
+from lodbench.reporting.view3d import ViewedCamera, draw_view3d, photo_jpeg
+from tests.reporting.browser import DESK, PHONE, fits, opened
+from tests.town import BOXES, CAMERA, true_poses
+
+PHOTO = photo_jpeg(np.full((240, 320, 3), (30, 60, 200), dtype=np.uint8))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    points, triangles, owner = [], [], []
+    for number, (west, south, east, north, base, top) in enumerate(BOXES):
+        first = 8 * number
+        points += [
+            (x, y, z)
+            for z in (base, top)
+            for x, y in ((west, south), (east, south), (east, north), (west, north))
+        ]
+        quads = [(i, (i + 1) % 4, 4 + (i + 1) % 4, 4 + i) for i in range(4)] + [(4, 5, 6, 7)]
+        for a, b, c, d in quads:
+            triangles += [(first + a, first + b, first + c), (first + a, first + c, first + d)]
+            owner += [number, number]
+    ids = tuple(f"b{i}" for i in range(len(BOXES)))
+    return build_scene(np.array(points, float), np.array(triangles), np.array(owner, np.int32), ids)
+
+
+@pytest.fixture(scope="module")
+def cameras():
+    found = []
+    for number, (name, truth) in enumerate(true_poses(4).items()):
+        estimate = None if number == 3 else truth.shifted(np.array([0.5, 0.2, 0.1]))
+        facts = {"error": "" if estimate is None else "0.55 m, 0.00 deg", "trust": "</script><b>good"}
+        prior = truth.shifted(np.array([8.0, -6.0, 4.0]))
+        found.append(ViewedCamera(name, facts, CAMERA, prior, estimate, truth, PHOTO))
+    return found
+
+
+def document(page: str):
+    packed = re.search(r'id="document">([^<]+)<', page)[1]
+    return json.loads(gzip.decompress(base64.b64decode(packed)))
+
+
+def numbers(text: str):
+    return np.cumsum(np.frombuffer(base64.b64decode(text), "<i4"))
+
+
+@pytest.mark.parametrize(("size", "scheme"), [(DESK, "light"), (PHONE, "dark")])
+def test_cameras_are_chosen_looked_through_hidden_and_filtered(tmp_path, scene, cameras, size, scheme):
+    path = tmp_path / "view.html"
+    path.write_text(draw_view3d("some run", scene, cameras))
+    with opened(path, size, scheme) as (page, complaints):
+        page.wait_for_function("document.querySelector('.state').textContent === ''")
+        assert page.locator(".list li").count() == 4
+        assert fits(page)
+        page.locator(".list button").nth(1).click()
+        about = page.inner_text(".about")
+        assert "view_01.png" in about
+        assert "0.55 m, 0.00 deg" in about
+        # What a file says is text and no part of the page.
+        assert "</script><b>good" in about
+        page.locator(".through").click()
+        assert page.inner_text(".through") == "Back"
+        # The photo lies where the camera looks: its red fills the middle of the view.
+        page.locator(".opacity").fill("1")
+        page.wait_for_timeout(300)
+        red, green, blue = middle_colour(page)
+        assert red > 150
+        assert max(green, blue) < 100
+        page.keyboard.press("Escape")
+        assert page.inner_text(".through") == "Through the camera"
+        page.locator(".filter").fill("view_02")
+        assert page.locator(".list li:visible").count() == 1
+        assert "1 of 4" in page.inner_text(".tools")
+        for box in page.locator(".legend input").all():
+            box.uncheck()
+        # Software drawing is slow, and Chromium says so.
+        assert [line for line in complaints if "GPU stall" not in line] == []
+
+
+def middle_colour(page):
+    import cv2
+
+    picture = page.locator(".stage").screenshot()
+    pixels = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    return pixels[pixels.shape[0] // 2, pixels.shape[1] // 2, ::-1].tolist()
+
+
+def test_pointing_at_a_camera_names_it_and_pressing_chooses_it(tmp_path, scene, cameras):
+    path = tmp_path / "view.html"
+    path.write_text(draw_view3d("some run", scene, cameras[:1]))
+    with opened(path) as (page, _):
+        page.wait_for_function("document.querySelector('.state').textContent === ''")
+        page.goto(f"{path.as_uri()}#view_00.png")
+        page.reload()
+        page.wait_for_function("document.querySelector('.list .current') !== null")
+        page.wait_for_timeout(300)
+        # A camera that a link names lies in the middle of the view.
+        box = page.locator("canvas").bounding_box()
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 + 8)
+        assert "view_00.png (" in page.inner_text(".tip")
+
+
+def test_corners_keep_their_place_and_the_surplus_of_a_city_is_left_out_and_said(scene, cameras, monkeypatch):
+    page = draw_view3d("run", scene, cameras)
+    assert "nearest to the cameras" not in page
+    city = document(page)["city"]
+    centers = [pose.center for c in cameras for pose in (c.prior, c.estimate, c.truth) if pose is not None]
+    steps = np.frombuffer(base64.b64decode(city["corners"]), "<i4").reshape(3, -1)
+    corners = np.cumsum(steps, axis=1).T * city["step_m"] + np.round(np.mean(centers, axis=0))
+    found = corners[numbers(city["triangles"])].reshape(-1, 3, 3)
+    expected = scene.vertices[scene.triangles]
+    np.testing.assert_allclose(found, expected, atol=0.0051)
+    monkeypatch.setattr(view3d, "MAX_TRIANGLES", 20)
+    page = draw_view3d("run", scene, cameras)
+    assert f"The 20 of {len(scene.triangles)} triangles nearest to the cameras are shown." in page
+    assert len(numbers(document(page)["city"]["triangles"])) == 60
+
+
+def test_rays_are_the_camera_s_and_the_page_is_the_same_each_time(scene, cameras):
+    first = document(draw_view3d("run", scene, cameras))["cameras"][0]["truth"]
+    pose = cameras[0].truth
+    for ray, pixel in zip(
+        np.reshape(first["rays"], (4, 3)), [(0, 0), (320, 0), (320, 240), (0, 240)], strict=True
+    ):
+        x, y, z = pose.rotation @ ray
+        np.testing.assert_allclose(
+            (CAMERA.fx * x / z + CAMERA.cx, CAMERA.fy * y / z + CAMERA.cy), pixel, atol=1e-2
+        )
+    assert draw_view3d("run", scene, cameras) == draw_view3d("run", scene, cameras)
+    assert draw_view3d("run", scene, []) == ""
+
+
+def test_three_js_is_the_file_that_its_note_tells_of_and_has_its_licence():
+    vendor = files("lodbench.reporting") / "vendor"
+    digest = hashlib.sha256((vendor / "three.min.js").read_bytes()).hexdigest()
+    assert f"SHA256: `{digest}`" in (vendor / "README.md").read_text()
+    assert "MIT License" in (vendor / "three.LICENSE").read_text()
