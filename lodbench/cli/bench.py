@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from lodbench.bench.accuracy import measure_accuracy
 from lodbench.bench.budget import measure_budget
@@ -138,7 +139,7 @@ MEASURES: dict[str, Callable[[argparse.Namespace, ProgressCallback], Report]] = 
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("lodbench bench", description="Measure speed and accuracy.")
-    actions = parser.add_subparsers(dest="what", required=True)
+    actions: Any = parser.add_subparsers(dest="what", required=True)
     speed = actions.add_parser("silhouettes", help="time per hypothesis, beside other renderers")
     speed.add_argument("--views", type=int, default=20, help="seeded views (20)")
     speed.add_argument("--hypotheses", type=int, default=2000, help="around each view (2000)")

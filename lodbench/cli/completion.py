@@ -72,7 +72,7 @@ def main(argv: Sequence[str]) -> int:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("shell", choices=sorted(_SCRIPTS))
+    parser.add_argument("shell", choices=sorted(_SCRIPTS), help="what to complete words in")
     sys.stdout.write(_SCRIPTS[parser.parse_args(argv).shell])
     return 0
 

@@ -28,7 +28,7 @@ def main(argv: Sequence[str]) -> int:
         ConfigError: There is no card of that name.
     """
     parser = Parser("lodbench dataset card", description="Print or write a dataset's card.")
-    parser.add_argument("dataset", metavar="NAME")
+    parser.add_argument("dataset", metavar="NAME", help="as `lodbench dataset list` has it")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write NAME.md, and NAME.croissant.json for a download"
     )

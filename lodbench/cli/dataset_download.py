@@ -24,7 +24,7 @@ def main(argv: Sequence[str]) -> int:
         "lodbench dataset download",
         description="Fetch the files of a published dataset that have a stable address.",
     )
-    parser.add_argument("dataset", metavar="NAME")
+    parser.add_argument("dataset", metavar="NAME", help="as `lodbench dataset list` has it")
     parser.add_argument("--root", metavar="DIR", help="where to; else LODBENCH_DATA")
     options = parser.parse_args(argv[1:])
     spec = spec_of(options.dataset)

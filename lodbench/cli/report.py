@@ -32,11 +32,11 @@ def main(argv: Sequence[str]) -> int:
     tilt = str(read_config(options.run)["tilt"])
     scene = scene_of(verdict)
     view = out.with_name(f"{out.stem}_3d.html")
-    seen = "" if scene is None else view_of_run(verdict, scene, tilt, title_of(verdict))
-    write_text(out, run_report(verdict, tilt, scene, view.name if seen else ""))
+    view_page = "" if scene is None else view_of_run(verdict, scene, tilt, title_of(verdict))
+    write_text(out, run_report(verdict, tilt, scene, view.name if view_page else ""))
     sys.stdout.write(f"{out}\n")
-    if seen:
-        write_text(view, seen)
+    if view_page:
+        write_text(view, view_page)
         sys.stdout.write(f"{view}\n")
     if scene is not None and flight_findings(verdict):
         for name, page in pages_of_run(verdict, scene, tilt).items():

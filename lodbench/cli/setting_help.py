@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Iterator, Sequence
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 from lodbench.cli.configs import config_files
 from lodbench.plugins import config_folders
@@ -14,8 +15,8 @@ from lodbench.plugins import config_folders
 _LINE = re.compile(r"(?P<indent> *)(?P<key>[\w.-]+):(?: +(?P<value>[^#\s][^#]*?))? *(?:# *(?P<meaning>.*))?$")
 _DEFAULT = re.compile(r"  - (?P<group>\w+)(?:@(?P<package>\w+))?: *(?P<name>[\w.-]+)")
 _ATTRIBUTE = re.compile(r"^ {8}(\w+): (.+(?:\n {12,}.+)*)", re.MULTILINE)
-# The part of a group's plug-ins whose docstring says what a setting without a comment means.
-_PLUGINS = {"method": "methods", "segmenter": "segmenters"}
+# Groups whose plug-ins' docstrings say what a setting without a comment means.
+_PLUGINS = {"method": "methods", "segmenter": "segmenters", "dataset": "datasets", "prior": "priors"}
 
 
 class Setting(NamedTuple):
@@ -52,18 +53,32 @@ def help_text(command: str, config_name: str, words: Sequence[str]) -> str:
         name = chosen.get(group.key, group.name)
         others = ", ".join(known for known in config_files(group.folder) if known != name)
         head = f"{group.key}={name}" + (f"   (others: {others})" if others else "")
-        file = config_files(group.folder).get(name)
-        text = "" if file is None else file.read_text(encoding="utf-8")
+        text = _group_text(group.folder, name)
         about = " ".join(line.lstrip("# ") for line in takewhile(_is_comment, text.splitlines()))
-        prefix = f"{group.key}."
-        meanings = _documented(group.folder, name)
-        settings = [
-            setting._replace(meaning=setting.meaning or meanings.get(setting.key.removeprefix(prefix), ""))
-            for setting in settings_in(text, prefix)
-            if setting.key != f"{prefix}name"
-        ]
+        settings = settings_of_group(group.key, group.folder, name)
         parts.append("\n".join(filter(None, [head, f"  {about}" if about else "", _table(settings)])))
     return "\n\n".join([*parts, footer]).rstrip() + "\n"
+
+
+def settings_of_group(key: str, folder: str, name: str) -> list[Setting]:
+    """Returns the settings of a group as its file has them, explained there or by docstrings.
+
+    Args:
+        key: What the command calls the group; it stands before their names.
+        folder: The group's folder in ``conf``.
+        name: The file in it; an unknown one has no settings.
+    """
+    prefix, meanings = f"{key}.", _documented(folder, name)
+    return [
+        setting._replace(meaning=setting.meaning or meanings.get(setting.key.removeprefix(prefix), ""))
+        for setting in settings_in(_group_text(folder, name), prefix)
+        if setting.key != f"{prefix}name"
+    ]
+
+
+def _group_text(folder: str, name: str) -> str:
+    file = config_files(folder).get(name)
+    return "" if file is None else file.read_text(encoding="utf-8")
 
 
 def groups_of(config_name: str) -> list[Group]:
@@ -129,14 +144,37 @@ def _table(settings: Sequence[Setting]) -> str:
 
 
 def _documented(folder: str, name: str) -> dict[str, str]:
-    """Returns what the parameters' docstring of a method or segmenter says of each, by name."""
+    """Returns what the docstrings of a group's parameters say of each, by name."""
     from lodbench.errors import LodbenchError
-    from lodbench.plugins import load_plugin
 
-    if folder not in _PLUGINS or name == "auto":
-        return {}
     try:
-        text = load_plugin(_PLUGINS[folder], name).params_type.__doc__ or ""
+        return dict(_attributes(_described_by(folder, name)))
     except LodbenchError:
         return {}  # a package of others may be broken: its settings are shown all the same
-    return {key: " ".join(words.split()) for key, words in _ATTRIBUTE.findall(text)}
+
+
+def _described_by(folder: str, name: str) -> Any:
+    """Returns the class whose docstring tells of a group's settings; None where there is none."""
+    from lodbench.plugins import load_plugin
+
+    if folder == "source":
+        from lodbench.citymodel.options import ReadOptions
+
+        return {"options": ReadOptions}
+    if folder not in _PLUGINS or name == "auto":
+        return None
+    part = load_plugin(_PLUGINS[folder], name)
+    if inspect.isfunction(part):  # a dataset is opened from its parameters
+        return next(iter(get_type_hints(part).values()), None)
+    return getattr(part, "params_type", part)
+
+
+def _attributes(described: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yields name and meaning of what docstrings of a class, its bases and the classes of its fields tell."""
+    if isinstance(described, dict):
+        for name, kind in described.items():
+            yield from _attributes(kind, f"{prefix}{name}.")
+    elif inspect.isclass(described):
+        for kind in reversed(described.__mro__):
+            for name, words in _ATTRIBUTE.findall(kind.__doc__ or ""):
+                yield f"{prefix}{name}", " ".join(words.split())

@@ -31,7 +31,7 @@ def describe(status: RunStatus) -> str:
         state = "finished"
     elif status.num_done == status.num_queries:
         state = "all queries done, tables not written yet"
-    elif status.num_done:
+    elif status.seconds_per_query:
         state = f"unfinished, about {format_seconds(status.seconds_left)} of work left"
     else:
         state = "unfinished"

@@ -9,6 +9,9 @@ from typing import Any, TextIO
 
 # A log that is no terminal gets a line as often as this, seconds: short work leaves it clean.
 _LOG_EVERY_S = 60.0
+# The first item is no measure: it compiles, loads and fills caches. What is left is told from the pace after
+# it, once so many items took so long, seconds; a single one must have taken longer.
+_LEAST_ITEMS, _LEAST_S, _LONG_S = 3, 2.0, 20.0
 
 
 class Progress:
@@ -25,7 +28,8 @@ class Progress:
         self._label, self._total, self._unit = label, total, f" {unit}" if unit else ""
         self._stream = stream if stream is not None else sys.stderr
         self._done = 0
-        self._started = self._logged = time.monotonic()
+        self._first: tuple[int, float] | None = None
+        self._logged = time.monotonic()
         self._bar = _bar(label, total, self._stream, self._unit)
 
     def __enter__(self) -> Progress:
@@ -40,19 +44,29 @@ class Progress:
     def advance(self, count: int = 1) -> None:
         """Marks ``count`` more items as finished."""
         self._done += count
+        now = time.monotonic()
+        if self._first is None:
+            self._first = self._done, now
         if self._bar is not None:
+            self._bar.set_postfix_str(self._left(now), refresh=False)
             self._bar.update(count)
-        elif (now := time.monotonic()) - self._logged >= _LOG_EVERY_S:
+        elif now - self._logged >= _LOG_EVERY_S:
             self._logged = now
-            self._stream.write(f"{self.line(now - self._started)}\n")
+            self._stream.write(", ".join(filter(None, [self._counts(), self._left(now)])) + "\n")
             self._stream.flush()
 
-    def line(self, elapsed_s: float) -> str:
-        """Returns the line of a log after ``elapsed_s`` seconds of work."""
-        if self._total is None:
-            return f"{self._label}: {self._done}{self._unit}"
-        left_s = elapsed_s / self._done * (self._total - self._done) if self._done else 0.0
-        return f"{self._label}: {self._done} of {self._total}{self._unit}, {format_seconds(left_s)} left"
+    def _counts(self) -> str:
+        of_total = "" if self._total is None else f" of {self._total}"
+        return f"{self._label}: {self._done}{of_total}{self._unit}"
+
+    def _left(self, now: float) -> str:
+        """Returns the time left; "" while there is nothing to tell it from."""
+        if self._total is None or self._first is None:
+            return ""
+        count, took_s = self._done - self._first[0], now - self._first[1]
+        if count < 1 or took_s < (_LEAST_S if count >= _LEAST_ITEMS else _LONG_S):
+            return ""
+        return f"{format_seconds(took_s / count * max(self._total - self._done, 0))} left"
 
 
 def _bar(label: str, total: int | None, stream: TextIO, unit: str) -> Any:
@@ -65,7 +79,7 @@ def _bar(label: str, total: int | None, stream: TextIO, unit: str) -> Any:
     else:
         from tqdm import tqdm
     shape = "{desc}: {n_fmt}" if total is None else "{desc}: {n_fmt} of {total_fmt}"
-    ending = f"{unit}, {{elapsed}}" if total is None else f"{unit} |{{bar}}| {{remaining}} left"
+    ending = f"{unit}, {{elapsed}}" if total is None else f"{unit} |{{bar}}|{{postfix}}"
     return tqdm(
         total=total, desc=label, file=stream, leave=False, dynamic_ncols=True, bar_format=shape + ending
     )

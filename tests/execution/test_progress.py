@@ -1,4 +1,5 @@
 import io
+import re
 
 import pytest
 
@@ -19,14 +20,14 @@ class TestProgress:
 
     def test_long_work_leaves_a_line_now_and_then(self, monkeypatch):
         log = io.StringIO()
-        clock = iter([0.0, 59.0, 61.0, 90.0, 122.0])
+        clock = iter([0.0, 59.0, 61.0, 90.0, 122.0])  # the first item compiles
         monkeypatch.setattr("lodbench.execution.progress.time.monotonic", lambda: next(clock))
         with Progress("views", 8, log) as progress:
             for _ in range(4):
                 progress.advance()
         assert log.getvalue().splitlines() == [
-            "views: 2 of 8, 3 min 03 s left",
-            "views: 4 of 8, 2 min 02 s left",
+            "views: 2 of 8",
+            "views: 4 of 8, 1 min 24 s left",
         ]
 
     def test_a_bar_on_a_terminal_leaves_no_trace(self):
@@ -36,15 +37,28 @@ class TestProgress:
         assert "views: 0 of 3" in screen.getvalue()
         assert screen.getvalue().endswith(" \r")
 
-    def test_time_left_follows_from_the_pace(self):
-        progress = Progress("views", 10, io.StringIO())
-        progress.advance(4)
-        assert progress.line(20.0) == "views: 4 of 10, 30 s left"
+    def test_nothing_is_said_of_the_time_left_before_the_pace_is_known(self, monkeypatch):
+        screen = Terminal()
+        # A first item of a minute, then four a second.
+        clock = iter([0.0, *(60 + step / 4 for step in range(60))])
+        monkeypatch.setattr("lodbench.execution.progress.time.monotonic", lambda: next(clock))
+        with Progress("views", 1000, screen) as progress:
+            for _ in range(3):
+                progress.advance()
+            assert "left" not in screen.getvalue()
+            for _ in range(20):
+                progress.advance()
+            progress._bar.refresh()
+        assert "4 min 04 s left" in screen.getvalue()
+        assert not re.search(r"\d h \d+ min left", screen.getvalue())
 
-    def test_an_unknown_total_is_not_made_up(self):
-        progress = Progress("city.zip", None, io.StringIO(), "MB")
-        progress.advance(45)
-        assert progress.line(20.0) == "city.zip: 45 MB"
+    def test_an_unknown_total_is_not_made_up(self, monkeypatch):
+        log = io.StringIO()
+        clock = iter([0.0, 61.0])
+        monkeypatch.setattr("lodbench.execution.progress.time.monotonic", lambda: next(clock))
+        with Progress("city.zip", None, log, "MB") as progress:
+            progress.advance(45)
+        assert log.getvalue() == "city.zip: 45 MB\n"
 
 
 class TestProgressCallback:

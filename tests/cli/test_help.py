@@ -1,0 +1,134 @@
+"""Every setting and every flag says what it means, and no slip is answered with a wall of usage."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+
+import pytest
+
+from lodbench.cli import COMMANDS, main
+from lodbench.cli.completion import CONFIGURED
+from lodbench.cli.configs import config_files
+from lodbench.cli.parser import seen
+from lodbench.cli.setting_help import config_text, groups_of, settings_in, settings_of_group
+
+FLAGGED = [name for name in COMMANDS if name not in CONFIGURED]
+GROUPS = {group for name in CONFIGURED.values() for group in groups_of(name)}
+
+
+@pytest.mark.parametrize("command", CONFIGURED.values())
+def test_every_setting_of_a_command_has_a_meaning(command):
+    settings = list(settings_in(config_text(command)))
+    assert len(settings) > 3
+    assert [setting.key for setting in settings if not setting.meaning] == []
+
+
+@pytest.mark.parametrize(
+    ("key", "folder", "name"),
+    sorted({(group.key, group.folder, name) for group in GROUPS for name in config_files(group.folder)}),
+)
+def test_every_setting_of_a_group_has_a_meaning(key, folder, name):
+    settings = settings_of_group(key, folder, name)
+    assert [setting.key for setting in settings if not setting.meaning] == []
+
+
+def test_the_help_shows_them(capsys):
+    assert main(["run", "dataset=views", "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    seed = next(line for line in lines if line.startswith("  seed=0"))
+    assert "the same seed gives the same numbers" in seed
+    assert next(line for line in lines if "dataset.num_views=100" in line).split()[1:]
+
+
+def test_the_groups_are_those_of_the_configuration():
+    kinds = {group.folder for group in GROUPS}
+    assert {"method", "dataset", "segmenter", "prior", "source", "executor", "schedule", "training"} <= kinds
+
+
+class Left(Exception):
+    """Left a command once its parser was known."""
+
+
+def parsers_of(command: str):
+    """Returns the parsers of a command and its actions."""
+    module = import_module(COMMANDS[command][0])
+    found: list[argparse.ArgumentParser] = []
+
+    def keep(parser):
+        found.append(parser)
+        raise Left
+
+    seen.append(keep)
+    try:
+        for words in [[name] for name in getattr(module, "ACTIONS", {})] or [[]]:
+            with pytest.raises(Left):
+                module.main(words)
+    finally:
+        seen.remove(keep)
+    for parser in found:
+        for action in parser._actions:
+            found.extend(getattr(action, "_name_parser_map", {}).values())
+    return found
+
+
+@pytest.mark.parametrize("command", FLAGGED)
+def test_every_flag_has_a_meaning(command):
+    parsers = parsers_of(command)
+    assert parsers
+    for parser in parsers:
+        bare = [
+            action.option_strings or action.dest
+            for action in parser._actions
+            if not action.help and not hasattr(action, "_name_parser_map")
+        ]
+        assert bare == [], parser.prog
+
+
+SLIPS = [
+    *([name, "--no-such-flag", "3"] for name in COMMANDS),
+    *([name, "-x"] for name in COMMANDS),
+    *([name, "a", "b", "c", "d"] for name in COMMANDS),
+    *([name] for name in COMMANDS if name not in ("run", "basin", "doctor")),
+    *(["bench", name, "--seed", "many"] for name in ("silhouettes", "accuracy", "scale", "evaluation")),
+    ["bench", "silhouete"],
+    ["bench", "accuracy", "--area", "nort"],
+    ["mask", "a.jpg", "--export", "geo"],
+    ["city", "inof", "a"],
+    ["leaderboard", "bild"],
+    ["compare", "a", "--format", "pdf"],
+]
+
+
+@pytest.mark.parametrize("words", SLIPS, ids=" ".join)
+def test_no_slip_is_answered_with_a_wall(capsys, monkeypatch, tmp_path, words):
+    monkeypatch.chdir(tmp_path)
+    code = main(words)
+    out, err = capsys.readouterr()
+    assert "usage:" not in err.lower()
+    assert "Error executing job" not in out + err
+    assert "Traceback" not in err
+    if words == ["dataset"]:  # says what there is
+        assert code == 2
+        return
+    assert code == 2, out
+    told = [line for line in err.splitlines() if not line.startswith("training ")]
+    assert told[0].startswith("lodbench: ")
+    assert len(told) <= 2
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["bench", "silhouete"], "silhouettes"),
+        (["bench", "scale", "--viws", "3"], "--views"),
+        (["bench", "real", "--quer", "d"], "--query"),
+        (["mask", "a.jpg", "--export", "geo"], "geojson"),
+        (["mask", "a.jpg", "--exprt", "geojson"], "--export"),
+        (["city", "inof", "a"], "info"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_the_nearest_name_is_told(capsys, words, meant):
+    assert main(words) == 2
+    assert meant in capsys.readouterr().err.splitlines()[1]
