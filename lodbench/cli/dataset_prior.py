@@ -48,7 +48,7 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting")
     parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
-    parser.add_argument("--out", type=Path, metavar="FILE", required=True)
+    parser.add_argument("--out", type=Path, metavar="FILE", required=True, help="the file to write")
     options = parser.parse_args(argv[1:])
     priors: Priors = to_params(dict(map(_pair, options.set)), load_plugin("priors", options.kind), "--set")
     if options.out.is_dir():

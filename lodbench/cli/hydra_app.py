@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from lodbench.cli.console import report_fault
-from lodbench.cli.setting_help import help_text
+from lodbench.cli.setting_help import groups_of, help_text
 from lodbench.cli.setting_words import settings_of, tell_old_names
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.plugins import config_folders
@@ -88,7 +88,10 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
     register_config_sources()
     # Hydra's parser wants its flags before the overrides; people write them anywhere.
     flags = [word for word in argv if word in _SWEEP_FLAGS]
-    words = flags + [free_option(quote_path(word)) for word in argv if word not in _SWEEP_FLAGS]
+    placed = {group.key: f"{group.folder}@{group.key}" for group in groups_of(config_name)}
+    words = flags + [
+        free_option(quote_path(_in_place(word, placed))) for word in argv if word not in _SWEEP_FLAGS
+    ]
     # Hydra would print the fault and exit by itself; with this it lets the exception through.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     saved, sys.argv = sys.argv, [f"lodbench {command}", *words]
@@ -131,6 +134,13 @@ def quote_path(word: str) -> str:
     # Hydra takes a backslash as it stands, but for those before a quote or the end.
     escaped = re.sub(r'(\\*)(?="|$)', r"\1\1", value).replace('"', '\\"').replace("${", "\\${")
     return f'{key}="{escaped}"'
+
+
+def _in_place(word: str, placed: Mapping[str, str]) -> str:
+    """Returns a choice of a group as Hydra wants it of one that stands elsewhere: ``training@look=hard``."""
+    key, equals, value = word.partition("=")
+    is_elsewhere = equals and placed.get(key, f"{key}@{key}") != f"{key}@{key}"
+    return f"{placed[key]}={value}" if is_elsewhere else word
 
 
 def free_option(word: str) -> str:
@@ -190,7 +200,8 @@ def explained(error: Exception, config_name: str) -> ConfigError:
     if option:
         known = [line.strip() for line in option[3].splitlines() if line.strip()]
         known = [name for name in known if re.fullmatch(r"[\w.-]+", name)]
-        return ConfigError(f"There is no {option[1]} {option[2]!r}.", nearest_names(option[2], known))
+        group = {each.folder: each.key for each in groups_of(config_name)}.get(option[1], option[1])
+        return ConfigError(f"There is no {group} {option[2]!r}.", nearest_names(option[2], known))
     key = re.search(r"Could not override '([^']+)'", text)
     if key:
         return ConfigError(f"{key[1]} is not a setting.", _nearest_key(key[1], config_name))

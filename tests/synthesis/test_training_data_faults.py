@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,7 @@ import pytest
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.synthesis.photo import LookRanges
+from lodbench.synthesis.photo.named_looks import look_ranges
 from lodbench.synthesis.training_data import view_writer
 from lodbench.synthesis.training_data.generate import generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
@@ -111,8 +113,23 @@ def test_the_command_exits_with_2_and_one_line(box_file, tmp_path, capsys):
     assert "nowhere.obj does not exist" in capsys.readouterr().err
     assert main([*words, "look.noise=[2,3]"]) == 2
     assert "look.noise is [2, 3]" in capsys.readouterr().err
-    assert main([*words, "look=dreamy"]) == 2
+    assert main([*words, "look=hrd"]) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "lodbench: There is no look 'hrd'.",
+        "  hint: Did you mean hard?",
+    ]
     assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize("look", ["hard", "plain"])
+def test_a_look_is_chosen_by_name_and_told_by_the_manifest(box_file, tmp_path, look):
+    out = tmp_path / "data"
+    words = [f"city={box_file}", f"out={out}", f"look={look}", "limit=2", "size=[64,48]", "executor=serial"]
+    assert main(["generate-training-data", *words, "min_buildings=0", "height=[80]"]) == 0
+    asked = json.loads((out / "manifest.json").read_text())["settings"]["look"]
+    ranges = asdict(look_ranges(look))
+    assert {key: tuple(value) for key, value in asked.items()} == ranges
+    assert ranges != asdict(look_ranges("varied"))
 
 
 def test_another_folder_is_never_written_into(box_file, tmp_path):
