@@ -347,6 +347,7 @@ def test_in_a_process_of_its_own(lodbench, tmp_path, plain_case):
     assert {path.name for path in (tmp_path / "localized").iterdir()} == {
         "DJI_0001.geojson",
         "DJI_0001.json",
+        "DJI_0001_3d.html",
         "DJI_0001_overlay.png",
     }
 

@@ -127,9 +127,9 @@ def test_a_look_is_chosen_by_name_and_told_by_the_manifest(box_file, tmp_path, l
     words = [f"city={box_file}", f"out={out}", f"look={look}", "limit=2", "size=[64,48]", "executor=serial"]
     assert main(["generate-training-data", *words, "min_buildings=0", "height=[80]"]) == 0
     asked = json.loads((out / "manifest.json").read_text())["settings"]["look"]
-    ranges = asdict(look_ranges(look))
-    assert {key: tuple(value) for key, value in asked.items()} == ranges
-    assert ranges != asdict(look_ranges("varied"))
+    ranges = {key: list(value) for key, value in asdict(look_ranges(look)).items()}
+    assert asked == ranges
+    assert look_ranges(look) != look_ranges("varied")
 
 
 def test_another_folder_is_never_written_into(box_file, tmp_path):
