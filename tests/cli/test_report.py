@@ -48,7 +48,7 @@ def test_the_page_shows_a_run_in_one_quiet_file(lodbench, tmp_path, data):
         assert page.get_by_text("The same in 3D").get_attribute("href") == "report_3d.html"
         assert complaints == []
     with opened(folder / "report_3d.html") as (page, _):
-        page.wait_for_function("document.querySelector('.state').textContent === ''")
+        page.wait_for_selector(".state:empty", state="attached")
         assert page.locator(".list li").count() == 4
         assert {"prior", "estimate", "truth"} <= set(page.inner_text(".legend").split())
 

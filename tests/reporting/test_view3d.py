@@ -64,7 +64,7 @@ def test_cameras_are_chosen_looked_through_hidden_and_filtered(tmp_path, scene, 
     path = tmp_path / "view.html"
     path.write_text(draw_view3d("some run", scene, cameras))
     with opened(path, size, scheme) as (page, complaints):
-        page.wait_for_function("document.querySelector('.state').textContent === ''")
+        page.wait_for_selector(".state:empty", state="attached")
         assert page.locator(".list li").count() == 4
         assert fits(page)
         page.locator(".list button").nth(1).click()
@@ -104,10 +104,10 @@ def test_pointing_at_a_camera_names_it_and_pressing_chooses_it(tmp_path, scene, 
     path = tmp_path / "view.html"
     path.write_text(draw_view3d("some run", scene, cameras[:1]))
     with opened(path) as (page, _):
-        page.wait_for_function("document.querySelector('.state').textContent === ''")
+        page.wait_for_selector(".state:empty", state="attached")
         page.goto(f"{path.as_uri()}#view_00.png")
         page.reload()
-        page.wait_for_function("document.querySelector('.list .current') !== null")
+        page.wait_for_selector(".list .current")
         page.wait_for_timeout(300)
         # A camera that a link names lies in the middle of the view.
         box = page.locator("canvas").bounding_box()
