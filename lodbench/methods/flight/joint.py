@@ -27,6 +27,8 @@ Rows = NDArray[np.int64]
 
 # The shared numbers before the buildings': flight's error, lens, all roofs, all feet of walls.
 _FLIGHT, _LENS, ROOFS, _FEET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
+# Degrees of freedom of what heights of roofs err by.
+_FREEDOM = 2.0
 # The longest step of a photo: a linearisation says little beyond it (metres, degrees).
 _LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
 
@@ -198,8 +200,9 @@ class _SharedSystem:
 
     def _tie(self, these: Rows, those: Rows, gaps: Floats, sigma: float) -> None:
         """Adds that some numbers are alike to others, whose differences are ``gaps``."""
-        precision = max(sigma, 1e-4) ** -2.0
-        values = np.full(len(these), precision)
+        sigma = max(sigma, 1e-4)
+        # Most heights are right to a little, some wrong by much: Student's t rather than a Gaussian.
+        values = (_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigma) ** 2) / sigma**2
         for rows, columns, sign in (
             (these, these, 1),
             (those, those, 1),
@@ -209,8 +212,8 @@ class _SharedSystem:
             self._rows.append(rows)
             self._columns.append(columns)
             self._values.append(sign * values)
-        np.add.at(self._gradient, these, precision * gaps)
-        np.add.at(self._gradient, those, -precision * gaps)
+        np.add.at(self._gradient, these, values * gaps)
+        np.add.at(self._gradient, those, -values * gaps)
 
     def solve(self) -> tuple[SuperLU, Floats]:
         """Returns the factorised curvature, and the step."""

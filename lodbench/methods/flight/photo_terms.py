@@ -21,6 +21,8 @@ _MOST_POINTS, _MOST_SUBSETS = 250, 4
 _FEWEST_POINTS, _BORDER_PX = 12, 2.0
 # The outline's noise is never less or more, and is looked for among points nearer than this, pixels.
 _NOISE_PX, _FAR_PX, _AGREES = (0.5, 6.0), 20.0, 0.3
+# Steps of expectation maximisation.
+_MIXTURE_STEPS = 12
 _OWN_SHARE, _LEAST_WEIGHT = 0.3, 1e-8
 # Numbers of a camera: the focal length's change as a share, radial distortion, and by how much masks are too
 # large, pixels.
@@ -103,8 +105,7 @@ def photo_terms(
     # The map's silhouette stands where the map has its roofs: the heights found move it to first order.
     lifted = seen.slopes[:, _TOP] * roofs.heights_m[tops] + seen.slopes[:, _FOOT] * roofs.heights_m[feet]
     seen = replace(seen, distances=seen.distances + lifted)
-    noise_px = _noise(seen.distances, seen.agreement)
-    reach_px = params.outlier_sigmas * max(noise_px, 1.0) if reach_px is None else reach_px
+    noise_px, weights = _outline_noise(seen, reach_px)
     parts, column = np.unique(np.stack([tops, feet]), return_inverse=True)
     column = column.reshape(2, -1)
     size = 6 + LENS + len(parts)
@@ -120,18 +121,16 @@ def photo_terms(
         jacobian[lines, 6 + LENS + column[0, chosen]] += seen.slopes[chosen, _TOP]
         jacobian[lines, 6 + LENS + column[1, chosen]] += seen.slopes[chosen, _FOOT]
         jacobian[:, -1] = seen.distances[chosen]
-        whiten(_covariance(seen, chosen, noise_px, reach_px, params, trust[0]), jacobian)
+        whiten(_covariance(seen, chosen, noise_px, weights[chosen], params, trust[0]), jacobian)
         information += jacobian[:, :-1].T @ jacobian[:, :-1] / (used * trust[1])
         gradient += jacobian[:, :-1].T @ jacobian[:, -1] / (used * trust[1])
     return PhotoTerms(information, gradient, parts, iou, noise_px, len(rows))
 
 
 def _covariance(
-    seen: _Seen, chosen: slice, noise_px: float, reach_px: float, params: PhotoParams, view_roof_m: float
+    seen: _Seen, chosen: slice, noise_px: float, weights: Floats, params: PhotoParams, view_roof_m: float
 ) -> Floats:
     """Returns the lower half of the covariance of some points' distances; see ``contour_alignment``."""
-    kernel = 1.0 / (1.0 + (seen.distances[chosen] / reach_px) ** 2)
-    weights = np.maximum(kernel**2 * np.maximum(seen.agreement[chosen], 1e-3), _LEAST_WEIGHT)
     matrix: Floats = error_covariance(
         seen.pixels[chosen],
         np.ascontiguousarray(seen.slopes[chosen, _TOP]),
@@ -168,8 +167,34 @@ def _through_lens(aligner: Aligner, points: OutlinePoints, lens: Floats, size: t
     return _Seen(pixels, distances, slopes, agreement, points.buildings[inside], points.places[inside])
 
 
-def _noise(distances: Floats, agreement: Floats) -> float:
-    """Returns the standard deviation of the mask's outline in pixels, from the median distance."""
-    near = np.abs(distances[(agreement > _AGREES) & (np.abs(distances) < _FAR_PX)])
-    low, high = _NOISE_PX
-    return float(np.clip(1.4826 * np.median(near), low, high)) if len(near) else high
+def _outline_noise(seen: _Seen, reach_px: float | None) -> tuple[float, Floats]:
+    """Returns the standard deviation of the mask's outline in pixels, and (N,) how far points count.
+
+    Points are on the outline, or on none: trees and holes cut into a mask, yards and neighbours add to it.
+    How often they do either, and how far the rest is off, is found from the view itself (expectation
+    maximisation of a Gaussian between two uniform densities).
+    """
+    distances, low, high = seen.distances, *_NOISE_PX
+    near = distances[(seen.agreement > _AGREES) & (np.abs(distances) < _FAR_PX)]
+    noise_px = float(np.clip(1.4826 * np.median(np.abs(near)), low, high)) if len(near) else high
+    agreement = np.maximum(seen.agreement, 1e-3)
+    if reach_px is not None:
+        kernel = 1.0 / (1.0 + (distances / reach_px) ** 2)
+        return noise_px, np.maximum(kernel**2 * agreement, _LEAST_WEIGHT)
+    shares = np.array([0.8, 0.1, 0.1])
+    for _ in range(_MIXTURE_STEPS):
+        if not len(near): break
+        chances = _chances(near, noise_px, shares)
+        inside = chances[:, 0] / chances.sum(axis=1)
+        noise_px = float(np.clip(np.sqrt(inside @ near**2 / max(inside.sum(), 1e-9)), low, high))
+        shares = np.maximum((chances / chances.sum(axis=1)[:, None]).mean(axis=0), 0.02)
+    chances = _chances(distances, noise_px, shares)
+    weights = chances[:, 0] / chances.sum(axis=1) * agreement
+    return noise_px, np.maximum(weights, _LEAST_WEIGHT)
+
+
+def _chances(distances: Floats, noise_px: float, shares: Floats) -> Floats:
+    """Returns (N, 3) densities of points on the outline, where a mask is cut, and where it is grown."""
+    inlier = np.exp(-0.5 * (distances / noise_px) ** 2) / (noise_px * np.sqrt(2.0 * np.pi))
+    sides = np.stack([distances < 0.0, distances >= 0.0], axis=1) / _FAR_PX
+    return np.column_stack([inlier, sides]) * shares
