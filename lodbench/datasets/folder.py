@@ -9,6 +9,7 @@
         Query_image/            the photos (optional; or images/)
         masks/                  building masks, 255 = building (optional)
         sequences.txt           name sequence: which photos belong to one flight (optional)
+        reconstruction/         a COLMAP model of the photos, or a folder with one per flight (optional)
         dataset.json            where it came from: city model, reference system; and whether it has a
                                 truth and priors (optional)
 
@@ -19,11 +20,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from lodbench.citymodel.options import ReadOptions
+from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
 from lodbench.datasets.exchange.posed import read_json
 from lodbench.datasets.pose_text import (
     format_camera,
@@ -42,7 +44,7 @@ from lodbench.storage import write_text
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
 ABOUT_FILE = "dataset.json"
-SEQUENCE_FILE = "sequences.txt"
+SEQUENCE_FILE, RECONSTRUCTION_FOLDER = "sequences.txt", "reconstruction"
 # What training data calls the same: nothing there was measured on the ground.
 RENDERED_TRUTH_FILE, RENDERED_IMAGES = "poses.txt", "images"
 _LAYOUT_HINT = (
@@ -221,6 +223,7 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
     entries = [
         _entry(folder, split, name, cameras, priors.get(name, ()), sequences.get(name, "")) for name in names
     ]
+    entries = _with_reconstructions(entries, folder / RECONSTRUCTION_FOLDER)
     several = sum(len(entry.hypotheses) > 1 for entry in entries)
     if several:
         notes.append(f"{split}: {several} queries have several priors; the first is the prior of each")
@@ -246,6 +249,22 @@ def _entry(
         hypotheses=priors,
         sequence=sequence,
     )
+
+
+def _with_reconstructions(entries: list[Entry], folder: Path) -> list[Entry]:
+    """Returns entries with their poses in reconstructions, where there are any."""
+    whole = {found.name: found.pose for found in read_colmap(folder)} if is_colmap(folder) else {}
+    by_flight = {
+        flight: {found.name: found.pose for found in read_colmap(folder / flight)}
+        for flight in {entry.sequence for entry in entries}
+        if flight and is_colmap(folder / flight)
+    }
+    if not whole and not by_flight:
+        return entries
+    return [
+        replace(entry, reconstructed=by_flight.get(entry.sequence, whole).get(entry.name))
+        for entry in entries
+    ]
 
 
 def _truth_file(folder: Path) -> Path | None:

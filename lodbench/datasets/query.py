@@ -34,6 +34,8 @@ class Query:
         true_pixels: Returns where (N, 3) points of the scene are in the photo in truth, (N, 2) COLMAP
             pixels, NaN behind the camera: for a method that requires it, which is an oracle and told as one.
         sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
+        reconstructed: Its pose in a reconstruction of its flight (COLMAP and the like), whose frame is the
+            scene's up to a similarity; None where there is none.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Query:
     segment: Callable[[Pose], NDArray[np.float32]] | None = None
     true_pixels: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
     sequence: str = ""
+    reconstructed: Pose | None = None
 
     @property
     def mask(self) -> NDArray[np.float32]:
@@ -73,6 +76,7 @@ class Entry:
         mask: A building mask made beforehand.
         hypotheses: All rough poses the dataset states, the prior first; may be empty.
         sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
+        reconstructed: Its pose in a reconstruction of its flight, in a frame of that.
     """
 
     name: str
@@ -83,6 +87,7 @@ class Entry:
     mask: Path | None
     hypotheses: tuple[Pose, ...] = ()
     sequence: str = ""
+    reconstructed: Pose | None = None
 
     @property
     def key(self) -> str:

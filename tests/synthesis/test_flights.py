@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,28 @@ import pytest
 
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.cache import open_cached_city
+from lodbench.datasets.exchange.colmap import write_colmap
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.folder import FolderParams, open_folder
+from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.evaluation import pose_error
+from lodbench.methods.contour_alignment.pose_vector import (
+    pose_from_vector,
+    rotation_derivatives,
+    vector_from_pose,
+)
+from lodbench.methods.flight.reconstruction import placed
+from lodbench.methods.flight.tracks import relative_poses
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
-from lodbench.synthesis.flights.dataset import MAP_TRUTH_FILE, FlightsParams, _silhouette, open_flights
+from lodbench.synthesis.flights.dataset import (
+    MAP_TRUTH_FILE,
+    FlightsParams,
+    _silhouette,
+    drone_errors,
+    open_flights,
+)
 from lodbench.synthesis.flights.errors import SensorErrors
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map
 from lodbench.synthesis.flights.paths import PATHS
@@ -150,20 +169,70 @@ def test_a_distorted_silhouette_is_what_opencv_draws(city):
         ({"num_photos": 0}, "num_photos"),
         ({"mask_iou": 0.0}, "mask_iou"),
         ({"focal": 0.5}, "focal"),
+        ({"reconstruct": True}, "dataset.look=plain"),
+        ({"look": "plain", "distortion": 0.1}, "without distortion"),
         ({"missing": 0.9}, "0.9"),
         ({"own_m": -1.0}, "-1.0"),
     ],
 )
 def test_settings_out_of_range_are_refused(city, wrong, told):
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError) as caught:
         params(city, **wrong)
+    assert told in f"{caught.value.message} {caught.value.hint}"
 
 
 def test_a_city_that_is_not_there_and_one_without_room(city, tmp_path):
     with pytest.raises(DatasetError, match="does not exist"):
         open_flights(FlightsParams(str(tmp_path / "no.obj")))
     with pytest.raises(DatasetError, match="No facade flight"):
-        open_flights(params(city, path="facade", num_photos=400))
+        open_flights(params(city, path="facade", num_photos=60))
+
+
+def test_photos_of_a_flight_show_the_same_place_from_where_they_were_taken(city):
+    dataset = open_flights(params(city, look="plain", num_flights=1, num_photos=6, focal=0.02))
+    assert all(entry.image.suffix == ".jpg" and entry.camera.width == 1204 for entry in dataset.entries)
+    truth = np.array([vector_from_pose(dataset.truth[entry.key]) for entry in dataset.entries])
+    queries = [Query(e.name, e.split, e.camera, e.prior, image=e.image) for e in dataset.entries]
+    ties = relative_poses(queries, truth)
+    assert len(ties) >= 3
+    focal = drone_errors(params(city, focal=0.02), 0).focal - 1.0
+    derivatives = [rotation_derivatives(vector) for vector in truth]
+    away = np.array([tie.linearize(truth, derivatives, focal)[0] for tie in ties])
+    # Features agree with the true poses; with the focal length as told they agree less.
+    assert np.degrees(np.median(np.abs(away[:, :3]))) < 0.1
+    short = np.array([tie.linearize(truth, derivatives, 0.0)[0] for tie in ties])
+    assert np.median(np.abs(short[:, :3])) > np.median(np.abs(away[:, :3]))
+    # Without the photos, masks are the same.
+    plain = open_flights(params(city, num_flights=1, num_photos=6, focal=0.02))
+    for one, same in zip(plain.entries, dataset.entries, strict=True):
+        np.testing.assert_array_equal(read_mask(one.mask), read_mask(same.mask))
+
+
+def test_a_reconstruction_in_the_folder_is_read(city, tmp_path):
+    dataset = open_flights(params(city))
+    root = tmp_path / "own"
+    shutil.copytree(dataset.root / "flights", root / "all")
+    flight = [entry for entry in dataset.entries if entry.sequence == "flight_01"]
+    found = [FoundPose(e.name, "", dataset.truth[e.key], e.camera) for e in flight[:3]]
+    write_colmap(found, root / "all" / "reconstruction" / "flight_01")
+    entries = open_folder(FolderParams(str(root), str(city))).entries
+    known = {entry.name: entry.reconstructed for entry in entries if entry.reconstructed is not None}
+    assert sorted(known) == sorted(each.name for each in found)
+    np.testing.assert_allclose(known[found[0].name].center, found[0].pose.center, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_colmap_s_reconstruction_is_the_truth_but_for_a_similarity(city):
+    pytest.importorskip("pycolmap")
+    dataset = open_flights(params(city, look="plain", num_flights=1, num_photos=8, reconstruct=True))
+    known = {k: e.reconstructed for k, e in enumerate(dataset.entries) if e.reconstructed is not None}
+    assert len(known) >= 6
+    truth = np.array([vector_from_pose(dataset.truth[entry.key]) for entry in dataset.entries])
+    moved = placed(known, truth, np.eye(6))
+    for photo, pose in moved.poses.items():
+        error = pose_error(pose, pose_from_vector(truth[photo]))
+        assert error.translation_m < 1.0
+        assert error.rotation_deg < 0.3
 
 
 def test_sensor_errors_stay_within_their_widths():

@@ -110,6 +110,7 @@ class Preparation:
             segment=partial(self._probability, entry, camera) if guided and needs_mask else None,
             true_pixels=self._true_pixels(entry, camera) if Input.TRUE_PIXELS in self.needs else None,
             sequence=entry.sequence,
+            reconstructed=entry.reconstructed,
         )
 
     def _true_pixels(self, entry: Entry, camera: Camera) -> Callable[[Points], Points]:

@@ -1,11 +1,11 @@
 """The joint problem: poses of all photos, what they share, and the heights of the roofs they show.
 
-Numbers that all photos share, in this order: the flight's error of x, y, z (metres), pitch, roll, yaw
-(degrees); the focal length (share), radial distortion, and by how much masks are too large (pixels); what all
-roofs, and where all walls end, are wrong about alike (metres); each building's height against the map, and
-each part's of its roof or foot (metres). A photo's pose is its prior, the flight's error and an error of its
-own; a part's height is its building's and an error of its own, a building's that of all roofs and its own.
-Photos are eliminated one by one (Schur complement), so that work and memory grow with their number.
+Its unknowns, in this order: six numbers of each photo (metres, degrees); the flight's error of x, y, z
+(metres), pitch, roll, yaw (degrees); the focal length (share), radial distortion, and by how much masks are
+too large (pixels); what all roofs, and where all walls end, are wrong about alike (metres); each building's
+height against the map, and each part's of its roof or foot (metres); the similarity that places a
+reconstruction. A photo's pose is its prior, the flight's error and an error of its own; a part's height is
+its building's and an error of its own, a building's that of all roofs and its own. All is one sparse system.
 """
 
 from __future__ import annotations
@@ -15,11 +15,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csc_matrix
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU
 
+from lodbench.methods.contour_alignment.pose_vector import rotation_derivatives
+from lodbench.methods.flight.normal_equations import NormalEquations
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
+from lodbench.methods.flight.reconstruction import SIMILARITY, Reconstruction
+from lodbench.methods.flight.relative_poses import RelativePose
 from lodbench.methods.flight.roof_parts import RoofParts
 
 Floats = NDArray[np.float64]
@@ -27,8 +30,9 @@ Rows = NDArray[np.int64]
 
 # The shared numbers before the buildings': flight's error, lens, all roofs, all feet of walls.
 _FLIGHT, _LENS, ROOFS, _FEET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
-# Degrees of freedom of what heights of roofs err by.
-_FREEDOM = 2.0
+_FOCAL = 6
+# Degrees of freedom of what heights err by: most are right to a little, some wrong by much.
+_FREEDOM = 1.0
 # The longest step of a photo: a linearisation says little beyond it (metres, degrees).
 _LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
 
@@ -44,6 +48,8 @@ class State:
         roofs: Heights of parts of roofs.
         buildings_m: (B,) metres by which each building of the scene is higher than in the map.
         weights: (P,) how far each photo's own words count; 0 for one that is lost.
+        ties: What pairs of photos say of their relative poses.
+        reconstruction: Poses of photos up to a similarity, or None.
     """
 
     vectors: Floats
@@ -52,6 +58,8 @@ class State:
     buildings_m: Floats
     weights: Floats
     constants: Floats = field(default_factory=lambda: np.zeros(CONSTANTS))
+    ties: Sequence[RelativePose] = ()
+    reconstruction: Reconstruction | None = None
 
     @property
     def lens(self) -> Floats:
@@ -63,13 +71,24 @@ class State:
         """Returns (6,) the flight's error: where photos were, less what the sensors said."""
         return self.constants[_FLIGHT]
 
+    def shifted(self, offset: Floats) -> State:
+        """Returns it with another error of the flight, (6,), that all photos and a reconstruction move by."""
+        self.vectors = self.vectors + offset
+        self.constants[_FLIGHT] += offset
+        if self.reconstruction is not None:
+            self.reconstruction = self.reconstruction.placed_at(self.vectors)
+        return self
+
     def step(self, solution: Solution) -> None:
         """Moves everything by a solution's steps."""
-        shown = solution.buildings
+        shown, step = solution.buildings, solution.shared_step
         self.vectors = self.vectors + solution.photo_steps
-        self.constants = self.constants + solution.shared_step[:CONSTANTS]
-        self.buildings_m[shown] += solution.shared_step[CONSTANTS : CONSTANTS + len(shown)]
-        self.roofs.heights_m = self.roofs.heights_m + solution.shared_step[CONSTANTS + len(shown) :]
+        self.constants = self.constants + step[:CONSTANTS]
+        self.buildings_m[shown] += step[CONSTANTS : CONSTANTS + len(shown)]
+        parts = CONSTANTS + len(shown)
+        self.roofs.heights_m = self.roofs.heights_m + step[parts : parts + len(self.roofs)]
+        if self.reconstruction is not None:
+            self.reconstruction = self.reconstruction.moved(step[-SIMILARITY:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,19 +97,15 @@ class Solution:
 
     Attributes:
         photo_steps: (P, 6) of the photos' poses.
-        shared_step: (S,) of what they share: constants, then buildings, then parts of roofs.
+        shared_step: (S,) of what they share: constants, buildings, parts of roofs, similarity.
         buildings: (N,) rows of the scene that the shared numbers speak of, ascending.
-        factorised: The shared numbers' curvature.
-        photo_information: (P, 6, 6) of each pose, given what is shared.
-        couplings: Of each photo: its columns among the shared numbers, and (6, N) its coupling with them.
+        factorised: The curvature of photos, then what they share.
     """
 
     photo_steps: Floats
     shared_step: Floats
     buildings: Rows
     factorised: SuperLU
-    photo_information: Floats
-    couplings: Sequence[tuple[Rows, Floats]]
 
 
 def differences(vectors: Floats, priors: Floats) -> Floats:
@@ -108,119 +123,69 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
         terms: What each photo says there; None for one that says nothing.
         params: How far everything may be wrong.
     """
+    buildings = np.unique(state.roofs.building[state.roofs.building >= 0])
+    shared = 6 * len(terms)
+    parts = shared + CONSTANTS + len(buildings)
+    similarity = parts + len(state.roofs)
+    size = similarity + (0 if state.reconstruction is None else SIMILARITY)
+    equations = NormalEquations(size)
+    _add_map(equations, state, shared, buildings, params)
     own = np.diag(params.own_sigmas() ** -2.0)
     gaps = differences(state.vectors, state.priors) - state.offset
-    buildings = np.unique(state.roofs.building[state.roofs.building >= 0])
-    first_part = CONSTANTS + len(buildings)
-    system = _SharedSystem(first_part + len(state.roofs))
-    system.add_priors(state, buildings, params)
-    inner, right, couplings = [], [], []
+    apart = np.hstack([np.eye(6), -np.eye(6)])
     for k, term in enumerate(terms):
-        columns, block, slope = _photo_block(term, gaps[k], own, state.weights[k], first_part)
-        factor = np.linalg.solve(block[:6, :6], np.column_stack([block[:6, 6:], slope[:6]]))
-        reduced = block[6:, 6:] - block[6:, :6] @ factor[:, :-1]
-        system.add(columns, reduced, slope[6:] - block[6:, :6] @ factor[:, -1])
-        inner.append(block[:6, :6])
-        right.append(slope[:6])
-        couplings.append((columns, block[:6, 6:]))
-    factorised, shared_step = system.solve()
-    steps = np.array(
-        [
-            -np.linalg.solve(inner[k], right[k] + coupling @ shared_step[columns])
-            for k, (columns, coupling) in enumerate(couplings)
-        ]
-    )
+        pose = np.arange(6 * k, 6 * k + 6)
+        equations.add_residuals(np.concatenate([pose, shared + np.arange(6)]), apart, gaps[k], own)
+        if term is not None and state.weights[k] > 0:
+            unknowns = np.concatenate([pose, shared + np.arange(6, 6 + LENS), parts + term.parts])
+            equations.add(unknowns, state.weights[k] * term.information, state.weights[k] * term.gradient)
+    _add_relative_poses(equations, state, shared + _FOCAL, similarity)
+    factorised, step = equations.solve()
+    steps = step[:shared].reshape(-1, 6)
     longest = np.maximum(1.0, np.max(np.abs(steps) / _LONGEST_STEP, axis=1, initial=0.0))
-    return Solution(steps / longest[:, None], shared_step, buildings, factorised, np.array(inner), couplings)
+    return Solution(steps / longest[:, None], step[shared:], buildings, factorised)
 
 
-def _photo_block(
-    term: PhotoTerms | None, gap: Floats, own: Floats, weight: float, first_part: int
-) -> tuple[Rows, Floats, Floats]:
-    """Returns a photo's shared columns, and curvature and slope of its pose (6) and those.
-
-    Args:
-        term: What the photo says.
-        gap: (6,) its pose less its prior and the flight's error.
-        own: (6, 6) how well the sensors know that.
-        weight: How far its own words count.
-        first_part: Column of the first part of a roof.
-    """
-    parts = np.zeros(0, np.int64) if term is None else first_part + term.parts
-    columns = np.concatenate([np.arange(ROOFS), parts])
-    block, slope = np.zeros((6 + len(columns), 6 + len(columns))), np.zeros(6 + len(columns))
-    if term is not None:
-        # The flight's error stands between the photo's pose and the lens.
-        place = np.concatenate([np.arange(6), np.arange(12, 6 + len(columns))])
-        block[np.ix_(place, place)] = weight * term.information
-        slope[place] = weight * term.gradient
-    block[:6, :6] += own
-    block[:6, 6:12] -= own
-    block[6:12, :6] -= own
-    block[6:12, 6:12] += own
-    slope[:6] += own @ gap
-    slope[6:12] -= own @ gap
-    return columns, block, slope
+def _add_relative_poses(equations: NormalEquations, state: State, focal: int, similarity: int) -> None:
+    """Adds what is known of photos' poses relative to each other."""
+    if not state.ties and state.reconstruction is None:
+        return
+    derivatives = [rotation_derivatives(vector) for vector in state.vectors]
+    for tie in state.ties:
+        unknowns = np.concatenate([np.arange(6) + 6 * tie.first, np.arange(6) + 6 * tie.second, [focal]])
+        residuals, jacobian = tie.linearize(state.vectors, derivatives, state.constants[_FOCAL])
+        equations.add_residuals(unknowns, jacobian, residuals, tie.weighted_information(residuals))
+    if state.reconstruction is not None:
+        shared = similarity + np.arange(SIMILARITY)
+        for photo in state.reconstruction.photos:
+            residuals, jacobian = state.reconstruction.linearize(photo, state.vectors, derivatives)
+            unknowns = np.concatenate([np.arange(6) + 6 * photo, shared])
+            information = state.reconstruction.weighted_information(residuals)
+            equations.add_residuals(unknowns, jacobian, residuals, information)
 
 
-class _SharedSystem:
-    """Curvature and slope of the shared numbers, summed entry by entry."""
+def _add_map(equations: NormalEquations, state: State, shared: int, buildings: Rows, params: Params) -> None:
+    """Adds what is known beforehand of the shared numbers, whose first column is ``shared``."""
+    precision = params.constant_sigmas() ** -2.0
+    equations.add(shared + np.arange(CONSTANTS), np.diag(precision), precision * state.constants)
+    # Buildings lie around all roofs, parts around their building.
+    below = shared + CONSTANTS + np.arange(len(buildings))
+    heights = state.buildings_m[buildings]
+    _tie(equations, below, shared + ROOFS, heights - state.constants[ROOFS], params.roof_m)
+    parts = shared + CONSTANTS + len(buildings) + np.arange(len(state.roofs))
+    is_roof = state.roofs.building >= 0
+    above = np.searchsorted(buildings, state.roofs.building[is_roof])
+    own = state.roofs.heights_m[is_roof] - heights[above]
+    _tie(equations, parts[is_roof], below[above], own, params.part_m)
+    own = state.roofs.heights_m[~is_roof] - state.constants[_FEET]
+    _tie(equations, parts[~is_roof], shared + _FEET, own, params.foot_m)
 
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._gradient = np.zeros(size)
-        self._rows: list[Rows] = []
-        self._columns: list[Rows] = []
-        self._values: list[Floats] = []
 
-    def add(self, columns: Rows, block: Floats, gradient: Floats) -> None:
-        """Adds a dense block at some columns."""
-        self._rows.append(np.repeat(columns, len(columns)))
-        self._columns.append(np.tile(columns, len(columns)))
-        self._values.append(block.ravel())
-        self._gradient[columns] += gradient
-
-    def add_priors(self, state: State, buildings: Rows, params: Params) -> None:
-        """Adds what is known of the shared numbers beforehand."""
-        precision = params.constant_sigmas() ** -2.0
-        self.add(np.arange(CONSTANTS), np.diag(precision), precision * state.constants)
-        # Buildings lie around all roofs, parts around their building.
-        below = CONSTANTS + np.arange(len(buildings))
-        heights = state.buildings_m[buildings]
-        roofs = np.full(len(buildings), ROOFS)
-        self._tie(below, roofs, heights - state.constants[ROOFS], params.roof_m)
-        parts = CONSTANTS + len(buildings) + np.arange(len(state.roofs))
-        is_roof = state.roofs.building >= 0
-        above = np.searchsorted(buildings, state.roofs.building[is_roof])
-        own = state.roofs.heights_m[is_roof] - heights[above]
-        self._tie(parts[is_roof], CONSTANTS + above, own, params.part_m)
-        feet = parts[~is_roof]
-        own = state.roofs.heights_m[~is_roof] - state.constants[_FEET]
-        self._tie(feet, np.full(len(feet), _FEET), own, params.foot_m)
-
-    def _tie(self, these: Rows, those: Rows, gaps: Floats, sigma: float) -> None:
-        """Adds that some numbers are alike to others, whose differences are ``gaps``."""
-        sigma = max(sigma, 1e-4)
-        # Most heights are right to a little, some wrong by much: Student's t rather than a Gaussian.
-        values = (_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigma) ** 2) / sigma**2
-        for rows, columns, sign in (
-            (these, these, 1),
-            (those, those, 1),
-            (these, those, -1),
-            (those, these, -1),
-        ):
-            self._rows.append(rows)
-            self._columns.append(columns)
-            self._values.append(sign * values)
-        np.add.at(self._gradient, these, values * gaps)
-        np.add.at(self._gradient, those, -values * gaps)
-
-    def solve(self) -> tuple[SuperLU, Floats]:
-        """Returns the factorised curvature, and the step."""
-        where = np.concatenate(self._rows), np.concatenate(self._columns)
-        shape = self._size, self._size
-        factorised = splu(csc_matrix(coo_matrix((np.concatenate(self._values), where), shape)))
-        return factorised, -factorised.solve(self._gradient)
+def _tie(equations: NormalEquations, these: Rows, those: Rows | int, gaps: Floats, sigma: float) -> None:
+    """Adds that heights are alike to others, with Student's t for what they err by."""
+    sigma = max(sigma, 1e-4)
+    precisions = (_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigma) ** 2) / sigma**2
+    equations.add_differences(these, np.broadcast_to(those, these.shape), gaps, precisions)
 
 
 def shared_covariance(solution: Solution, columns: Rows) -> Floats:
@@ -231,15 +196,18 @@ def shared_covariance(solution: Solution, columns: Rows) -> Floats:
 
 
 def covariance_of(solution: Solution, sums: Floats) -> Floats:
-    """Returns the covariance of some weighted sums, (N, S), of the shared numbers: (N, N)."""
-    found = sums @ solution.factorised.solve(np.ascontiguousarray(sums.T))
+    """Returns the covariance of some weighted sums, (N, S), of the first S shared numbers: (N, N)."""
+    first, last = solution.photo_steps.size, solution.photo_steps.size + sums.shape[1]
+    whole = np.zeros((solution.photo_steps.size + len(solution.shared_step), len(sums)))
+    whole[first:last] = sums.T
+    found = sums @ solution.factorised.solve(whole)[first:last]
     return np.asarray(0.5 * (found + found.T))
 
 
 def photo_covariance(solution: Solution, photo: int) -> Floats:
-    """Returns (6, 6) the covariance of a photo's pose: its own, and what it has from the shared numbers."""
-    columns, coupling = solution.couplings[photo]
-    inverse = np.linalg.inv(solution.photo_information[photo])
-    lever = inverse @ coupling
-    spread = inverse + lever @ shared_covariance(solution, columns) @ lever.T
-    return np.asarray(0.5 * (spread + spread.T))
+    """Returns (6, 6) the covariance of a photo's pose, what the shared numbers leave open included."""
+    rows = slice(6 * photo, 6 * photo + 6)
+    unit = np.zeros((solution.photo_steps.size + len(solution.shared_step), 6))
+    unit[rows] = np.eye(6)
+    found = solution.factorised.solve(unit)[rows]
+    return np.asarray(0.5 * (found + found.T))

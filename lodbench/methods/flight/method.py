@@ -21,13 +21,17 @@ from lodbench.methods.flight.findings import findings_of
 from lodbench.methods.flight.joint import Solution, State, differences, photo_covariance, solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import PhotoTerms, photo_terms
+from lodbench.methods.flight.reconstruction import placed
 from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.methods.flight.tracks import relative_poses
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
 
 Floats = NDArray[np.float64]
 
 # Scales of the robust kernel in the joint steps, first and last, pixels of the fine size.
 _REACHES_PX = (24.0, 4.0)
+# Steps in which photos find their places among each other, before any outline is looked at.
+_TIE_STEPS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,32 +83,45 @@ class FlightMethod:
         faults = [found for found in alone if isinstance(found, QueryFault)]
         if len(faults) == len(alone):
             return FlightEstimate(faults)
-        priors = np.array([vector_from_pose(query.prior) for query in queries])
+        start = self._start(queries, city_map)
         offsets = np.array(
             [
-                differences(vector_from_pose(found.pose)[None], prior[None])[0]
-                for found, prior in zip(alone, priors, strict=True)
+                differences(vector_from_pose(found.pose)[None], vector[None])[0]
+                for found, vector in zip(alone, start.vectors, strict=True)
                 if isinstance(found, Estimate)
             ]
         )
-        offset, _ = flight_error(queries, priors, offsets, city_map, self.params)
-        aligned = self._align(queries, priors, offset, city_map)
+        offset, _ = flight_error(queries, start.vectors, offsets, city_map, self.params)
+        aligned = self._align(queries, start.shifted(offset), city_map)
         estimates = [self._estimate(aligned, row) for row in range(len(queries))]
         names = [query.name for query in queries]
         found = findings_of(aligned.state, aligned.solution, aligned.terms, names, city_map, self.params)
         return FlightEstimate(estimates, found)
 
-    def _align(self, queries: Sequence[Query], priors: Floats, offset: Floats, city_map: CityMap) -> _Aligned:
-        photo = self.params.photo()
-        aligners = [Aligner(query, city_map, photo) for query in queries]
+    def _start(self, queries: Sequence[Query], city_map: CityMap) -> State:
+        """Returns where photos are by what sensors say, and by what ties them to each other."""
+        priors = np.array([vector_from_pose(query.prior) for query in queries])
         state = State(
-            vectors=priors + offset,
+            vectors=priors,
             priors=priors,
             roofs=RoofParts(self.params.part_width_m),
             buildings_m=np.zeros(city_map.scene.num_buildings),
             weights=np.ones(len(queries)),
         )
-        state.constants[:6] = offset
+        kind = self.params.relative_poses
+        known = {k: query.reconstructed for k, query in enumerate(queries) if query.reconstructed is not None}
+        if kind in ("auto", "reconstruction"):
+            state.reconstruction = placed(known, priors, self.params.reconstruction_information())
+        if kind == "tracks" or (kind == "auto" and state.reconstruction is None):
+            state.ties = relative_poses(queries, priors)
+        if state.ties or state.reconstruction is not None:
+            for _ in range(_TIE_STEPS):
+                state.step(solve(state, [None] * len(queries), self.params))
+        return state
+
+    def _align(self, queries: Sequence[Query], state: State, city_map: CityMap) -> _Aligned:
+        photo = self.params.photo()
+        aligners = [Aligner(query, city_map, photo) for query in queries]
         steps = self.params.steps
         reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
         for number, reach_px in enumerate(reaches):

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, nearest_names
 from lodbench.methods.contour_alignment import Params as PhotoParams
 
 Floats = NDArray[np.float64]
+
+RELATIVE_POSES = ("auto", "reconstruction", "tracks", "none")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,11 @@ class Params:
         part_width_m: Width of a part, metres.
         view_roof_m: The same as one view sees it: a ridge from here, eaves from there.
         heat: By how much less outlines say than their covariance has it: the model is not the whole truth.
+        relative_poses: What ties photos to each other: ``reconstruction``, a model of the flight (COLMAP) up
+            to a similarity; ``tracks``, features of neighbouring photos; ``none``; or ``auto`` for the first
+            of them that there is.
+        reconstruction_m: Standard deviation of poses within a reconstruction, metres.
+        reconstruction_deg: The same of their turn, degrees.
         steps: Joint steps with robust kernels that narrow, and as many final ones.
         votes: Most photos whose own answers are tried as the flight's error, and that judge them.
         lost_sigmas: A photo this far from what the flight says of it is lost.
@@ -59,10 +66,13 @@ class Params:
     roof_m: float = 2.0
     part_m: float = 2.0
     feet_m: float = 0.5
-    foot_m: float = 0.5
+    foot_m: float = 1.5
     part_width_m: float = 20.0
     view_roof_m: float = 0.5
-    heat: float = 2.5
+    heat: float = 1.5
+    relative_poses: str = "auto"
+    reconstruction_m: float = 0.15
+    reconstruction_deg: float = 0.05
     steps: int = 8
     votes: int = 24
     lost_sigmas: float = 6.0
@@ -71,6 +81,11 @@ class Params:
         for name in self.__slots__[1:19]:
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
+        if self.relative_poses not in RELATIVE_POSES:
+            near = nearest_names(self.relative_poses, RELATIVE_POSES)
+            raise ConfigError(f"method.relative_poses={self.relative_poses} is not known.", near)
+        if not (self.reconstruction_m > 0 and self.reconstruction_deg > 0):
+            raise ConfigError("method.reconstruction_m and method.reconstruction_deg are above 0.")
         if self.steps < 1 or self.votes < 1:
             raise ConfigError("method.steps and method.votes are at least 1.")
         if self.part_width_m == 0 or self.heat == 0:
@@ -90,6 +105,11 @@ class Params:
         """Returns (11,) standard deviations beforehand of what photos share, in the order of ``joint``."""
         lens = (self.focal, self.distortion, self.mask_px)
         return np.concatenate([self.shared_sigmas(), np.maximum([*lens, self.roofs_m, self.feet_m], 1e-7)])
+
+    def reconstruction_information(self) -> Floats:
+        """Returns (6, 6) how well poses are known in a reconstruction: of metres, then radians."""
+        sigmas = np.repeat([self.reconstruction_m, math.radians(self.reconstruction_deg)], 3)
+        return np.asarray(np.diag(sigmas**-2.0))
 
     def trust(self) -> tuple[float, float]:
         """Returns ``view_roof_m`` and ``heat``: how far one view's outlines are believed."""

@@ -182,8 +182,7 @@ def _outline_noise(seen: _Seen, reach_px: float | None) -> tuple[float, Floats]:
         kernel = 1.0 / (1.0 + (distances / reach_px) ** 2)
         return noise_px, np.maximum(kernel**2 * agreement, _LEAST_WEIGHT)
     shares = np.array([0.8, 0.1, 0.1])
-    for _ in range(_MIXTURE_STEPS):
-        if not len(near): break
+    for _ in range(_MIXTURE_STEPS if len(near) else 0):
         chances = _chances(near, noise_px, shares)
         inside = chances[:, 0] / chances.sum(axis=1)
         noise_px = float(np.clip(np.sqrt(inside @ near**2 / max(inside.sum(), 1e-9)), low, high))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.cache import OpenCity, open_cached_city, store_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.folder import SEQUENCE_FILE, FolderParams, open_folder
+from lodbench.datasets.folder import RECONSTRUCTION_FOLDER, SEQUENCE_FILE, FolderParams, open_folder
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, Pose
@@ -27,6 +27,7 @@ from lodbench.storage.paths import cache_root
 from lodbench.synthesis.flights.errors import SensorErrors, moved
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map
 from lodbench.synthesis.flights.paths import PATHS
+from lodbench.synthesis.flights.photos import PHOTO_SIZE, FlightPhotographer, reconstruct
 from lodbench.synthesis.mask_degradation import degrade_mask, mask_iou
 from lodbench.synthesis.queries import SyntheticQuery, write_queries
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewCheck, target_near
@@ -63,6 +64,8 @@ class FlightsParams:
         missing: Share of buildings that the map lacks.
         extra: Share of buildings that stand in the map only.
         flights_seed: Seed of everything.
+        look: Photos are drawn in this look of ``conf/training``: plain, varied or hard; None for none.
+        reconstruct: Whether COLMAP reconstructs each flight from its photos (pycolmap).
         lod: Level of detail to localise against; None for the lowest.
         mask_lod: Level of detail that masks are drawn from; None for ``lod``.
         crs: CRS of the city model, where its file says none or a wrong one.
@@ -88,6 +91,8 @@ class FlightsParams:
     missing: float = 0.0
     extra: float = 0.0
     flights_seed: int = 0
+    look: str | None = None
+    reconstruct: bool = False
     lod: str | None = None
     mask_lod: str | None = None
     crs: str | None = None
@@ -103,6 +108,10 @@ class FlightsParams:
             raise ConfigError(f"dataset.mask_iou lies in (0, 1], not {self.mask_iou}.")
         if not (0 <= self.focal <= 0.2 and -0.3 <= self.distortion <= 0.3):
             raise ConfigError("dataset.focal lies within 0 and 0.2, dataset.distortion within -0.3 and 0.3.")
+        if self.reconstruct and self.look is None:
+            raise ConfigError("dataset.reconstruct=true needs photos.", "Set dataset.look=plain.")
+        if self.look is not None and self.distortion != 0:
+            raise ConfigError("dataset.look draws photos without distortion.", "Set dataset.distortion=0.")
         self.shared(), self.own(), self.map_errors()
 
     def shared(self) -> SensorErrors:
@@ -161,12 +170,20 @@ def _opened(params: FlightsParams, root: Path) -> Dataset:
 def _draw(params: FlightsParams, world: Scene, folder: Path) -> None:
     """Writes all flights as one split of a folder."""
     renderer = make_renderer("silhouette", world, None)
+    told = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(*PHOTO_SIZE)
+    photographer = None
+    if params.look is not None:
+        photographer = FlightPhotographer(world, params.look, params.flights_seed)
     queries, sequences = [], {}
     for flight in range(params.num_flights):
-        for query in draw_flight(params, world, renderer, flight):
-            queries.append(query)
-            sequences[query.file_name] = f"flight_{flight:02d}"
-    write_queries(folder / SPLIT, queries, RGB_CAMERA, world.origin)
+        name, taken = f"flight_{flight:02d}", draw_flight(params, world, renderer, flight)
+        if photographer is not None:
+            taken = photographer.with_photos(taken, drone_errors(params, flight).camera(told), flight)
+        if params.reconstruct:
+            reconstruct(taken, told, folder / SPLIT / RECONSTRUCTION_FOLDER / name)
+        queries += taken
+        sequences.update({query.file_name: name for query in taken})
+    write_queries(folder / SPLIT, queries, told, world.origin)
     lines = [f"{name} {flight}" for name, flight in sequences.items()]
     write_text(folder / SPLIT / SEQUENCE_FILE, "\n".join(lines) + "\n", False)
 
@@ -178,12 +195,8 @@ def draw_flight(params: FlightsParams, world: Scene, renderer: Renderer, flight:
         DatasetError: No place of the city shows enough buildings along such a flight.
     """
     names = (params.flights_seed, "flight", flight)
-    generator = random_stream(*names, "errors")
-    shared = params.shared().draw(generator)
-    focal = 1.0 + params.focal * float(generator.uniform(-1.0, 1.0))
-    distortion = params.distortion * float(generator.uniform(-1.0, 1.0))
-    camera = RGB_CAMERA.scaled(*FINE_SIZE)
-    true_camera = replace(camera, fx=camera.fx * focal, fy=camera.fy * focal)
+    lens, camera = drone_errors(params, flight), RGB_CAMERA.scaled(*FINE_SIZE)
+    true_camera, distortion, shared = lens.camera(camera), lens.distortion, lens.sensors
     queries = []
     for number, truth in enumerate(_poses(params, world, renderer, camera, flight)):
         name = f"flight_{flight:02d}_{number:04d}"
@@ -192,6 +205,33 @@ def draw_flight(params: FlightsParams, world: Scene, renderer: Renderer, flight:
         own = params.own().draw(random_stream(*names, number, "prior"))
         queries.append(SyntheticQuery(name, truth, moved(truth, shared + own), rough, mask_iou(rough, clean)))
     return queries
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DroneErrors:
+    """What a flight's drone is wrong about in all photos.
+
+    Attributes:
+        sensors: (6,) by which priors are off, metres and degrees.
+        focal: The focal length over what is told of it.
+        distortion: Radial distortion k1.
+    """
+
+    sensors: NDArray[np.float64]
+    focal: float
+    distortion: float
+
+    def camera(self, told: Camera) -> Camera:
+        """Returns the pinhole that photos are taken with, of the size of the one that is told."""
+        return replace(told, fx=told.fx * self.focal, fy=told.fy * self.focal)
+
+
+def drone_errors(params: FlightsParams, flight: int) -> DroneErrors:
+    """Returns what the drone of a flight is wrong about; it depends on seed and number only."""
+    generator = random_stream(params.flights_seed, "flight", flight, "errors")
+    shared = params.shared().draw(generator)
+    focal = 1.0 + params.focal * float(generator.uniform(-1.0, 1.0))
+    return DroneErrors(shared, focal, params.distortion * float(generator.uniform(-1.0, 1.0)))
 
 
 def _poses(

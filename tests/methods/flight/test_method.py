@@ -177,8 +177,10 @@ def dense_solution(state, terms, params):
     for one, other, gap, sigma in ties:
         row = np.zeros(size)
         row[one], row[other] = 1.0, -1.0
-        matrix += np.outer(row, row) / sigma**2
-        gradient += row * gap / sigma**2
+        # Student's t with one degree of freedom, as a weight.
+        precision = 2.0 / (1.0 + (gap / sigma) ** 2) / sigma**2
+        matrix += precision * np.outer(row, row)
+        gradient += precision * row * gap
     inverse = np.linalg.inv(matrix)
     return inverse, -inverse @ gradient
 

@@ -1,0 +1,62 @@
+"""Sparse normal equations, summed block by block: of photos, what they share, and ties between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse.linalg import SuperLU, splu
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+class NormalEquations:
+    """Curvature and slope of a sum of squares.
+
+    Args:
+        size: Number of unknowns.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._gradient = np.zeros(size)
+        self._rows: list[Rows] = []
+        self._columns: list[Rows] = []
+        self._values: list[Floats] = []
+
+    def add(self, unknowns: Rows, curvature: Floats, slope: Floats) -> None:
+        """Adds a dense block, (N, N) and (N,), at N unknowns."""
+        self._rows.append(np.repeat(unknowns, len(unknowns)))
+        self._columns.append(np.tile(unknowns, len(unknowns)))
+        self._values.append(curvature.ravel())
+        np.add.at(self._gradient, unknowns, slope)
+
+    def add_residuals(self, unknowns: Rows, jacobian: Floats, residuals: Floats, information: Floats) -> None:
+        """Adds squares of (M,) residuals with an (M, N) Jacobian in N unknowns and (M, M) information."""
+        weighted = jacobian.T @ information
+        self.add(unknowns, weighted @ jacobian, weighted @ residuals)
+
+    def add_differences(self, these: Rows, those: Rows, gaps: Floats, precisions: Floats) -> None:
+        """Adds that some unknowns are alike to others: (N,) differences now, and how precisely."""
+        for rows, columns, sign in (
+            (these, these, 1.0),
+            (those, those, 1.0),
+            (these, those, -1.0),
+            (those, these, -1.0),
+        ):
+            self._rows.append(rows)
+            self._columns.append(columns)
+            self._values.append(sign * precisions)
+        np.add.at(self._gradient, these, precisions * gaps)
+        np.add.at(self._gradient, those, -precisions * gaps)
+
+    def solve(self) -> tuple[SuperLU, Floats]:
+        """Returns the factorised curvature, and the step to the minimum."""
+        where = np.concatenate(self._rows), np.concatenate(self._columns)
+        matrix = csc_matrix(coo_matrix((np.concatenate(self._values), where), (self._size, self._size)))
+        # Positive definite: an ordering of the symmetric pattern needs no pivots.
+        factorised = splu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+        return factorised, -factorised.solve(self._gradient)

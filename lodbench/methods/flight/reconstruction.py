@@ -1,0 +1,126 @@
+"""A reconstruction of a flight's photos (COLMAP and the like), whose place in the map is a similarity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lodbench.geometry import Pose
+from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.methods.flight.relative_poses import robust, rotation_vector
+
+Floats = NDArray[np.float64]
+
+# Numbers of a similarity: a shift (metres), a turn (radians, map axes), and the logarithm of its scale.
+SIMILARITY = 7
+# Fewer photos than this leave a similarity open.
+FEWEST_PHOTOS = 3
+# Photos this much further from their priors than half of them do not place it.
+_OUTLIER = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """Poses of photos in the map, right up to a similarity.
+
+    Attributes:
+        poses: By number of the photo.
+        middle: (3,) what the similarity turns and scales about, metres.
+        information: (6, 6) of each photo's centre (metres) and turn (radians, camera axes).
+    """
+
+    poses: Mapping[int, Pose]
+    middle: Floats
+    information: Floats
+
+    @property
+    def photos(self) -> Sequence[int]:
+        """Returns the numbers of its photos."""
+        return list(self.poses)
+
+    def placed_at(self, vectors: Floats) -> Reconstruction:
+        """Returns it as near to poses, (P, 6), as a similarity brings it."""
+        found = placed(self.poses, vectors, self.information)
+        return self if found is None else found
+
+    def moved(self, step: Floats) -> Reconstruction:
+        """Returns it after a similarity of (7,) numbers."""
+        turn = Rotation.from_rotvec(step[3:6]).as_matrix()
+        scale = float(np.exp(step[6]))
+        poses = {
+            photo: Pose.from_center(
+                pose.rotation @ turn.T, self.middle + step[:3] + scale * turn @ (pose.center - self.middle)
+            )
+            for photo, pose in self.poses.items()
+        }
+        return Reconstruction(poses, self.middle + step[:3], self.information)
+
+    def linearize(self, photo: int, vectors: Floats, derivatives: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Returns (6,) how far a photo's pose is from its own, and (6, 13) the change per unit of both.
+
+        Args:
+            photo: Its number.
+            vectors: (P, 6) poses of all photos, metres and degrees.
+            derivatives: Of each, from ``rotation_derivatives``.
+        """
+        mine, here = self.poses[photo], pose_from_vector(vectors[photo])
+        away = mine.center - self.middle
+        turn = here.rotation @ mine.rotation.T
+        residuals = np.concatenate([here.center - mine.center, rotation_vector(turn)])
+        jacobian = np.zeros((6, 6 + SIMILARITY))
+        jacobian[:3, :3], jacobian[:3, 6:9] = np.eye(3), -np.eye(3)
+        jacobian[:3, 9:12], jacobian[:3, 12] = _cross(away), -away
+        for angle in range(3):
+            skew = derivatives[photo][angle] @ here.rotation.T
+            jacobian[3:, 3 + angle] = skew[2, 1], skew[0, 2], skew[1, 0]
+        jacobian[3:, 9:12] = here.rotation
+        return residuals, jacobian
+
+    def weighted_information(self, residuals: Floats) -> Floats:
+        """Returns (6, 6) the information, less for a photo that is far off."""
+        return robust(self.information, residuals)
+
+
+def placed(poses: Mapping[int, Pose], vectors: Floats, information: Floats) -> Reconstruction | None:
+    """Returns a reconstruction moved to where photos are thought to be; None if it has too few of them.
+
+    The turn is the mean of what each photo says, so that a straight flight leaves none open.
+
+    Args:
+        poses: In the reconstruction's frame, by number of the photo.
+        vectors: (P, 6) where photos are thought to be, metres and degrees.
+        information: (6, 6) of each pose within it; see ``Reconstruction``.
+    """
+    if len(poses) < FEWEST_PHOTOS:
+        return None
+    photos = sorted(poses)
+    thought = [pose_from_vector(vectors[photo]) for photo in photos]
+    turns = [here.rotation.T @ poses[photo].rotation for photo, here in zip(photos, thought, strict=True)]
+    turn = Rotation.from_matrix(np.array(turns)).mean().as_matrix()
+    there = np.array([turn @ poses[photo].center for photo in photos])
+    here = np.array([pose.center for pose in thought])
+    kept = np.ones(len(photos), dtype=bool)
+    scale, shift = 1.0, np.zeros(3)
+    for _ in range(3):
+        one, other = there[kept], here[kept]
+        spread = one - one.mean(axis=0)
+        scale = float((spread * (other - other.mean(axis=0))).sum() / max((spread**2).sum(), 1e-12))
+        shift = other.mean(axis=0) - scale * one.mean(axis=0)
+        away = np.linalg.norm(scale * there + shift - here, axis=1)
+        kept = away <= _OUTLIER * np.median(away)
+    if scale <= 0:
+        return None
+    moved = {
+        photo: Pose.from_center(poses[photo].rotation @ turn.T, scale * there[k] + shift)
+        for k, photo in enumerate(photos)
+    }
+    return Reconstruction(moved, here[kept].mean(axis=0), information)
+
+
+def _cross(axis: Floats) -> Floats:
+    x, y, z = (float(v) for v in axis)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

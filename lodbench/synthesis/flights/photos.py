@@ -1,0 +1,104 @@
+"""Drawn photos of a flight, taken on one day with one camera, and COLMAP's reconstruction of them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.pictures import encoded
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.geometry import Camera
+from lodbench.storage import make_folder, random_stream
+from lodbench.synthesis.photo import PhotoRenderer, draw_look
+from lodbench.synthesis.photo.named_looks import look_ranges
+from lodbench.synthesis.queries import SyntheticQuery
+from lodbench.synthesis.surroundings.surroundings import make_surroundings
+
+# What photos are drawn at; as for ``dataset=views``.
+PHOTO_SIZE = (1204, 902)
+
+
+class FlightPhotographer:
+    """Draws photos of one city, whose surroundings stay the same from flight to flight.
+
+    Args:
+        scene: The city as photos show it.
+        look: A name of ``conf/training``.
+        seed: Of surroundings and looks.
+
+    Raises:
+        ConfigError: There is no such look.
+    """
+
+    def __init__(self, scene: Scene, look: str, seed: int) -> None:
+        self._ranges, self._seed = look_ranges(look), seed
+        made = make_surroundings(scene, seed)
+        self._renderer = PhotoRenderer(scene, made.props, made.land_cover)
+
+    def with_photos(
+        self, queries: Sequence[SyntheticQuery], camera: Camera, flight: int
+    ) -> list[SyntheticQuery]:
+        """Returns a flight's queries with photos: one sun, exposures apart; names become those of JPEGs.
+
+        Args:
+            queries: In the scene's frame.
+            camera: The flight's true one; photos are of its size.
+            flight: Its number.
+        """
+        light, _ = draw_look(self._ranges, random_stream(self._seed, "flight", flight, "look"))
+        pictured = []
+        for query in queries:
+            _, response = draw_look(self._ranges, random_stream(self._seed, "look", query.name))
+            picture = self._renderer.photo(camera, query.truth, light, response)
+            quality = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality]
+            photo = encoded(np.ascontiguousarray(picture[..., ::-1]), ".jpg", quality)
+            pictured.append(replace(query, name=f"{query.name}.jpg", photo=photo))
+        return pictured
+
+
+def reconstruct(queries: Sequence[SyntheticQuery], camera: Camera, folder: Path) -> None:
+    """Writes COLMAP's reconstruction of a flight's photos, its own frame and focal length.
+
+    Photos that COLMAP does not register are not in it.
+
+    Args:
+        queries: With photos.
+        camera: What is told of the camera, of the photos' size.
+        folder: Receives the model as text.
+
+    Raises:
+        ConfigError: pycolmap is not installed.
+        DatasetError: COLMAP finds no model.
+    """
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise ConfigError(
+            "dataset.reconstruct=true needs pycolmap, which is not installed.", "pip install pycolmap"
+        ) from error
+    pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
+    with tempfile.TemporaryDirectory() as made:
+        photos, database = make_folder(Path(made) / "photos"), Path(made) / "database.db"
+        for query in queries:
+            (photos / query.name).write_bytes(query.photo or b"")
+        reader = pycolmap.ImageReaderOptions(
+            camera_model="PINHOLE",
+            camera_params=",".join(map(str, (camera.fx, camera.fy, camera.cx, camera.cy))),
+        )
+        pycolmap.set_random_seed(0)
+        pycolmap.extract_features(
+            database, photos, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=reader
+        )
+        pycolmap.match_exhaustive(database)
+        models = pycolmap.incremental_mapping(database, photos, made)
+        if not models:
+            raise DatasetError(f"COLMAP finds no model of {queries[0].name} and the photos with it.")
+        largest = max(models.values(), key=lambda model: model.num_reg_images())
+        make_folder(folder)
+        largest.write_text(folder)

@@ -1,0 +1,151 @@
+"""Relative poses: slopes against differences, two views from points, reconstructions up to a similarity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lodbench.errors import ConfigError
+from lodbench.evaluation import pose_error
+from lodbench.geometry import Pose
+from lodbench.methods.contour_alignment.pose_vector import (
+    pose_from_vector,
+    rotation_derivatives,
+)
+from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.flight.reconstruction import placed
+from lodbench.methods.flight.relative_poses import RelativePose, rotation_vector, tangents
+from lodbench.methods.flight.tracks import two_view
+from lodbench.storage import random_stream
+from tests.methods.flight.test_method import flight
+
+VECTORS = np.array(
+    [
+        [0.0, 0.0, 90.0, 30.0, 0.5, 10.0],
+        [20.0, 5.0, 92.0, 33.0, -0.4, 22.0],
+        [41.0, 2.0, 88.0, 28.0, 0.2, 35.0],
+    ]
+)
+
+
+def slopes_by_differences(residuals, vectors, photos, rest):
+    """Returns the change of residuals per unit of some photos' numbers, then of further ones."""
+    columns = []
+    for photo in photos:
+        for number in range(6):
+            moved = vectors.copy()
+            moved[photo, number] += 1e-5
+            columns.append((residuals(moved, np.zeros(rest)) - residuals(vectors, np.zeros(rest))) / 1e-5)
+    for number in range(rest):
+        step = np.zeros(rest)
+        step[number] = 1e-6
+        columns.append((residuals(vectors, step) - residuals(vectors, np.zeros(rest))) / 1e-6)
+    return np.stack(columns, axis=1)
+
+
+def true_tie(vectors, first=0, second=1):
+    here, there = (pose_from_vector(vectors[k]) for k in (first, second))
+    direction = there.rotation @ (here.center - there.center)
+    direction /= np.linalg.norm(direction)
+    return RelativePose(
+        first, second, there.rotation @ here.rotation.T, direction, np.eye(5), np.arange(5) * 0.1
+    )
+
+
+def test_slopes_of_a_pair_are_its_differences():
+    tie = true_tie(VECTORS)
+    near = VECTORS + np.random.default_rng(0).normal(scale=0.05, size=VECTORS.shape)
+
+    def residuals(vectors, focal):
+        return tie.linearize(vectors, [rotation_derivatives(v) for v in vectors], float(focal[0]))[0]
+
+    derivatives = [rotation_derivatives(v) for v in near]
+    at_truth, _ = tie.linearize(VECTORS, [rotation_derivatives(v) for v in VECTORS], 0.0)
+    np.testing.assert_allclose(at_truth, 0.0, atol=1e-12)
+    expected = slopes_by_differences(residuals, near, (0, 1), 1)
+    np.testing.assert_allclose(tie.linearize(near, derivatives, 0.0)[1], expected, atol=2e-4)
+
+
+def test_slopes_of_a_reconstruction_are_its_differences():
+    poses = {k: pose_from_vector(v) for k, v in enumerate(VECTORS)}
+    found = placed(poses, VECTORS, np.eye(6))
+    near = VECTORS + np.random.default_rng(1).normal(scale=0.02, size=VECTORS.shape)
+
+    def residuals(vectors, step):
+        return found.moved(step).linearize(1, vectors, [rotation_derivatives(v) for v in vectors])[0]
+
+    expected = slopes_by_differences(residuals, near, (1,), 7)
+    _, jacobian = found.linearize(1, near, [rotation_derivatives(v) for v in near])
+    np.testing.assert_allclose(jacobian, expected, atol=2e-3)
+
+
+def similar(pose):
+    """Returns a pose in the frame of a reconstruction."""
+    turn = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
+    return Pose.from_center(pose.rotation @ turn.T, 0.037 * turn @ pose.center + [5.0, -2.0, 9.0])
+
+
+def test_a_reconstruction_is_placed_where_photos_are_but_for_one_that_is_not():
+    poses = {k: similar(pose_from_vector(v)) for k, v in enumerate(VECTORS)}
+    found = placed(poses, VECTORS, np.eye(6))
+    for photo, vector in enumerate(VECTORS):
+        error = pose_error(found.poses[photo], pose_from_vector(vector))
+        assert error.translation_m < 1e-6
+        assert error.rotation_deg < 1e-6
+    assert placed({0: poses[0], 1: poses[1]}, VECTORS, np.eye(6)) is None
+
+
+def test_two_views_are_what_their_points_say():
+    generator = np.random.default_rng(3)
+    here, there = (pose_from_vector(v) for v in VECTORS[:2])
+    # Ground and roofs, with some points that match by mistake.
+    points = np.column_stack(
+        [
+            generator.uniform(-40, 60, 300),
+            generator.uniform(20, 120, 300),
+            generator.choice([0.0, 8.0, 15.0], 300),
+        ]
+    )
+    rays = [(points - pose.center) @ pose.rotation.T for pose in (here, there)]
+    first, second = ((ray / ray[:, 2:])[:, :2] + generator.normal(0, 0.3 / 900, (300, 2)) for ray in rays)
+    second[:40] += generator.normal(0, 0.1, (40, 2))
+    tie = true_tie(VECTORS)
+    rotation, direction, information, per_focal = two_view(first, second, 900.0, tie.rotation)
+    error = np.concatenate([rotation_vector(rotation @ tie.rotation.T), tangents(tie.direction) @ direction])
+    assert np.degrees(np.abs(error)).max() < 0.4
+    assert (error @ information @ error) / 5 < 6.0
+    # A lens 1 % longer than told: the same points at other rays.
+    longer = two_view(first * 1.01, second * 1.01, 900.0, tie.rotation)
+    told_short = np.concatenate([rotation_vector(rotation @ longer[0].T), tangents(longer[1]) @ direction])
+    np.testing.assert_allclose(0.01 * per_focal, told_short, atol=0.3 * np.abs(told_short).max())
+    assert two_view(first[:10], second[:10], 900.0, tie.rotation) is None
+    # Turned another way than sensors could be wrong about.
+    assert (
+        two_view(first, second, 900.0, Rotation.from_rotvec([0, 0, 1.0]).as_matrix() @ tie.rotation) is None
+    )
+
+
+def test_photos_tied_by_a_reconstruction_are_found_better_even_one_whose_mask_is_wrong(city_map):
+    queries, poses = flight(city_map, count=6)
+    tied = []
+    for k, (query, pose) in enumerate(zip(queries, poses, strict=True)):
+        rough = np.asarray(query.building_probability).copy()
+        rough[:, : 40 + 20 * (k % 3)] = 0.0
+        tied.append(replace(query, building_probability=rough, reconstructed=similar(pose)))
+    tied[3] = replace(tied[3], building_probability=np.roll(tied[3].building_probability, 90, axis=1))
+    streams = [partial(random_stream, 0, query.name) for query in tied]
+    errors = {}
+    for kind in ("none", "auto"):
+        found = FlightMethod(Params(relative_poses=kind)).localize_flight(tied, city_map, streams).estimates
+        errors[kind] = [pose_error(f.pose, p).translation_m for f, p in zip(found, poses, strict=True)]
+    assert np.max(errors["auto"]) < 0.7
+    assert np.median(errors["auto"]) < np.median(errors["none"])
+
+
+def test_kinds_of_relative_poses_are_told():
+    with pytest.raises(ConfigError, match="relative_poses=colmap"):
+        Params(relative_poses="colmap")
