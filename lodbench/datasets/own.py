@@ -12,7 +12,7 @@ from typing import Any
 
 from lodbench.datasets.folder import ABOUT_FILE, write_poses
 from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.picture_faults import mask_fault
+from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
@@ -180,6 +180,8 @@ def _write_pictures(folder: Path, name: str, image: OwnImage, pinhole: Camera) -
             raise DatasetError(
                 f"the photo is {header.width} x {header.height}, its camera {size[0]} x {size[1]}"
             )
+        if not is_decodable(image.photo):
+            raise DatasetError(f"{image.photo} is damaged or cut off")
         target = folder / "Query_image" / name
         contents[target] = (
             image.photo.read_bytes() if is_straight else _encoded(image.photo, image.camera, pinhole, target)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,8 @@ def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction])
     answered = sum(predictions[str(key)].pose is not None for key in queries.index)
     is_said = any(predictions[str(key)].probability is not None for key in queries.index)
     notes = [f"{key}: {note}" for key in queries.index for note in predictions[str(key)].notes]
+    reasons = Counter(found.failure for key in queries.index if (found := predictions[str(key)]).pose is None)
+    notes = [f"{count} x {reason}" for reason, count in sorted(reasons.items()) if reason] + notes
     basis = "goes by the probability that the method gives of being within 2 m and 2 degrees"
     return (
         f"There is no truth to compare with: the answers themselves.\n\n{format_columns([head, *lines])}\n\n"

@@ -177,6 +177,7 @@ class TestFromPixels:
         assert error.translation_m < 2.0
         assert error.rotation_deg < 1.0
         assert found["trusted"]
+        assert found["trust"] in ("good", "doubtful")
         assert found["probability"] > 0.5
         assert set(found["sigmas"]) == {"x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg"}
         variances = [row[k] for k, row in enumerate(found["covariance"])]

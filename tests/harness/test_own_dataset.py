@@ -125,6 +125,8 @@ class TestFromPhotos:
         shutil.copytree(case.photo.parent, flight)
         write_photo(flight / "silent.jpg", exif=exif_of())
         (flight / "broken.jpg").write_bytes(b"\xff\xd8\xff")
+        (photo,) = case.photo.parent.glob("*.JPG")
+        (flight / "cut.jpg").write_bytes(photo.read_bytes()[: photo.stat().st_size // 2])
         elsewhere = {
             **PROPERTIES,
             "GpsLatitude": "48.0",
@@ -136,9 +138,10 @@ class TestFromPhotos:
         assert "1 images" in out
         assert "left out: silent.jpg: silent.jpg does not say where" in out
         assert "left out: broken.jpg" in out
+        assert "cut.jpg is damaged or cut off" in out
         assert " km outside the city model" in out.split("left out: far.jpg: ")[1]
         about = json.loads((tmp_path / "town/dataset.json").read_text())
-        assert {name for name, _ in about["left_out"]} == {"silent.jpg", "broken.jpg", "far.jpg"}
+        assert {name for name, _ in about["left_out"]} == {"silent.jpg", "broken.jpg", "cut.jpg", "far.jpg"}
         assert about["crs"] == "EPSG:25832+7837"
 
     @pytest.mark.parametrize(

@@ -40,3 +40,4 @@ def test_every_query_has_a_line_and_failures_are_counted():
     ]
     assert second[-1] == "failed"
     assert "1 of 2 queries have an answer, 1 failed" in text
+    assert "1 x no match" in text.splitlines()

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
-from pathlib import Path
-
 from lodbench.datasets.codes import GPS_IN_IMAGE, IMAGE_SIZE, IMAGE_UNREADABLE, MASK_UNFIT
 from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.picture_faults import mask_fault
+from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError
 from lodbench.execution import Progress
@@ -48,20 +45,5 @@ def _check_photo(entry: Entry, with_pixels: bool, findings: Findings) -> None:
     if camera is not None and (header.width, header.height) != (camera.width, camera.height):
         detail = f"{header.width} x {header.height}, intrinsics {camera.width} x {camera.height}"
         findings.add(IMAGE_SIZE, entry.key, detail)
-    if with_pixels and not _is_decodable(entry.image):
+    if with_pixels and not is_decodable(entry.image):
         findings.add(IMAGE_UNREADABLE, entry.key, f"{entry.image} is damaged or cut off")
-
-
-def _is_decodable(path: Path) -> bool:
-    """Tells whether all of a picture is there; unlike OpenCV, Pillow does not pass a cut-off file."""
-    from PIL import Image
-
-    try:
-        # The header has been read: beyond the warning, but not beyond the error.
-        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
-            # JPEG: an eighth of the size, which still reads the file to its end.
-            image.draft("L", (max(1, image.width // 8), max(1, image.height // 8)))
-            image.load()
-    except Exception:  # Pillow lets the errors of its decoders through
-        return False
-    return True

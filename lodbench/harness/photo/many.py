@@ -16,7 +16,6 @@ from lodbench.execution import Progress
 from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.localize import localize_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
-from lodbench.reporting.answers import trust_word
 from lodbench.storage import hide_formula, make_folder, write_text
 
 TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
@@ -45,11 +44,7 @@ class PhotoAnswer:
     @property
     def trust(self) -> str:
         """Returns how far the answer may be trusted, in a word."""
-        if self.found is None:
-            return "failed"
-        if not self.found.is_trusted:
-            return "do not trust"
-        return "-" if self.found.probability is None else trust_word(self.found.probability)
+        return "failed" if self.found is None else self.found.trust
 
     def row(self) -> dict[str, Any]:
         """Returns the row of the table: ``COLUMNS``, None for what is not known."""

@@ -15,6 +15,7 @@ from lodbench.datasets.photo_pose import HeightOptions, RoughPlace
 from lodbench.evaluation import PoseError
 from lodbench.geometry import Camera, Pose
 from lodbench.methods import Method
+from lodbench.reporting.answers import UNTRUSTED, trust_word
 from lodbench.segmentation import Segmenter
 
 _SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
@@ -106,6 +107,13 @@ class LocalizedPhoto:
     thumbnail: bytes | None = None
 
     @property
+    def trust(self) -> str:
+        """Returns how far it may be trusted, in a word; "-" where nothing tells."""
+        if not self.is_trusted:
+            return UNTRUSTED
+        return "-" if self.probability is None else trust_word(self.probability)
+
+    @property
     def view(self) -> Path:
         """Returns the file that shows it over the city in three dimensions, where that was written."""
         return self.overlay.with_name(f"{self.overlay.stem.removesuffix('_overlay')}_3d.html")
@@ -127,6 +135,7 @@ class LocalizedPhoto:
             "sigmas": None if self.sigmas is None else dict(zip(_SIGMA_NAMES, self.sigmas, strict=True)),
             "alternatives": [_pose_values(pose) for pose in self.alternatives],
             "trusted": self.is_trusted,
+            "trust": self.trust,
             "camera": {"colmap": [*self.camera.to_colmap()], "source": self.camera_source},
             "overlay": str(self.overlay),
             "geojson": None if self.geojson is None else str(self.geojson),

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from lodbench.harness.city import open_city
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
-from lodbench.reporting.answers import trust_word
 from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d
 from lodbench.storage import write_text
 
@@ -40,9 +39,8 @@ def write_view(path: Path, request: PhotoRequest, found: Sequence[LocalizedPhoto
 
 def _facts(found: LocalizedPhoto) -> dict[str, str]:
     """Returns what is told of a photo, by name."""
-    facts = {} if found.is_trusted else {"trust": "do not trust"}
+    facts = {"trust": found.trust}
     if found.probability is not None:
-        facts.setdefault("trust", trust_word(found.probability))
         facts["sure"] = f"{100 * found.probability:.0f} %"
     moved = f"{found.moved.translation_m:.2f} m, {found.moved.rotation_deg:.2f} deg"
     return {**facts, "from the prior": moved, "score": f"{found.score:.3f}"}
