@@ -8,6 +8,7 @@ from functools import partial
 from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.gml_batch import read_batch
@@ -20,11 +21,13 @@ from lodbench.citymodel.gml_names import (
     NESTED_TYPES,
     is_citygml,
 )
+from lodbench.citymodel.gml_pictures import SurfacePictures
 from lodbench.citymodel.gml_walk import GeometryWalk
 from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.json_documents import paused_collector
 from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.objects import ObjectTable, Solids
+from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.citymodel.xml import Element, XmlMembers, local_name, namespace_of
 from lodbench.findings import Findings
@@ -49,6 +52,7 @@ def read_citygml(
     is_strict: bool = True,
     has_details: bool = False,
     layers: Sequence[str] = (),
+    pictures: PictureTable | None = None,
 ) -> RawCity:
     """Returns the buildings of a CityGML document in the coordinates of the file, and objects of its layers.
 
@@ -58,11 +62,12 @@ def read_citygml(
         is_strict: Whether a bad coordinate is an error, or a finding that drops its polygon.
         has_details: Whether attributes, solids and ids of polygons are read as well.
         layers: Names of ``LAYERS``: what to read besides buildings.
+        pictures: Receives those of surfaces, which are kept then; with ``has_details``.
 
     Raises:
         CityModelError: The XML is not well-formed or not CityGML, or a coordinate is bad.
     """
-    reader = _Reader(source, is_strict, has_details, layers)
+    reader = _Reader(source, is_strict, has_details, layers, pictures)
     with paused_collector(), open_stream() as stream:
         reader.read(stream)
     if reader.links.unresolved:
@@ -74,7 +79,14 @@ def read_citygml(
 class _Reader:
     """State of one document while it is read."""
 
-    def __init__(self, source: str, is_strict: bool, has_details: bool, layers: Sequence[str]) -> None:
+    def __init__(
+        self,
+        source: str,
+        is_strict: bool,
+        has_details: bool,
+        layers: Sequence[str],
+        pictures: PictureTable | None,
+    ) -> None:
         self.findings = Findings()
         self.walk = GeometryWalk(self.findings)
         self.links = LinkResolver(self.walk, source.rpartition("/")[2], self.findings)
@@ -98,6 +110,9 @@ class _Reader:
         if has_details:
             self._columns["serial"] = GrowingArray(np.int64)
         self._has_textures = False
+        self._pictures = pictures
+        self._painted = None if pictures is None else SurfacePictures(pictures)
+        self._flipped: set[int] = set()
         self._version: str | None = None
         self._srs_name: str | None = None
 
@@ -160,6 +175,7 @@ class _Reader:
         if not met:
             self._others.update(local_name(child.tag) for child in member)
             self._has_textures |= any(local_name(child.tag) == "Appearance" for child in member)
+            self._read_pictures(member, {})
             return
         if self._objects.has_details and not self._has_textures:  # a look at all elements
             self._has_textures = member.find(".//{*}appearance") is not None
@@ -167,8 +183,13 @@ class _Reader:
             solids = SolidReader(member, self.walk, self._objects, self._num_walked)
             for element, part_of, own in met:
                 solids.read(element, part_of, own)
+            self._read_pictures(member, solids.polygons)
         if self.walk.references or self.walk.duplicate_ids:
             self.links.resolve_member(member, self._building_ids)
+
+    def _read_pictures(self, member: Element, polygons: dict[Element, int]) -> None:
+        if self._painted is not None:
+            self._painted.read_member(member, polygons, self._num_walked)
 
     def _add_nested(self, building: Element, own: int, nested: Element, part_of: dict[Element, int]) -> int:
         """Adds an object inside of another; returns its number."""
@@ -184,6 +205,8 @@ class _Reader:
         if batch.owners:
             arrays = read_batch(batch, self._building_ids, self.findings, is_strict=self._is_strict)
             arrays.serial[arrays.serial >= 0] += self._num_walked
+            if self._painted is not None:
+                self._flipped.update(self._num_walked + n for n in batch.flipped)
             self._num_walked += len(batch.owners)
             for name, column in self._columns.items():
                 column.extend(getattr(arrays, name))
@@ -203,6 +226,13 @@ class _Reader:
             solids, polygon_ids = self._objects.finish_solids(joined["serial"])
         # Where buildings have no parts, their own numbers say it all.
         is_plain = self._objects.is_plain
+        ring_starts, polygon_starts = starts_of(joined["ring_lengths"]), starts_of(joined["ring_counts"])
+        picture: NDArray[np.int32] | None = None
+        uv: NDArray[np.float64] | None = None
+        if self._painted is not None:
+            picture, uv = self._painted.paint(
+                joined["serial"], joined["points"], ring_starts, polygon_starts, self._flipped
+            )
         return RawCity(
             source=self._source,
             format="CityGML",
@@ -212,8 +242,8 @@ class _Reader:
             num_parts=types.count("BuildingPart"),
             lods=tuple(name or "" for name in self.walk.lods.names),
             points=joined["points"],
-            ring_starts=starts_of(joined["ring_lengths"]),
-            polygon_starts=starts_of(joined["ring_counts"]),
+            ring_starts=ring_starts,
+            polygon_starts=polygon_starts,
             building=joined["building"],
             lod=joined["lod"],
             kind=joined["kind"],
@@ -225,6 +255,9 @@ class _Reader:
             solids=solids,
             polygon_ids=polygon_ids,
             has_textures=self._has_textures,
+            pictures=None if self._pictures is None else self._pictures.finish(),
+            picture=picture,
+            uv=uv,
         )
 
 

@@ -50,12 +50,15 @@ class CityGmlWriter:
     Args:
         model: The city; read with ``ReadOptions(has_details=True)`` it has attributes and solids.
         version: ``"2.0"`` or ``"3.0"``.
+        pictures: Where those of its pictures lie that are kept, by number.
 
     Attributes:
         notes: How often something could not be said, by what; complete once all is written.
     """
 
-    def __init__(self, model: CityModel, version: str = "2.0") -> None:
+    def __init__(
+        self, model: CityModel, version: str = "2.0", pictures: dict[int, str] | None = None
+    ) -> None:
         self.notes: Counter[str] = Counter()
         self._model, self._dialect = model, DIALECTS[version]
         self._objects = model.objects or buildings_only(model.building_ids)
@@ -67,7 +70,8 @@ class CityGmlWriter:
             name or f"{self._ids[owner]}-p{n}"
             for n, (name, owner) in enumerate(zip(named, owners.tolist(), strict=True))
         ]
-        self._geometry = GeometryXml(model, self._dialect, _xml_ids(wanted, taken, Counter()), self.notes)
+        polygon_ids = _xml_ids(wanted, taken, Counter())
+        self._geometry = GeometryXml(model, self._dialect, polygon_ids, pictures or {}, self.notes)
         self._of_building = group_by(self._objects.building)
 
     def chunks(self) -> Iterator[bytes]:
@@ -80,6 +84,7 @@ class CityGmlWriter:
                 xml = self._object(root, "", children)
                 if xml:
                     yield f"<core:cityObjectMember>{xml}</core:cityObjectMember>\n".encode()
+            yield self._geometry.appearance.take().encode()
         yield b"</core:CityModel>\n"
 
     def _head(self) -> str:

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.cityjson_geometry import GeometryReader
+from lodbench.citymodel.cityjson_textures import TextureReader
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.gml_names import INTERIOR_NAMES
 from lodbench.citymodel.json_documents import documents_of, paused_collector
 from lodbench.citymodel.layers import types_of
 from lodbench.citymodel.objects import ObjectTable
+from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, RawCity
 from lodbench.errors import CityModelError
 
@@ -31,6 +33,7 @@ def read_cityjson(
     is_strict: bool = True,
     has_details: bool = False,
     layers: Sequence[str] = (),
+    pictures: PictureTable | None = None,
 ) -> RawCity:
     """Returns the buildings of a CityJSON file or a sequence of CityJSON features, and objects of its layers.
 
@@ -40,12 +43,13 @@ def read_cityjson(
         is_strict: Whether a bad vertex index is an error, or a finding that drops its polygon.
         has_details: Whether attributes and solids are kept as well.
         layers: Names of ``LAYERS``: what to read besides buildings.
+        pictures: Receives those of surfaces, which are kept then.
 
     Raises:
         CityModelError: The file is no JSON, no CityJSON, or breaks its structure; the message names
             the object.
     """
-    reader = _Reader(source, is_strict, has_details, layers)
+    reader = _Reader(source, is_strict, has_details, layers, pictures)
     with paused_collector(), open_stream() as stream:
         return reader.result(reader.read(documents_of(stream, source, reader.repeated)))
 
@@ -53,12 +57,19 @@ def read_cityjson(
 class _Reader:
     """State of one file while it is read."""
 
-    def __init__(self, source: str, is_strict: bool, has_details: bool, layers: Sequence[str]) -> None:
+    def __init__(
+        self,
+        source: str,
+        is_strict: bool,
+        has_details: bool,
+        layers: Sequence[str],
+        pictures: PictureTable | None,
+    ) -> None:
         self._source = source
         self._is_strict = is_strict
         self._wanted = types_of(layers)
         self._objects = ObjectTable(has_details)
-        self._collector = PolygonCollector(objects=self._objects)
+        self._collector = PolygonCollector(objects=self._objects, pictures=pictures)
         self._version: str | None = None
         self._srs_name: str | None = None
         self._transform: Json | None = None
@@ -112,7 +123,10 @@ class _Reader:
         appearance = document.get("appearance")
         self._has_textures |= isinstance(appearance, dict) and bool(appearance.get("textures"))
         vertices = self._vertices(document.get("vertices", []))
-        geometry = GeometryReader(self._collector, vertices, self._templates, self._is_strict)
+        textures: TextureReader | None = None
+        if self._collector.pictures is not None and isinstance(appearance, dict):
+            textures = TextureReader(appearance, self._collector.pictures, self._source)
+        geometry = GeometryReader(self._collector, vertices, self._templates, self._is_strict, textures)
         numbers = self._number_objects(objects)
         for object_id, item in objects.items():
             part = numbers.get(object_id)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.cityjson_textures import TextureReader
 from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED, SEMANTICS_MISFIT
 from lodbench.citymodel.collect import PolygonCollector
 from lodbench.citymodel.gml_names import INTERIOR_NAMES, SURFACE_KINDS
@@ -29,6 +30,7 @@ class GeometryReader:
         vertices: (V, 3) coordinates the indices point into.
         templates: The file's ``geometry-templates``, or an empty mapping.
         is_strict: Whether a bad index is an error, or a finding that drops its polygon.
+        textures: Reads which pictures lie on the surfaces; None where they are not kept.
     """
 
     def __init__(
@@ -37,11 +39,13 @@ class GeometryReader:
         vertices: NDArray[np.float64],
         templates: dict[str, Any],
         is_strict: bool,
+        textures: TextureReader | None = None,
     ) -> None:
         self._collector = collector
         self._vertices = vertices
         self._templates = templates
         self._is_strict = is_strict
+        self._textures = textures
         self._begin()
 
     def _begin(self) -> None:
@@ -91,6 +95,8 @@ class GeometryReader:
         lengths = collector.ring_lengths[self._first_ring :]
         owners = collector.owners[self._first_polygon :]
         serials = collector.serials[self._first_polygon :]
+        painted = collector.painted
+        painted_here = {n: painted.pop(n) for n in sorted(painted) if n >= self._first_polygon}
         del collector.ring_counts[self._first_polygon :], collector.owners[self._first_polygon :]
         del collector.serials[self._first_polygon :]
         del collector.ring_lengths[self._first_ring :]
@@ -104,6 +110,8 @@ class GeometryReader:
             if self._is_sound(indices):
                 kept += indices
                 collector.ring_lengths += own_lengths
+                if self._first_polygon + polygon in painted_here:
+                    painted[len(collector.owners)] = painted_here[self._first_polygon + polygon]
                 collector.ring_counts.append(count)
                 collector.owners.append(owners[polygon])
                 collector.serials += serials[polygon : polygon + 1]  # none where no details are kept
@@ -123,6 +131,9 @@ class GeometryReader:
         if oddity:
             collector.findings.add(SEMANTICS_MISFIT, object_id, f"LoD{geometry.get('lod')}: {oddity}")
         self._objects.append((len(collector.ring_counts), object_id))
+        if self._textures is not None and "texture" in geometry:
+            surfaces_painted = self._textures.read(geometry, surfaces, _DEPTHS[geometry["type"]])
+            collector.painted |= {len(collector.owners) + n: one for n, one in surfaces_painted.items()}
         collector.owners += [(building, lod, kind, part) for kind in kinds]
         if collector.objects is not None and collector.objects.has_details:
             self._note_solids(geometry, collector.objects, part, len(surfaces))

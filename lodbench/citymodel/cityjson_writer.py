@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from lodbench.citymodel.cityjson_textures import TextureWriter
 from lodbench.citymodel.cityjson_values import fitting, listed, reference_system
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.objects import CityObjects
+from lodbench.citymodel.pictures import counted_lines
 from lodbench.citymodel.raw import buildings_only, group_by
 
 _SURFACE_NAMES = {
@@ -42,29 +44,33 @@ _LOD = re.compile(r"[0-3](\.[0-3])?")
 Json = dict[str, Any]
 
 
-def cityjson_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
+def cityjson_text(model: CityModel, pictures: dict[int, str]) -> tuple[bytes, tuple[str, ...]]:
     """Returns a city as one CityJSON 2.0 document, and a line for each thing it could not say.
 
     Args:
         model: The city; read with ``ReadOptions(has_details=True)`` it has attributes and solids.
+        pictures: Where those of its pictures lie that are kept, by number.
     """
-    writer = _Writer(model)
+    writer = _Writer(model, pictures)
     objects: Json = {}
     for building in range(len(model.building_ids)):
         objects |= writer.objects_of(building)
     document = writer.header() | {"CityObjects": objects, "vertices": writer.vertices.tolist()}
-    return json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode(), note_lines(writer.notes)
+    document |= writer.textures.appearance()
+    content = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
+    return content, counted_lines(writer.notes)
 
 
-def cityjsonseq_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
+def cityjsonseq_text(model: CityModel, pictures: dict[int, str]) -> tuple[bytes, tuple[str, ...]]:
     """Returns a city as a sequence of CityJSON features, a building to a line; see ``cityjson_text``."""
-    writer = _Writer(model)
+    writer = _Writer(model, pictures)
     lines = [
         json.dumps(
             writer.header() | {"CityObjects": {}, "vertices": []}, separators=(",", ":"), ensure_ascii=False
         )
     ]
     for building, building_id in enumerate(model.building_ids):
+        writer.textures = TextureWriter(model.polygons, pictures)  # a feature has an appearance of its own
         objects = writer.objects_of(building)
         used = sorted(
             {n for item in objects.values() for shape in item.get("geometry", ()) for n in _leaves(shape)}
@@ -78,9 +84,10 @@ def cityjsonseq_text(model: CityModel) -> tuple[bytes, tuple[str, ...]]:
             "id": building_id,
             "CityObjects": objects,
             "vertices": writer.vertices[used].tolist(),
+            **writer.textures.appearance(),
         }
         lines.append(json.dumps(feature, separators=(",", ":"), ensure_ascii=False))
-    return ("\n".join(lines) + "\n").encode(), note_lines(writer.notes)
+    return ("\n".join(lines) + "\n").encode(), counted_lines(writer.notes)
 
 
 class _Writer:
@@ -89,11 +96,13 @@ class _Writer:
     Attributes:
         vertices: (V, 3) int64, millimetres.
         notes: How often something could not be said, by what.
+        textures: Receives the pictures of the surfaces written.
     """
 
-    def __init__(self, model: CityModel) -> None:
+    def __init__(self, model: CityModel, pictures: dict[int, str]) -> None:
         polygons = model.polygons
         self._model = model
+        self.textures = TextureWriter(polygons, pictures)
         self._objects: CityObjects = model.objects or buildings_only(model.building_ids)
         self._low = polygons.points.min(axis=0) if len(polygons.points) else np.zeros(3)
         whole = np.rint((polygons.points - self._low) / _MILLIMETRE).astype(np.int64)
@@ -218,14 +227,11 @@ class _Writer:
 
         values = label(faces)
         shape: Json = {"type": type_, "lod": self._lod_names[lod], "boundaries": boundaries}
+        if self._model.pictures is not None:
+            shape |= self.textures.texture(faces)
         if surfaces:
             shape["semantics"] = {"surfaces": [{"type": name} for name in surfaces], "values": values}
         return shape
-
-
-def note_lines(notes: Counter[str]) -> tuple[str, ...]:
-    """Returns what was left out, a line each."""
-    return tuple(f"{count} x {text}" if count > 1 else text for text, count in sorted(notes.items()))
 
 
 def _leaves(shape: Json) -> Iterator[int]:

@@ -55,6 +55,8 @@ def clean_polygons(raw: RawCity) -> tuple[Polygons, NDArray[np.int64]]:
         lod=raw.lod[kept],
         kind=raw.kind[kept],
         part=None if raw.part is None else raw.part[kept],
+        picture=None if raw.picture is None else raw.picture[kept],
+        uv=None if raw.uv is None else raw.uv[is_kept],
     )
     return polygons, kept
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.objects import ObjectTable, Solids
+from lodbench.citymodel.pictures import PictureTable, blank
 from lodbench.citymodel.raw import RawCity, starts_of
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
@@ -20,7 +21,8 @@ _MAX_LODS = 64
 class PolygonCollector:
     """Grows polygons into the arrays of a ``RawCity``.
 
-    Points come in blocks; rings and polygons are plain lists until the end.
+    Points come in blocks; rings and polygons are plain lists until the end. ``painted`` has the number of a
+    picture and the places of the corners for those polygons that have one.
     """
 
     point_blocks: list[NDArray[np.float64]] = field(default_factory=list)
@@ -31,6 +33,8 @@ class PolygonCollector:
     building_ids: list[str] = field(default_factory=list)
     objects: ObjectTable | None = None
     serials: list[int] = field(default_factory=list)
+    pictures: PictureTable | None = None
+    painted: dict[int, tuple[int, NDArray[np.float64]]] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
 
     def add_polygon(self, building: int, lod: str, points: NDArray[np.float64], kind: int) -> None:
@@ -70,6 +74,15 @@ class PolygonCollector:
             solids, polygon_ids = table.finish_solids(np.asarray(self.serials, np.int64))
         is_plain = table is None or (len(table.ids) == len(self.building_ids) and table.is_plain)
         points = np.concatenate(self.point_blocks) if self.point_blocks else np.zeros((0, 3))
+        ring_starts = starts_of(np.asarray(self.ring_lengths, np.int64))
+        polygon_starts = starts_of(np.asarray(self.ring_counts, np.int64))
+        picture: NDArray[np.int32] | None = None
+        uv: NDArray[np.float64] | None = None
+        if self.pictures is not None:
+            picture, uv = blank(len(owners), len(points))
+            firsts = ring_starts[polygon_starts]
+            for polygon, (number, places) in self.painted.items():
+                picture[polygon], uv[firsts[polygon] : firsts[polygon + 1]] = number, places
         return RawCity(
             source=source,
             format=format,
@@ -79,8 +92,8 @@ class PolygonCollector:
             num_parts=0 if table is None else table.types.count("BuildingPart"),
             lods=tuple(self.lods),
             points=points,
-            ring_starts=starts_of(np.asarray(self.ring_lengths, np.int64)),
-            polygon_starts=starts_of(np.asarray(self.ring_counts, np.int64)),
+            ring_starts=ring_starts,
+            polygon_starts=polygon_starts,
             building=owners[:, 0].astype(np.int32),
             lod=owners[:, 1].astype(np.int16),
             kind=owners[:, 2].astype(np.uint8),
@@ -91,4 +104,7 @@ class PolygonCollector:
             objects=None if table is None or is_plain else table.finish(),
             solids=solids,
             polygon_ids=polygon_ids,
+            pictures=None if self.pictures is None else self.pictures.finish(),
+            picture=picture,
+            uv=uv,
         )

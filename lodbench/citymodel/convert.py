@@ -13,15 +13,18 @@ import numpy as np
 
 from lodbench.citymodel.cache import open_city, store_city
 from lodbench.citymodel.citygml_writer import CityGmlWriter
-from lodbench.citymodel.cityjson_writer import cityjson_text, cityjsonseq_text, note_lines
+from lodbench.citymodel.cityjson_writer import cityjson_text, cityjsonseq_text
 from lodbench.citymodel.mesh import CityMesh, mesh_model
 from lodbench.citymodel.mesh_frames import MeshFrame
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.picture_writer import write_pictures
+from lodbench.citymodel.pictures import counted_lines
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.selection import polygon_blocks
 from lodbench.citymodel.subset import keep_level
 from lodbench.citymodel.texture_files import read_textured
+from lodbench.citymodel.textured_model import textured_model
 from lodbench.citymodel.textured_writer import write_textured
 from lodbench.citymodel.tiling import cut_into_tiles, tile_index
 from lodbench.citymodel.triangulate import CHUNK_POLYGONS, triangulate
@@ -99,17 +102,19 @@ def convert_city(
     findings = Findings(list(model.findings.items))
     mesh: CityMesh | None = None
     left_out: tuple[str, ...] = ()
+    lost_pictures: tuple[str, ...] = ()
     chunks: Iterable[bytes] = ()
     writer: CityGmlWriter | None = None
     if keeps_details(target):
         if lod is not None:
             model = keep_level(model, lod, roof_height, findings)
         check_surfaces(model, findings)
+        pictures, lost_pictures = _written_pictures(model, target)
         if suffix in _CITYJSON_WRITERS:
-            content, left_out = _CITYJSON_WRITERS[suffix](model)
+            content, left_out = _CITYJSON_WRITERS[suffix](model, pictures)
             chunks = (content,)
         else:
-            writer = CityGmlWriter(model, citygml)
+            writer = CityGmlWriter(model, citygml, pictures)
             chunks = writer.chunks()
     else:
         mesh = mesh_model(model, lod, roof_height=roof_height)
@@ -121,37 +126,53 @@ def convert_city(
         else:
             write_chunks(target, chunks)
     except OSError as error:
-        raise CityModelError(
-            f"{target} cannot be written: {error.strerror}.", "Choose another place or name."
-        ) from None
-    left_out = left_out if writer is None else note_lines(writer.notes)
-    return Conversion(target, model, mesh, findings, (*left_out, *_lost_textures(model)))
+        raise _unwritable(target, error) from None
+    left_out = left_out if writer is None else counted_lines(writer.notes)
+    return Conversion(target, model, mesh, findings, (*left_out, *lost_pictures))
 
 
-def convert_textured(model: CityModel, source: Path, target: Path, options: ReadOptions) -> Conversion:
+def _written_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tuple[str, ...]]:
+    """Writes the pictures of a city; returns their names by number, and what is not kept, a line each."""
+    if model.pictures is None:
+        return {}, (("pictures of surfaces (--textures keeps them)",) if model.has_textures else ())
+    try:
+        names, notes = write_pictures(model, target)
+    except OSError as error:
+        raise _unwritable(target, error) from None
+    return names, (*model.pictures.notes, *notes)
+
+
+def _unwritable(target: Path, error: OSError) -> CityModelError:
+    return CityModelError(f"{target} cannot be written: {error.strerror}.", "Choose another place or name.")
+
+
+def has_room_for_pictures(target: Path) -> bool:
+    """Tells whether a format can say which picture lies on a surface."""
+    return keeps_details(target) or target.suffix.lower() in _TEXTURED_SUFFIXES
+
+
+def convert_textured(
+    model: CityModel, target: Path, source: Path | None = None, options: ReadOptions | None = None
+) -> Conversion:
     """Writes the photographed surfaces of a city as ``.glb`` or ``.obj``, each at its finest level.
 
     Args:
-        model: The city as read: where it lies.
-        source: Its file, with the pictures that it names beside it.
+        model: The city as read, with its pictures where there is no ``source``.
         target: Where to write.
-        options: How the file is read.
+        source: Its file, to read it as a textured mesh anew: the way of meshes, and of colours of surfaces.
+        options: How the file is read then.
 
     Raises:
         CityModelError: The target is of another format.
         DatasetError: The file has no textures, or their pictures are missing.
     """
-    if target.suffix.lower() not in (".glb", ".obj"):
+    if target.suffix.lower() not in _TEXTURED_SUFFIXES:
         raise CityModelError(f"{target} has no room for pictures.", "Name it .glb or .obj.")
-    mesh = read_textured(source, options=options)
+    mesh = textured_model(model) if source is None else read_textured(source, options=options)
     write_textured(mesh, MeshFrame(model.origin, model.crs), target)
     findings = Findings(list(model.findings.items))
     left_out = "names of buildings, and all levels but the finest: triangles stand by picture"
     return Conversion(target, model, None, findings, (left_out, *mesh.notes))
-
-
-def _lost_textures(model: CityModel) -> tuple[str, ...]:
-    return ("pictures of surfaces (--textures keeps them in .glb and .obj)",) if model.has_textures else ()
 
 
 def convert_tiles(
@@ -233,5 +254,6 @@ _MESH_WRITERS: dict[str, Callable[[Scene], bytes]] = {
     ".ply": _ply,
     ".glb": _glb,
 }
+_TEXTURED_SUFFIXES = (".glb", ".obj")
 _CITYGML_SUFFIXES = (".gml", ".xml", ".citygml")
 FORMATS = (*_MESH_WRITERS, *_CITYJSON_WRITERS, *_CITYGML_SUFFIXES, ".scene")

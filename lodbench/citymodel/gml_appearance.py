@@ -63,10 +63,13 @@ def read_appearances(member: Element, found: Appearances, folder: TextureFolder)
 
 def _read_parameterized(texture: Element, found: Appearances) -> None:
     image = _text(texture, "imageURI")
-    for coordinates in texture.iter("{*}textureCoordinates"):
-        parent = coordinates.getparent()
-        ring = coordinates.get("ring") or ("" if parent is None else _text(parent, "ring"))
-        found.rings.setdefault(ring.strip().removeprefix("#"), (image, coordinates.text or ""))
+    for places in texture.iter("{*}TexCoordList"):
+        coordinates = list(places.iterchildren("{*}textureCoordinates"))
+        # CityGML 3 names the rings beside the coordinates, in the same order.
+        rings = [ring.text or "" for ring in places.iterchildren("{*}ring")] or [""] * len(coordinates)
+        for each, ring in zip(coordinates, rings, strict=False):
+            name = each.get("ring") or ring
+            found.rings.setdefault(name.strip().removeprefix("#"), (image, each.text or ""))
     for matrix in texture.iter("{*}worldToTexture"):
         numbers = numbers_of(matrix.text)
         if len(numbers) == 12:

@@ -172,10 +172,14 @@ class SolidReader:
         walk: Numbers of polygons and ids.
         table: Receives solids and polygon ids.
         first_serial: Serial number of the walk's first polygon.
+
+    Attributes:
+        polygons: The member's polygons by their number in the walk.
     """
 
     def __init__(self, member: Element, walk: GeometryWalk, table: ObjectTable, first_serial: int) -> None:
         self._index: MemberIndex = index_member(member, walk)
+        self.polygons = self._index.polygons
         self._table = table
         self._first = first_serial
         for element, number in self._index.polygons.items():

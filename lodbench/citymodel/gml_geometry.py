@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from lodbench.citymodel.gml_appearance_writer import AppearanceXml
 from lodbench.citymodel.gml_dialect import Dialect, tag
 from lodbench.citymodel.gml_properties import Property
 from lodbench.citymodel.model import CityModel, SurfaceKind
@@ -25,11 +26,17 @@ class GeometryXml:
         model: The city.
         dialect: The version.
         polygon_ids: An id for each polygon that XML allows, no two equal.
+        pictures: Where those pictures lie that are kept, by number.
         notes: Counts what could not be said.
     """
 
     def __init__(
-        self, model: CityModel, dialect: Dialect, polygon_ids: list[str], notes: Counter[str]
+        self,
+        model: CityModel,
+        dialect: Dialect,
+        polygon_ids: list[str],
+        pictures: dict[int, str],
+        notes: Counter[str],
     ) -> None:
         polygons = model.polygons
         self._points, self._origin = polygons.points, model.origin
@@ -43,6 +50,7 @@ class GeometryXml:
         self._of_part = group_by(polygons.building if polygons.part is None else polygons.part)
         self._solids_of_part = {} if model.solids is None else group_by(model.solids.part)
         self._is_left_out = _left_out(model, self._levels, notes)
+        self.appearance = AppearanceXml(polygons, dialect, pictures)
 
     def properties(self, part: int, object_id: str, type_: str) -> Iterator[Property]:
         """Yields the geometry of an object as properties, each with the name that tells its place."""
@@ -183,10 +191,13 @@ class GeometryXml:
         sides = []
         first = self._polygon_rings[polygon]
         for ring in range(first, self._polygon_rings[polygon + 1]):
-            points = self._points[self._rings[ring] : self._rings[ring + 1]]
+            ends = self._rings[ring], self._rings[ring + 1]
+            points = self._points[slice(*ends)]
             closed = np.concatenate([points, points[:1]]) + self._origin
             text = " ".join(["%.4f"] * closed.size) % tuple(closed.ravel().tolist())
-            line = tag("gml:LinearRing", tag("gml:posList", text, srsDimension="3"))
+            ring_id = self.appearance.add(polygon, self._ids[polygon], ring - first, slice(*ends))
+            told = {} if ring_id is None else {"gml__id": ring_id}
+            line = tag("gml:LinearRing", tag("gml:posList", text, srsDimension="3"), **told)
             sides.append(tag("gml:exterior" if ring == first else "gml:interior", line))
         return tag("gml:Polygon", "".join(sides), gml__id=self._ids[polygon])
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.objects import CityObjects, Solids
+from lodbench.citymodel.pictures import Pictures
 from lodbench.findings import Findings
 
 
@@ -43,6 +44,9 @@ class Polygons:
         lod: (N,) int16 index into ``CityModel.lods``.
         kind: (N,) uint8 ``SurfaceKind``.
         part: (N,) int32 index into ``CityModel.objects``; None where buildings are all there is.
+        picture: (N,) int32 index into ``CityModel.pictures``, -1 for none; None where none were asked for.
+        uv: (P, 2) float64 place of each point on its polygon's picture, (0, 0) the lower left corner; NaN
+            where there is none. With ``picture``.
     """
 
     points: NDArray[np.float64]
@@ -52,6 +56,8 @@ class Polygons:
     lod: NDArray[np.int16]
     kind: NDArray[np.uint8]
     part: NDArray[np.int32] | None = None
+    picture: NDArray[np.int32] | None = None
+    uv: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.building)
@@ -79,7 +85,8 @@ class CityModel:
         objects: Buildings and their parts; None where buildings are all there is.
         solids: Volumes that the polygons close; only with ``ReadOptions(has_details=True)``.
         polygon_ids: The source's id of each polygon, or ""; likewise, else empty.
-        has_textures: Whether the source has pictures of its surfaces, which a model does not hold.
+        has_textures: Whether the source has pictures of its surfaces.
+        pictures: Those; only with ``ReadOptions(has_textures=True)``.
         has_interiors: Whether rooms and furniture are asked for.
     """
 
@@ -99,6 +106,7 @@ class CityModel:
     polygon_ids: tuple[str, ...] = ()
     has_interiors: bool = False
     has_textures: bool = False
+    pictures: Pictures | None = None
 
     def types(self) -> tuple[str, ...]:
         """Returns what each of ``building_ids`` is, as CityJSON calls it; buildings where nothing is said."""

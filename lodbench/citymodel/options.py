@@ -42,6 +42,8 @@ class ReadOptions:
             earth-centred minus its own: they are turned to east, north, up there. None for others.
         has_details: Whether attributes, solids and the ids of polygons are kept, as ``city check`` and
             ``city convert`` need them; reading takes longer.
+        has_textures: Whether pictures of surfaces are kept too, as ``city convert --textures`` writes them;
+            with ``has_details``.
         layers: What to read besides buildings: ``bridges``, ``vegetation`` and so on, see ``LAYERS``.
     """
 
@@ -63,6 +65,7 @@ class ReadOptions:
     sunk_m: float = 3.0
     ecef_origin: tuple[float, float] | None = None
     has_details: bool = False
+    has_textures: bool = False
     layers: tuple[str, ...] = ()
 
     @classmethod

@@ -17,6 +17,7 @@ from lodbench.citymodel.layers import INTERIORS
 from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.naming import unique_ids, unique_objects
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.pictures import Pictures
 from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.selection import select_polygons
 from lodbench.citymodel.triangulate import newell
@@ -66,6 +67,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     given = polygons
     if raw.lods != ("",):  # a mesh is what its triangles are: of two parts that touch, both have their wall
         polygons, kept_as, first_kept = drop_repeats(polygons, raw.building_ids, raw.findings)
+    pictures = _lost_pictures(raw.pictures, given, polygons, kept_as)
     solids = raw.solids
     if solids is not None:
         places = np.full(num_polygons + 1, -1, np.int64)
@@ -92,7 +94,19 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         polygon_ids=tuple(raw.polygon_ids[n] for n in kept[first_kept].tolist()) if raw.polygon_ids else (),
         has_interiors=INTERIORS in options.layers,
         has_textures=raw.has_textures,
+        pictures=pictures,
     )
+
+
+def _lost_pictures(
+    pictures: Pictures | None, given: Polygons, kept: Polygons, kept_as: NDArray[np.int64]
+) -> Pictures | None:
+    """Returns the pictures with a note of surfaces written twice of which the one without picture stays."""
+    if pictures is None or given.picture is None or kept.picture is None:
+        return pictures
+    count = int(((given.picture >= 0) & (kept.picture[kept_as] < 0)).sum())
+    note = f"{count} x picture of a surface that is written again without one"
+    return replace(pictures, notes=(*pictures.notes, note)) if count else pictures
 
 
 def _is_turned(polygons: Polygons, stand_in: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.objects import CityObjects, Solids
 from lodbench.citymodel.options import AxisOrder
+from lodbench.citymodel.pictures import Pictures, merge_pictures
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -49,7 +50,7 @@ class RawCity:
         axis_orders: For each of ``srs_names``, which of the first two columns is the easting, where the
             format settles it; empty where it never does.
         has_textures: Whether the file has pictures of its surfaces.
-        part, objects, solids, polygon_ids: As in ``Polygons`` and ``CityModel``.
+        part, objects, solids, polygon_ids, pictures, picture, uv: As in ``Polygons`` and ``CityModel``.
     """
 
     source: str
@@ -74,6 +75,9 @@ class RawCity:
     solids: Solids | None = None
     polygon_ids: tuple[str, ...] = ()
     has_textures: bool = False
+    pictures: Pictures | None = None
+    picture: NDArray[np.int32] | None = None
+    uv: NDArray[np.float64] | None = None
 
     def systems(self) -> tuple[tuple[str | None, AxisOrder], ...]:
         """Returns name and axis order of each reference system; one without a name where there is none."""
@@ -94,6 +98,9 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
     lods = tuple(dict.fromkeys(name for city in cities for name in city.lods))
     findings = Findings([item for city in cities for item in city.findings.items])
     building_ids = tuple(name for city in cities for name in city.building_ids)
+    pictures, picture, uv = merge_pictures(
+        [(city.pictures, city.picture, city.uv, len(city.building), len(city.points)) for city in cities]
+    )
     points = GrowingArray(np.float64, (3,))
     for city in cities:
         points.extend(city.points)
@@ -127,6 +134,9 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         solids=solids,
         polygon_ids=polygon_ids,
         has_textures=any(city.has_textures for city in cities),
+        pictures=pictures,
+        picture=picture,
+        uv=uv,
     )
 
 

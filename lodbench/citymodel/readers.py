@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import PurePath
 
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, RawCity
 from lodbench.citymodel.source import MESH_SUFFIXES, Source
 
@@ -19,6 +20,7 @@ def citygml(source: Source, options: ReadOptions) -> RawCity:
         is_strict=options.is_strict,
         has_details=options.has_details,
         layers=options.layers,
+        pictures=_pictures_of(source, options),
     )
 
 
@@ -32,7 +34,13 @@ def cityjson(source: Source, options: ReadOptions) -> RawCity:
         is_strict=options.is_strict,
         has_details=options.has_details,
         layers=options.layers,
+        pictures=_pictures_of(source, options),
     )
+
+
+def _pictures_of(source: Source, options: ReadOptions) -> PictureTable | None:
+    is_wanted = options.has_textures and options.has_details
+    return PictureTable(source.path.parent, is_packed="!" in source.name) if is_wanted else None
 
 
 def obj(source: Source, options: ReadOptions) -> RawCity:

@@ -26,6 +26,8 @@ def select_polygons(polygons: Polygons, chosen: NDArray[np.int64]) -> Polygons:
         lod=polygons.lod[chosen],
         kind=polygons.kind[chosen],
         part=None if polygons.part is None else polygons.part[chosen],
+        picture=None if polygons.picture is None else polygons.picture[chosen],
+        uv=None if polygons.uv is None else polygons.uv[points],
     )
 
 
@@ -43,6 +45,8 @@ def slice_polygons(polygons: Polygons, first: int, last: int) -> Polygons:
         lod=polygons.lod[first:last],
         kind=polygons.kind[first:last],
         part=None if polygons.part is None else polygons.part[first:last],
+        picture=None if polygons.picture is None else polygons.picture[first:last],
+        uv=None if polygons.uv is None else polygons.uv[points[0] : points[-1]],
     )
 
 

@@ -78,6 +78,22 @@ class TextureFolder:
         """
         return self._opened(name, lambda image: pixels_of(image, name))
 
+    def size(self, name: str) -> tuple[int, int]:
+        """Returns width and height of a picture, which is not decoded.
+
+        Raises:
+            DatasetError: As for ``read``, or it is no picture.
+        """
+        return self._opened(name, lambda image: (int(image.size[0]), int(image.size[1])))
+
+    def kind(self, name: str) -> str:
+        """Returns the format of a picture, ``PNG`` or ``JPEG`` for example, whatever its ending says.
+
+        Raises:
+            DatasetError: As for ``read``, or it is no picture.
+        """
+        return self._opened(name, lambda image: str(image.format))
+
     def check_picture(self, name: str) -> None:
         """Makes sure by its header that ``picture`` can take a file.
 

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from lodbench.citymodel.convert import Conversion
 
 
+_PACKED = (".gz", ".zip")
+
+
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if `check` finds an error."""
     asked = city_parser().parse_args(argv)
@@ -82,6 +85,7 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
         convert_city,
         convert_textured,
         convert_tiles,
+        has_room_for_pictures,
         keeps_details,
     )
     from lodbench.citymodel.source import open_sources
@@ -105,17 +109,25 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
         and len(open_sources(files[0], options.layers)) > 1
     ):
         return _compile(asked, files[0], out, options, lod)
-    has_details = keeps_details(out) or bool(asked.where)
-    model = _chosen(asked, _read(files, replace(options, has_details=has_details)))
+    if asked.textures and not has_room_for_pictures(out):
+        raise CityModelError(f"{out} has no room for pictures.", "Name it .glb, .obj, .json, .jsonl or .gml.")
+    has_details = keeps_details(out) or bool(asked.where) or asked.textures
+    options = replace(options, has_details=has_details, has_textures=asked.textures)
+    model = _chosen(asked, _read(files, options))
 
     def write(part: CityModel, target: Path) -> Conversion:
-        return convert_city(part, target, lod=lod, roof_height=asked.roof_height, citygml=asked.citygml)
+        if not asked.textures or keeps_details(target):
+            return convert_city(part, target, lod=lod, roof_height=asked.roof_height, citygml=asked.citygml)
+        if (
+            is_whole
+            and len(files) == 1
+            and not model.format.startswith("CityJSON")
+            and files[0].suffix not in _PACKED
+        ):
+            return convert_textured(part, target, files[0], options)
+        return convert_textured(part, target)
 
-    if asked.textures:
-        if not is_whole or len(files) > 1:
-            raise CityModelError("Pictures are kept of one whole file.", "Leave out --textures, or the rest.")
-        summaries = [conversion_summary(str(out), convert_textured(model, files[0], out, options))]
-    elif asked.tiles is None:
+    if asked.tiles is None:
         summaries = [conversion_summary(str(out), write(model, out))]
     else:
         done = convert_tiles(model, out, asked.tiles, write)

@@ -80,7 +80,9 @@ def city_parser() -> argparse.ArgumentParser:
                 help="where the tiles of a .scene are read (process)",
             )  # fmt: skip
             action.add_argument(
-                "--textures", action="store_true", help="keep the pictures of surfaces (.glb, .obj)"
+                "--textures",
+                action="store_true",
+                help="keep the pictures of surfaces (.gml, .json, .jsonl, .glb, .obj)",
             )
             action.add_argument("--workers", type=int, help="how many processes (one per core)")
             action.add_argument("--address", help="of Dask's scheduler")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,11 @@ import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_model, read_city_model
 from lodbench.citymodel.convert import convert_city
+from lodbench.citymodel.layers import LAYERS
 
 from .cityjson_rules import FEATURE, assert_keeps_the_rules
 from .gml_text import box_rings, city, member, multi_surface, polygon, surface_members, write
+from .published_schemas import assert_valid
 from .test_layers import twin
 
 DETAILS = ReadOptions(has_details=True, is_strict=False)
@@ -49,6 +52,15 @@ def test_rules_and_there_and_back(name: str, shared_data: Path, tmp_path: Path) 
     np.testing.assert_allclose(low[1], low[0], atol=1e-3)
     areas = [sum(mesh_model(one, lod).area_m2 for lod in one.lods) for one in (model, again)]
     assert areas[1] == pytest.approx(areas[0], rel=3e-5)  # corners are rounded to the millimetre
+
+
+@pytest.mark.parametrize("ending", [".city.json", ".city.jsonl"])
+@pytest.mark.parametrize("name", REAL)
+def test_valid_by_the_published_schemas(name: str, ending: str, shared_data: Path, tmp_path: Path) -> None:
+    target = tmp_path / f"a{ending}"
+    convert_city(read_city_model(shared_data / name, options=replace(DETAILS, layers=tuple(LAYERS))), target)
+    for line in target.read_text().splitlines():
+        assert_valid(json.loads(line))
 
 
 @pytest.mark.parametrize("name", REAL)

@@ -37,5 +37,5 @@ def test_pictures_that_are_left_out_are_told(tmp_path: Path, capsys: pytest.Capt
     source = write_gml(tmp_path)
     assert main(["city", "convert", str(source), str(tmp_path / "a.city.json"), "--json"]) == 0
     assert "pictures of surfaces" in json.loads(capsys.readouterr().out)["left_out"][0]
-    assert main(["city", "convert", str(source), str(tmp_path / "a.city.json"), "--textures"]) == 2
+    assert main(["city", "convert", str(source), str(tmp_path / "a.ply"), "--textures"]) == 2
     assert "no room for pictures" in capsys.readouterr().err

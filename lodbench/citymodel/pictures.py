@@ -1,0 +1,108 @@
+"""Pictures of a city's surfaces: which one lies on which polygon, and where on it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.texture_pictures import TextureFolder
+from lodbench.errors import DatasetError
+
+NO_PICTURE = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """The pictures of a city; polygons name them by number (``Polygons.picture``, ``Polygons.uv``).
+
+    Attributes:
+        files: Where each lies.
+        notes: What of the source's appearances is not kept, a line each.
+    """
+
+    files: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+class PictureTable:
+    """Numbers the pictures that a city file names, as they are met.
+
+    Args:
+        folder: Of the file; pictures lie in it or below, others are never opened.
+        is_packed: Whether the file is a member of an archive, and its pictures too.
+
+    Attributes:
+        folder: Where names start from.
+        notes: How often something is not kept, by what.
+    """
+
+    def __init__(self, folder: Path, is_packed: bool = False) -> None:
+        self.folder = TextureFolder(folder, folder)
+        self.notes: Counter[str] = Counter()
+        self._is_packed = is_packed
+        self._files: list[Path] = []
+        self._numbers: dict[str, int] = {}
+
+    def number(self, name: str) -> int:
+        """Returns the number of a picture by its name in the file, -1 where there is none to be had."""
+        if name not in self._numbers:
+            self._numbers[name] = self._look(name)
+        return self._numbers[name]
+
+    def _look(self, name: str) -> int:
+        try:
+            path = None if self._is_packed else self.folder.path(name)
+            if path is not None:
+                self.folder.check_picture(name)
+        except DatasetError as error:
+            self.notes[f"picture that is not taken: {error.message}"] += 1
+            return NO_PICTURE
+        if path is None:
+            what = "an archive, unpack it" if self._is_packed else "not there"
+            self.notes[f"picture that is {'in ' * self._is_packed}{what}: {name[:120]}"] += 1
+            return NO_PICTURE
+        self._files.append(path)
+        return len(self._files) - 1
+
+    def finish(self) -> Pictures:
+        """Returns all that were met."""
+        return Pictures(tuple(self._files), counted_lines(self.notes))
+
+
+def merge_pictures(
+    parts: Sequence[tuple[Pictures | None, NDArray[np.int32] | None, NDArray[np.float64] | None, int, int]],
+) -> tuple[Pictures | None, NDArray[np.int32] | None, NDArray[np.float64] | None]:
+    """Returns the pictures of several tiles as one, with the numbers of polygons and places of points.
+
+    Args:
+        parts: Of each tile its pictures, as in ``RawCity``, and how many polygons and points it has.
+    """
+    if all(pictures is None for pictures, *_ in parts):
+        return None, None, None
+    files: list[Path] = []
+    numbers, places = [], []
+    notes: list[str] = []
+    for pictures, picture, uv, num_polygons, num_points in parts:
+        if picture is None or uv is None:
+            picture, uv = blank(num_polygons, num_points)
+        numbers.append(np.where(picture < 0, NO_PICTURE, picture + len(files)).astype(np.int32))
+        places.append(uv)
+        if pictures is not None:
+            files += pictures.files
+            notes += pictures.notes
+    return Pictures(tuple(files), tuple(notes)), np.concatenate(numbers), np.concatenate(places)
+
+
+def blank(num_polygons: int, num_points: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Returns the numbers and places of polygons without a picture."""
+    return np.full(num_polygons, NO_PICTURE, np.int32), np.full((num_points, 2), np.nan)
+
+
+def counted_lines(notes: Counter[str]) -> tuple[str, ...]:
+    """Returns what was left out, a line each."""
+    return tuple(f"{count} x {text}" if count > 1 else text for text, count in sorted(notes.items()))
