@@ -152,13 +152,17 @@ class GeometryReader:
         depth = _DEPTHS[geometry["type"]]
         if depth == 0:
             return
+        composite = -1
+        if geometry["type"] == "CompositeSolid":
+            composite = table.num_composites
+            table.num_composites += 1
         for solid in [geometry["boundaries"]] if depth == 1 else geometry["boundaries"]:
             shells = []
             for shell in solid:
                 shells.append([(first + k, False) for k in range(len(shell))])
                 first += len(shell)
             if any(shells):
-                table.solids.append((part, shells))
+                table.solids.append((part, shells, composite))
 
     def _report_index(self, indices: list[Any], object_id: str) -> None:
         detail = f"a polygon with the indices {str(indices)[:60]}, of {len(self._vertices)} vertices"

@@ -44,14 +44,14 @@ _LOD = re.compile(r"[0-3](\.[0-3])?")
 Json = dict[str, Any]
 
 
-def cityjson_text(model: CityModel, pictures: dict[int, str]) -> tuple[bytes, tuple[str, ...]]:
+def cityjson_text(model: CityModel, pictures: dict[int, str] | None = None) -> tuple[bytes, tuple[str, ...]]:
     """Returns a city as one CityJSON 2.0 document, and a line for each thing it could not say.
 
     Args:
         model: The city; read with ``ReadOptions(has_details=True)`` it has attributes and solids.
         pictures: Where those of its pictures lie that are kept, by number.
     """
-    writer = _Writer(model, pictures)
+    writer = _Writer(model, pictures or {})
     objects: Json = {}
     for building in range(len(model.building_ids)):
         objects |= writer.objects_of(building)
@@ -61,16 +61,19 @@ def cityjson_text(model: CityModel, pictures: dict[int, str]) -> tuple[bytes, tu
     return content, counted_lines(writer.notes)
 
 
-def cityjsonseq_text(model: CityModel, pictures: dict[int, str]) -> tuple[bytes, tuple[str, ...]]:
+def cityjsonseq_text(
+    model: CityModel, pictures: dict[int, str] | None = None
+) -> tuple[bytes, tuple[str, ...]]:
     """Returns a city as a sequence of CityJSON features, a building to a line; see ``cityjson_text``."""
-    writer = _Writer(model, pictures)
+    writer = _Writer(model, pictures or {})
     lines = [
         json.dumps(
             writer.header() | {"CityObjects": {}, "vertices": []}, separators=(",", ":"), ensure_ascii=False
         )
     ]
     for building, building_id in enumerate(model.building_ids):
-        writer.textures = TextureWriter(model.polygons, pictures)  # a feature has an appearance of its own
+        # A feature has an appearance of its own.
+        writer.textures = TextureWriter(model.polygons, pictures or {})
         objects = writer.objects_of(building)
         used = sorted(
             {n for item in objects.values() for shape in item.get("geometry", ()) for n in _leaves(shape)}

@@ -146,6 +146,10 @@ SHELLS_EQUAL = _code(611, "SHELLS_EQUAL", _W, "Two shells of a solid have the sa
 SHELL_OUTSIDE = _code(612, "SHELL_OUTSIDE", _W, "A hole of a solid lies outside of it.")
 SOLIDS_INTERSECT = _code(613, "SOLIDS_INTERSECT", _W, "Two solids of an object cut each other.")
 SOLIDS_EQUAL = _code(614, "SOLIDS_EQUAL", _W, "Two solids of an object have the same corners.")
+INTERIOR_DISCONNECTED = _code(615, "INTERIOR_DISCONNECTED", _W, "The holes of a solid cut its inside in two.")
+SOLIDS_DISCONNECTED = _code(
+    616, "SOLIDS_DISCONNECTED", _W, "The solids of a composite solid do not all share faces with each other."
+)
 
 # The published error codes of val3dity, the usual validator of 3D city models, for what it reports too.
 VAL3DITY: dict[FindingCode, str] = {
@@ -174,9 +178,11 @@ VAL3DITY: dict[FindingCode, str] = {
     SHELLS_INTERSECT: "401",
     SHELLS_EQUAL: "402",
     SHELL_OUTSIDE: "403",
+    INTERIOR_DISCONNECTED: "404",
     SHELL_INSIDE_OUT: "405",
     SOLIDS_INTERSECT: "501",
     SOLIDS_EQUAL: "502",
+    SOLIDS_DISCONNECTED: "503",
     PARTS_OVERLAP: "601",
     BUILDING_EMPTY: "902",
 }

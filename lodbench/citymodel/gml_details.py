@@ -198,6 +198,10 @@ class SolidReader:
         for prop in building.iter(*GEOMETRY_PROPERTIES):
             if property_lod(prop.tag) is None:
                 continue
+            composites: dict[Element, int] = {}
+            for composite in prop.iter("{*}CompositeSolid"):
+                composites[composite] = self._table.num_composites
+                self._table.num_composites += 1
             for solid in prop.iter("{*}Solid"):
                 shells = [
                     self._faces(shell)
@@ -205,7 +209,8 @@ class SolidReader:
                     for shell in solid.iterchildren(name)
                 ]
                 if any(shells):
-                    self._table.solids.append((owner_of(prop, building, part_of, own), shells))
+                    around = owner_of(solid, prop, composites, -1) if composites else -1
+                    self._table.solids.append((owner_of(prop, building, part_of, own), shells, around))
 
     def _faces(self, shell: Element) -> list[tuple[int, bool]]:
         """Returns serial number and direction of each polygon of a shell, borrowed ones included."""

@@ -41,6 +41,7 @@ class Solids:
         face_starts: (H + 1,) int64 offsets into the faces.
         faces: (F,) int64 polygon of each face; -1 where the polygon was dropped.
         is_flipped: (F,) bool, whether the solid sees the polygon from behind.
+        composite: (S,) int32 composite that each solid is a part of, -1 for none.
     """
 
     part: NDArray[np.int32]
@@ -48,6 +49,7 @@ class Solids:
     face_starts: NDArray[np.int64]
     faces: NDArray[np.int64]
     is_flipped: NDArray[np.bool_]
+    composite: NDArray[np.int32]
 
     def shells_of(self, solid: int) -> list[list[tuple[int, bool]]]:
         """Returns polygon and direction of each face of each shell; faces that were dropped are left out."""
@@ -72,7 +74,8 @@ class ObjectTable:
     parents: list[int] = field(default_factory=list)
     building: list[int] = field(default_factory=list)
     attributes: list[dict[str, Any]] = field(default_factory=list)
-    solids: list[tuple[int, list[list[tuple[int, bool]]]]] = field(default_factory=list)
+    solids: list[tuple[int, list[list[tuple[int, bool]]], int]] = field(default_factory=list)
+    num_composites: int = 0
     polygon_ids: dict[int, str] = field(default_factory=dict)
     num_polygons: int = 0
 
@@ -112,14 +115,15 @@ class ObjectTable:
         size = int(serials.max(initial=-1)) + 1
         index = np.full(size + 1, -1, np.int64)
         index[serials[serials >= 0]] = np.flatnonzero(serials >= 0)
-        shells = [shell for _, solid in self.solids for shell in solid]
+        shells = [shell for _, solid, _ in self.solids for shell in solid]
         faces = np.asarray([number for shell in shells for number, _ in shell], np.int64)
         solids = Solids(
-            np.asarray([part for part, _ in self.solids], np.int32),
-            np.cumsum([0, *(len(solid) for _, solid in self.solids)]).astype(np.int64),
+            np.asarray([part for part, _, _ in self.solids], np.int32),
+            np.cumsum([0, *(len(solid) for _, solid, _ in self.solids)]).astype(np.int64),
             np.cumsum([0, *map(len, shells)]).astype(np.int64),
             index[np.where(faces < size, faces, size)],
             np.asarray([is_flipped for shell in shells for _, is_flipped in shell], np.bool_),
+            np.asarray([composite for _, _, composite in self.solids], np.int32),
         )
         return solids, tuple(self.polygon_ids.get(number, "") for number in serials.tolist())
 

@@ -176,6 +176,7 @@ def _merge_objects(
         starts_of(np.concatenate([np.diff(s.face_starts) for s, _, _ in told])),
         np.concatenate([np.where(s.faces < 0, -1, s.faces + n) for s, n, _ in told]),
         np.concatenate([s.is_flipped for s, _, _ in told]),
+        np.concatenate([np.where(s.composite < 0, -1, s.composite + n) for s, n, _ in told]).astype(np.int32),
     )
     ids = (city.polygon_ids or ("",) * len(city.building) for city in cities)
     return part, objects, solids, tuple(chain.from_iterable(ids))

@@ -164,6 +164,7 @@ def keep_buildings(model: CityModel, is_kept: NDArray[np.bool_]) -> CityModel:
             solids = replace(
                 solids,
                 part=place[solids.part[kept]].astype(np.int32),
+                composite=solids.composite[kept],
                 shell_starts=shell_starts,
                 face_starts=face_starts,
                 faces=solids.faces[faces],

@@ -41,7 +41,6 @@ SMALL = box_rings(X + 3, Y + 3, Z + 2, 2.0, 2.0)
 
 
 def test_sound_solids_stay_unreported(tmp_path: Path) -> None:
-    assert defects(tmp_path, solids([BOX], [moved(BOX, x=20)])) == {}
     # Side by side, the wall between them is one polygon, seen from both sides.
     assert list(defects(tmp_path, solids([BOX], [moved(BOX, x=10)]))) == ["LB109"]
     assert defects(tmp_path, solids([BOX, turned(SMALL)])) == {}  # a hole in its middle
@@ -92,3 +91,32 @@ def test_a_folded_polygon(tmp_path: Path) -> None:
     found = defects(tmp_path, solids([[low, [a, b, *tooth, c, d], *walls]]))
     assert "LB119" in found
     assert "LB105" not in found
+
+
+def test_solids_of_a_composite_that_do_not_touch(tmp_path: Path) -> None:
+    found = defects(tmp_path, solids([BOX], [moved(BOX, x=20)]))
+    assert list(found) == ["LB616"]
+    assert "2 solids in 2 pieces" in str(found["LB616"])
+    # A third one between the two joins them, by part of a wall; an edge or a corner alone joins nothing.
+    between = box_rings(X + 10, Y + 2, Z, 10.0, 3.0)
+    assert "LB616" not in defects(tmp_path, solids([BOX], [moved(BOX, x=20)], [between]))
+    assert "LB616" in defects(tmp_path, solids([BOX], [moved(BOX, x=10, y=10)]))
+
+
+def test_solids_of_no_composite_may_stand_apart(tmp_path: Path) -> None:
+    text = solids([BOX], [moved(BOX, x=20)]).replace("CompositeSolid", "MultiSolid")
+    assert defects(tmp_path, text) == {}
+
+
+def test_a_hole_that_cuts_the_inside_in_two(tmp_path: Path) -> None:
+    """Two pyramids, base on base, whose base reaches all four walls; or a little less."""
+    for reach, codes in ((0.0, ["LB615"]), (0.5, [])):
+        low, high = reach, 10 - reach
+        plan = ((low, low), (high, low), (high, high), (low, high))
+        corners = [(X + x, Y + y, Z + 2.5) for x, y in plan]
+        hole: list[Ring] = []
+        for k in range(4):
+            m = (k + 1) % 4
+            hole += [[corners[m], corners[k], (X + 5, Y + 5, Z + 4)]]
+            hole += [[corners[k], corners[m], (X + 5, Y + 5, Z + 1)]]
+        assert list(defects(tmp_path, solids([BOX, hole]))) == codes
