@@ -99,6 +99,11 @@ def _texts(name: str) -> dict[str, str]:
     if name not in SPECS:
         card = plugin_card(name)
         if card is None:
+            if name in config_files("dataset"):
+                raise ConfigError(
+                    f"{name} has no card.",
+                    f"Of a plug-in's dataset it is conf/dataset/{name}.md, beside the YAML.",
+                )
             known = [*SPECS, DEMO, *config_files("dataset", MARKDOWN)]
             raise ConfigError(f"There is no card of {name!r}.", nearest_names(name, known))
         return {MARKDOWN: card.text}

@@ -20,6 +20,7 @@ from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
+from lodbench.harness.runs.method_inputs import traceback_file
 from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
@@ -198,14 +199,17 @@ def _calibration_text(table: RecallTable) -> str:
 
 
 def _failure_lines(run: Run) -> list[str]:
-    """Returns a line per reason of failure: how many queries, and the first of their names."""
+    """Returns per reason how many queries failed, the first of their names, and where code raised."""
     failed = run.queries["failure"][run.queries["failure"] != ""].map(plain_text)
     if not run.dataset.truth:
         # That nothing is scored is said above; no answer failed for it.
         failed = failed[~failed.map(is_without_truth).astype(bool)]
     reasons = {reason: list(failed.index[failed == reason]) for reason in sorted(failed.unique())}
-    return [
-        f"  {len(keys)} x {reason}: {', '.join(map(plain_text, keys[:3]))}"
-        f"{', ... (all in queries.csv)' if len(keys) > 3 else ''}"
-        for reason, keys in reasons.items()
-    ]
+    lines = []
+    for reason, keys in reasons.items():
+        more = ", ... (all in queries.csv)" if len(keys) > 3 else ""
+        lines.append(f"  {len(keys)} x {reason}: {', '.join(map(plain_text, keys[:3]))}{more}")
+        raised = traceback_file(run.folder, keys[0])
+        if raised.is_file():
+            lines += [f"    {line}" for line in raised.read_text(encoding="utf-8").splitlines()]
+    return lines

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lodbench.cli import main
+from lodbench.cli.run import _failure_lines
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
@@ -124,6 +125,11 @@ def test_a_fault_of_the_code_is_its_query_s(dataset, tmp_path):
     (kept,) = (done.folder / "tracebacks").iterdir()
     assert NAMES[1] in kept.name
     assert "in localize" in kept.read_text()
+    # It is on the screen too, once for each reason.
+    told = "\n".join(_failure_lines(done))
+    assert f"1 x ZeroDivisionError: no pixels: {done.queries.index[1]}" in told
+    assert told.count("Traceback (most recent call last)") == 1
+    assert "in localize" in told
 
 
 @pytest.mark.parametrize(

@@ -80,11 +80,16 @@ def prepare_method(
 
 def keep_traceback(folder: Path, name: str, error: Exception) -> Path:
     """Writes where a plug-in's code raised to ``tracebacks`` in a run folder; returns the file."""
-    safe = "".join(c if c.isalnum() or c in "._-" else "_" for c in name)
-    file = folder / "tracebacks" / f"{safe}.txt"
+    file = traceback_file(folder, name)
     make_folder(file.parent)
     write_text(file, "".join(traceback.format_exception(error)))
     return file
+
+
+def traceback_file(folder: Path, name: str) -> Path:
+    """Returns the file that ``keep_traceback`` writes."""
+    safe = "".join(c if c.isalnum() or c in "._-" else "_" for c in name)
+    return folder / "tracebacks" / f"{safe}.txt"
 
 
 def _identity(reference: Reference) -> list[object]:
