@@ -125,7 +125,8 @@ def _tests(runs: Sequence[StoredRun], names: Sequence[str], thresholds: tuple[Th
         if reason:
             parts.append(f"{head}: no paired test: {reason}\n")
         else:
-            parts.append(f"{head}\n\n{format_comparison(paired_comparison(runs[0], run, thresholds))}\n")
+            tests = paired_comparison(runs[0], run, thresholds)
+            parts.append(f"{head}\n\n{format_comparison(tests, (names[0], name))}\n")
         together = agreement_text(agreement(runs[0], run))
         parts.append(f"{together}\n" if together else "")
     return "".join(parts)

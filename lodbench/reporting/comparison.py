@@ -10,18 +10,18 @@ from lodbench.reporting.columns import format_columns
 from lodbench.reporting.table_columns import finite_text
 
 
-def format_comparison(rows: Iterable[Comparison]) -> str:
+def format_comparison(rows: Iterable[Comparison], names: tuple[str, str]) -> str:
     """Returns the tests of two runs as a table with a line that says what they are."""
     note = (
         "Paired by query. Recall: exact McNemar test, interval of Bonett and Price. Medians: permutation "
         "test (1,999 swaps), bootstrap over queries. No correction for the number of tests."
     )
-    return f"{format_columns(comparison_cells(rows))}\n\n{note}"
+    return f"{format_columns(comparison_cells(rows, names))}\n\n{note}"
 
 
-def comparison_cells(rows: Iterable[Comparison]) -> list[list[str]]:
-    """Returns the tests of two runs as cells, the head first."""
-    body = [["", "first", "second", "difference", "95 % interval", "p"]]
+def comparison_cells(rows: Iterable[Comparison], names: tuple[str, str]) -> list[list[str]]:
+    """Returns the tests of two runs as cells, the head first, with the names of both."""
+    body = [["", *names, "difference", "95 % interval", "p"]]
     for row in rows:
         low, high = row.test.interval
         bounds = f"[{low:+.2f}, {high:+.2f}]" if math.isfinite(low) and math.isfinite(high) else "-"

@@ -47,7 +47,12 @@ def comparison_page(
         tests: list[Comparison] = [] if reason else paired_comparison(runs[0], run, thresholds)
         together = agreement(runs[0], run)
         pairs.append(
-            (f"{name} against {names[0]}", reason, comparison_cells(tests), agreement_text(together))
+            (
+                f"{name} against {names[0]}",
+                reason,
+                comparison_cells(tests, (names[0], name)),
+                agreement_text(together),
+            )
         )
     return rendered(
         "compare.html.jinja",
