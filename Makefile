@@ -72,8 +72,12 @@ audit: $(VENV)/.test
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 
+# pip leaves what numba compiled of a former `pip install .`: a folder without code, which would hide the checkout.
+LEFT := $(VENV)/lib/python3*/site-packages/lodbench
+
 $(VENV)/.base: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	rm -rf $(LEFT)
 	touch $@
 
 $(VENV)/.table1: $(VENV)/.base
@@ -82,6 +86,7 @@ $(VENV)/.table1: $(VENV)/.base
 
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,docs,render,vector,download,torch,models,pnp,xfeat,tensorboard,cluster]'
+	rm -rf $(LEFT)
 	touch $@ $(VENV)/.base
 
 clean:
