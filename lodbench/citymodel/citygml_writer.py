@@ -11,6 +11,7 @@ import numpy as np
 from lodbench.citymodel.crs import epsg_codes
 from lodbench.citymodel.gml_dialect import CITYGML_2, CITYGML_3, tag
 from lodbench.citymodel.gml_geometry import GeometryXml
+from lodbench.citymodel.gml_layers import MODULES, element_of, layer_geometry, like_buildings, renamed
 from lodbench.citymodel.gml_properties import Property, properties_of
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.raw import buildings_only, group_by
@@ -88,7 +89,16 @@ class CityGmlWriter:
         yield b"</core:CityModel>\n"
 
     def _head(self) -> str:
-        spaces = "".join(f' xmlns:{prefix}="{uri}"' for prefix, uri in self._dialect.namespaces.items())
+        version, types = self._dialect.version, set(self._objects.types)
+        used = {element_of(name, self._dialect).partition(":")[0] for name in types}
+        used |= {like_buildings(name)[0] for name in types}
+        modules = {
+            prefix: f"http://www.opengis.net/citygml/{name}/{version}"
+            for prefix, name in MODULES.items()
+            if prefix in used
+        }
+        named = self._dialect.namespaces | modules
+        spaces = "".join(f' xmlns:{prefix}="{uri}"' for prefix, uri in named.items())
         head = f'<?xml version="1.0" encoding="UTF-8"?>\n<core:CityModel{spaces}>\n'
         points = self._model.polygons.points
         if len(points) == 0:
@@ -107,7 +117,11 @@ class CityGmlWriter:
     def _object(self, n: int, parent_type: str, children: dict[int, list[int]]) -> str:
         """Returns an object and all that belongs to it, its properties in the order of the schema."""
         table, version = self._objects, self._dialect.version
-        type_ = table.types[n]
+        prefix, type_ = like_buildings(table.types[n])
+        if element_of(type_, self._dialect):
+            return self._of_layer(n, type_)
+        if prefix == "brid" and type_ == "BuildingConstructiveElement" and version == "2.0":
+            self.notes["constructive element of a bridge written as an installation"] += 1
         if type_ not in _ELEMENTS[version] and "Building" in type_:
             plain = "Building" if table.parents[n] < 0 else "BuildingPart"
             if type_ not in _ELEMENTS["3.0"]:
@@ -124,10 +138,24 @@ class CityGmlWriter:
         for child in children[n]:
             xml = self._object(child, type_, children)
             if xml:
-                _, holder = self._holder(child, table.types[child], type_)
+                _, holder = self._holder(child, like_buildings(table.types[child])[1], type_)
                 found.append((holder, tag(holder, xml)))
         found.sort(key=lambda one: rank.get(one[0], len(rank)))
-        return tag(element, "".join(xml for _, xml in found), gml__id=self._ids[n])
+        xml = tag(element, "".join(xml for _, xml in found), gml__id=self._ids[n])
+        return renamed(xml, prefix) if prefix and table.parents[n] < 0 else xml
+
+    def _of_layer(self, n: int, type_: str) -> str:
+        """Returns an object that is neither building, bridge nor tunnel."""
+        table, dialect = self._objects, self._dialect
+        element = element_of(type_, dialect)
+        found: list[Property] = list(layer_geometry(self._geometry, n, self._ids[n], type_, dialect))
+        if table.attributes:
+            told = table.attributes[n].items()
+            own = {key: value for key, value in told if (type_, key) != ("TINRelief", "lod")}
+            found += properties_of(own, type_, dialect)
+        found.sort(key=lambda one: dialect.rank.get(one[0], len(dialect.rank)))
+        xml = tag(element, "".join(xml for _, xml in found), gml__id=self._ids[n])
+        return renamed(xml, element.partition(":")[0])
 
     def _holder(self, n: int, type_: str, parent_type: str) -> tuple[str, str]:
         """Returns the element of an object, and the property of its parent that holds it."""

@@ -4,19 +4,38 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymodel.gml_appearance_writer import AppearanceXml
 from lodbench.citymodel.gml_dialect import Dialect, tag
 from lodbench.citymodel.gml_properties import Property
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.raw import group_by
+from lodbench.citymodel.selection import select_polygons
+from lodbench.citymodel.triangulate import triangulate
+from lodbench.findings import Findings
 
 Face = tuple[int, bool]  # a polygon, and whether it is seen from behind
 
 _FILLINGS = (SurfaceKind.OPENING, SurfaceKind.DOOR)
 _INSTALLED = ("BuildingInstallation", "BuildingConstructiveElement", "BuildingFurniture")
+
+
+@dataclass(frozen=True, slots=True)
+class LevelShapes:
+    """What an object has at one whole level: solids, and polygons that are in none of them."""
+
+    level: int
+    solids: list[list[list[Face]]]
+    loose: list[int]
+
+    @property
+    def enclosed(self) -> list[int]:
+        """The polygons of the solids, each once."""
+        return sorted({face for shells in self.solids for shell in shells for face, _ in shell})
 
 
 class GeometryXml:
@@ -39,6 +58,7 @@ class GeometryXml:
         notes: Counter[str],
     ) -> None:
         polygons = model.polygons
+        self._polygons, self._building_ids = polygons, model.building_ids
         self._points, self._origin = polygons.points, model.origin
         self._rings = polygons.ring_starts.tolist()
         self._polygon_rings = polygons.polygon_starts.tolist()
@@ -49,22 +69,32 @@ class GeometryXml:
         self._lods: list[int] = polygons.lod.tolist()
         self._of_part = group_by(polygons.building if polygons.part is None else polygons.part)
         self._solids_of_part = {} if model.solids is None else group_by(model.solids.part)
-        self._is_left_out = _left_out(model, self._levels, notes)
+        self._is_left_out = _left_out(model, self._levels, notes).tolist()
         self.appearance = AppearanceXml(polygons, dialect, pictures)
 
     def properties(self, part: int, object_id: str, type_: str) -> Iterator[Property]:
         """Yields the geometry of an object as properties, each with the name that tells its place."""
+        for level, polygons, solids in self._by_level(part):
+            yield from self._level(level, polygons, solids, object_id, type_)
+
+    def levels_of(self, part: int) -> Iterator[LevelShapes]:
+        """Yields the geometry of an object level by level, as it is."""
+        for level, polygons, solids in self._by_level(part):
+            enclosed = {face for shells in solids for shell in shells for face, _ in shell}
+            yield LevelShapes(level, solids, [n for n in polygons if n not in enclosed])
+
+    def _by_level(self, part: int) -> Iterator[tuple[int, list[int], list[list[list[Face]]]]]:
         by_level: dict[int, list[int]] = defaultdict(list)
         for polygon in self._of_part.get(part, ()):
-            if not self._is_left_out[self._lods[polygon]]:
+            if not self._is_left_out[polygon]:
                 by_level[self._levels[self._lods[polygon]]].append(polygon)
         solids: dict[int, list[list[list[Face]]]] = defaultdict(list)
         for solid in self._solids_of_part.get(part, ()):
             shells = [] if self._solids is None else self._solids.shells_of(solid)
-            if shells and not self._is_left_out[self._lods[shells[0][0][0]]]:
+            if shells and not self._is_left_out[shells[0][0][0]]:
                 solids[self._levels[self._lods[shells[0][0][0]]]].append(shells)
-        for level, polygons in sorted(by_level.items()):
-            yield from self._level(level, polygons, solids[level], object_id, type_)
+        for level in sorted(by_level.keys() | solids.keys()):
+            yield level, by_level[level], solids[level]
 
     def _level(
         self, level: int, polygons: list[int], solids: list[list[list[Face]]], object_id: str, type_: str
@@ -97,6 +127,7 @@ class GeometryXml:
                 yield name, tag(name, shape)
         else:
             space = "room" if type_ == "BuildingRoom" else "bldg"
+            level = 4 if space == "room" else level  # the only one that rooms have
             if solids:
                 yield (
                     f"{space}:lod{level}Solid",
@@ -153,6 +184,25 @@ class GeometryXml:
         own_id = f"{object_id}-lod{level}-{label.partition(':')[2]}"
         return dialect.boundary, tag(dialect.boundary, tag(label, content, gml__id=own_id))
 
+    def solid(self, shapes: LevelShapes) -> str:
+        """Returns the solids of an object as one, nothing where it has none."""
+        return self._volumes(shapes.solids, set(), shapes.enclosed) if shapes.solids else ""
+
+    def surfaces(self, polygons: list[int]) -> str:
+        """Returns polygons as one surface, nothing where there are none."""
+        return self._multi_surface(polygons) if polygons else ""
+
+    def triangles(self, polygons: list[int]) -> str:
+        """Returns polygons as triangles."""
+        own = select_polygons(self._polygons, np.array(polygons, np.int64))
+        corners = own.points[triangulate(own, self._building_ids, Findings()).triangles] + self._origin
+        closed = np.concatenate([corners, corners[:, :1]], axis=1).reshape(-1, 12)
+        form = " ".join(["%.4f"] * 12)
+        rings = (tag("gml:posList", form % tuple(row), srsDimension="3") for row in closed.tolist())
+        return "".join(
+            tag("gml:Triangle", tag("gml:exterior", tag("gml:LinearRing", ring))) for ring in rings
+        )
+
     def _multi_surface(self, polygons: list[int]) -> str:
         members = "".join(tag("gml:surfaceMember", self._polygon(n)) for n in polygons)
         return tag("gml:MultiSurface", members)
@@ -208,16 +258,19 @@ def level_of(name: str, dialect: Dialect) -> int:
     return min(whole, dialect.levels[-1])
 
 
-def _left_out(model: CityModel, levels: list[int], notes: Counter[str]) -> list[bool]:
-    """Tells which levels of detail another, finer one takes the place of: CityGML has whole levels only."""
-    finest = {level: name for name, level in sorted(zip(model.lods, levels, strict=True))}
-    is_left_out = []
+def _left_out(model: CityModel, levels: list[int], notes: Counter[str]) -> NDArray[np.bool_]:
+    """Tells which polygons are left out as their object has finer ones: CityGML has whole levels only."""
+    polygons = model.polygons
+    own = (polygons.building if polygons.part is None else polygons.part).astype(np.int64)
+    # The names of levels ascend, so the finest of a whole level has the largest number.
+    slot = own * (max(levels, default=0) + 1) + np.asarray(levels, np.int64)[polygons.lod]
+    finest = np.full(int(slot.max(initial=-1)) + 1, -1, np.int64)
+    np.maximum.at(finest, slot, polygons.lod)
+    is_left_out: NDArray[np.bool_] = polygons.lod != finest[slot]
     for n, (name, level) in enumerate(zip(model.lods, levels, strict=True)):
-        is_lost = finest[level] != name
-        is_left_out.append(is_lost)
-        if is_lost:
-            count = int((model.polygons.lod == n).sum())
-            notes[f"LoD{name}, {count} polygons: at level {level} CityGML has LoD{finest[level]}"] += 1
-        elif name != str(level):
+        count = int((is_left_out & (polygons.lod == n)).sum())
+        if count:
+            notes[f"LoD{name}, {count} polygons: their objects have a finer LoD at level {level}"] += 1
+        if name != str(level) and bool(((polygons.lod == n) & ~is_left_out).any()):
             notes[f"LoD{name or ' unnamed'} written as LoD{level}"] += 1
     return is_left_out
