@@ -12,6 +12,10 @@ COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
     "basin": ("lodbench.cli.basin", "recall over the error of the prior; the cost around the truth"),
     "localize": ("lodbench.cli.localize", "find where photos were taken: table, overlays, map, how sure"),
+    "georeference": (
+        "lodbench.cli.georeference",
+        "place a COLMAP model in a city by its buildings: no ground control points",
+    ),
     "compare": ("lodbench.cli.compare", "put finished runs side by side, and test whether they differ"),
     "evaluate": ("lodbench.cli.evaluate", "score poses made elsewhere: lines, c2w, COLMAP, TUM"),
     "verify": ("lodbench.cli.verify", "score a run again from its stored poses; fail if its numbers differ"),

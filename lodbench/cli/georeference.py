@@ -1,0 +1,133 @@
+"""`lodbench georeference`: a COLMAP model into a city's coordinates, without ground control points."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lodbench.cli.parser import Parser
+from lodbench.cli.place_options import add_city_options, add_height_options, height_options
+from lodbench.cli.segmenters import segmenter_of
+from lodbench.cli.sources import load_profile
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.reporting.safe_text import plain_text
+
+if TYPE_CHECKING:
+    from lodbench.harness.georeference.request import Georeferenced
+
+_EPILOG = """\
+The model is a similarity away from the city. It starts where the photos say they were taken (--images, EXIF
+and DJI's XMP), or where --start says: rough poses in the city's coordinates in any known format, or
+similarity.json of an earlier run. From there the outlines of buildings in all masks place it (--method
+flight).
+
+Written to --out: colmap/ (the model, its points and tracks, moved), metashape_reference.txt,
+calibrated_external_camera_parameters.txt (Pix4D), geo.txt (ODM), cameras.geojson with heights and footprints,
+map_findings.geojson (buildings whose height the photos contradict), similarity.json.
+
+examples:
+  lodbench georeference sparse/0 --city city.gml --images PHOTOS --masks MASKS
+  lodbench georeference sparse/0 --city city.gml --start rough.txt --masks MASKS --out placed
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    asked = _parser().parse_args(argv)
+    from lodbench.harness.georeference.georeference import georeference
+    from lodbench.harness.georeference.request import GeoreferenceRequest
+    from lodbench.methods.protocol import SupportsFlights
+    from lodbench.methods.registry import make_method
+
+    for name in ("model", "images", "masks"):
+        folder = getattr(asked, name)
+        if folder is not None and not folder.is_dir():
+            raise DatasetError(f"{folder} is no folder.", "Check the path.")
+    if asked.start is not None and not asked.start.exists():
+        raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
+    if asked.masks is None and asked.images is None:
+        raise ConfigError("There is nothing to place the model by.", "Give --masks DIR, or --images DIR.")
+    method = make_method(asked.method)
+    if not isinstance(method, SupportsFlights):
+        raise ConfigError(f"--method {asked.method} solves no flights.", "Leave --method out.")
+    profile = load_profile(asked.source, asked.option, asked.crs)
+    placed = georeference(
+        GeoreferenceRequest(
+            model=asked.model,
+            city=asked.city,
+            out=asked.out,
+            method=method,
+            images=asked.images,
+            masks=asked.masks,
+            segmenter=None if asked.masks is not None else segmenter_of(asked.segmenter or "compact"),
+            start=asked.start,
+            heights=height_options(asked),
+            lod=asked.lod or profile.lod,
+            options=profile.options,
+            roof_height=asked.roof_height,
+            seed=asked.seed,
+        )
+    )
+    text = json.dumps(placed.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(placed)
+    sys.stdout.write(text + "\n")
+    return 0
+
+
+def describe(placed: Georeferenced) -> str:
+    """Returns what a reader is told."""
+    import numpy as np
+
+    fitted = placed.fitted
+    east, north, up = (float(v) for v in fitted.middle)
+    shift, turn, share = fitted.sigmas[:3], fitted.sigmas[3:6], float(fitted.sigmas[6])
+    away = float(np.median(list(placed.used.values())))
+    rows = [
+        ("cameras", f"{len(placed.cameras)}, placed by the masks of {len(placed.used)}"),
+        ("start", placed.start),
+        ("scale", f"{fitted.similarity.scale:.6g} m per unit, +-{100 * share:.2f} %"),
+        ("middle", f"{east:.2f} {north:.2f} {up:.2f} m in {placed.crs or 'the frame of the city model'}"),
+        ("sigmas", f"{_three(shift)} m; {_three(turn)} deg about east, north and up"),
+        ("photos", f"{away:.2f} m in the median from where the model has them"),
+        *((name, str(path)) for name, path in placed.files.items()),
+    ]
+    lines = [f"{name:<13} {plain_text(text)}" for name, text in rows]
+    lines += [f"left out: {plain_text(name)}: {plain_text(reason)}" for name, reason in placed.left_out]
+    lines += [f"note: {plain_text(note)}" for note in placed.notes]
+    return "\n".join(lines)
+
+
+def _three(numbers: Iterable[float]) -> str:
+    return " ".join(f"{number:.2f}" for number in numbers)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        "lodbench georeference",
+        description="Place a COLMAP model in a city by the outlines of its buildings.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("model", type=Path, metavar="COLMAP_MODEL", help="folder with cameras and images")
+    parser.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
+    add_city_options(parser)
+    parser.add_argument(
+        "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
+    )
+    parser.add_argument(
+        "--images", type=Path, metavar="DIR", help="the model's photos, as the drone stored them"
+    )
+    parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of the photos, named as these")
+    parser.add_argument("--segmenter", metavar="NAME", help="makes masks of the photos instead (compact)")
+    parser.add_argument("--start", type=Path, metavar="FILE", help="rough poses, or similarity.json")
+    add_height_options(parser)
+    parser.add_argument("--method", default="flight", metavar="NAME", help="solves flights (flight)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--out", type=Path, default=Path("georeferenced"), metavar="DIR", help="(georeferenced)"
+    )
+    parser.add_argument("--json", action="store_true", help="for machines")
+    return parser

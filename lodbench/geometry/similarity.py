@@ -1,0 +1,124 @@
+"""Similarities between frames: a scale, a turn and a shift, as between a reconstruction and a map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from lodbench.errors import LodbenchError
+from lodbench.geometry.pose import Pose
+
+Floats = NDArray[np.float64]
+
+# Poses that a similarity is fitted to: one alone has no scale, two leave a turn open to chance.
+FEWEST_POSES = 3
+# Beyond so many standard deviations a pose counts less and less.
+_OUTLIER_SIGMAS = 2.0
+# Poses nearer than this share of their coordinates are in one place: rounding.
+_SAME_PLACE = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Similarity:
+    """``x_map = scale * rotation @ x + translation``.
+
+    Attributes:
+        scale: Map metres per unit.
+        rotation: (3, 3), determinant +1.
+        translation: (3,) map metres.
+    """
+
+    scale: float
+    rotation: Floats
+    translation: Floats
+
+    def points(self, points: Floats) -> Floats:
+        """Returns (N, 3) points in the map."""
+        return np.asarray(self.scale * points @ self.rotation.T + self.translation)
+
+    def pose(self, pose: Pose) -> Pose:
+        """Returns a camera's pose in the map, metres."""
+        return Pose.from_center(pose.rotation @ self.rotation.T, self.points(pose.center[None])[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedSimilarity:
+    """A similarity that lays poses on others.
+
+    Attributes:
+        similarity: It.
+        middle: (3,) of the poses it was fitted to, map metres.
+        sigmas: (7,) standard deviations: shift of the middle (metres), turn about the map's axes (degrees),
+            scale (as a share).
+        distances_m: (N,) how far each pose then is from its own.
+    """
+
+    similarity: Similarity
+    middle: Floats
+    sigmas: Floats
+    distances_m: Floats
+
+
+def fit_similarity(
+    poses: Sequence[Pose], mapped: Sequence[Pose], sigma_m: Floats, sigma_deg: Floats
+) -> FittedSimilarity:
+    """Returns the similarity that lays poses on others; some of these may be far off.
+
+    Both places and directions count, so that a straight flight leaves no turn open. The start is the mean of
+    the turns and the median of distances; the rest is robust least squares (soft L1).
+
+    Args:
+        poses: In a frame of their own.
+        mapped: Of the same cameras in the map.
+        sigma_m: (N, 3) standard deviations of ``mapped``: east, north, up, metres.
+        sigma_deg: (N,) of its directions, degrees.
+
+    Raises:
+        LodbenchError: There are fewer than three poses, or all are in one place.
+    """
+    if len(poses) < FEWEST_POSES:
+        raise LodbenchError(f"A similarity needs at least {FEWEST_POSES} cameras, not {len(poses)}.")
+    centers, there = (np.array([pose.center for pose in each]) for each in (poses, mapped))
+    pairs = zip(poses, mapped, strict=True)
+    turns = Rotation.from_matrix([other.rotation.T @ one.rotation for one, other in pairs])
+    turn = _robust_mean(turns)
+    middle, own_middle = np.median(there, axis=0), np.median(centers, axis=0)
+    reach, own_reach = (
+        float(np.median(np.linalg.norm(p - m, axis=1))) for p, m in ((there, middle), (centers, own_middle))
+    )
+    least = _SAME_PLACE * (1.0 + float(np.abs([middle, own_middle]).max()))
+    if min(reach, own_reach) <= least:
+        raise LodbenchError("All cameras are in one place, which leaves the scale open.")
+    scale = reach / own_reach
+
+    def residuals(numbers: Floats) -> Floats:
+        now = Rotation.from_rotvec(numbers[3:6]) * turn
+        places = scale * np.exp(numbers[6]) * now.apply(centers - own_middle) + middle + reach * numbers[:3]
+        gaps = (now * turns.inv()).as_rotvec(degrees=True)
+        return np.concatenate([((places - there) / sigma_m).ravel(), (gaps / sigma_deg[:, None]).ravel()])
+
+    found = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=_OUTLIER_SIGMAS)
+    turn = Rotation.from_rotvec(found.x[3:6]) * turn
+    scale *= float(np.exp(found.x[6]))
+    shift = middle + reach * found.x[:3] - scale * turn.apply(own_middle)
+    similarity = Similarity(scale, turn.as_matrix(), shift)
+    units = np.array([reach] * 3 + [np.degrees(1.0)] * 3 + [1.0])
+    spread = np.sqrt(np.diagonal(np.linalg.pinv(found.jac.T @ found.jac))) * units
+    distances = np.linalg.norm(similarity.points(centers) - there, axis=1)
+    return FittedSimilarity(similarity, similarity.points(own_middle[None])[0], spread, distances)
+
+
+def _robust_mean(turns: Rotation) -> Rotation:
+    """Returns the mean of turns without those that are far from most."""
+    weights = np.ones(len(turns))
+    mean = turns.mean()
+    for _ in range(10):
+        away = (turns * mean.inv()).magnitude()
+        weights = 1.0 / (1.0 + (away / max(float(np.median(away)), 1e-9)) ** 2) ** 2
+        mean = turns.mean(weights)
+    return mean

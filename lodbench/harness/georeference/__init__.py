@@ -1,0 +1,1 @@
+"""Reconstructions placed in cities."""

@@ -1,0 +1,229 @@
+"""A COLMAP model into a city's coordinates, by the outlines of its buildings: no ground control points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.citymodel.cache import OpenCity
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.exchange.colmap import read_colmap
+from lodbench.datasets.exchange.posed import FoundPose, Place, read_json
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.own import find_inside, find_mask
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.photo_pose import pose_from_photo
+from lodbench.datasets.pose_files import read_pose_file
+from lodbench.datasets.query import Entry, Query
+from lodbench.datasets.undistort import pinhole_of, undistorted
+from lodbench.errors import DatasetError, LodbenchError, QueryFault
+from lodbench.execution import Progress
+from lodbench.geometry import Camera, Pose
+from lodbench.geometry.similarity import FEWEST_POSES, FittedSimilarity, Similarity, fit_similarity
+from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.georeference.outputs import write_georeferenced
+from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
+from lodbench.methods import Estimate
+from lodbench.methods.asking import localize_flight
+from lodbench.methods.protocol import FlightEstimate, SupportsFlights
+from lodbench.segmentation import check_mask, notes_of, resized
+from lodbench.segmentation.masks import read_mask
+from lodbench.storage import random_stream
+
+Floats = NDArray[np.float64]
+
+# What rough places and directions are off by, each photo by itself, metres and degrees.
+_ROUGH_M, _ROUGH_DEG = np.array([3.0, 3.0, 5.0]), 5.0
+# Masks are held at this width, pixels: half as much again as methods look at.
+_MASK_WIDTH = 900
+
+
+def georeference(request: GeoreferenceRequest) -> Georeferenced:
+    """Returns a reconstruction in the city's coordinates; writes it in the formats that surveyors load.
+
+    The start is the similarity that lays the model's cameras on rough poses. From there its photos are found
+    as one flight; the similarity that lays the model on these poses is the answer.
+
+    Raises:
+        LodbenchError: The model, the city or the rough poses cannot be read, or too few photos can be used.
+    """
+    images = list(read_colmap(request.model))
+    city = open_city(request.city, request.lod, request.options, request.roof_height)
+    frame = None if city.scene.crs is None else MapFrame(city.scene.crs)
+    rough, start = _rough(request, images, frame)
+    _require_near(images, rough, city.scene)
+    queries, left_out = _queries(request, images, rough, city.scene)
+    if len(queries) < FEWEST_POSES:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:3])
+        raise DatasetError(
+            f"{len(queries)} of {len(images)} photos can be used, and {FEWEST_POSES} are needed: {reasons}.",
+            "Name the masks as the photos, or give --images and leave --masks out.",
+        )
+    found = _solved(request, queries, city)
+    places = {
+        name: each for name, each in zip(queries, found.estimates, strict=True) if isinstance(each, Estimate)
+    }
+    left_out += [
+        (name, each.message)
+        for name, each in zip(queries, found.estimates, strict=True)
+        if isinstance(each, QueryFault)
+    ]
+    left_out += [(name, "it fits nowhere near the others") for name in found.findings.get("lost", [])]
+    lost = {name for name, _ in left_out}
+    fitted = _fitted(
+        {i.name: i.pose for i in images}, {n: e for n, e in places.items() if n not in lost}, city.scene
+    )
+    used = [name for name in places if name not in lost]
+    notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
+    placed = Georeferenced(
+        fitted=fitted,
+        cameras=tuple(image._replace(pose=fitted.similarity.pose(image.pose)) for image in images),
+        used=dict(zip(used, map(float, fitted.distances_m), strict=True)),
+        left_out=tuple(left_out),
+        findings=found.findings,
+        start=start,
+        crs=city.scene.crs,
+        files={},
+        notes=notes,
+    )
+    return write_georeferenced(placed, request, city.scene, frame)
+
+
+def _rough(
+    request: GeoreferenceRequest, images: Sequence[FoundPose], frame: MapFrame | None
+) -> tuple[Similarity, str]:
+    """Returns the similarity to start from, and where it came from."""
+    if request.start is not None and request.start.suffix == ".json":
+        values = read_json(request.start)
+        if "similarity" in values:
+            return _stated_similarity(
+                values["similarity"], request.start
+            ), f"the similarity in {request.start}"
+    if request.start is not None:
+        _, listed = read_pose_file(request.start, "auto")
+        there = {Path(pose.name).name: pose.pose for pose in listed}
+        known = {
+            image.name: there[Path(image.name).name] for image in images if Path(image.name).name in there
+        }
+        source = str(request.start)
+    else:
+        known, source = _stated_by_photos(request, images, frame), "what the photos state"
+    if len(known) < FEWEST_POSES:
+        raise DatasetError(
+            f"{len(known)} of the model's {len(images)} cameras have a rough place ({source}), and "
+            f"{FEWEST_POSES} are needed.",
+            "Give --images DIR with the drone's photos, or --start FILE with rough poses.",
+        )
+    mine = {image.name: image.pose for image in images}
+    sigmas = np.broadcast_to(_ROUGH_M, (len(known), 3)), np.full(len(known), _ROUGH_DEG)
+    fitted = fit_similarity([mine[name] for name in known], list(known.values()), *sigmas)
+    away = float(np.median(fitted.distances_m))
+    return fitted.similarity, f"{source}: {len(known)} cameras, {away:.1f} m apart in the median"
+
+
+def _stated_similarity(values: object, path: Path) -> Similarity:
+    with Place(str(path), "a similarity: scale, rotation, translation"):
+        if not isinstance(values, Mapping):
+            raise ValueError("it is no object")
+        scale, turn = float(values["scale"]), np.array(values["rotation"], dtype=np.float64)
+        shift = np.array(values["translation"], dtype=np.float64)
+        if scale <= 0 or turn.shape != (3, 3) or shift.shape != (3,):
+            raise ValueError("its scale is no positive number, or a shape is wrong")
+        return Similarity(scale, Pose.from_matrix(np.column_stack([turn, shift])).rotation, shift)
+
+
+def _stated_by_photos(
+    request: GeoreferenceRequest, images: Sequence[FoundPose], frame: MapFrame | None
+) -> dict[str, Pose]:
+    """Returns where photos say they were taken, by name, for those that say it."""
+    if request.images is None:
+        raise DatasetError(
+            "Nobody says where the model is, roughly.",
+            "Give --images DIR with the drone's photos, or --start FILE with rough poses.",
+        )
+    if frame is None:
+        raise DatasetError(
+            f"{request.city.name} names no reference system, so GPS means nothing in it.",
+            "Name it with --crs, or give --start FILE with rough poses.",
+        )
+    known = {}
+    for image in images:
+        photo = find_inside(request.images, image.name)
+        if photo is not None:
+            try:
+                known[image.name] = pose_from_photo(read_photo_metadata(photo), frame, request.heights)
+            except LodbenchError:
+                continue  # those that say it are counted
+    return known
+
+
+def _require_near(images: Sequence[FoundPose], rough: Similarity, scene: Scene) -> None:
+    away = float(np.median([distance_outside_m(rough.pose(image.pose), scene) for image in images]))
+    if away > FURTHEST_M:
+        raise DatasetError(
+            f"The reconstruction lies {away / 1000:.1f} km outside the city model.",
+            "Is it the right tile, and its reference system right? lodbench city info says where it is.",
+        )
+
+
+def _queries(
+    request: GeoreferenceRequest, images: Sequence[FoundPose], rough: Similarity, scene: Scene
+) -> tuple[dict[str, Query], list[tuple[str, str]]]:
+    """Returns the photos to solve, by name, and those left out, with the reason."""
+    queries: dict[str, Query] = {}
+    left_out: list[tuple[str, str]] = []
+    with Progress("masks", len(images)) as progress:
+        for image in images:
+            try:
+                if image.camera is None:
+                    raise DatasetError("it has no camera")
+                pinhole = pinhole_of(image.camera)
+                prior = rough.pose(image.pose).shifted(-scene.origin)
+                queries[image.name] = Query(
+                    image.name, "", pinhole, prior, _mask(request, image.name, image.camera, pinhole),
+                    sequence="reconstruction",
+                )  # fmt: skip
+            except LodbenchError as fault:
+                left_out.append((image.name, fault.message.rstrip(".")))
+            progress.advance()
+    return queries, left_out
+
+
+def _mask(request: GeoreferenceRequest, name: str, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:
+    """Returns the probability of building in a photo as its pinhole sees it, at a size that methods need."""
+    if request.masks is not None:
+        path = find_mask(request.masks, name)
+        if path is None:
+            raise DatasetError(f"{request.masks} holds no mask of it")
+        probability = read_mask(path)
+    else:
+        photo = None if request.images is None else find_inside(request.images, name)
+        if photo is None or request.segmenter is None:
+            raise DatasetError(f"there is no photo of it in {request.images}")
+        probability = request.segmenter.segment(Entry(name, "", camera, None, photo, None))
+    mask = np.asarray(undistorted(check_mask(probability, camera), camera, pinhole))
+    width = min(_MASK_WIDTH, mask.shape[1])
+    return resized(mask, width, max(1, round(width * pinhole.height / pinhole.width)))
+
+
+def _solved(request: GeoreferenceRequest, queries: Mapping[str, Query], city: OpenCity) -> FlightEstimate:
+    method = request.method
+    assert isinstance(method, SupportsFlights)  # noqa: S101 - the command has looked
+    streams = [partial(random_stream, request.seed, "georeference", name) for name in queries]
+    return localize_flight(method, list(queries.values()), CityMap(city.scene), streams)
+
+
+def _fitted(model: Mapping[str, Pose], places: Mapping[str, Estimate], scene: Scene) -> FittedSimilarity:
+    """Returns the similarity that lays the model on the poses found, weighed by how sure each is."""
+    unknown = np.diag([*_ROUGH_M, *[_ROUGH_DEG] * 3]) ** 2
+    spreads = np.array(
+        [np.diagonal(unknown if each.covariance is None else each.covariance) for each in places.values()]
+    )
+    found = [each.pose.shifted(scene.origin) for each in places.values()]
+    sigma_m, sigma_deg = np.sqrt(spreads[:, :3]), np.sqrt(spreads[:, 3:].mean(axis=1))
+    return fit_similarity([model[name] for name in places], found, sigma_m, sigma_deg)

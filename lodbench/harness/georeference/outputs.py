@@ -1,0 +1,80 @@
+"""What a placed reconstruction is written as: COLMAP, references for Metashape, Pix4D and ODM, a map."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.exchange.colmap_moved import write_moved_colmap
+from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature, view_feature, write_geojson
+from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm, write_pix4d
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.undistort import pinhole_of
+from lodbench.errors import LodbenchError
+from lodbench.harness.flights.map_findings import doubt_features
+from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
+from lodbench.harness.photo.outputs import ground_below_m
+from lodbench.storage import make_folder, write_text
+
+SIMILARITY_FILE = "similarity.json"
+
+
+def write_georeferenced(
+    placed: Georeferenced, request: GeoreferenceRequest, scene: Scene, frame: MapFrame | None
+) -> Georeferenced:
+    """Writes a placed reconstruction; returns it with what was written, and what was not and why.
+
+    Args:
+        placed: What to write.
+        request: Names the model and the folder.
+        scene: The map.
+        frame: Its coordinates on Earth, where they are known.
+    """
+    out, cameras, crs = request.out, list(placed.cameras), placed.crs
+    make_folder(out)
+    writers: dict[str, tuple[str, Callable[[Path], None]]] = {
+        "colmap": ("colmap", lambda path: write_moved_colmap(request.model, placed.fitted.similarity, path)),
+        "metashape": ("metashape_reference.txt", lambda path: write_metashape(cameras, path, crs)),
+        "pix4d": ("calibrated_external_camera_parameters.txt", lambda path: write_pix4d(cameras, path)),
+        "odm": ("geo.txt", lambda path: write_odm(cameras, path, crs)),
+    }
+    if frame is not None:
+        writers["map"] = (
+            "cameras.geojson",
+            lambda path: write_geojson(_features(placed, scene, frame), path),
+        )
+        buildings = placed.findings.get("buildings", [])
+        doubts = doubt_features(scene, frame, buildings, "reconstruction")
+        writers["map findings"] = ("map_findings.geojson", lambda path: write_geojson(doubts, path))
+    files, notes = {}, list(placed.notes)
+    for name, (file, write) in writers.items():
+        try:
+            write(out / file)
+            files[name] = out / file
+        except LodbenchError as fault:
+            notes.append(f"{name} was not written: {fault.message}")
+    files["similarity"] = out / SIMILARITY_FILE
+    written = replace(placed, files=files, notes=tuple(notes))
+    text = json.dumps(written.to_json(), indent=1, ensure_ascii=False)
+    write_text(files["similarity"], text + "\n")
+    return written
+
+
+def _features(placed: Georeferenced, scene: Scene, frame: MapFrame) -> list[dict[str, object]]:
+    """Returns each camera, what it looks at and what it shows, as features of GeoJSON."""
+    features = []
+    for camera in placed.cameras:
+        stated: dict[str, object] = {"name": camera.name, "kind": "estimate"}
+        if camera.name in placed.used:
+            stated["away_m"] = round(placed.used[camera.name], 3)
+        features.append(camera_feature(frame, camera.pose, stated))
+        features.append(view_feature(frame, camera.pose, {"name": camera.name}))
+        if camera.camera is not None:
+            ground = ground_below_m(scene, camera.pose)
+            pinhole = pinhole_of(camera.camera)
+            shown = footprint_feature(frame, pinhole, camera.pose, ground, {"name": camera.name})
+            features += [] if shown is None else [shown]
+    return features

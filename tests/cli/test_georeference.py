@@ -1,0 +1,143 @@
+"""`lodbench georeference`: a COLMAP model in a frame of its own, placed in a city by masks of its photos."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from shapely.geometry import shape
+
+from lodbench.cli import main
+from lodbench.datasets.exchange.colmap import read_colmap, write_colmap
+from lodbench.datasets.exchange.lines import write_lines
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.pose_files import read_pose_file
+from lodbench.evaluation import pose_error
+from lodbench.geometry import Pose
+from lodbench.geometry.similarity import Similarity
+from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
+
+COUNT, NOISE_M, NOISE_DEG = 8, 0.05, 0.03
+
+
+@dataclass
+class Case:
+    """A reconstruction, its masks, and the truth behind them."""
+
+    model: Path
+    masks: Path
+    rough: Path
+    city: Path
+    truth: dict[str, Pose]
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory, shared_data) -> Case:
+    """A seeded flight over a real tile; its true poses in an arbitrary frame, with noise."""
+    city = shared_data / "city/germany_lod2/LoD2_32_280_5657_1_NW.gml"
+    dataset = open_flights(
+        FlightsParams(str(city), num_flights=1, num_photos=COUNT, path="orbit", flights_seed=3)
+    )
+    generator = np.random.default_rng(5)
+    turn = Rotation.random(random_state=5).as_matrix()
+    middle = np.mean([pose.center for pose in dataset.truth.values()], axis=0)
+    own = Similarity(0.04, turn, np.array([3.0, -2.0, 7.0]) - 0.04 * turn @ middle)
+    folder = tmp_path_factory.mktemp("reconstruction")
+    model, rough, truth = [], [], {}
+    for entry in dataset.entries:
+        true = dataset.truth[entry.key]
+        shaken = Rotation.from_rotvec(generator.normal(0, NOISE_DEG, 3), degrees=True).as_matrix()
+        seen = Pose.from_center(shaken @ true.rotation, true.center + generator.normal(0, NOISE_M, 3))
+        model.append(FoundPose(entry.name, "", own.pose(seen), entry.camera))
+        rough.append(FoundPose(entry.name, "", entry.prior))
+        truth[entry.name] = true
+    write_colmap(model, folder / "sparse")
+    (folder / "sparse" / "points3D.txt").write_text("1 3.0 -2.0 7.0 9 9 9 0.5 1 0\n")
+    write_lines(rough, folder / "rough.txt")
+    return Case(folder / "sparse", dataset.entries[0].mask.parent, folder / "rough.txt", city, truth)
+
+
+def georeference(capsys, case: Case, out: Path, *words: object) -> tuple[int, str]:
+    code = main(["georeference", *map(str, (case.model, "--city", case.city, "--out", out, *words))])
+    told = capsys.readouterr()
+    return code, told.out + told.err
+
+
+def errors_m(poses, truth) -> list[float]:
+    return [pose_error(found.pose, truth[Path(found.name).name]).translation_m for found in poses]
+
+
+def test_a_model_is_placed_within_decimetres_and_handed_on(capsys, case, tmp_path):
+    words = "--masks", case.masks, "--start", case.rough
+    code, told = georeference(capsys, case, tmp_path, *words)
+    assert code == 0
+    assert f"cameras       {COUNT}, placed by the masks of {COUNT}" in told
+    rough = [
+        pose_error(pose.pose, case.truth[pose.name]).translation_m
+        for pose in read_pose_file(case.rough, "lines")[1]
+    ]
+    errors = errors_m(read_colmap(tmp_path / "colmap"), case.truth)
+    assert np.median(rough) > 5.0
+    assert np.median(errors) < 0.6
+    # The similarity says so itself, and its own sigmas cover what it is off by.
+    said = json.loads((tmp_path / "similarity.json").read_text())
+    assert said["similarity"]["scale"] == pytest.approx(1 / 0.04, rel=0.01)
+    off = np.mean(
+        [found.pose.center - case.truth[found.name].center for found in read_colmap(tmp_path / "colmap")],
+        axis=0,
+    )
+    sigmas = [said["sigmas"][name] for name in ("east_m", "north_m", "up_m")]
+    assert (np.abs(off) < 4.0 * np.array(sigmas) + 0.05).all()
+    # Each format is read back as the same cameras.
+    for name, file in (
+        ("metashape", "metashape_reference.txt"),
+        ("pix4d", "calibrated_external_camera_parameters.txt"),
+        ("odm", "geo.txt"),
+    ):
+        assert max(errors_m(read_pose_file(tmp_path / file, name)[1], case.truth)) < 1.5
+    moved = [float(word) for word in (tmp_path / "colmap" / "points3D.txt").read_text().split()[1:4]]
+    middle = np.mean([pose.center for pose in case.truth.values()], axis=0)
+    assert np.linalg.norm(np.array(moved) - middle) < 1.0
+    features = json.loads((tmp_path / "cameras.geojson").read_text())["features"]
+    cameras = [each for each in features if each["properties"].get("kind") == "estimate"]
+    frame = MapFrame("EPSG:25832+7837")
+    east, north = frame.east_north(*shape(cameras[0]["geometry"]).coords[0][::-1])
+    assert (east, north) == pytest.approx(case.truth[cameras[0]["properties"]["name"]].center[:2], abs=1.0)
+    # What was found is a start of its own.
+    code, told = georeference(
+        capsys, case, tmp_path / "again", "--masks", case.masks, "--start", tmp_path / "similarity.json"
+    )
+    assert code == 0
+    assert "the similarity in" in told
+    assert np.median(errors_m(read_colmap(tmp_path / "again" / "colmap"), case.truth)) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "nothing to place the model by"),
+        (("--masks", "MASKS"), "Nobody says where the model is, roughly"),
+        (("--masks", "EMPTY", "--start", "ROUGH"), "0 of 8 photos can be used, and 3 are needed"),
+        (("--masks", "MASKS", "--start", "FAR"), "km outside the city model"),
+        (("--masks", "MASKS", "--start", "FEW"), "2 of the model's 8 cameras have a rough place"),
+        (("--masks", "MASKS", "--start", "ROUGH", "--method", "region"), "solves no flights"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_line(capsys, case, tmp_path, words, said):
+    (tmp_path / "empty").mkdir()
+    rough = read_pose_file(case.rough, "lines")[1]
+    write_lines([pose._replace(pose=pose.pose.shifted((9e4, 0, 0))) for pose in rough], tmp_path / "far.txt")
+    write_lines(rough[:2], tmp_path / "few.txt")
+    known = {
+        "MASKS": case.masks, "ROUGH": case.rough, "EMPTY": tmp_path / "empty",
+        "FAR": tmp_path / "far.txt", "FEW": tmp_path / "few.txt",
+    }  # fmt: skip
+    code, told = georeference(capsys, case, tmp_path / "out", *(known.get(word, word) for word in words))
+    assert code == 2
+    assert said in told
+    assert not (tmp_path / "out").exists()
