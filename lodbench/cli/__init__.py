@@ -12,6 +12,7 @@ COMMANDS = {
     "run": ("lodbench.cli.run", "find the poses of a dataset with one method; print recalls"),
     "basin": ("lodbench.cli.basin", "recall over the error of the prior; the cost around the truth"),
     "localize": ("lodbench.cli.localize", "find where photos were taken: table, overlays, map, how sure"),
+    "track": ("lodbench.cli.track", "find where each frame of a video, or of photos in turn, was taken"),
     "georeference": (
         "lodbench.cli.georeference",
         "place a COLMAP model in a city by its buildings: no ground control points",

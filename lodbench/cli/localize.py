@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING
 
 from lodbench.cli.localize_text import describe, describe_many
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
+from lodbench.cli.place_options import (
+    add_city_options,
+    add_height_options,
+    add_rough_pose_options,
+    given_camera,
+    height_options,
+)
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.sources import load_profile
 from lodbench.errors import ConfigError
@@ -189,16 +195,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
     )
-    place = parser.add_argument_group("rough pose, before what the photo says")
-    place.add_argument("--lat", type=float, metavar="DEG", help="latitude, WGS 84")
-    place.add_argument("--lon", type=float, metavar="DEG", help="longitude, WGS 84")
-    place.add_argument("--height", type=float, metavar="M", help="in the city's heights")
-    place.add_argument("--heading", type=float, metavar="DEG", help="clockwise from true north")
-    place.add_argument("--pitch", type=float, metavar="DEG", help="0 at the horizon, -90 straight down")
-    place.add_argument("--roll", type=float, metavar="DEG", help="about the optical axis")
-    place.add_argument(
-        "--center", type=float, nargs=3, metavar=("E", "N", "UP"), help="in the city's own coordinates"
-    )
+    add_rough_pose_options(parser, "rough pose, before what the photo says")
     add_height_options(parser)
     parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
     parser.add_argument(

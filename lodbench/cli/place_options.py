@@ -23,6 +23,25 @@ def add_city_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
+    """Adds the options that say where a photo was taken, roughly.
+
+    Args:
+        parser: Receives them.
+        title: Of the group in the help.
+    """
+    place = parser.add_argument_group(title)
+    place.add_argument("--lat", type=float, metavar="DEG", help="latitude, WGS 84")
+    place.add_argument("--lon", type=float, metavar="DEG", help="longitude, WGS 84")
+    place.add_argument("--height", type=float, metavar="M", help="in the city's heights")
+    place.add_argument("--heading", type=float, metavar="DEG", help="clockwise from true north")
+    place.add_argument("--pitch", type=float, metavar="DEG", help="0 at the horizon, -90 straight down")
+    place.add_argument("--roll", type=float, metavar="DEG", help="about the optical axis")
+    place.add_argument(
+        "--center", type=float, nargs=3, metavar=("E", "N", "UP"), help="in the city's own coordinates"
+    )
+
+
 def add_height_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say how a drone's heights become the city's."""
     group = parser.add_argument_group("heights: from the drone's to the city's")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -226,4 +228,6 @@ def _fitted(model: Mapping[str, Pose], places: Mapping[str, Estimate], scene: Sc
     )
     found = [each.pose.shifted(scene.origin) for each in places.values()]
     sigma_m, sigma_deg = np.sqrt(spreads[:, :3]), np.sqrt(spreads[:, 3:].mean(axis=1))
-    return fit_similarity([model[name] for name in places], found, sigma_m, sigma_deg)
+    fitted = fit_similarity([model[name] for name in places], found, sigma_m, sigma_deg)
+    # What photos of a flight are wrong about, they are wrong about alike: their number makes nothing surer.
+    return replace(fitted, sigmas=fitted.sigmas * math.sqrt(len(places)))

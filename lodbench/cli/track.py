@@ -1,0 +1,148 @@
+"""`lodbench track`: a video or a folder of photos over a city, frame by frame."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lodbench.cli.parser import Parser
+from lodbench.cli.place_options import (
+    add_city_options,
+    add_height_options,
+    add_rough_pose_options,
+    given_camera,
+    height_options,
+)
+from lodbench.cli.segmenters import segmenter_of
+from lodbench.cli.sources import load_profile
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.reporting.safe_text import plain_text
+
+if TYPE_CHECKING:
+    from lodbench.harness.track.track import Track
+
+_EPILOG = """\
+The first frame is found from a rough pose, as by localize: what the first photo states, or the options below.
+Each next frame starts from where the last motion leads. Where nothing near fits, the camera is lost, and
+searched for from there, wider with each frame.
+
+Written to --out: track.csv (a row per frame), track.geojson, poses.txt (name qw qx qy qz tx ty tz, world to
+camera). Masks are named as the photos; those of a video frame_000000.png, frame_000001.png and so on. Exit
+code 3: the camera was lost in some frames; 1: in all.
+
+examples:
+  lodbench track FLIGHT --city city.gml --masks MASKS
+  lodbench track flight.mp4 --city city.gml --camera 'PINHOLE 640 480 460 460 320 240' \\
+      --center 281030 5657480 150 --heading 280 --pitch -50 --every 3
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Runs the command; returns the exit code."""
+    asked = _parser().parse_args(argv)
+    from lodbench.datasets.photo_pose import RoughPlace
+    from lodbench.harness.track.frames import Footage
+    from lodbench.harness.track.track import TrackRequest, track
+
+    if not asked.footage.exists():
+        raise DatasetError(f"{asked.footage} does not exist.", "Check the path.")
+    if asked.masks is not None and not asked.masks.is_dir():
+        raise DatasetError(f"{asked.masks} is no folder.", "Name the folder of the frames' masks.")
+    if asked.every < 1 or (asked.fps is not None and not asked.fps > 0):
+        raise ConfigError("--every is at least 1, --fps above 0.")
+    segmenter = None
+    if asked.masks is None:
+        segmenter = segmenter_of(asked.segmenter or "compact", asked.segmenter_option)
+        if not hasattr(segmenter, "probability"):
+            raise ConfigError(f"--segmenter {asked.segmenter} looks at no frames.", "compact does.")
+    profile = load_profile(asked.source, asked.option, asked.crs)
+    done = track(
+        TrackRequest(
+            footage=Footage(asked.footage, asked.every, asked.fps),
+            city=asked.city,
+            out=asked.out,
+            camera=given_camera(asked.camera),
+            given=RoughPlace(asked.lat, asked.lon, asked.height, asked.heading, asked.pitch, asked.roll),
+            center=None if asked.center is None else tuple(asked.center),
+            heights=height_options(asked),
+            masks=asked.masks,
+            segmenter=segmenter,
+            lod=asked.lod or profile.lod,
+            options=profile.options,
+            roof_height=asked.roof_height,
+        )
+    )
+    sys.stdout.write(_as_json(done) if asked.json else describe(done))
+    if all(frame.pose is None for frame in done.frames):
+        return 1
+    return 3 if done.lost() else 0
+
+
+def describe(done: Track) -> str:
+    """Returns what a reader is told."""
+    count = len(done.frames)
+    tracked = sum(frame.pose is not None for frame in done.frames)
+    lines = [f"{count} frames: {tracked} tracked, {count - tracked} lost"]
+    for first, last in done.lost():
+        reason = f": {plain_text(first.reason)}" if first.reason else ": nothing near fits its mask"
+        lines.append(f"lost from {plain_text(first.name)} to {plain_text(last.name)}{reason}")
+    each = 1000.0 / max(count - 1, 1)
+    seconds = done.seconds
+    lines += [
+        f"{done.rate:.1f} photos per second from pixels to pose: masks {each * seconds['masks']:.0f} ms "
+        f"beside poses {each * seconds['poses']:.0f} ms, {each * done.cpu_s:.0f} ms of processors' time each",
+        *(f"note: {plain_text(note)}" for note in done.notes),
+        f"written: {done.out}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _as_json(done: Track) -> str:
+    frames = [
+        {
+            "name": frame.name,
+            "time_s": frame.time_s,
+            "state": frame.state,
+            "score": frame.score,
+            "reason": frame.reason,
+            "center_m": None if frame.pose is None else frame.pose.center.tolist(),
+            "quat_wxyz": None if frame.pose is None else list(frame.pose.quat_wxyz),
+        }
+        for frame in done.frames
+    ]
+    values = {"frames": frames, "rate": done.rate, "seconds": done.seconds, "cpu_s": done.cpu_s}
+    return json.dumps({**values, "notes": list(done.notes)}, indent=2, ensure_ascii=False) + "\n"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        "lodbench track",
+        description="Find where each frame of a video, or of photos in turn, was taken.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "footage", type=Path, metavar="VIDEO|DIR", help="what OpenCV reads, or photos in turn"
+    )
+    parser.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
+    add_city_options(parser)
+    parser.add_argument(
+        "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
+    )
+    parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of the frames, named as these")
+    parser.add_argument("--segmenter", metavar="NAME", help="makes masks instead (compact)")
+    parser.add_argument(
+        "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
+    )
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every Nth frame (1)")
+    parser.add_argument("--fps", type=float, metavar="RATE", help="frames per second, before what they say")
+    add_rough_pose_options(parser, "rough pose of the first frame, before what it says")
+    add_height_options(parser)
+    parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
+    parser.add_argument("--out", type=Path, default=Path("tracked"), metavar="DIR", help="(tracked)")
+    parser.add_argument("--json", action="store_true", help="for machines")
+    return parser

@@ -1,0 +1,1 @@
+"""Videos and folders of photos, tracked over a city."""

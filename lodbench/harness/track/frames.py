@@ -1,0 +1,172 @@
+"""Frames of a video or a folder, one after the other, with their masks made ahead of their use."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.own import PHOTO_SUFFIXES, find_mask, find_photos
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.undistort import undistorted
+from lodbench.errors import DatasetError, LodbenchError, QueryFault
+from lodbench.geometry import Camera
+from lodbench.segmentation import Segmenter, check_mask
+from lodbench.segmentation.masks import read_mask
+
+Mask = NDArray[np.float32]
+
+# What a video is taken to be where it does not say, and photos without clocks, frames per second.
+_VIDEO_RATE, _PHOTO_RATE = 25.0, 1.0
+# Frames whose masks are made while another is aligned.
+_AHEAD = 2
+
+
+class Shot(NamedTuple):
+    """A frame as it was taken: its pixels are (H, W, 3) BGR, or None where they cannot be decoded."""
+
+    name: str
+    time_s: float
+    pixels: NDArray[np.uint8] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Footage:
+    """What is tracked.
+
+    Attributes:
+        source: A video, or a folder of photos.
+        every: Every how manieth frame is taken.
+        rate: Frames per second, before what the video or the photos' clocks say.
+    """
+
+    source: Path
+    every: int = 1
+    rate: float | None = None
+
+    def shots(self) -> Iterator[Shot]:
+        """Yields the frames.
+
+        Raises:
+            DatasetError: There are none.
+        """
+        return self._of_photos() if self.source.is_dir() else self._of_video()
+
+    def first_photo(self) -> Path | None:
+        """Returns the first photo of a folder; None for a video."""
+        return find_photos(self.source)[0] if self.source.is_dir() else None
+
+    def _of_photos(self) -> Iterator[Shot]:
+        photos = find_photos(self.source)[:: self.every]
+        clocks = _clocks(photos) if self.rate is None else None
+        rate = self.rate or _PHOTO_RATE
+        for number, photo in enumerate(photos):
+            when = self.every * number / rate if clocks is None else clocks[number]
+            yield Shot(photo.name, when, read_picture(photo))
+
+    def _of_video(self) -> Iterator[Shot]:
+        import cv2
+
+        if self.source.suffix.lower() in PHOTO_SUFFIXES:
+            raise DatasetError(f"{self.source} is one photo.", "lodbench localize finds where it was taken.")
+        video = cv2.VideoCapture(str(self.source))
+        if not video.isOpened():
+            raise DatasetError(
+                f"{self.source} is no video that OpenCV reads.", "Take MP4, or a folder of photos."
+            )
+        rate = self.rate or video.get(cv2.CAP_PROP_FPS) or _VIDEO_RATE
+        number = 0
+        try:
+            while video.grab():
+                if number % self.every == 0:
+                    is_whole, pixels = video.retrieve()
+                    yield Shot(
+                        f"frame_{number:06d}.png", number / rate, np.asarray(pixels) if is_whole else None
+                    )
+                number += 1
+        finally:
+            video.release()
+        if number == 0:
+            raise DatasetError(f"{self.source} holds no frames.", "Copy it again.")
+
+
+def _clocks(photos: list[Path]) -> list[float] | None:
+    """Returns when photos were taken, seconds after the first; None where clocks lack or stand still."""
+    try:
+        times = [
+            datetime.strptime(read_photo_metadata(photo).taken_at, "%Y:%m:%d %H:%M:%S") for photo in photos
+        ]
+    except (ValueError, LodbenchError):
+        return None
+    seconds = [(taken - times[0]).total_seconds() for taken in times]
+    return seconds if all(later > sooner for sooner, later in pairwise(seconds)) else None
+
+
+@dataclass(slots=True)
+class MaskMaker:
+    """Masks of frames, from a folder or by a network.
+
+    Attributes:
+        camera: Of the frames as stored, lens included.
+        pinhole: What is tracked.
+        folder: Of masks named as the frames; goes before the segmenter.
+        segmenter: Makes them.
+        seconds: Spent so far.
+    """
+
+    camera: Camera
+    pinhole: Camera
+    folder: Path | None
+    segmenter: Segmenter | None
+    seconds: float = 0.0
+
+    def mask(self, shot: Shot) -> Mask | str:
+        """Returns (H, W) the probability of building as the pinhole sees it, or why there is none."""
+        started = time.perf_counter()
+        try:
+            found = check_mask(self._made(shot), self.camera)
+            return np.asarray(undistorted(found, self.camera, self.pinhole))
+        except QueryFault as fault:
+            return fault.message
+        finally:
+            self.seconds += time.perf_counter() - started
+
+    def _made(self, shot: Shot) -> Mask:
+        if self.folder is not None:
+            file = find_mask(self.folder, shot.name)
+            if file is None:
+                raise QueryFault(f"{self.folder} holds no mask of it")
+            return read_mask(file)
+        if shot.pixels is None:
+            raise QueryFault("its pixels cannot be decoded")
+        size = shot.pixels.shape[1], shot.pixels.shape[0]
+        if size != (self.camera.width, self.camera.height):
+            raise QueryFault(f"it is {size[0]} x {size[1]}, not as the camera")
+        network: Any = self.segmenter
+        return np.asarray(network.probability(np.ascontiguousarray(shot.pixels[..., ::-1])))
+
+
+def with_masks(shots: Iterator[Shot], maker: MaskMaker) -> Iterator[tuple[Shot, Mask | str]]:
+    """Yields frames with their masks, or why there is none; the next ones are made while one is used."""
+
+    def following() -> tuple[Shot, Mask | str] | None:
+        shot = next(shots, None)
+        return None if shot is None else (shot, maker.mask(shot))
+
+    with ThreadPoolExecutor(1) as pool:
+        waiting: deque[Future[tuple[Shot, Mask | str] | None]] = deque(
+            pool.submit(following) for _ in range(_AHEAD)
+        )
+        while (made := waiting.popleft().result()) is not None:
+            waiting.append(pool.submit(following))
+            yield made

@@ -1,0 +1,213 @@
+"""A video or a folder of photos over a city: where each frame was, when it was lost, and how fast."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lodbench.citymap import CityMap
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, write_geojson
+from lodbench.datasets.exchange.lines import write_lines
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
+from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, pose_at, pose_from_photo
+from lodbench.datasets.undistort import pinhole_of
+from lodbench.errors import ConfigError, DatasetError
+from lodbench.execution import Progress
+from lodbench.geometry import Camera, Pose
+from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.track.frames import Footage, MaskMaker, with_masks
+from lodbench.methods.tracking import Frame, Params, Tracker
+from lodbench.methods.tracking.tracker import LOST
+from lodbench.segmentation import Segmenter, notes_of
+from lodbench.storage import hide_formula, make_folder, write_text
+
+TABLE_FILE, MAP_FILE, POSES_FILE = "track.csv", "track.geojson", "poses.txt"
+
+
+@dataclass(frozen=True, slots=True)
+class TrackRequest:
+    """What to track, and where it starts.
+
+    Attributes:
+        footage: The frames.
+        city: City model.
+        out: Folder to write.
+        camera: Of the frames as stored; None for what the first photo states.
+        given: Rough place and angles of the first frame, before what the first photo states.
+        center: Rough place in the city's coordinates; before all others.
+        heights: How the drone's heights become the city's.
+        masks: Folder of masks named as the frames, or None for the segmenter.
+        segmenter: A network that looks at pixels.
+        lod: Level of detail, or None for the lowest.
+        options: How to read the city.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+        params: Of the tracker.
+    """
+
+    footage: Footage
+    city: Path
+    out: Path
+    camera: Camera | None = None
+    given: RoughPlace = field(default_factory=RoughPlace)
+    center: tuple[float, float, float] | None = None
+    heights: HeightOptions = field(default_factory=HeightOptions)
+    masks: Path | None = None
+    segmenter: Segmenter | None = None
+    lod: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    roof_height: str | None = None
+    params: Params = field(default_factory=Params)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedFrame:
+    """What became of a frame: its pose in the city's coordinates, None where it was lost."""
+
+    name: str
+    time_s: float
+    state: str
+    pose: Pose | None
+    score: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """What became of all frames.
+
+    Attributes:
+        frames: In the order they were taken.
+        seconds: Wall time of all frames but the first, in total and by what was done: ``masks`` goes on
+            beside ``poses``.
+        cpu_s: Processor time of the same.
+        out: Folder written.
+        notes: What the reader should know.
+    """
+
+    frames: tuple[TrackedFrame, ...]
+    seconds: dict[str, float]
+    cpu_s: float
+    out: Path
+    notes: tuple[str, ...]
+
+    @property
+    def rate(self) -> float:
+        """Returns frames per second from pixels to pose, the first, which is searched for, aside."""
+        return (len(self.frames) - 1) / max(self.seconds["total"], 1e-9)
+
+    def lost(self) -> list[tuple[TrackedFrame, TrackedFrame]]:
+        """Returns the first and the last frame of each time that the camera was lost."""
+        spans: list[tuple[TrackedFrame, TrackedFrame]] = []
+        for number, frame in enumerate(self.frames):
+            if frame.pose is None:
+                goes_on = number > 0 and self.frames[number - 1].pose is None
+                spans.append((spans.pop()[0] if goes_on else frame, frame))
+        return spans
+
+
+def track(request: TrackRequest) -> Track:
+    """Returns where each frame was taken; writes a table, a map and the poses.
+
+    Raises:
+        LodbenchError: The frames, the city or what is known of the first cannot be read.
+    """
+    city = open_city(request.city, request.lod, request.options, request.roof_height)
+    scene = city.scene
+    frame = None if scene.crs is None else MapFrame(scene.crs)
+    camera, start = _start(request, frame)
+    _require_near(start, scene)
+    pinhole = pinhole_of(camera)
+    maker = MaskMaker(camera, pinhole, request.masks, request.segmenter)
+    tracker = Tracker(CityMap(scene), pinhole, start.shifted(-scene.origin), request.params)
+    frames: list[TrackedFrame] = []
+    poses_s = started = cpu = masks_s = 0.0
+    with Progress("frames", None) as progress:
+        for shot, mask in with_masks(request.footage.shots(), maker):
+            began = time.perf_counter()
+            if isinstance(mask, str):
+                frames.append(TrackedFrame(shot.name, shot.time_s, LOST, None, 0.0, mask))
+            else:
+                found = tracker.track(Frame(shot.name, shot.time_s, mask))
+                pose = None if found.state == LOST else found.pose.shifted(scene.origin)
+                frames.append(TrackedFrame(shot.name, shot.time_s, found.state, pose, found.score, ""))
+            poses_s += time.perf_counter() - began
+            if len(frames) == 1:
+                # The first is searched for: what it takes says nothing of the rate.
+                started, cpu, masks_s, poses_s = time.perf_counter(), time.process_time(), maker.seconds, 0.0
+            progress.advance()
+    seconds = {"total": time.perf_counter() - started, "masks": maker.seconds - masks_s, "poses": poses_s}
+    notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
+    done = Track(tuple(frames), seconds, time.process_time() - cpu, request.out, notes)
+    _write(done, frame)
+    return done
+
+
+def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose]:
+    """Returns the camera, and the rough pose of the first frame in the city's coordinates."""
+    first = request.footage.first_photo()
+    if first is None:
+        if request.camera is None:
+            raise ConfigError("A video does not say its camera.", "Give --camera 'MODEL W H PARAMETERS'.")
+        stated = PhotoMetadata(request.footage.source.name, request.camera.width, request.camera.height)
+    else:
+        stated = read_photo_metadata(first)
+    camera = request.camera or camera_from_photo(stated).camera
+    if request.center is not None:
+        east, north, _ = request.center
+        convergence = 0.0 if frame is None else frame.convergence_deg(east, north)
+        return camera, pose_at(request.center, convergence, stated, request.given)
+    if frame is None:
+        raise DatasetError(
+            f"{request.city.name} names no reference system, so GPS means nothing in it.",
+            "Name it with --crs, or give --center EAST NORTH UP in the city's coordinates.",
+        )
+    return camera, pose_from_photo(stated, frame, request.heights, request.given)
+
+
+def _require_near(start: Pose, scene: Scene) -> None:
+    away = distance_outside_m(start, scene)
+    if away > FURTHEST_M:
+        raise DatasetError(
+            f"The first frame was taken {away / 1000:.1f} km outside the city model.",
+            "Is it the right tile, and its reference system right? lodbench city info says where it is.",
+        )
+
+
+def _write(done: Track, frame: MapFrame | None) -> None:
+    make_folder(done.out)
+    write_text(done.out / TABLE_FILE, _table(done.frames, frame))
+    placed = [FoundPose(f.name, "", f.pose) for f in done.frames if f.pose is not None]
+    write_lines(placed, done.out / POSES_FILE)
+    if frame is not None:
+        write_geojson([_feature(each, frame) for each in done.frames], done.out / MAP_FILE)
+
+
+def _feature(each: TrackedFrame, frame: MapFrame) -> dict[str, Any]:
+    stated: dict[str, Any] = {
+        "name": each.name, "time_s": round(each.time_s, 3), "state": each.state, "score": round(each.score, 4)
+    }  # fmt: skip
+    return nowhere_feature(stated) if each.pose is None else camera_feature(frame, each.pose, stated)
+
+
+def _table(frames: Sequence[TrackedFrame], frame: MapFrame | None) -> str:
+    import pandas as pd
+
+    rows = []
+    for each in frames:
+        row: dict[str, Any] = {
+            "frame": hide_formula(each.name), "time_s": each.time_s, "state": each.state,
+            "score": each.score, "reason": hide_formula(each.reason),
+        }  # fmt: skip
+        if each.pose is not None:
+            row |= {} if frame is None else frame.place_of(each.pose)._asdict()
+            row |= dict(zip(("east", "north", "up"), map(float, each.pose.center), strict=True))
+        rows.append(row)
+    return str(pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))

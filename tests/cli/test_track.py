@@ -1,0 +1,128 @@
+"""`lodbench track`: frames of a folder and of a video, what is lost, and bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.citymodel import open_scene
+from lodbench.cli import main
+from lodbench.datasets.pose_text import read_poses
+from lodbench.evaluation import pose_error
+from lodbench.geometry import EulerAngles, Pose
+from lodbench.rendering.silhouette import SilhouetteRenderer
+from tests.town import CAMERA, box_obj
+
+COUNT = 6
+CAMERA_WORDS = ("--camera", "PINHOLE 320 240 230 228 161 118.5")
+
+
+@dataclass
+class Footage:
+    """A video and photos of one flight, their masks, and where it went."""
+
+    folder: Path
+    truth: list[Pose]
+
+    def words(self, source: str, *more: object) -> list[str]:
+        # Rough: metres and degrees off the first pose.
+        x, y, z = np.add(self.truth[0].center, (3.0, -4.0, 5.0))
+        start = ("--center", x, y, z, "--heading", 43.0, "--pitch", -69.6, "--roll", 0.3)
+        city = self.folder / "city.obj"
+        return ["track", *map(str, (self.folder / source, "--city", city, *CAMERA_WORDS, *start, *more))]
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory) -> Footage:
+    folder = tmp_path_factory.mktemp("footage")
+    (folder / "city.obj").write_text(box_obj())
+    scene = open_scene(folder / "city.obj")
+    renderer = SilhouetteRenderer(scene)
+    made = Footage(folder, [])
+    for part in ("photos", "masks"):
+        (folder / part).mkdir()
+    video = cv2.VideoWriter(str(folder / "flight.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 4.0, (320, 240))
+    for k in range(COUNT):
+        pose = Pose.from_euler(EulerAngles(20.0 + k, 0.4, -40.0 + 2.0 * k), (-15.0 + 2.0 * k, -10.0, 120.0))
+        mask = renderer.render(CAMERA, pose).astype(np.uint8) * 255
+        pixels = np.repeat((60 + mask // 2)[..., None], 3, axis=2)
+        video.write(pixels)
+        cv2.imwrite(str(folder / "photos" / f"photo_{k}.png"), pixels)
+        for name in (f"photo_{k}", f"frame_{k:06d}"):
+            cv2.imwrite(str(folder / "masks" / f"{name}.png"), mask)
+        made.truth.append(pose.shifted(scene.origin))
+    video.release()
+    return made
+
+
+def rows(out: Path) -> list[dict[str, str]]:
+    with (out / "track.csv").open() as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.mark.parametrize(("source", "first"), [("photos", "photo_0.png"), ("flight.avi", "frame_000000.png")])
+def test_every_frame_has_its_pose(capsys, footage, tmp_path, source, first):
+    code = main(footage.words(source, "--masks", footage.folder / "masks", "--fps", 4, "--out", tmp_path))
+    told = capsys.readouterr().out
+    assert code == 0, told
+    assert f"{COUNT} frames: {COUNT} tracked, 0 lost" in told
+    assert "photos per second from pixels to pose" in told
+    poses = read_poses(tmp_path / "poses.txt")
+    assert next(iter(poses)) == first
+    for found, true in zip(poses.values(), footage.truth, strict=True):
+        assert pose_error(found, true).translation_m < 0.8
+    assert [row["state"] for row in rows(tmp_path)] == ["tracked"] * COUNT
+    assert float(rows(tmp_path)[-1]["time_s"]) == pytest.approx((COUNT - 1) / 4.0)
+
+
+def test_a_frame_without_a_mask_is_lost_and_the_next_is_not(capsys, footage, tmp_path):
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    for k in (0, 1, 3, 4, 5):
+        name = f"photo_{k}.png"
+        (masks / name).write_bytes((footage.folder / "masks" / name).read_bytes())
+    code = main(footage.words("photos", "--masks", masks, "--fps", 4, "--out", tmp_path / "out", "--json"))
+    assert code == 3
+    frames = json.loads(capsys.readouterr().out)["frames"]
+    assert [frame["state"] for frame in frames].count("lost") == 1
+    assert "holds no mask of it" in frames[2]["reason"]
+    assert frames[2]["center_m"] is None
+    assert np.linalg.norm(np.array(frames[5]["center_m"]) - footage.truth[5].center) < 0.8
+
+
+def test_every_second_frame_of_a_video(capsys, footage, tmp_path):
+    words = footage.words("flight.avi", "--masks", footage.folder / "masks", "--every", 2, "--out", tmp_path)
+    assert main(words) == 0
+    assert [row["frame"] for row in rows(tmp_path)] == [f"frame_{k:06d}.png" for k in (0, 2, 4)]
+
+
+@pytest.mark.parametrize(
+    ("source", "more", "said"),
+    [
+        ("nothing.mp4", (), "nothing.mp4 does not exist"),
+        ("city.obj", (), "no video that OpenCV reads"),
+        ("photos/photo_0.png", (), "is one photo"),
+        ("photos", ("--masks", "nowhere"), "nowhere is no folder"),
+        ("photos", ("--every", "0"), "--every is at least 1"),
+        ("photos", ("--center", 9e5, 0, 100), "km outside the city model"),
+    ],
+)
+def test_bad_input_is_one_line(capsys, footage, tmp_path, source, more, said):
+    masks = () if "--masks" in more else ("--masks", footage.folder / "masks")
+    assert main(footage.words(source, *masks, *more, "--out", tmp_path / "out")) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert "Traceback" not in told
+
+
+def test_a_video_s_camera_must_be_given(capsys, footage, tmp_path):
+    words = footage.words("flight.avi", "--masks", footage.folder / "masks", "--out", tmp_path)
+    at = words.index("--camera")
+    assert main(words[:at] + words[at + 2 :]) == 2
+    assert "A video does not say its camera" in capsys.readouterr().err

@@ -1,0 +1,88 @@
+"""Tracking: from the last pose and motion, lost where nothing fits, found again by search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lodbench.errors import ConfigError
+from lodbench.evaluation import pose_error
+from lodbench.geometry import EulerAngles, Pose
+from lodbench.methods.tracking import Frame, Params, Tracker
+from tests.town import CAMERA
+
+STEP_S = 0.5
+
+
+def path(count: int) -> list[Pose]:
+    """Returns a flight over the town at 6 m/s that turns slowly."""
+    return [
+        Pose.from_euler(EulerAngles(20 + 0.5 * k, 0.4, -40 + 3.0 * k), (-20 + 3.0 * k, -10 + 0.5 * k, 120.0))
+        for k in range(count)
+    ]
+
+
+def frames(city_map, poses: list[Pose]) -> list[Frame]:
+    return [
+        Frame(f"f{k}", STEP_S * k, city_map.render(CAMERA, pose).astype(np.float32))
+        for k, pose in enumerate(poses)
+    ]
+
+
+def start(pose: Pose) -> Pose:
+    return Pose.from_euler(
+        EulerAngles(*np.add(pose.euler, (0.4, -0.3, 3.0)).tolist()), np.add(pose.center, (4.0, -3.0, 6.0))
+    )
+
+
+def test_each_frame_is_found_from_the_last(city_map):
+    poses = path(8)
+    tracker = Tracker(city_map, CAMERA, start(poses[0]))
+    for frame, pose in zip(frames(city_map, poses), poses, strict=True):
+        found = tracker.track(frame)
+        assert found.state == "tracked"
+        error = pose_error(found.pose, pose)
+        assert error.translation_m < 0.6
+        assert error.rotation_deg < 0.3
+
+
+def test_motion_carries_over_frames_that_are_gone(city_map):
+    # Every third frame only: 9 m from one to the next, further than outlines reach without the motion.
+    poses = path(10)
+    all_frames = frames(city_map, poses)
+    tracker = Tracker(city_map, CAMERA, start(poses[0]))
+    for k in (0, 1, 2, 3, 6, 9):
+        found = tracker.track(all_frames[k])
+        assert found.state == "tracked"
+        assert pose_error(found.pose, poses[k]).translation_m < 0.6
+
+
+def test_a_lost_camera_says_so_and_is_found_again(city_map):
+    poses = path(9)
+    all_frames = frames(city_map, poses)
+    blind = np.zeros_like(all_frames[0].mask)
+    wrong = blind.copy()
+    wrong[:70, :70] = 1.0
+    all_frames[3], all_frames[4] = replace(all_frames[3], mask=blind), replace(all_frames[4], mask=wrong)
+    # When it sees again, it is where no motion leads: 25 m aside.
+    poses[5:] = [pose.shifted((0.0, 25.0, 0.0)) for pose in poses[5:]]
+    all_frames[5:] = [
+        replace(frame, mask=city_map.render(CAMERA, pose).astype(np.float32))
+        for frame, pose in zip(all_frames[5:], poses[5:], strict=True)
+    ]
+    tracker = Tracker(city_map, CAMERA, start(poses[0]))
+    found = [tracker.track(frame) for frame in all_frames]
+    states = [each.state for each in found]
+    assert states[:5] == ["tracked"] * 3 + ["lost"] * 2
+    assert "found again" in states[5:8]
+    again = states.index("found again")
+    assert states[again + 1 :] == ["tracked"] * (8 - again)
+    for each, pose in zip(found[again:], poses[again:], strict=True):
+        assert pose_error(each.pose, pose).translation_m < 0.8
+
+
+def test_a_wrong_setting_is_named():
+    with pytest.raises(ConfigError, match="fit is finite and above 0"):
+        Params(fit=0.0)
