@@ -188,7 +188,7 @@ def _queries(
                 prior = rough.pose(image.pose).shifted(-scene.origin)
                 queries[image.name] = Query(
                     image.name, "", pinhole, prior, _mask(request, image.name, image.camera, pinhole),
-                    sequence="reconstruction",
+                    sequence="reconstruction", reconstructed=image.pose,
                 )  # fmt: skip
             except LodbenchError as fault:
                 left_out.append((image.name, fault.message.rstrip(".")))

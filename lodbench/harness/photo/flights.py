@@ -10,14 +10,18 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import write_geojson
-from lodbench.datasets.inputs import Input
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import find_mask
 from lodbench.datasets.photo_flights import Flight, split_flights
+from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.query import Query
+from lodbench.datasets.undistort import undistorted
 from lodbench.errors import LodbenchError, QueryFault
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
@@ -26,17 +30,19 @@ from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.flight_pages import page_of_photos
 from lodbench.harness.photo.localize import inputs_of, open_map, write_answer
 from lodbench.harness.photo.many import Answers, PhotoAnswer, numbered, write_answers
-from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo, undistorted_photo
+from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
 from lodbench.harness.photo.request import PhotoRequest
 from lodbench.methods import Estimate
 from lodbench.methods.asking import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.segmentation import resized
-from lodbench.storage import file_digest, make_folder, random_stream, write_text
+from lodbench.storage import file_digest, random_stream, write_bytes, write_text
 
 FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
 # Masks of a flight are held at this width, pixels: half as much again as methods look at.
 _MASK_WIDTH = 900
+# Undistorted copies of photos, by whose features flights are tied together, are no wider, pixels.
+_PICTURE_WIDTH = 1600
 
 
 def localize_flights(request: PhotoRequest, photos: Sequence[Path], masks: Path | None) -> Answers:
@@ -153,11 +159,7 @@ def _solve(
     with TemporaryDirectory() as folder:
         queries = []
         for number, (name, (photo, prior)) in enumerate(photos.items()):
-            image = None
-            if Input.IMAGE in inputs_of(request.method):
-                own = Path(folder) / str(number)
-                make_folder(own)
-                image = undistorted_photo(photo.view(), own)
+            image = _picture(photo, Path(folder), number)
             queries.append(
                 Query(name, "", photo.pinhole, prior.shifted(-origin), photo.mask, image, sequence="flight")
             )
@@ -174,6 +176,31 @@ def _solve(
         for each in found.estimates
     ]
     return FlightEstimate(estimates, found.findings)
+
+
+def _picture(photo: PreparedPhoto, folder: Path, number: int) -> Path | None:
+    """Returns a file of a photo as its pinhole sees it: the photo itself, or a smaller copy undistorted.
+
+    None where it cannot be decoded: methods for flights can do without.
+    """
+    if not photo.camera.distortion:
+        return photo.request.photo
+    pixels = read_picture(photo.request.photo)
+    if pixels is None:
+        return None
+    width = min(_PICTURE_WIDTH, pixels.shape[1])
+    height = max(1, round(width * photo.camera.height / photo.camera.width))
+    small = undistorted(_scaled(pixels, width, height), photo.camera, photo.pinhole)
+    path = folder / f"{number}.jpg"
+    write_bytes(path, encoded(small, path.suffix))
+    return path
+
+
+def _scaled(pixels: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    import cv2
+
+    resized_pixels = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(resized_pixels, dtype=np.uint8)
 
 
 def _taken(flight: Flight, names: Sequence[str]) -> list[str]:
