@@ -38,8 +38,10 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
+    from lodbench.datasets.own import find_inside
     from lodbench.harness.georeference.georeference import georeference
     from lodbench.harness.georeference.request import GeoreferenceRequest
+    from lodbench.harness.photo.sidecars import write_sidecars
     from lodbench.methods.protocol import SupportsFlights
     from lodbench.methods.registry import make_method
 
@@ -51,6 +53,8 @@ def main(argv: Sequence[str]) -> int:
         raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
     if asked.masks is None and asked.images is None:
         raise ConfigError("There is nothing to place the model by.", "Give --masks DIR, or --images DIR.")
+    if asked.sidecars and asked.images is None:
+        raise ConfigError("--sidecars are written beside photos.", "Name their folder with --images.")
     method = make_method(asked.method)
     if not isinstance(method, SupportsFlights):
         raise ConfigError(f"--method {asked.method} solves no flights.", "Leave --method out.")
@@ -74,6 +78,10 @@ def main(argv: Sequence[str]) -> int:
     )
     text = json.dumps(placed.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(placed)
     sys.stdout.write(text + "\n")
+    if asked.sidecars:
+        files = [(find_inside(asked.images, camera.name), camera.pose) for camera in placed.cameras]
+        line = write_sidecars([(file, pose) for file, pose in files if file is not None], placed.crs)
+        sys.stderr.write(f"lodbench: sidecars: {line}\n")
     return 0
 
 
@@ -125,6 +133,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--start", type=Path, metavar="FILE", help="rough poses, or similarity.json")
     add_height_options(parser)
     parser.add_argument("--method", default="flight", metavar="NAME", help="solves flights (flight)")
+    parser.add_argument("--sidecars", action="store_true", help="write PHOTO.xmp beside each of --images")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--out", type=Path, default=Path("georeferenced"), metavar="DIR", help="(georeferenced)"

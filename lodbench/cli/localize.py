@@ -24,7 +24,7 @@ from lodbench.errors import ConfigError
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.many import Answers
-    from lodbench.harness.photo.request import PhotoRequest
+    from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
     from lodbench.methods import Method
 
 # Exit code where there is a pose, and it is more likely wrong than right.
@@ -73,12 +73,28 @@ def main(argv: Sequence[str]) -> int:
         write_view(found.view, request, [found])
         text = json.dumps(found.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(found)
         sys.stdout.write(text + "\n")
+        _write_sidecars([(photos[0], found)], asked)
         return 0 if found.is_trusted else NOT_TRUSTED
-    is_joint = isinstance(method, SupportsFlights) and not asked.each_alone
-    answers = (localize_flights if is_joint else localize_photos)(request, photos, masks)
+    if isinstance(method, SupportsFlights) and not asked.each_alone:
+        answers = localize_flights(request, photos, masks, asked.reconstruction)
+    elif asked.reconstruction is not None:
+        raise ConfigError("--reconstruction ties a flight's photos.", "Leave --each-alone and --method out.")
+    else:
+        answers = localize_photos(request, photos, masks)
     if answers.found:
         write_view(answers.view, request, answers.found)
-    return _tell_many(answers, asked)
+    code = _tell_many(answers, asked)
+    _write_sidecars([(each.photo, each.found) for each in answers.photos if each.found is not None], asked)
+    return code
+
+
+def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], asked: argparse.Namespace) -> None:
+    """Writes XMP beside the photos whose poses are to be trusted, if that was asked for."""
+    from lodbench.harness.photo.sidecars import write_sidecars
+
+    trusted = [(photo, answer.pose) for photo, answer in found if answer.is_trusted]
+    if asked.sidecars and found:
+        sys.stderr.write(f"lodbench: sidecars: {write_sidecars(trusted, found[0][1].crs)}\n")
 
 
 def _masks_inside(asked: argparse.Namespace) -> Path | None:
@@ -144,6 +160,8 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
         raise ConfigError(f"{own[0]} is of one photo, and there are several.", hint)
     if asked.masks is not None and is_one:
         raise ConfigError("--masks is for several photos.", "Give --mask FILE.")
+    if asked.reconstruction is not None and is_one:
+        raise ConfigError("--reconstruction ties a flight's photos.", "Give several, or a folder.")
     if asked.masks is not None and not asked.masks.is_dir():
         raise ConfigError(f"--masks {asked.masks} is no folder.", "Name the folder of the photos' masks.")
 
@@ -204,6 +222,14 @@ def _parser() -> argparse.ArgumentParser:
         help="flight; of one photo region, with --mask or --segmenter contour_alignment",
     )
     parser.add_argument("--each-alone", action="store_true", help="solve each photo of many by itself")
+    parser.add_argument(
+        "--reconstruction", type=Path, metavar="COLMAP_MODEL", help="of a flight: ties its photos together"
+    )
+    parser.add_argument(
+        "--sidecars",
+        action="store_true",
+        help="write PHOTO.xmp beside each photo that is to be trusted",
+    )
     parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     parser.add_argument("--out", type=Path, default=Path("localized"), metavar="DIR", help="(localized)")
     parser.add_argument("--json", action="store_true", help="for machines")

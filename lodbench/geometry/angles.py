@@ -22,6 +22,8 @@ _FLIP_YZ = np.diag([1.0, -1.0, -1.0])
 _BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 # East-north-up from north-east-down.
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+# A sine of a gimbal's pitch this near to 1 is straight down, or up.
+_STEEP = 1.0 - 1e-12
 
 
 class EulerAngles(NamedTuple):
@@ -103,6 +105,26 @@ def rotation_from_dji(
     ned_from_body = _rz_ry_rx(gimbal_roll_deg, gimbal_pitch_deg, gimbal_yaw_deg - convergence_deg)
     world_from_cam = _ENU_FROM_NED @ ned_from_body @ _BODY_FROM_CAMERA
     return np.ascontiguousarray(world_from_cam.T)
+
+
+def dji_from_rotation(cam_from_world: Matrix, convergence_deg: float = 0.0) -> tuple[float, float, float]:
+    """Returns a DJI gimbal's yaw, pitch and roll, degrees, of a (3, 3) cam_from_world rotation.
+
+    The inverse of ``rotation_from_dji``; straight down, where yaw and roll trade off, roll is 0.
+
+    Args:
+        cam_from_world: The rotation.
+        convergence_deg: As there.
+    """
+    ned_from_body = _ENU_FROM_NED.T @ cam_from_world.T @ _BODY_FROM_CAMERA.T
+    x, _, z = ned_from_body[:, 0]
+    pitch = math.degrees(math.atan2(-z, math.hypot(x, ned_from_body[1, 0])))
+    if abs(z) > _STEEP:
+        yaw = math.degrees(math.atan2(-ned_from_body[0, 1], ned_from_body[1, 1]))
+        return wrap_deg(yaw + convergence_deg), pitch, 0.0
+    yaw = math.degrees(math.atan2(ned_from_body[1, 0], x))
+    roll = math.degrees(math.atan2(ned_from_body[2, 1], ned_from_body[2, 2]))
+    return wrap_deg(yaw + convergence_deg), pitch, roll
 
 
 def blender_from_opencv(world_from_cam: Matrix) -> Matrix:

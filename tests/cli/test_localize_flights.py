@@ -14,6 +14,8 @@ import pytest
 
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
+from lodbench.datasets.exchange.colmap import write_colmap
+from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.photo.flights import FINDINGS_FILE, FLIGHTS_FILE
 from lodbench.rendering import make_renderer
@@ -107,6 +109,30 @@ def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
     page = (tmp_path / "flight_1.html").read_text()
     assert "Photo by photo" in page
     assert page.count("<img alt") == COUNT + 1  # and the one of the viewer
+
+
+def test_a_reconstruction_ties_the_photos_and_xmp_is_written_beside_them(capsys, flight, tmp_path):
+    photos = tmp_path / "photos"
+    shutil.copytree(flight.photos, photos)
+    (photos / "DJI_0002.xmp").write_text("stars of another program")
+    middle = flight.truth["DJI_0001.JPG"].center
+    model = [
+        FoundPose(name, "", Pose.from_center(pose.rotation, 0.1 * (pose.center - middle)), CAMERA)
+        for name, pose in flight.truth.items()
+    ]
+    write_colmap(model, tmp_path / "sparse")
+    words = ["--city", flight.city, "--masks", flight.masks, "--out", tmp_path / "out"]
+    more = ["--reconstruction", tmp_path / "sparse", "--sidecars"]
+    code = main(["localize", *map(str, (photos, *words, *more))])
+    told = capsys.readouterr()
+    assert code == 0
+    assert max(errors_m(tmp_path / "out", flight.truth).values()) < 0.7
+    assert "3 written beside the photos; 1 of other programs left alone: DJI_0002.xmp" in told.err
+    assert "GimbalYawDegree" in (photos / "DJI_0001.xmp").read_text()
+    assert (photos / "DJI_0001.JPG").read_bytes() == (flight.photos / "DJI_0001.JPG").read_bytes()
+    write_colmap([image._replace(name="other.jpg") for image in model[:1]], tmp_path / "other")
+    assert main(["localize", *map(str, (photos, *words, "--reconstruction", tmp_path / "other"))]) == 2
+    assert "has none of these photos" in capsys.readouterr().err
 
 
 def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp_path):

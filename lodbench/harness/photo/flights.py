@@ -3,49 +3,46 @@
 from __future__ import annotations
 
 import json
-from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import find_mask
 from lodbench.datasets.photo_flights import Flight, split_flights
-from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.query import Query
-from lodbench.datasets.undistort import undistorted
 from lodbench.errors import LodbenchError, QueryFault
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.flights.map_findings import doubt_features
 from lodbench.harness.photo.flight_answer import FlightAnswer
+from lodbench.harness.photo.flight_inputs import (
+    masks_of,
+    names_of,
+    picture_file,
+    poses_in_model,
+    with_small_mask,
+)
 from lodbench.harness.photo.flight_pages import page_of_photos
-from lodbench.harness.photo.localize import inputs_of, open_map, write_answer
+from lodbench.harness.photo.localize import OpenMap, inputs_of, open_map, write_answer
 from lodbench.harness.photo.many import Answers, PhotoAnswer, numbered, write_answers
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
 from lodbench.harness.photo.request import PhotoRequest
 from lodbench.methods import Estimate
 from lodbench.methods.asking import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
-from lodbench.segmentation import resized
-from lodbench.storage import file_digest, random_stream, write_bytes, write_text
+from lodbench.storage import random_stream, write_text
 
 FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
-# Masks of a flight are held at this width, pixels: half as much again as methods look at.
-_MASK_WIDTH = 900
-# Undistorted copies of photos, by whose features flights are tied together, are no wider, pixels.
-_PICTURE_WIDTH = 1600
 
 
-def localize_flights(request: PhotoRequest, photos: Sequence[Path], masks: Path | None) -> Answers:
+def localize_flights(
+    request: PhotoRequest, photos: Sequence[Path], masks: Path | None, reconstruction: Path | None = None
+) -> Answers:
     """Returns what became of photos that flights took, each flight solved as a whole; writes all of it.
 
     A photo that cannot be used is left out with the reason; the others are solved.
@@ -54,33 +51,24 @@ def localize_flights(request: PhotoRequest, photos: Sequence[Path], masks: Path 
         request: As for one photo, its method one for flights; ``photo`` and ``mask`` are set for each.
         photos: The files.
         masks: Folder of masks named as the photos, or None.
+        reconstruction: COLMAP model whose images are called as the photos, which ties these together.
 
     Raises:
-        LodbenchError: The city cannot be read, or the method does not work on photos.
+        LodbenchError: The city or the model cannot be read, the model has none of the photos, or the method
+            does not work on photos.
     """
-    assert request.method is not None  # noqa: S101 - the caller has chosen
-    requires = inputs_of(request.method)
+    known = poses_in_model(reconstruction, photos)
     place = open_map(request)
-    names = _names(photos)
-    masks_of, failures = _masks_of(photos, masks)
-    ready: dict[int, tuple[PreparedPhoto, Pose]] = {}
-    with Progress("masks", len(photos)) as progress:
-        for row, photo in enumerate(photos):
-            if row not in failures:
-                try:
-                    wanted = replace(request, photo=photo, mask=masks_of[row])
-                    prepared = _with_small_mask(prepare_photo(wanted, requires))
-                    ready[row] = prepared, prepared.prior(place.scene, place.frame)
-                except LodbenchError as fault:
-                    failures[row] = fault.message.rstrip(".")
-            progress.advance()
+    names = names_of(photos)
+    own_masks, failures = masks_of(photos, masks)
+    ready = _ready(request, photos, own_masks, place, failures)
     rows = list(ready)
     city_map = CityMap(place.scene)
     flights: list[FlightAnswer] = []
     estimates: dict[int, Estimate] = {}
     for flight in split_flights([(photos[row], ready[row][0].stated) for row in rows]):
         mine = [rows[row] for row in flight.rows]
-        found = _solve(request, {names[row]: ready[row] for row in mine}, city_map)
+        found = _solve(request, {names[row]: ready[row] for row in mine}, city_map, known)
         for row, estimate in zip(mine, found.estimates, strict=True):
             if isinstance(estimate, QueryFault):
                 failures[row] = estimate.message
@@ -106,52 +94,35 @@ def localize_flights(request: PhotoRequest, photos: Sequence[Path], masks: Path 
     return written
 
 
-def _names(photos: Sequence[Path]) -> list[str]:
-    """Returns what photos are called: by their file names, with as many folders as tell them apart."""
-    names = [photo.name for photo in photos]
-    longest = max(len(photo.parts) for photo in photos)
-    for depth in range(2, longest + 1):
-        counts = Counter(names)
-        names = [
-            "/".join(photo.parts[-depth:]) if counts[name] > 1 else name
-            for photo, name in zip(photos, names, strict=True)
-        ]
-    return names
-
-
-def _masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | None], dict[int, str]]:
-    """Returns the mask of each photo, and why some photos are left out, by row.
-
-    A mask that may be of two photos is of neither; a photo that is another's copy says nothing new.
-    """
-    found = [find_mask(masks, f"{photo.parent.name}/{photo.name}") for photo in photos]
-    users: dict[Path | None, list[int]] = defaultdict(list)
-    for row, mask in enumerate(found):
-        users[mask].append(row)
-    reasons: dict[int, str] = {}
-    first_of: dict[str, Path] = {}
-    for row, (photo, mask) in enumerate(zip(photos, found, strict=True)):
-        original = first_of.setdefault(file_digest(photo), photo)
-        if original != photo:
-            reasons[row] = f"it is a copy of {original}"
-        elif masks is not None and mask is None:
-            reasons[row] = f"{masks} holds no mask of it"
-        elif mask is not None and len(users[mask]) > 1:
-            others = ", ".join(str(photos[other]) for other in users[mask] if other != row)
-            own = Path(photo.parent.name) / f"{photo.stem}.png"
-            reasons[row] = f"the mask {mask} may be of {others} as well: name it {own}"
-    return found, reasons
-
-
-def _with_small_mask(photo: PreparedPhoto) -> PreparedPhoto:
-    if photo.mask is None or photo.mask.shape[1] <= _MASK_WIDTH:
-        return photo
-    height = max(1, round(_MASK_WIDTH * photo.pinhole.height / photo.pinhole.width))
-    return replace(photo, mask=resized(photo.mask, _MASK_WIDTH, height))
+def _ready(
+    request: PhotoRequest,
+    photos: Sequence[Path],
+    masks: Sequence[Path | None],
+    place: OpenMap,
+    failures: dict[int, str],
+) -> dict[int, tuple[PreparedPhoto, Pose]]:
+    """Returns the photos that can be used, with their rough poses, by row; fills in why others cannot."""
+    assert request.method is not None  # noqa: S101 - the caller has chosen
+    requires = inputs_of(request.method)
+    ready: dict[int, tuple[PreparedPhoto, Pose]] = {}
+    with Progress("masks", len(photos)) as progress:
+        for row, photo in enumerate(photos):
+            if row not in failures:
+                try:
+                    wanted = replace(request, photo=photo, mask=masks[row])
+                    prepared = with_small_mask(prepare_photo(wanted, requires))
+                    ready[row] = prepared, prepared.prior(place.scene, place.frame)
+                except LodbenchError as fault:
+                    failures[row] = fault.message.rstrip(".")
+            progress.advance()
+    return ready
 
 
 def _solve(
-    request: PhotoRequest, photos: Mapping[str, tuple[PreparedPhoto, Pose]], city_map: CityMap
+    request: PhotoRequest,
+    photos: Mapping[str, tuple[PreparedPhoto, Pose]],
+    city_map: CityMap,
+    known: Mapping[Path, Pose],
 ) -> FlightEstimate:
     """Returns the answers to the photos of a flight, in the city's coordinates."""
     method, origin = request.method, city_map.scene.origin
@@ -159,9 +130,12 @@ def _solve(
     with TemporaryDirectory() as folder:
         queries = []
         for number, (name, (photo, prior)) in enumerate(photos.items()):
-            image = _picture(photo, Path(folder), number)
+            image = picture_file(photo, Path(folder), number)
+            local, tied = prior.shifted(-origin), known.get(photo.request.photo)
             queries.append(
-                Query(name, "", photo.pinhole, prior.shifted(-origin), photo.mask, image, sequence="flight")
+                Query(
+                    name, "", photo.pinhole, local, photo.mask, image, sequence="flight", reconstructed=tied
+                )
             )
         streams = [partial(random_stream, request.seed, "localize", "photo") for _ in queries]
         found = localize_flight(method, queries, city_map, streams)
@@ -176,31 +150,6 @@ def _solve(
         for each in found.estimates
     ]
     return FlightEstimate(estimates, found.findings)
-
-
-def _picture(photo: PreparedPhoto, folder: Path, number: int) -> Path | None:
-    """Returns a file of a photo as its pinhole sees it: the photo itself, or a smaller copy undistorted.
-
-    None where it cannot be decoded: methods for flights can do without.
-    """
-    if not photo.camera.distortion:
-        return photo.request.photo
-    pixels = read_picture(photo.request.photo)
-    if pixels is None:
-        return None
-    width = min(_PICTURE_WIDTH, pixels.shape[1])
-    height = max(1, round(width * photo.camera.height / photo.camera.width))
-    small = undistorted(_scaled(pixels, width, height), photo.camera, photo.pinhole)
-    path = folder / f"{number}.jpg"
-    write_bytes(path, encoded(small, path.suffix))
-    return path
-
-
-def _scaled(pixels: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    import cv2
-
-    resized_pixels = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(resized_pixels, dtype=np.uint8)
 
 
 def _taken(flight: Flight, names: Sequence[str]) -> list[str]:

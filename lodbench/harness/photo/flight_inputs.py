@@ -1,0 +1,109 @@
+"""What a flight's photos are solved with: masks, pictures, poses in a reconstruction, and short names."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.exchange.colmap import read_colmap
+from lodbench.datasets.own import find_mask
+from lodbench.datasets.pictures import encoded, read_picture
+from lodbench.datasets.undistort import undistorted
+from lodbench.errors import DatasetError
+from lodbench.geometry import Pose
+from lodbench.harness.photo.prepare import PreparedPhoto
+from lodbench.segmentation import resized
+from lodbench.storage import file_digest, write_bytes
+
+# Masks of a flight are held at this width, pixels: half as much again as methods look at.
+_MASK_WIDTH = 900
+# Undistorted copies of photos, by whose features flights are tied together, are no wider, pixels.
+_PICTURE_WIDTH = 1600
+
+
+def names_of(photos: Sequence[Path]) -> list[str]:
+    """Returns what photos are called: by their file names, with as many folders as tell them apart."""
+    names = [photo.name for photo in photos]
+    longest = max(len(photo.parts) for photo in photos)
+    for depth in range(2, longest + 1):
+        counts = Counter(names)
+        names = [
+            "/".join(photo.parts[-depth:]) if counts[name] > 1 else name
+            for photo, name in zip(photos, names, strict=True)
+        ]
+    return names
+
+
+def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | None], dict[int, str]]:
+    """Returns the mask of each photo, and why some photos are left out, by row.
+
+    A mask that may be of two photos is of neither; a photo that is another's copy says nothing new.
+    """
+    found = [find_mask(masks, f"{photo.parent.name}/{photo.name}") for photo in photos]
+    users: dict[Path | None, list[int]] = defaultdict(list)
+    for row, mask in enumerate(found):
+        users[mask].append(row)
+    reasons: dict[int, str] = {}
+    first_of: dict[str, Path] = {}
+    for row, (photo, mask) in enumerate(zip(photos, found, strict=True)):
+        original = first_of.setdefault(file_digest(photo), photo)
+        if original != photo:
+            reasons[row] = f"it is a copy of {original}"
+        elif masks is not None and mask is None:
+            reasons[row] = f"{masks} holds no mask of it"
+        elif mask is not None and len(users[mask]) > 1:
+            others = ", ".join(str(photos[other]) for other in users[mask] if other != row)
+            own = Path(photo.parent.name) / f"{photo.stem}.png"
+            reasons[row] = f"the mask {mask} may be of {others} as well: name it {own}"
+    return found, reasons
+
+
+def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pose]:
+    """Returns the poses of photos in a COLMAP model, by file; none without a model."""
+    if model is None:
+        return {}
+    there = {PurePosixPath(found.name).name: found.pose for found in read_colmap(model)}
+    known = {photo: there[photo.name] for photo in photos if photo.name in there}
+    if not known:
+        raise DatasetError(
+            f"{model} has none of these photos.", f"Its images are called {', '.join([*there][:3])}."
+        )
+    return known
+
+
+def with_small_mask(photo: PreparedPhoto) -> PreparedPhoto:
+    """Returns a photo whose mask is no larger than methods need: hundreds are held at a time."""
+    if photo.mask is None or photo.mask.shape[1] <= _MASK_WIDTH:
+        return photo
+    height = max(1, round(_MASK_WIDTH * photo.pinhole.height / photo.pinhole.width))
+    return replace(photo, mask=resized(photo.mask, _MASK_WIDTH, height))
+
+
+def picture_file(photo: PreparedPhoto, folder: Path, number: int) -> Path | None:
+    """Returns a file of a photo as its pinhole sees it: the photo itself, or a smaller copy undistorted.
+
+    None where it cannot be decoded: methods for flights can do without.
+    """
+    if not photo.camera.distortion:
+        return photo.request.photo
+    pixels = read_picture(photo.request.photo)
+    if pixels is None:
+        return None
+    width = min(_PICTURE_WIDTH, pixels.shape[1])
+    height = max(1, round(width * photo.camera.height / photo.camera.width))
+    small = undistorted(_scaled(pixels, width, height), photo.camera, photo.pinhole)
+    path = folder / f"{number}.jpg"
+    write_bytes(path, encoded(small, path.suffix))
+    return path
+
+
+def _scaled(pixels: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    import cv2
+
+    resized_pixels = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(resized_pixels, dtype=np.uint8)

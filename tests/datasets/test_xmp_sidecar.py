@@ -1,0 +1,58 @@
+"""XMP beside photos: read back by the reader of photos' own metadata, and never over another program's."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lodbench.datasets.exchange.xmp_sidecar import write_sidecar
+from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.photo_pose import pose_from_photo
+from lodbench.datasets.photo_tags import xmp_values
+from lodbench.evaluation import pose_error
+from lodbench.geometry import EulerAngles, Pose
+from lodbench.geometry.angles import dji_from_rotation, rotation_from_dji
+from tests.datasets.dji_photo import write_photo
+
+FRAME = MapFrame("EPSG:25832+7837")
+
+
+@given(st.floats(-180, 180), st.floats(-90, 30), st.floats(-20, 20), st.floats(-3, 3))
+def test_a_gimbal_s_angles_make_the_same_rotation_again(yaw, pitch, roll, convergence):
+    rotation = rotation_from_dji(yaw, pitch, roll, convergence)
+    again = rotation_from_dji(*dji_from_rotation(rotation, convergence), convergence)
+    assert again == pytest.approx(rotation, abs=1e-9)
+
+
+@pytest.mark.parametrize("angles", [(0.0, 0.0, 40.0), (35.0, 0.6, -120.0), (75.0, -2.0, 170.0)])
+@pytest.mark.parametrize("height", [146.02, -3.5])
+def test_a_sidecar_says_the_pose(tmp_path, angles, height):
+    pose = Pose.from_euler(EulerAngles(*angles), (281031.0, 5657482.28, height))
+    photo = tmp_path / "DJI_0001.JPG"
+    write_photo(photo)
+    before = photo.read_bytes()
+    path = write_sidecar(photo, pose, FRAME)
+    assert path == tmp_path / "DJI_0001.xmp"
+    assert photo.read_bytes() == before
+    stated = read_photo_metadata(photo)
+    for name, value in xmp_values(path, path.read_bytes()).items():
+        object.__setattr__(stated, name, value)
+    found = pose_from_photo(stated, FRAME)
+    error = pose_error(found, pose)
+    assert error.translation_m < 0.01
+    assert error.rotation_deg < 0.01
+
+
+def test_another_program_s_sidecar_is_left_alone_and_one_s_own_is_not(tmp_path):
+    pose = Pose.from_euler(EulerAngles(30.0, 0.0, 0.0), (281031.0, 5657482.28, 146.0))
+    theirs = tmp_path / "a.xmp"
+    theirs.write_text("<x:xmpmeta>stars</x:xmpmeta>")
+    assert write_sidecar(tmp_path / "a.JPG", pose, FRAME) is None
+    assert "stars" in theirs.read_text()
+    own = write_sidecar(tmp_path / "b.JPG", pose, FRAME)
+    assert own is not None
+    before = own.read_text()
+    assert write_sidecar(tmp_path / "b.JPG", pose.shifted((5.0, 0.0, 0.0)), FRAME) == own
+    assert own.read_text() != before
