@@ -21,12 +21,13 @@ def free_bytes() -> int | None:
     return None
 
 
-def require_memory(name: str, needed: int) -> None:
-    """Makes sure that a network's weights fit into memory.
+def require_memory(what: str, needed: float, smaller: str = "a smaller segmenter.encoder") -> None:
+    """Makes sure that something fits into memory.
 
     Args:
-        name: Of the segmenter.
+        what: Needs it, in the plural: ``The weights of sam2_unet``.
         needed: Bytes.
+        smaller: What needs less.
 
     Raises:
         ConfigError: They do not.
@@ -34,6 +35,6 @@ def require_memory(name: str, needed: int) -> None:
     free = free_bytes()
     if free is not None and needed > free:
         raise ConfigError(
-            f"The weights of {name} need {needed / _GIB:.1f} GiB of memory, {free / _GIB:.1f} GiB are free.",
-            "Take a smaller segmenter.encoder, or a machine with more memory.",
+            f"{what} need {needed / _GIB:.1f} GiB of memory, {free / _GIB:.1f} GiB are free.",
+            f"Take {smaller}, or a machine with more memory.",
         )

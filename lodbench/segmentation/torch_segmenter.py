@@ -105,7 +105,7 @@ class TorchSegmenter(PhotoSegmenter):
             net = build()
         stored = sum(weight.numel() * weight.element_size() for weight in net.state_dict().values())
         is_filled = init is not None or self.params.encoder_weights is not None
-        require_memory(self.name, 2 * stored if is_filled else stored)
+        require_memory(f"The weights of {self.name}", 2 * stored if is_filled else stored)
 
     @cached_property
     def _device(self) -> Any:

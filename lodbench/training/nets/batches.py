@@ -52,6 +52,12 @@ def batches(
             yield made.result()
 
 
+def batch_shape(samples: list[Sample], params: TrainParams) -> tuple[int, int, int, int]:
+    """Returns (B, 3, H, W) of the pictures of a batch, by the first sample."""
+    height, width = _changed(samples[0], params, 0)[0].shape[:2]
+    return min(params.batch, len(samples)), 3, height, width
+
+
 def _batch(
     samples: list[Sample], params: TrainParams, epoch: int, indices: NDArray[np.int64]
 ) -> tuple[Tensor, Tensor]:

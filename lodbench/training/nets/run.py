@@ -9,10 +9,11 @@ from pathlib import Path
 import torch
 
 from lodbench.segmentation.trainable import TrainableSegmenter
-from lodbench.training.nets.batches import batches
+from lodbench.training.nets.batches import batch_shape, batches
 from lodbench.training.nets.checkpoints import load_checkpoint
 from lodbench.training.nets.distributed import joined
 from lodbench.training.nets.loop import fit, make_state
+from lodbench.training.nets.room import require_room
 from lodbench.training.nets.warm_start import adapt_norms
 from lodbench.training.samples import Sample
 from lodbench.training.train_params import TrainParams
@@ -48,6 +49,8 @@ def run_training(
         net = segmenter.build(params.init).to(place.device)
         if place.device.type == "cpu":
             net = net.to(memory_format=torch.channels_last)
+        if place.device.type == "cpu":
+            require_room(net, batch_shape(train, params))
         stored = load_checkpoint(out, identity) if params.resume else None
         if params.init and stored is None:
             pictures = islice(batches(train, params, 0, 0, 0, 1), _PICTURED_BATCHES)
