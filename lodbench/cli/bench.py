@@ -19,7 +19,7 @@ from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 from lodbench.bench.slopes import SlopeOptions, measure_slopes
 from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
 from lodbench.bench.wide_priors import measure_wide_priors
-from lodbench.cli import bench_real
+from lodbench.cli import bench_flights, bench_real
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
 from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError
@@ -129,6 +129,7 @@ MEASURES: dict[str, Callable[[argparse.Namespace, ProgressCallback], Report]] = 
     "budget": _budget,
     "city": _city,
     "evaluation": _evaluation,
+    "flights": bench_flights.measure,
     "real": bench_real.measure,
     "segmentation": measure_segmentation,
     "slopes": _slopes,
@@ -218,6 +219,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluation = actions.add_parser("evaluation", help="scoring many methods on many queries; a run's page")
     evaluation.add_argument("--queries", type=int, default=2192, help="as the largest published split (2192)")
     evaluation.add_argument("--methods", type=int, default=100, help="scored on all of them (100)")
+    flights = bench_flights.add_flights(actions)
     real = bench_real.add_real(actions)
     segmentation = add_segmentation(actions)
     training = actions.add_parser("training-data", help="masks and photos per second; memory")
@@ -228,7 +230,8 @@ def _parser() -> argparse.ArgumentParser:
         action.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     for action in (speed, accuracy, budget, wide, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
-    every = (speed, scale, slopes, accuracy, budget, wide, city, evaluation, real, segmentation, training)
+    measured = (speed, scale, slopes, accuracy, budget, wide, city, evaluation, flights, real)
+    every = (*measured, segmentation, training)
     for action in every:
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymap import CityMap
+from lodbench.datasets.query import Query
+from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.methods.flight.gone_buildings import gone_buildings
 from lodbench.methods.flight.joint import (
     CONSTANTS,
     ROOFS,
@@ -17,6 +20,8 @@ from lodbench.methods.flight.joint import (
     covariance_of,
     shared_covariance,
 )
+from lodbench.methods.flight.map_views import views_of
+from lodbench.methods.flight.missing_buildings import missing_buildings
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import PhotoTerms
 
@@ -44,7 +49,7 @@ def findings_of(
     state: State,
     solution: Solution,
     terms: Sequence[PhotoTerms | None],
-    names: Sequence[str],
+    queries: Sequence[Query],
     city_map: CityMap,
     params: Params,
 ) -> dict[str, Any]:
@@ -53,7 +58,8 @@ def findings_of(
     ``constants``: by name the ``value`` to be added to what the sensors or the map say, ``sigma``, ``unit``
     and whether the photos ``told`` it; ``buildings``: id, metres ``higher_m`` against the map and all other
     buildings, ``sigma_m``, number of ``photos`` and whether it is in ``doubt``; ``lost``: photos placed by
-    the others alone.
+    the others alone, and ``reasons`` why, by name; ``changes``: buildings that stand in the map only
+    (``gone_buildings``) and places where the map lacks one (``missing_buildings``).
     """
     spread = np.sqrt(np.diag(shared_covariance(solution, np.arange(CONSTANTS))))
     beforehand = params.constant_sigmas()
@@ -82,8 +88,22 @@ def findings_of(
         }
         for building, higher, sigma in _heights(state, solution)
     ]
-    lost = [name for name, weight in zip(names, state.weights, strict=True) if weight == 0.0]
-    return {"constants": constants, "buildings": buildings, "lost": lost}
+    lost = [query.name for query, weight in zip(queries, state.weights, strict=True) if weight == 0.0]
+    kept = [int(k) for k in np.flatnonzero(state.weights > 0)]
+    poses = [pose_from_vector(state.vectors[k]) for k in kept]
+    views = views_of([queries[k] for k in kept], poses, float(state.lens[0]))
+    changes = [*gone_buildings(views, city_map), *missing_buildings(views, city_map)]
+    gone = {change["id"] for change in changes if change["kind"] == "gone"}
+    # What is gone has no height.
+    buildings = [building for building in buildings if building["id"] not in gone]
+    reasons = {queries[k].name: reason for k, reason in state.reasons.items()}
+    return {
+        "constants": constants,
+        "buildings": buildings,
+        "changes": changes,
+        "lost": lost,
+        "reasons": reasons,
+    }
 
 
 def _heights(state: State, solution: Solution) -> Iterator[tuple[int, float, float]]:

@@ -48,6 +48,7 @@ class State:
         roofs: Heights of parts of roofs.
         buildings_m: (B,) metres by which each building of the scene is higher than in the map.
         weights: (P,) how far each photo's own words count; 0 for one that is lost.
+        reasons: Why a photo is lost, by number.
         ties: What pairs of photos say of their relative poses.
         reconstruction: Poses of photos up to a similarity, or None.
     """
@@ -58,6 +59,7 @@ class State:
     buildings_m: Floats
     weights: Floats
     constants: Floats = field(default_factory=lambda: np.zeros(CONSTANTS))
+    reasons: dict[int, str] = field(default_factory=dict)
     ties: Sequence[RelativePose] = ()
     reconstruction: Reconstruction | None = None
 

@@ -94,8 +94,7 @@ class FlightMethod:
         offset, _ = flight_error(queries, start.vectors, offsets, city_map, self.params)
         aligned = self._align(queries, start.shifted(offset), city_map)
         estimates = [self._estimate(aligned, row) for row in range(len(queries))]
-        names = [query.name for query in queries]
-        found = findings_of(aligned.state, aligned.solution, aligned.terms, names, city_map, self.params)
+        found = findings_of(aligned.state, aligned.solution, aligned.terms, queries, city_map, self.params)
         return FlightEstimate(estimates, found)
 
     def _start(self, queries: Sequence[Query], city_map: CityMap) -> State:
@@ -140,8 +139,10 @@ class FlightMethod:
         gaps = differences(state.vectors, state.priors) - state.offset
         away = np.sqrt(((gaps / self.params.own_sigmas()) ** 2).mean(axis=1))
         fits = np.array([0.0 if term is None else term.iou for term in terms])
-        lost = (away > self.params.lost_sigmas) | (fits < 0.5 * np.median(fits))
+        poor = 0.5 * float(np.median(fits))
+        lost = (away > self.params.lost_sigmas) | (fits < poor)
         state.weights = np.where(lost, 0.0, 1.0)
+        state.reasons = {k: _reason(terms[k], away[k], fits[k] < poor) for k in np.flatnonzero(lost).tolist()}
 
     def _estimate(self, aligned: _Aligned, row: int) -> Estimate:
         vector = aligned.state.vectors[row]
@@ -153,6 +154,14 @@ class FlightMethod:
             covariance=spread,
             probability=probability_within(spread, vector),
         )
+
+
+def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:
+    if term is None:
+        return "its mask shows no outline of a building where the other photos say it was"
+    if fits_badly:
+        return f"its mask fits the map half as well as the others' (IoU {term.iou:.2f})"
+    return f"it lies {away:.0f} times further from where the other photos say it was than sensors err"
 
 
 def _alone(

@@ -61,7 +61,7 @@ class Params:
     own_yaw_deg: float = 2.5
     focal: float = 0.01
     distortion: float = 0.01
-    mask_px: float = 1.0
+    mask_px: float = 0.5
     roofs_m: float = 1.5
     roof_m: float = 2.0
     part_m: float = 2.0

@@ -1,0 +1,220 @@
+"""Whole flights over a real model: poses, what drone and map are wrong about, beside the truth."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
+from lodbench.citymap import CityMap
+from lodbench.citymodel.cache import open_cached_city
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.query import Dataset, Query
+from lodbench.evaluation import pose_error
+from lodbench.evaluation.calibration import Calibration, calibrate
+from lodbench.evaluation.errors import FAILED
+from lodbench.evaluation.flight_findings import MapScore, score_map
+from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
+from lodbench.geometry import Pose
+from lodbench.harness.city import open_city
+from lodbench.methods.flight import FlightMethod
+from lodbench.methods.flight.gone_buildings import shares_held
+from lodbench.methods.flight.map_views import views_of
+from lodbench.methods.protocol import Estimate, FlightEstimate
+from lodbench.segmentation.masks import read_mask
+from lodbench.storage import random_stream
+from lodbench.synthesis.building_boxes import building_boxes
+from lodbench.synthesis.flights.dataset import MAP_TRUTH_FILE, FlightsParams, drone_errors, open_flights
+
+Floats = NDArray[np.float64]
+
+# A building that so many photos show is one that a flight can speak of.
+_FEWEST_PHOTOS = 3
+# What counts as a gimbal recovered, degrees.
+_GIMBAL_DEG = 0.1
+
+
+@dataclass(slots=True, eq=False)
+class _Tally:
+    """What flights gave, flight after flight."""
+
+    errors: list[tuple[float, float]] = field(default_factory=list)
+    probabilities: list[float] = field(default_factory=list)
+    constants: list[Floats] = field(default_factory=list)
+    score: MapScore = MapScore()
+    cpu_s: float = 0.0
+
+
+def measure_flights(
+    flights: FlightsParams, seeds: Sequence[int], method: FlightMethod, progress: Progress = no_progress
+) -> Report:
+    """Returns how well a method finds seeded flights, and what they say of drone and map.
+
+    Args:
+        flights: The city, and what to draw over it.
+        seeds: Each draws flights, errors and masks of its own.
+        method: Solves them.
+        progress: Called after each flight.
+
+    Raises:
+        LodbenchError: The city cannot be read, or no flight can be drawn over it.
+    """
+    tally, done, total = _Tally(), 0, len(seeds) * flights.num_flights
+    for seed in seeds:
+        params = replace(flights, flights_seed=seed)
+        dataset = open_flights(params)
+        if dataset.city_model is None:
+            raise AssertionError("flights are drawn over a city")
+        scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
+        for flight in range(params.num_flights):
+            _fly(tally, params, dataset, scene, flight, method)
+            done += 1
+            progress(done, total)
+    return _report(tally, flights, seeds)
+
+
+def _fly(
+    tally: _Tally, params: FlightsParams, dataset: Dataset, scene: Scene, flight: int, method: FlightMethod
+) -> None:
+    entries = [entry for entry in dataset.entries if entry.sequence == f"flight_{flight:02d}"]
+    truth = [dataset.truth[entry.key].shifted(-scene.origin) for entry in entries]
+    queries = [
+        Query(
+            entry.name,
+            entry.split,
+            entry.camera,  # type: ignore[arg-type]
+            entry.prior.shifted(-scene.origin),  # type: ignore[union-attr]
+            read_mask(entry.mask),  # type: ignore[arg-type]
+            entry.image,
+            sequence=entry.sequence,
+            reconstructed=entry.reconstructed,
+        )
+        for entry in entries
+    ]
+    city_map = CityMap(scene)
+    streams = [partial(random_stream, 0, query.name) for query in queries]
+    started = process_time()
+    found = method.localize_flight(queries, city_map, streams)
+    tally.cpu_s += process_time() - started
+    for each, pose in zip(found.estimates, truth, strict=True):
+        error = pose_error(each.pose, pose) if isinstance(each, Estimate) else FAILED
+        tally.errors.append((error.translation_m, error.rotation_deg))
+        tally.probabilities.append(each.probability or 0.0 if isinstance(each, Estimate) else 0.0)
+    if found.findings:
+        tally.constants.append(_constants_off(params, flight, found))
+        if params.map_errors():
+            tally.score += _score(params, dataset, found, queries, truth, city_map)
+
+
+def _constants_off(params: FlightsParams, flight: int, found: FlightEstimate) -> Floats:
+    """Returns by how much pitch, roll (degrees), height (metres) and focal length (share) are told wrong."""
+    errors, told = drone_errors(params, flight), found.findings["constants"]
+    # What is told is to be added to what sensors say.
+    wrong = {
+        "pitch": -errors.sensors[3],
+        "roll": -errors.sensors[4],
+        "height": -errors.sensors[2],
+        "focal length": errors.focal - 1.0,
+    }
+    return np.array(
+        [told[name]["value"] - value if name in told else -value for name, value in wrong.items()]
+    )
+
+
+def _score(
+    params: FlightsParams,
+    dataset: Dataset,
+    found: FlightEstimate,
+    queries: Sequence[Query],
+    truth: Sequence[Pose],
+    city_map: CityMap,
+) -> MapScore:
+    changed = json.loads((dataset.root / MAP_TRUTH_FILE).read_text(encoding="utf-8"))
+    world = open_cached_city(
+        Path(params.city_model),
+        lod=params.mask_lod or params.lod,
+        options=ReadOptions(crs=params.crs),
+        roof_height=params.roof_height,
+    ).scene
+    shown = {
+        name
+        for there in (city_map, CityMap(world))
+        for name, count in _photos_of(queries, truth, there).items()
+        if count >= _FEWEST_PHOTOS
+    }
+    boxes, missing = building_boxes(world), {}
+    for low, high, building in zip(boxes.low, boxes.high, boxes.building, strict=True):
+        name = world.building_ids[building]
+        if name in changed["missing"]:
+            missing[name] = [*(low[:2] + world.origin[:2]), *(high[:2] + world.origin[:2])]
+    return score_map(found.findings, changed, shown, missing)
+
+
+def _photos_of(queries: Sequence[Query], truth: Sequence[Pose], city_map: CityMap) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for view in views_of(queries, truth, 0.0):
+        for building, _, _ in shares_held(view, city_map):
+            name = city_map.scene.building_ids[building]
+            counts[name] = counts.get(name, 0) + 1
+    return counts
+
+
+def _report(tally: _Tally, flights: FlightsParams, seeds: Sequence[int]) -> Report:
+    errors = np.array(tally.errors)
+    hits = hits_of(errors, PROBABILITY_THRESHOLD)
+    calibration = calibrate(np.array(tally.probabilities), hits)
+    figures = [
+        Figure("recall 2m-2deg", 100.0 * float(hits.mean()), "%"),
+        Figure("median translation", float(np.median(errors[:, 0])), "m"),
+        Figure("median rotation", float(np.median(errors[:, 1])), "deg"),
+        Figure("mean probability of being within", 100.0 * float(np.mean(tally.probabilities)), "%"),
+        Figure("expected calibration error", 100.0 * calibration.ece, "%"),
+        *_constant_figures(tally),
+        *(_map_figures(tally.score) if flights.map_errors() else ()),
+        Figure("CPU time per photo", tally.cpu_s / len(errors), "s"),
+    ]
+    title = f"{Path(flights.city_model).name}, {len(errors)} photos, seeds {','.join(map(str, seeds))}"
+    return plain_report(title, figures, *_reliability(calibration))
+
+
+def _constant_figures(tally: _Tally) -> list[Figure]:
+    if not tally.constants:
+        return []
+    off = np.abs(np.array(tally.constants))
+    return [
+        Figure("gimbal pitch, median error", float(np.median(off[:, 0])), "deg"),
+        Figure("gimbal roll, median error", float(np.median(off[:, 1])), "deg"),
+        Figure("gimbal within 0.1 deg", 100.0 * float((off[:, :2] < _GIMBAL_DEG).mean()), "%"),
+        Figure("shared height, median error", float(np.median(off[:, 2])), "m"),
+        Figure("focal length, median error", 100.0 * float(np.median(off[:, 3])), "%"),
+    ]
+
+
+def _map_figures(score: MapScore) -> list[Figure]:
+    rows = (
+        (f"heights within 0.5 m, of {score.heights} seen twice", score.recovered, score.heights),
+        (f"wrong heights found, of {score.wrong}", score.rightly, score.wrong),
+        (f"buildings in doubt rightly, of {score.doubted}", score.rightly, score.doubted),
+        (f"gone buildings found, of {score.gone}", score.rightly_gone, score.gone),
+        (f"said to be gone rightly, of {score.told_gone}", score.rightly_gone, score.told_gone),
+        (f"missing buildings found, of {score.missing}", score.found, score.missing),
+        (f"said to be missing rightly, of {score.places}", score.rightly_missing, score.places),
+    )
+    return [Figure(name, 100.0 * part / whole if whole else float("nan"), "%") for name, part, whole in rows]
+
+
+def _reliability(calibration: Calibration) -> list[str]:
+    lines = [
+        f"probability {each.low:.1f} to {each.high:.1f}: {each.count} photos, "
+        f"mean {100 * each.confidence:.0f} %, found {100 * each.found:.0f} %"
+        for each in calibration.bins
+    ]
+    return ["", *lines]

@@ -1,0 +1,68 @@
+"""``lodbench bench flights``: whole flights over a real model."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from lodbench.bench.figures import Report
+from lodbench.bench.flights import measure_flights
+from lodbench.errors import ConfigError
+from lodbench.execution import ProgressCallback
+from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.flight.params import RELATIVE_POSES
+from lodbench.synthesis.flights.dataset import FlightsParams
+from lodbench.synthesis.flights.paths import PATHS
+
+
+def add_flights(actions: Any) -> argparse.ArgumentParser:
+    """Adds the command's parser to others, and returns it."""
+    parser: argparse.ArgumentParser = actions.add_parser(
+        "flights", help="whole flights: recall, constants of the drone, errors of the map, calibration"
+    )
+    parser.add_argument("--city", type=Path, required=True, help="city model")
+    parser.add_argument("--seeds", default="0", help="comma-separated, each with flights of its own (0)")
+    parser.add_argument("--flights", type=int, default=2, help="of each seed (2)")
+    parser.add_argument("--photos", type=int, default=20, help="of each flight (20)")
+    parser.add_argument("--path", choices=tuple(PATHS), help="how they fly (all of them in turn)")
+    parser.add_argument("--map-lod", help="level of detail that is searched (the lowest)")
+    parser.add_argument("--mask-lod", help="level of detail that photos show, or finest (the map's)")
+    parser.add_argument("--look", help="draw photos in this look: plain, varied or hard (none)")
+    parser.add_argument("--reconstruct", action="store_true", help="by COLMAP, from the photos (pycolmap)")
+    parser.add_argument("--relative-poses", choices=RELATIVE_POSES, default="auto", help="(auto)")
+    parser.add_argument("--focal", type=float, default=0.0, help="focal lengths off by up to this share (0)")
+    parser.add_argument("--shared-height", type=float, default=28.0, help="heights off by up to, metres (28)")
+    for name, what in (
+        ("wrong-heights", "are wrong by 1.5 to 5 m"),
+        ("missing", "lack"),
+        ("extra", "are extra"),
+    ):
+        parser.add_argument(f"--{name}", type=float, default=0.0, help=f"share of buildings that {what} (0)")
+    return parser
+
+
+def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    """Returns what the command measures."""
+    try:
+        seeds = [int(seed) for seed in options.seeds.split(",")]
+    except ValueError as error:
+        raise ConfigError(
+            f"Seeds are whole numbers, not {options.seeds!r}.", "Write --seeds 0,1,2"
+        ) from error
+    flights = FlightsParams(
+        city_model=str(options.city),
+        num_flights=options.flights,
+        num_photos=options.photos,
+        path=options.path,
+        lod=options.map_lod,
+        mask_lod=options.mask_lod,
+        look=options.look,
+        reconstruct=options.reconstruct,
+        focal=options.focal,
+        shared_height_m=options.shared_height,
+        wrong_heights=options.wrong_heights,
+        missing=options.missing,
+        extra=options.extra,
+    )
+    return measure_flights(flights, seeds, FlightMethod(Params(relative_poses=options.relative_poses)), steps)

@@ -1,0 +1,97 @@
+"""What flights say of a map against what was done to it: counts that add up over flights."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from shapely import Polygon, box, unary_union
+
+# A height is recovered within this, metres.
+RECOVERED_M = 0.5
+# A place that is found may miss the building it is by this, metres.
+_NEAR_M = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class MapScore:
+    """Counts; those of several flights add up.
+
+    Attributes:
+        heights: Buildings whose roof at least two photos show.
+        recovered: Of them, those whose height against the map is told within 0.5 m.
+        wrong: Of them, those whose height was changed.
+        doubted: Buildings in doubt.
+        rightly: Of the doubted, those whose height was changed.
+        gone: Buildings that stand in the map only, and that several photos should show.
+        told_gone: Buildings said to be gone.
+        rightly_gone: Of them, those that stand in the map only.
+        missing: Buildings that the map lacks, and that several photos show.
+        found: Of them, those found.
+        places: Places said to lack a building.
+        rightly_missing: Of them, those where the map lacks one.
+    """
+
+    heights: int = 0
+    recovered: int = 0
+    wrong: int = 0
+    doubted: int = 0
+    rightly: int = 0
+    gone: int = 0
+    told_gone: int = 0
+    rightly_gone: int = 0
+    missing: int = 0
+    found: int = 0
+    places: int = 0
+    rightly_missing: int = 0
+
+    def __add__(self, other: MapScore) -> MapScore:
+        """Returns the counts of both."""
+        return MapScore(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+
+def score_map(
+    findings: Mapping[str, Any],
+    changed: Mapping[str, Any],
+    shown: Collection[str],
+    boxes: Mapping[str, Sequence[float]],
+) -> MapScore:
+    """Returns how a flight's findings compare with what was done to the map.
+
+    Args:
+        findings: ``buildings`` and ``changes``, as ``method=flight`` tells them.
+        changed: ``heights`` (metres that a building is higher in the map than in truth, by id), ``missing``
+            and ``extra`` (ids).
+        shown: Ids of the buildings of either that at least three photos show.
+        boxes: West, south, east and north of each missing building, the city's coordinates.
+    """
+    truth = changed["heights"]
+    seen = {b["id"]: b for b in findings["buildings"] if b["photos"] >= 2 and b["id"] not in changed["extra"]}
+    errors = [abs(b["higher_m"] + truth.get(name, 0.0)) for name, b in seen.items()]
+    doubted = [name for name, b in seen.items() if b["doubt"]]
+    told_gone = [c["id"] for c in findings["changes"] if c["kind"] == "gone"]
+    places = [_polygon(c["outline"]) for c in findings["changes"] if c["kind"] == "missing"]
+    lacking = {name: box(*boxes[name]).buffer(_NEAR_M) for name in changed["missing"] if name in boxes}
+    return MapScore(
+        heights=len(errors),
+        recovered=int(np.count_nonzero(np.array(errors) < RECOVERED_M)),
+        wrong=sum(name in seen for name in truth),
+        doubted=len(doubted),
+        rightly=sum(name in truth for name in doubted),
+        gone=sum(name in shown for name in changed["extra"]),
+        told_gone=len(told_gone),
+        rightly_gone=sum(name in changed["extra"] for name in told_gone),
+        missing=sum(name in shown for name in lacking),
+        found=sum(
+            name in shown and any(place.intersects(there) for place in places)
+            for name, there in lacking.items()
+        ),
+        places=len(places),
+        rightly_missing=sum(any(place.intersects(there) for there in lacking.values()) for place in places),
+    )
+
+
+def _polygon(rings: Sequence[Sequence[Sequence[float]]]) -> Any:
+    return unary_union([Polygon(ring) for ring in rings])

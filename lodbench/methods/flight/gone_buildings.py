@@ -1,0 +1,88 @@
+"""Buildings that stand in the map only: what masks of several photos do not show.
+
+Building by building, how much of what a photo should show of it its mask holds: next to nothing in all photos
+is gone. Networks miss small buildings for reasons of their own, so it counts how often this flight's masks
+miss other buildings as small as that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.methods.flight.map_views import View
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Less of a building than this says nothing, pixels; a mask that holds less of one than this misses it.
+_LEAST_PX, _MISSED = 25, 0.3
+# How often a mask shows nothing of a building that is gone: not where neighbours or false patches grow over.
+_MISSED_IF_GONE = 0.93
+# Share of buildings that are gone beforehand, how many photos of a flight are worth one, and what is told.
+_GONE, _HEAT, _SURE = 0.03, 2.0, 0.9
+_FEWEST_PHOTOS = 3
+
+
+def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:
+    """Returns the map's buildings that photos do not show, the surest first.
+
+    Each with ``id``, ``probability``, and the ``photos`` that should show it and do not.
+    """
+    seen = [shares_held(view, city_map) for view in views]
+    rows = [(building, k, pixels, held) for k, one in enumerate(seen) for building, pixels, held in one]
+    if not rows:
+        return []
+    building, photo, pixels, held = (np.array(column) for column in zip(*rows, strict=True))
+    missed, size = held < _MISSED, np.log2(pixels.astype(np.float64))
+    found = []
+    for each in np.unique(building):
+        mine = building == each
+        if np.count_nonzero(missed & mine) < _FEWEST_PHOTOS:
+            continue
+        # Other buildings about as large, each counted once however many photos show it.
+        odds = 0.0
+        for of, is_missed in zip(size[mine], missed[mine], strict=True):
+            like = ~mine & (np.abs(size - of) < 1.0)
+            rate = _rate(building[like], missed[like])
+            gone, there = (_MISSED_IF_GONE, rate) if is_missed else (1.0 - _MISSED_IF_GONE, 1.0 - rate)
+            odds += np.log(gone / there)
+        odds = odds / _HEAT + np.log(_GONE / (1.0 - _GONE))
+        probability = float(1.0 / (1.0 + np.exp(-odds)))
+        if probability > _SURE:
+            photos = [views[k].name for k in photo[mine & missed]]
+            name = city_map.scene.building_ids[each]
+            found.append({"kind": "gone", "id": name, "probability": probability, "photos": photos})
+    return sorted(found, key=lambda change: -change["probability"])
+
+
+def shares_held(view: View, city_map: CityMap) -> list[tuple[int, int, float]]:
+    """Returns of each building in view its row, the pixels only it covers, and which share the mask holds."""
+    (instances,) = city_map.instances(view.camera, view.pose.rotation[None], view.pose.center[None])
+    covers = np.zeros(view.mask.shape, dtype=np.int32)
+    crops = [instances.crop(k) for k in range(len(instances))]
+    for shape, top, left in crops:
+        covers[top : top + shape.shape[0], left : left + shape.shape[1]] += shape
+    found = []
+    for row, (shape, top, left) in zip(instances.buildings, crops, strict=True):
+        window = slice(top, top + shape.shape[0]), slice(left, left + shape.shape[1])
+        alone = shape & (covers[window] == 1)
+        count = int(np.count_nonzero(alone))
+        if count >= _LEAST_PX:
+            found.append((int(row), count, float(np.count_nonzero(alone & view.mask[window])) / count))
+    return found
+
+
+def _rate(building: NDArray[np.int64], missed: Mask) -> float:
+    """Returns how often masks miss buildings like these, each building counted once, never 0 or 1."""
+    if len(building) == 0:
+        return 0.2
+    _, index, counts = np.unique(building, return_inverse=True, return_counts=True)
+    shares = np.bincount(index, weights=missed) / counts
+    # Those that no photo shows may be gone themselves.
+    standing = shares[shares < _MISSED_IF_GONE - 0.05] if (shares < 0.5).any() else shares
+    return float((0.2 + standing.sum()) / (1.0 + len(standing)))

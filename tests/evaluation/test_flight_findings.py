@@ -1,0 +1,50 @@
+"""What flights say of a map, counted against what was done to it."""
+
+from __future__ import annotations
+
+from lodbench.evaluation.flight_findings import MapScore, score_map
+
+CHANGED = {"heights": {"a": 3.0, "b": -2.0, "unseen": 4.0}, "missing": ["m", "hidden"], "extra": ["x", "y"]}
+BOXES = {"m": (100.0, 100.0, 110.0, 112.0), "hidden": (300.0, 300.0, 310.0, 310.0)}
+
+
+def building(name, higher_m, doubt, photos=5):
+    return {"id": name, "higher_m": higher_m, "sigma_m": 0.3, "photos": photos, "doubt": doubt}
+
+
+def place(west, south):
+    ring = [[west, south], [west + 8, south], [west + 8, south + 8], [west, south + 8], [west, south]]
+    return {
+        "kind": "missing",
+        "outline": [ring],
+        "area_m2": 64.0,
+        "top_m": 5.0,
+        "share": 0.9,
+        "photos": ["p"],
+    }
+
+
+def test_counts_of_a_flight_and_of_two():
+    findings = {
+        "buildings": [
+            building("a", -2.8, True),  # recovered
+            building("b", 1.0, False),  # too little, not found
+            building("c", 0.2, False),  # right
+            building("d", 1.6, True),  # in doubt for nothing
+            building("e", 9.0, True, photos=1),  # one view does not count
+            building("y", -5.0, True),  # stands in the map only
+        ],
+        "changes": [
+            {"kind": "gone", "id": "x", "probability": 1.0, "photos": ["p"]},
+            {"kind": "gone", "id": "c", "probability": 0.95, "photos": ["p"]},
+            place(111.0, 113.0),  # beside the corner of what is missing, within three metres
+            place(500.0, 500.0),
+        ],
+    }
+    score = score_map(findings, CHANGED, {"a", "b", "c", "d", "m", "x", "y"}, BOXES)
+    assert score == MapScore(
+        heights=4, recovered=2, wrong=2, doubted=2, rightly=1, gone=2, told_gone=2, rightly_gone=1,
+        missing=1, found=1, places=2, rightly_missing=1,
+    )  # fmt: skip
+    assert (score + score).heights == 8
+    assert (score + MapScore()) == score

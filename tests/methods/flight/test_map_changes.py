@@ -1,0 +1,74 @@
+"""Buildings that stand in the map only, and such that it lacks, by masks at the true poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lodbench.citymap import CityMap
+from lodbench.citymodel import open_scene
+from lodbench.datasets.query import Query
+from lodbench.methods.flight.gone_buildings import gone_buildings
+from lodbench.methods.flight.map_views import views_of
+from lodbench.methods.flight.missing_buildings import missing_buildings
+from lodbench.synthesis.flights.map_changes import MapErrors, change_map
+from lodbench.synthesis.flights.paths import PATHS
+from lodbench.synthesis.mask_degradation import degrade_mask
+from tests.town import CAMERA, box_obj
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    path = tmp_path_factory.mktemp("world") / "city.obj"
+    path.write_text(box_obj())
+    return open_scene(path)
+
+
+def views(world, count=10):
+    """Returns an orbit's views with masks as wrong as a network's."""
+    middle = np.array([*world.vertices[:, :2].mean(axis=0), 0.0])
+    poses = list(PATHS["orbit"](middle, np.random.default_rng(4), count))[:count]
+    city_map = CityMap(world, threads=1)
+    queries = []
+    for k, pose in enumerate(poses):
+        mask, _ = degrade_mask(city_map.render(CAMERA, pose), 0.9, np.random.default_rng(k))
+        queries.append(Query(f"p{k}", "all", CAMERA, pose, mask.astype(np.float32)))
+    return views_of(queries, poses, 0.0)
+
+
+def test_a_right_map_lacks_nothing_and_has_nothing_too_much(world):
+    city_map = CityMap(world, threads=1)
+    assert gone_buildings(views(world), city_map) == []
+    assert missing_buildings(views(world), city_map) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_building_too_many_is_gone_with_the_photos_that_should_show_it(world, seed):
+    wrong, changed = change_map(world, MapErrors(extra=0.1), np.random.default_rng(seed))
+    found = gone_buildings(views(world), CityMap(wrong, threads=1))
+    assert [change["id"] for change in found] == changed["extra"]
+    assert all(len(change["photos"]) >= 3 and change["probability"] > 0.9 for change in found)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_building_that_the_map_lacks_is_found_where_it_stands(world, seed):
+    wrong, changed = change_map(world, MapErrors(missing=0.1), np.random.default_rng(seed))
+    found = missing_buildings(views(world), CityMap(wrong, threads=1))
+    rows = [world.building_ids.index(name) for name in changed["missing"]]
+    points = [world.vertices[world.vertex_starts[r] : world.vertex_starts[r + 1], :2] for r in rows]
+    assert len(found) == len(rows)
+    for change in found:
+        ring = np.array(change["outline"][0]) - world.origin[:2]
+        assert any(
+            (ring.mean(axis=0) > p.min(axis=0) - 1).all() and (ring.mean(axis=0) < p.max(axis=0) + 1).all()
+            for p in points
+        )
+        assert len(change["photos"]) >= 3
+        assert change["area_m2"] >= 24.0
+
+
+def test_two_photos_are_too_few(world):
+    wrong, _ = change_map(world, MapErrors(missing=0.1, extra=0.1), np.random.default_rng(0))
+    few = views(world)[:2]
+    assert gone_buildings(few, CityMap(wrong, threads=1)) == []
+    assert missing_buildings(few, CityMap(wrong, threads=1)) == []
