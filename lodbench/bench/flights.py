@@ -49,7 +49,7 @@ class _Tally:
     errors: list[tuple[float, float]] = field(default_factory=list)
     probabilities: list[float] = field(default_factory=list)
     constants: list[Floats] = field(default_factory=list)
-    score: MapScore = MapScore()
+    score: MapScore = field(default_factory=MapScore)
     cpu_s: float = 0.0
 
 
