@@ -126,7 +126,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         resumed = dict.fromkeys(("run", "basin", "generate-training-data"), "goes on from here")
-        resumed["train"] = "goes on after the last epoch that was validated"
+        resumed["train"] = (
+            "goes on after the last epoch that was validated, if there is one, else from the start"
+        )
         again = f" The same command again {resumed[words[0]]}." if words[0] in resumed else ""
         sys.stderr.write(f"\nlodbench: stopped.{again}\n")
         return 130

@@ -38,10 +38,10 @@ class Prediction:
     score: float | None = None
     hypotheses: int | None = None
     seconds: dict[str, float] = field(default_factory=dict)
-    trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    trace: dict[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
     probability: float | None = None
-    covariance: tuple[float, ...] = ()
-    mask_png: str = ""
+    covariance: tuple[float, ...] = field(default=(), repr=False)
+    mask_png: str = field(default="", repr=False)
     alternatives: tuple[Pose, ...] = ()
     notes: tuple[str, ...] = ()
 

@@ -18,7 +18,7 @@ Matrix = NDArray[np.float64]
 UNIT_TOLERANCE = 1e-3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Pose:
     """A camera pose: ``x_cam = rotation @ x_world + translation``.
 
@@ -36,6 +36,13 @@ class Pose:
 
     rotation: Matrix
     translation: Matrix
+
+    def __repr__(self) -> str:
+        x, y, z = (float(value) for value in self.center)
+        pitch, roll, yaw = self.euler
+        return (
+            f"Pose(center=({x:.2f}, {y:.2f}, {z:.2f}), pitch={pitch:.2f}, roll={roll:.2f}, yaw={yaw:.2f} deg)"
+        )
 
     @property
     def cam_from_world(self) -> Matrix:

@@ -42,8 +42,8 @@ class Estimate:
     score: float
     hypotheses: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
-    trace: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    covariance: NDArray[np.float64] | None = None
+    trace: dict[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
+    covariance: NDArray[np.float64] | None = field(default=None, repr=False)
     probability: float | None = None
     alternatives: tuple[Pose, ...] = ()
     notes: tuple[str, ...] = ()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import lodbench
 from tests.town import write_dataset
 
@@ -16,6 +18,10 @@ def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsy
     assert "view_0" in name
     assert picture._repr_png_().startswith(b"\x89PNG")
     assert len(repr(picture)) < 200
+    for found in run.predictions.values():
+        assert found.mask_png
+        assert len(repr(found)) < 800
+        assert re.fullmatch(r"Pose\(center=\([-\d., ]+\), pitch=.*, roll=.*, yaw=.* deg\)", repr(found.pose))
     from lodbench.cli import main
 
     assert main(["verify", str(run.folder)]) == 0, capsys.readouterr().out
