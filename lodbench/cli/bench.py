@@ -19,7 +19,7 @@ from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 from lodbench.bench.slopes import SlopeOptions, measure_slopes
 from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
 from lodbench.bench.wide_priors import measure_wide_priors
-from lodbench.cli import bench_flights, bench_real
+from lodbench.cli import bench_flight_uses, bench_flights, bench_real
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
 from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError
@@ -130,9 +130,11 @@ MEASURES: dict[str, Callable[[argparse.Namespace, ProgressCallback], Report]] = 
     "city": _city,
     "evaluation": _evaluation,
     "flights": bench_flights.measure,
+    "georeference": bench_flight_uses.measure_georeference,
     "real": bench_real.measure,
     "segmentation": measure_segmentation,
     "slopes": _slopes,
+    "tracking": bench_flight_uses.measure_track,
     "training-data": _training_data,
     "wide-priors": _wide_priors,
 }
@@ -220,6 +222,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluation.add_argument("--queries", type=int, default=2192, help="as the largest published split (2192)")
     evaluation.add_argument("--methods", type=int, default=100, help="scored on all of them (100)")
     flights = bench_flights.add_flights(actions)
+    uses = bench_flight_uses.add_uses(actions)
     real = bench_real.add_real(actions)
     segmentation = add_segmentation(actions)
     training = actions.add_parser("training-data", help="masks and photos per second; memory")
@@ -231,7 +234,7 @@ def _parser() -> argparse.ArgumentParser:
     for action in (speed, accuracy, budget, wide, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
     measured = (speed, scale, slopes, accuracy, budget, wide, city, evaluation, flights, real)
-    every = (*measured, segmentation, training)
+    every = (*measured, *uses, segmentation, training)
     for action in every:
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
     return parser

@@ -1,0 +1,143 @@
+"""Georeferencing: reconstructions of seeded flights in frames of their own, placed again by masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.datasets.exchange.colmap import write_colmap
+from lodbench.datasets.exchange.lines import write_lines
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.query import Dataset
+from lodbench.errors import LodbenchError
+from lodbench.evaluation import pose_error
+from lodbench.geometry import Pose
+from lodbench.geometry.similarity import Similarity
+from lodbench.harness.georeference.georeference import georeference
+from lodbench.harness.georeference.request import GeoreferenceRequest
+from lodbench.methods.registry import make_method
+from lodbench.reporting.columns import format_columns
+from lodbench.storage import random_stream
+from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
+from lodbench.synthesis.flights.paths import PATHS
+
+# A reconstruction's own units per metre; any will do.
+_SCALE = 0.037
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What a reconstruction's poses are off by, each by itself: standard deviations along each axis.
+
+    Attributes:
+        place_m: Of places, metres.
+        turn_deg: Of directions, degrees.
+    """
+
+    place_m: float = 0.1
+    turn_deg: float = 0.05
+
+
+def measure_reconstructions(
+    flights: FlightsParams, seeds: Sequence[int], noise: Noise, progress: Progress = no_progress
+) -> Report:
+    """Returns how far off the cameras of georeferenced reconstructions are, flight by flight.
+
+    Args:
+        flights: The city and its flights; one of each kind of path is drawn of each seed.
+        seeds: Each draws flights of its own.
+        noise: Of the reconstructions.
+        progress: Called after each flight.
+
+    Raises:
+        LodbenchError: The city cannot be read, or a flight cannot be drawn.
+    """
+    rows = [["path", "seed", "median m", "median deg", "worst m", "off m", "sigma m", "start m"]]
+    medians, count = [], len(seeds) * len(PATHS)
+    for number, (seed, path) in enumerate((seed, path) for seed in seeds for path in PATHS):
+        drawn = replace(flights, num_flights=1, path=path, flights_seed=seed)
+        try:
+            numbers = _placed(drawn, noise)
+            medians.append(numbers[0])
+            rows.append([path, str(seed), *(f"{number:.2f}" for number in numbers)])
+        except LodbenchError as fault:
+            rows.append([path, str(seed), f"failed: {fault.message}", *[""] * 5])
+        progress(number + 1, count)
+    median = float(np.median(medians)) if medians else float("nan")
+    figures = [
+        Figure("median error of a camera, median of flights", median, "m"),
+        Figure("flights placed", len(medians), "", f"of {count}"),
+    ]
+    city = Path(flights.city_model).name
+    note = (
+        f"{city}: {flights.num_photos} photos each, masks of IoU {flights.mask_iou:g}, reconstructions with "
+        f"{noise.place_m:g} m and {noise.turn_deg:g} deg of noise along each axis. off: cameras' mean; "
+        "sigma: what the answer says of it; start: median of the rough poses."
+    )
+    return Report("\n".join([format_columns(rows), note]), figures)
+
+
+def _placed(flights: FlightsParams, noise: Noise) -> list[float]:
+    """Returns the numbers of a flight's row."""
+    dataset = open_flights(flights)
+    assert dataset.city_model is not None  # noqa: S101 - it was drawn over one
+    truth = {entry.name: dataset.truth[entry.key] for entry in dataset.entries}
+    masks = dataset.entries[0].mask
+    assert masks is not None  # noqa: S101 - they were drawn
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        write_reconstruction(dataset, folder, noise, flights.flights_seed)
+        request = GeoreferenceRequest(
+            folder / "model",
+            dataset.city_model,
+            folder / "out",
+            make_method("flight"),
+            masks=masks.parent,
+            start=folder / "rough.txt",
+            lod=dataset.lod,
+            options=dataset.city_options,
+            roof_height=dataset.roof_height,
+        )
+        found = georeference(request)
+    errors = [pose_error(camera.pose, truth[camera.name]) for camera in found.cameras]
+    off = np.mean([camera.pose.center - truth[camera.name].center for camera in found.cameras], axis=0)
+    rough = [pose_error(e.prior, truth[e.name]).translation_m for e in dataset.entries if e.prior is not None]
+    return [
+        float(np.median([error.translation_m for error in errors])),
+        float(np.median([error.rotation_deg for error in errors])),
+        max(error.translation_m for error in errors),
+        float(np.linalg.norm(off)),
+        float(np.linalg.norm(found.fitted.sigmas[:3])),
+        float(np.median(rough)),
+    ]
+
+
+def write_reconstruction(dataset: Dataset, folder: Path, noise: Noise, seed: int) -> None:
+    """Writes a dataset's true poses as a COLMAP model in a frame of its own, and its priors as rough poses.
+
+    Args:
+        dataset: Of flights.
+        folder: Receives ``model`` and ``rough.txt``.
+        noise: Of the model.
+        seed: Of noise and frame.
+    """
+    generator = random_stream(seed, "reconstruction")
+    turn = Rotation.from_quat(generator.normal(size=4)).as_matrix()
+    middle = np.mean([pose.center for pose in dataset.truth.values()], axis=0)
+    own = Similarity(_SCALE, turn, np.array([3.0, -2.0, 7.0]) - _SCALE * turn @ middle)
+    model, rough = [], []
+    for entry in dataset.entries:
+        true = dataset.truth[entry.key]
+        shaken = Rotation.from_rotvec(generator.normal(0.0, noise.turn_deg, 3), degrees=True).as_matrix()
+        seen = Pose.from_center(shaken @ true.rotation, true.center + generator.normal(0.0, noise.place_m, 3))
+        model.append(FoundPose(entry.name, "", own.pose(seen), entry.camera))
+        if entry.prior is not None:
+            rough.append(FoundPose(entry.name, "", entry.prior))
+    write_colmap(model, folder / "model")
+    write_lines(rough, folder / "rough.txt")

@@ -1,0 +1,147 @@
+"""Tracking: drawn frames of a slow flight, from pixels to poses, with the time each takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress, plain_report
+from lodbench.citymodel.cache import open_cached_city
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.photo_pose import RoughPlace
+from lodbench.evaluation import pose_error
+from lodbench.geometry import EulerAngles, Pose
+from lodbench.geometry.angles import heading_from_yaw
+from lodbench.harness.track.frames import Footage
+from lodbench.harness.track.track import Track, TrackRequest, track
+from lodbench.segmentation import Segmenter
+from lodbench.storage import random_stream, write_bytes
+from lodbench.synthesis.queries import SyntheticQuery
+from lodbench.synthesis.view_photos import with_photos
+from lodbench.synthesis.view_sampling import RGB_CAMERA, view_of
+
+# Frames per second; metres per second and degrees per second of the flight; what its first pose is off by.
+_RATE, _SPEED_M, _TURN_DEG = 10.0, 4.0, 6.0
+_OFF_M, _OFF_DEG = np.array([4.0, -5.0, 6.0]), 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingOptions:
+    """What to draw.
+
+    Attributes:
+        frames: Of each flight.
+        size: Width and height, pixels.
+        look: A name of ``conf/training``.
+    """
+
+    frames: int = 60
+    size: tuple[int, int] = (640, 480)
+    look: str = "varied"
+
+
+def measure_tracking(
+    city: Path,
+    seeds: Sequence[int],
+    segmenter: Segmenter,
+    options: TrackingOptions,
+    progress: Progress = no_progress,
+) -> Report:
+    """Returns how fast, and how far off, the frames of drawn flights are tracked.
+
+    Args:
+        city: City model.
+        seeds: Each draws a flight.
+        segmenter: Makes the masks.
+        options: What to draw.
+        progress: Called after each flight.
+    """
+    scene = open_cached_city(city, lod="finest").scene
+    tracks, errors, lost = [], [], 0
+    for number, seed in enumerate(seeds):
+        drawn = _drawn(scene, seed, options)
+        found = _tracked(city, scene, drawn, segmenter, options)
+        tracks.append(found)
+        for frame, query in zip(found.frames, drawn, strict=True):
+            if frame.pose is None:
+                lost += 1
+            else:
+                errors.append(pose_error(frame.pose, query.truth.shifted(scene.origin)))
+        progress(number + 1, len(seeds))
+    count = sum(len(found.frames) - 1 for found in tracks)
+    # As everywhere: a frame without an answer is infinitely far off.
+    metres = np.array([error.translation_m for error in errors] + [np.inf] * lost)
+    degrees = np.array([error.rotation_deg for error in errors] + [180.0] * lost)
+
+    near = int(((metres < 2.0) & (degrees < 2.0)).sum())
+
+    def each_ms(name: str) -> float:
+        return 1000.0 * sum(found.seconds[name] for found in tracks) / count
+
+    figures = [
+        Figure("photos per second from pixels to pose", 1000.0 / each_ms("total"), "1/s"),
+        Figure("processors' time of a frame", 1000.0 * sum(found.cpu_s for found in tracks) / count, "ms"),
+        Figure("masks, beside poses", each_ms("masks"), "ms"),
+        Figure("poses", each_ms("poses"), "ms"),
+        Figure("frames within 2 m and 2 deg", 100.0 * near / len(metres), "%"),
+        Figure("frames lost", lost, "", f"of {len(metres)}"),
+        Figure("median error", float(np.median(metres)), "m"),
+        Figure("median error", float(np.median(degrees)), "deg"),
+    ]  # fmt: skip
+    size = f"{options.size[0]} x {options.size[1]}"
+    return plain_report(f"{city.name}, {size}", figures, f"Measured under {load_in_words()}.")
+
+
+def _drawn(scene: Scene, seed: int, options: TrackingOptions) -> list[SyntheticQuery]:
+    """Returns the frames of a flight around the city's middle, with their photos."""
+    generator = random_stream(seed, "tracking")
+    middle = np.median(scene.vertices.astype(np.float64), axis=0)
+    course, yaw_deg = generator.uniform(0.0, 2.0 * np.pi), generator.uniform(-180.0, 180.0)
+    height_m, pitch_deg = generator.uniform(90.0, 130.0), generator.uniform(30.0, 50.0)
+    ahead = np.array([np.cos(course), np.sin(course), 0.0])
+    none = np.zeros((2, 2), dtype=np.bool_)
+    queries = []
+    for k in range(options.frames):
+        time_s = k / _RATE
+        angles = EulerAngles(
+            pitch_deg + np.sin(0.7 * time_s), 0.4 * np.cos(time_s), yaw_deg + _TURN_DEG * time_s
+        )
+        target = middle + _SPEED_M * (time_s - 0.5 * options.frames / _RATE) * ahead
+        pose = view_of(target, height_m + 2.0 * np.sin(time_s), angles)
+        queries.append(SyntheticQuery(f"frame_{k:06d}", pose, pose, none, 1.0))
+    return with_photos(queries, scene, RGB_CAMERA.scaled(*options.size), options.look, seed)
+
+
+def _tracked(
+    city: Path,
+    scene: Scene,
+    drawn: Sequence[SyntheticQuery],
+    segmenter: Segmenter,
+    options: TrackingOptions,
+) -> Track:
+    first: Pose = drawn[0].truth.shifted(scene.origin)
+    pitch, roll, yaw = first.euler
+    x, y, z = (float(v) for v in first.center + _OFF_M)
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "frames").mkdir()
+        for query in drawn:
+            assert query.photo is not None  # noqa: S101 - it was drawn
+            write_bytes(folder / "frames" / query.file_name, query.photo)
+        return track(
+            TrackRequest(
+                Footage(folder / "frames", rate=_RATE),
+                city,
+                folder / "out",
+                camera=RGB_CAMERA.scaled(*options.size),
+                given=RoughPlace(
+                    heading_deg=heading_from_yaw(yaw) + _OFF_DEG, pitch_deg=pitch - 90.0, roll_deg=roll
+                ),
+                center=(x, y, z),
+                segmenter=segmenter,
+            )
+        )

@@ -1,0 +1,55 @@
+"""`lodbench bench georeference` and `lodbench bench tracking`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from lodbench.bench.figures import Report
+from lodbench.bench.reconstructions import Noise, measure_reconstructions
+from lodbench.bench.tracking import TrackingOptions, measure_tracking
+from lodbench.cli.segmenters import segmenter_of
+from lodbench.execution import ProgressCallback
+from lodbench.synthesis.flights.dataset import FlightsParams
+
+
+def add_uses(actions: Any) -> tuple[argparse.ArgumentParser, ...]:
+    """Adds both; returns their parsers."""
+    placed = actions.add_parser("georeference", help="reconstructions of seeded flights, placed by masks")
+    placed.add_argument("--photos", type=int, default=16, help="of each flight (16)")
+    placed.add_argument("--mask-iou", type=float, default=0.88, help="of the degraded masks (0.88)")
+    placed.add_argument("--noise-m", type=float, default=0.1, help="of a reconstruction's places (0.1)")
+    placed.add_argument("--noise-deg", type=float, default=0.05, help="of its directions (0.05)")
+    placed.add_argument("--map-lod", help="level of detail to place it in (the lowest)")
+    placed.add_argument("--mask-lod", help="that masks are drawn from, or finest (the map's)")
+    tracked = actions.add_parser("tracking", help="drawn frames from pixels to poses, and how many a second")
+    tracked.add_argument("--frames", type=int, default=60, help="of each flight (60)")
+    tracked.add_argument("--look", default="varied", help="of the frames: plain, varied or hard (varied)")
+    tracked.add_argument("--segmenter", default="compact", metavar="NAME", help="(compact)")
+    for action in (placed, tracked):
+        action.add_argument("--city", type=Path, required=True, help="city model")
+        action.add_argument("--seeds", type=_seeds, default=[0], help="comma-separated (0)")
+    return placed, tracked
+
+
+def _seeds(text: str) -> list[int]:
+    return [int(word) for word in text.split(",")]
+
+
+def measure_georeference(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    """Returns how far off reconstructions are placed."""
+    flights = FlightsParams(
+        str(options.city),
+        num_photos=options.photos,
+        mask_iou=options.mask_iou,
+        lod=options.map_lod,
+        mask_lod=options.mask_lod,
+    )
+    return measure_reconstructions(flights, options.seeds, Noise(options.noise_m, options.noise_deg), steps)
+
+
+def measure_track(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    """Returns how fast and how well frames are tracked."""
+    asked = TrackingOptions(frames=options.frames, look=options.look)
+    return measure_tracking(options.city, options.seeds, segmenter_of(options.segmenter), asked, steps)
