@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import Pose
 from lodbench.reporting.answers import UNTRUSTED
-from lodbench.reporting.flight_words import constant_rows, doubted_buildings, heights_in_words
+from lodbench.reporting.flight_words import constant_rows, heights_in_words, map_rows
 from lodbench.reporting.map_figure import Marked, Spot, draw_map
 from lodbench.reporting.page import Picture, markup, rendered
 
@@ -93,7 +93,7 @@ def flight_page(
     pictures: Sequence[Picture],
     left_out: Sequence[tuple[str, str]],
     city: tuple[Floats, NDArray[np.int32]] | None,
-    outlines: Mapping[str, Sequence[Floats]],
+    marked: Sequence[Marked],
 ) -> str:
     """Returns the page.
 
@@ -105,14 +105,9 @@ def flight_page(
         pictures: Of them, with their keys.
         left_out: Name and reason of photos that have no pose.
         city: (V, 3) vertices and (T, 3) triangles in the city's coordinates, or None.
-        outlines: Rings of the buildings in doubt, by id.
+        marked: What the flight contradicts in the map.
     """
-    constants, doubted = findings.get("constants", {}), doubted_buildings(findings.get("buildings", []))
-    marked = [
-        Marked(f"{each['id']}: {each['higher_m']:+.1f} m against the map", outlines[each["id"]])
-        for each in doubted
-        if each["id"] in outlines
-    ]
+    constants = findings.get("constants", {})
     spots = [photo.spot for photo in photos]
     vertices, triangles = (None, None) if city is None else city
     return rendered(
@@ -123,9 +118,10 @@ def flight_page(
         pictures=pictures,
         doubted=sum(spot.trust == UNTRUSTED for spot in spots),
         lost=findings.get("lost", []),
+        reasons=findings.get("reasons", {}),
         left_out=left_out,
         map=markup(draw_map(spots, vertices, triangles, marked=marked, is_flight=True)),
         constants=constant_rows(constants),
         heights=heights_in_words(constants["height"]) if "height" in constants else "",
-        buildings=doubted,
+        map_rows=map_rows(findings),
     )

@@ -63,20 +63,40 @@ def heights_in_words(constant: Mapping[str, Any]) -> str:
     return f"heights are stated {amount}: {asked}? --heights says what they are above"
 
 
-def buildings_in_words(buildings: Sequence[Mapping[str, Any]], most: int = 5) -> list[str]:
-    """Returns sentences about the buildings whose height the photos contradict, the surest first."""
-    doubted = doubted_buildings(buildings)
-    if not doubted:
+def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:
+    """Returns sentences about what the photos contradict in the map, the surest of each kind first."""
+    rows, buildings = map_rows(findings), findings.get("buildings", [])
+    if not rows:
         return []
-    lines = [f"{len(doubted)} of {len(buildings)} buildings stand in doubt:"]
-    lines += [
-        f"- {each['id']}: {abs(each['higher_m']):.1f} m +-{each['sigma_m']:.1f} "
-        f"{'higher' if each['higher_m'] > 0 else 'lower'} than in the map, by {each['photos']} photos"
-        for each in doubted[:most]
+    lines = [f"the photos contradict the map in {len(rows)} places, of {len(buildings)} buildings they show:"]
+    lines += [f"- {name}: {said}, by {photos}" for name, said, photos in rows[:most]]
+    return lines + ([f"- and {len(rows) - most} more"] if len(rows) > most else [])
+
+
+def map_rows(findings: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Returns of each contradiction the building, what the photos say, and which do.
+
+    Args:
+        findings: ``buildings`` with heights, and ``changes``: buildings gone, and places the map lacks one.
+    """
+    rows = [
+        (
+            str(each["id"]),
+            f"{abs(each['higher_m']):.1f} m +-{each['sigma_m']:.1f} "
+            f"{'higher' if each['higher_m'] > 0 else 'lower'} than in the map",
+            f"{each['photos']} photos",
+        )
+        for each in doubted_buildings(findings.get("buildings", []))
     ]
-    if len(doubted) > most:
-        lines.append(f"- and {len(doubted) - most} more")
-    return lines
+    for change in findings.get("changes", []):
+        listed = ", ".join(change["photos"][:3]) + (", ..." if len(change["photos"]) > 3 else "")
+        photos = f"{len(change['photos'])} photos ({listed})"
+        if change["kind"] == "gone":
+            rows.append((str(change["id"]), f"gone, {100 * change['probability']:.0f} % sure", photos))
+        else:
+            size = f"{change['area_m2']:.0f} m2 and {change['top_m']:.0f} m high"
+            rows.append(("a building that the map lacks", size, photos))
+    return rows
 
 
 def doubted_buildings(buildings: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

@@ -8,7 +8,7 @@ from shapely.geometry import Polygon, shape
 
 from lodbench.citymodel.scene import build_scene
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.harness.flights.map_findings import building_outline, doubt_features
+from lodbench.harness.flights.map_findings import building_outline, city_and_marks, contradiction_features
 
 # A ring of flat roof, 20 m x 20 m with a court of 8 m x 8 m, as four rectangles; and a wall of it.
 _RECTANGLES = ((0, 0, 20, 6), (0, 14, 20, 20), (0, 6, 6, 14), (14, 6, 20, 14))
@@ -43,11 +43,27 @@ def test_an_outline_has_its_court_as_a_hole(scene):
     assert outer.min(axis=0) == pytest.approx(ORIGIN[:2])
 
 
-def test_only_buildings_in_doubt_are_told_and_lie_where_they_stand(scene):
+def test_what_is_contradicted_is_told_and_lies_where_it_stands(scene):
     frame = MapFrame("EPSG:25832")
     doubted = {"id": "court", "higher_m": 2.0, "sigma_m": 0.3, "photos": 3, "doubt": True}
-    assert doubt_features(scene, frame, [{**doubted, "doubt": False}], "flight 1") == []
-    (feature,) = doubt_features(scene, frame, [doubted], "flight 1")
-    assert feature["properties"]["flight"] == "flight 1"
-    middle = shape(feature["geometry"]).centroid
-    assert frame.east_north(middle.y, middle.x) == pytest.approx((500_010.0, 5_600_010.0), abs=0.01)
+    right = {"buildings": [{**doubted, "doubt": False}]}
+    assert contradiction_features(scene, frame, right, "flight 1") == []
+    ring = [
+        [500_030.0, 5_600_000.0],
+        [500_040.0, 5_600_000.0],
+        [500_040.0, 5_600_010.0],
+        [500_030.0, 5_600_000.0],
+    ]
+    lacking = {"kind": "missing", "outline": [ring], "area_m2": 50.0, "top_m": 6.0, "photos": ["p"]}
+    gone = {"kind": "gone", "id": "court", "probability": 0.9, "photos": ["p"]}
+    findings = {"buildings": [doubted], "changes": [gone, lacking]}
+    features = contradiction_features(scene, frame, findings, "flight 1")
+    assert [each["properties"]["kind"] for each in features] == ["height", "gone", "missing"]
+    assert {each["properties"]["flight"] for each in features} == {"flight 1"}
+    places = [shape(each["geometry"]).centroid for each in features]
+    found = [frame.east_north(place.y, place.x) for place in places]
+    assert found[0] == pytest.approx((500_010.0, 5_600_010.0), abs=0.01)
+    assert found[1] == pytest.approx(found[0])
+    assert found[2] == pytest.approx((500_036.67, 5_600_003.33), abs=0.01)
+    _, marks = city_and_marks(scene, findings)
+    assert [mark.title.split(":")[0] for mark in marks] == ["court", "court", "a building that the map lacks"]

@@ -10,7 +10,7 @@ import pytest
 
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.reporting.flight_page import MAX_PICTURES, chosen_for_pictures, flight_page, photo_on_page
-from lodbench.reporting.map_figure import Spot, draw_map
+from lodbench.reporting.map_figure import Marked, Spot, draw_map
 from lodbench.reporting.page import Picture
 from tests.reporting.browser import PHONE, fits, opened
 
@@ -35,11 +35,12 @@ def page(**changed):
         },
         "buildings": [{"id": "B<1>", "higher_m": -2.4, "sigma_m": 0.3, "photos": 4, "doubt": True}],
         "lost": ["p3.jpg"],
+        "reasons": {"p3.jpg": "far from the others"},
     }
     values = {
         "title": "Flight 1", "lines": ["5 photos"], "findings": findings, "photos": photos,
         "pictures": pictures, "left_out": [("other.jpg", "9.0 km outside the city model")],
-        "city": None, "outlines": {"B<1>": [np.array([(0, 0), (20, 0), (20, 9), (0, 0)], float)]},
+        "city": None, "marked": [Marked("B<1>", [np.array([(0, 0), (20, 0), (20, 9), (0, 0)], float)])],
     }  # fmt: skip
     return flight_page(**{**values, **changed})
 
@@ -55,7 +56,8 @@ def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme
             "1 not to be trusted, 1 by the other photos alone, 1 left out",
             "no: left as stated",
             "B<1>",
-            "do not trust, by the others alone",
+            "do not trust, by the others alone: far from the others",
+            "2.4 m +-0.3 lower than in the map",
             "other.jpg: 9.0 km outside the city model",
         ):
             assert said in words

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lodbench.reporting.flight_words import buildings_in_words, constants_in_words
+from lodbench.reporting.flight_words import constants_in_words, map_in_words
 
 
 def constant(value, sigma, unit="m", told=True):
@@ -42,13 +42,20 @@ def test_heights_far_off_are_of_another_zero(value, sigma, said):
     assert ("?" in line) == ("?" in said)
 
 
-def test_the_surest_building_in_doubt_comes_first():
+def test_the_surest_building_in_doubt_comes_first_and_changes_follow():
     one = {"id": "a", "higher_m": -2.0, "sigma_m": 0.9, "photos": 4, "doubt": True}
     two = {"id": "b", "higher_m": 1.5, "sigma_m": 0.2, "photos": 9, "doubt": True}
     sure = {"id": "c", "higher_m": 0.1, "sigma_m": 0.2, "photos": 9, "doubt": False}
-    head, first, second = buildings_in_words([one, two, sure])
-    assert head.startswith("2 of 3 buildings")
-    assert first == "- b: 1.5 m +-0.2 higher than in the map, by 9 photos"
-    assert second.startswith("- a: 2.0 m +-0.9 lower")
-    assert buildings_in_words([sure]) == []
-    assert buildings_in_words([one, two], most=1)[-1] == "- and 1 more"
+    gone = {"kind": "gone", "id": "d", "probability": 0.97, "photos": ["p1", "p2", "p3", "p4"]}
+    lacking = {"kind": "missing", "outline": [], "area_m2": 120.0, "top_m": 8.0, "photos": ["p5"]}
+    findings = {"buildings": [one, two, sure], "changes": [gone, lacking]}
+    head, *lines = map_in_words(findings)
+    assert head == "the photos contradict the map in 4 places, of 3 buildings they show:"
+    assert lines == [
+        "- b: 1.5 m +-0.2 higher than in the map, by 9 photos",
+        "- a: 2.0 m +-0.9 lower than in the map, by 4 photos",
+        "- d: gone, 97 % sure, by 4 photos (p1, p2, p3, ...)",
+        "- a building that the map lacks: 120 m2 and 8 m high, by 1 photos (p5)",
+    ]
+    assert map_in_words({"buildings": [sure]}) == []
+    assert map_in_words(findings, most=1)[-1] == "- and 3 more"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,17 @@ from shapely.geometry.polygon import orient
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.reporting.flight_words import doubted_buildings
+from lodbench.reporting.flight_words import doubted_buildings, map_rows
+from lodbench.reporting.map_figure import Marked
 
+# Polygons, each its rings, (N, 2) east and north.
+Outline = list[list[NDArray[np.float64]]]
 # Digits of a degree, a millimetre or so; triangles smaller than this from above are walls, square metres; and
 # points nearer than this are one, metres.
 _DIGITS, _LEAST_M2, _SAME_M = 8, 1e-3, 0.01
 
 
-def building_outline(scene: Scene, building: int) -> list[list[NDArray[np.float64]]]:
+def building_outline(scene: Scene, building: int) -> Outline:
     """Returns the polygons of a building seen from above, each its rings, the outer one first.
 
     Rings are (N, 2) east and north in the city's coordinates; the outer one runs counter-clockwise.
@@ -37,40 +40,55 @@ def building_outline(scene: Scene, building: int) -> list[list[NDArray[np.float6
     ]
 
 
-def doubt_features(
-    scene: Scene, frame: MapFrame, buildings: Sequence[Mapping[str, Any]], flight: str
+def contradictions(scene: Scene, findings: Mapping[str, Any]) -> list[tuple[dict[str, Any], Outline]]:
+    """Returns what a flight contradicts in the map, the surest of each kind first: what, and where.
+
+    ``kind`` is ``height``, ``gone`` or ``missing``; the rest is as the flight's findings have it. Outlines
+    are polygons, each its rings, in the city's coordinates.
+    """
+    rows = {name: row for row, name in enumerate(scene.building_ids)}
+    found: list[tuple[dict[str, Any], Outline]] = [
+        ({"kind": "height", **each}, building_outline(scene, rows[each["id"]]))
+        for each in doubted_buildings(findings.get("buildings", []))
+    ]
+    for change in findings.get("changes", []):
+        said = {key: value for key, value in change.items() if key != "outline"}
+        if change["kind"] == "gone":
+            found.append((said, building_outline(scene, rows[change["id"]])))
+        else:
+            found.append((said, [[np.array(ring, dtype=np.float64)] for ring in change["outline"]]))
+    return found
+
+
+def contradiction_features(
+    scene: Scene, frame: MapFrame, findings: Mapping[str, Any], flight: str
 ) -> list[dict[str, Any]]:
-    """Returns the buildings whose height a flight contradicts, as features of GeoJSON, the surest first.
+    """Returns what a flight contradicts in the map, as features of GeoJSON.
 
     Args:
         scene: The map.
         frame: Its coordinates on Earth.
-        buildings: As a flight's findings have them.
+        findings: Of the flight.
         flight: Its name.
     """
-    rows = {name: row for row, name in enumerate(scene.building_ids)}
     features = []
-    for each in doubted_buildings(buildings):
-        outline = building_outline(scene, rows[each["id"]])
-        geometry = {
-            "type": "MultiPolygon",
-            "coordinates": [[_on_earth(ring, frame) for ring in rings] for rings in outline],
-        }
-        stated = {"kind": "building in doubt", "flight": flight, **each}
-        features.append({"type": "Feature", "geometry": geometry, "properties": stated})
+    for said, outline in contradictions(scene, findings):
+        rings = [[_on_earth(ring, frame) for ring in polygon] for polygon in outline]
+        geometry = {"type": "MultiPolygon", "coordinates": rings}
+        features.append({"type": "Feature", "geometry": geometry, "properties": {"flight": flight, **said}})
     return features
 
 
-def city_and_doubts(
+def city_and_marks(
     scene: Scene, findings: Mapping[str, Any]
-) -> tuple[tuple[NDArray[np.float64], NDArray[np.int32]], dict[str, list[NDArray[np.float64]]]]:
-    """Returns the city in its coordinates, and the rings of the buildings in doubt."""
-    rows = {name: row for row, name in enumerate(scene.building_ids)}
-    doubted = [each["id"] for each in doubted_buildings(findings.get("buildings", [])) if each["id"] in rows]
-    outlines = {
-        name: [ring for rings in building_outline(scene, rows[name]) for ring in rings] for name in doubted
-    }
-    return (scene.vertices + scene.origin, scene.triangles), outlines
+) -> tuple[tuple[NDArray[np.float64], NDArray[np.int32]], list[Marked]]:
+    """Returns the city in its coordinates for a page, and what a flight contradicts in it."""
+    outlines = [outline for _, outline in contradictions(scene, findings)]
+    marks = [
+        Marked(f"{name}: {said}", [ring for polygon in outline for ring in polygon])
+        for (name, said, _), outline in zip(map_rows(findings), outlines, strict=True)
+    ]
+    return (scene.vertices + scene.origin, scene.triangles), marks
 
 
 def _on_earth(ring: NDArray[np.float64], frame: MapFrame) -> list[list[float]]:

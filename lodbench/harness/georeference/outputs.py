@@ -14,7 +14,7 @@ from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import LodbenchError
-from lodbench.harness.flights.map_findings import doubt_features
+from lodbench.harness.flights.map_findings import contradiction_features
 from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
 from lodbench.harness.photo.outputs import ground_below_m
 from lodbench.storage import make_folder, write_text
@@ -46,8 +46,7 @@ def write_georeferenced(
             "cameras.geojson",
             lambda path: write_geojson(_features(placed, scene, frame), path),
         )
-        buildings = placed.findings.get("buildings", [])
-        doubts = doubt_features(scene, frame, buildings, "reconstruction")
+        doubts = contradiction_features(scene, frame, placed.findings, "reconstruction")
         writers["map findings"] = ("map_findings.geojson", lambda path: write_geojson(doubts, path))
     files, notes = {}, list(placed.notes)
     for name, (file, write) in writers.items():

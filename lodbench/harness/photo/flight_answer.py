@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lodbench.reporting.flight_words import buildings_in_words, constants_in_words
+from lodbench.reporting.flight_words import constants_in_words, map_in_words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,10 +28,11 @@ class FlightAnswer:
     def sentences(self) -> list[str]:
         """Returns what the flight says of drone, camera and map."""
         lines = constants_in_words(self.findings.get("constants", {}))
-        lines += buildings_in_words(self.findings.get("buildings", []))
-        lost = self.findings.get("lost", [])
-        if lost:
-            lines.append(f"placed by the other photos alone: {', '.join(lost)}")
+        lines += map_in_words(self.findings)
+        reasons = self.findings.get("reasons", {})
+        for name in self.findings.get("lost", []):
+            reason = f": {reasons[name]}" if name in reasons else ""
+            lines.append(f"placed by the other photos alone: {name}{reason}")
         return lines
 
     def to_json(self) -> dict[str, Any]:

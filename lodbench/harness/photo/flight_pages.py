@@ -8,7 +8,7 @@ from pathlib import Path
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import read_picture
 from lodbench.evaluation import PoseError
-from lodbench.harness.flights.map_findings import city_and_doubts
+from lodbench.harness.flights.map_findings import city_and_marks
 from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.many import PhotoAnswer
 from lodbench.reporting.flight_page import chosen_for_pictures, flight_page, photo_on_page
@@ -57,7 +57,7 @@ def page_of_photos(
         photos,
         pictures,
         left_out,
-        *city_and_doubts(scene, flight.findings),
+        *city_and_marks(scene, flight.findings),
     )
 
 

@@ -18,7 +18,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import LodbenchError, QueryFault
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
-from lodbench.harness.flights.map_findings import doubt_features
+from lodbench.harness.flights.map_findings import contradiction_features
 from lodbench.harness.photo.flight_answer import FlightAnswer
 from lodbench.harness.photo.flight_inputs import (
     masks_of,
@@ -181,6 +181,6 @@ def _write_findings(answers: Answers, scene: Scene, frame: MapFrame | None) -> N
         features = [
             feature
             for flight in answers.flights
-            for feature in doubt_features(scene, frame, flight.findings.get("buildings", []), flight.name)
+            for feature in contradiction_features(scene, frame, flight.findings, flight.name)
         ]
         write_geojson(features, numbered(answers.folder / FINDINGS_FILE, answers.number))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.harness.flights.map_findings import city_and_doubts
+from lodbench.harness.flights.map_findings import city_and_marks
 from lodbench.harness.runs.answer import FLIGHTS_FOLDER
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.query_pictures import picture_of
@@ -73,7 +73,7 @@ def _page_of_sequence(
         photos,
         pictures,
         left_out,
-        *city_and_doubts(scene, findings),
+        *city_and_marks(scene, findings),
     )
 
 

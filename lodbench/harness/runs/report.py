@@ -23,7 +23,7 @@ from lodbench.harness.runs.query_pictures import query_pictures
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.answers import trust_of, untrusted_note
 from lodbench.reporting.calibration_figures import draw_calibration
-from lodbench.reporting.flight_words import buildings_in_words, constants_in_words
+from lodbench.reporting.flight_words import constants_in_words, map_in_words
 from lodbench.reporting.page import Picture, facts, markup, rendered
 from lodbench.reporting.run_figures import (
     ErrorSample,
@@ -204,7 +204,7 @@ def _flights(verdict: Verdict) -> str:
     said = {
         name: [
             *constants_in_words(found.get("constants", {})),
-            *buildings_in_words(found.get("buildings", [])),
+            *map_in_words(found),
         ]
         for name, found in flight_findings(verdict).items()
     }
