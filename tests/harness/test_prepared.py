@@ -51,9 +51,13 @@ def assert_is(folder: Path, tiles: Path, lod: str | None = None) -> None:
 
 
 @pytest.mark.parametrize(
-    "executor", [ExecutorParams(), ExecutorParams("process", 2)], ids=["serial", "process"]
+    "executor",
+    [ExecutorParams(), ExecutorParams("process", 2), ExecutorParams("dask", 2)],
+    ids=["serial", "process", "dask"],
 )
 def test_as_read_at_once(tiles: Path, tmp_path: Path, executor: ExecutorParams) -> None:
+    if executor.name == "dask":
+        pytest.importorskip("distributed", reason="it comes with the extra [cluster]")
     steps: list[tuple[int, int]] = []
     compile_tiles(tiles, tmp_path / "a.scene", executor=executor, progress=lambda *step: steps.append(step))
     assert_is(tmp_path / "a.scene", tiles)
