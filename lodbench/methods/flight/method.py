@@ -17,10 +17,11 @@ from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.flight.consensus import flight_error
+from lodbench.methods.flight.corrected_map import corrected_map
 from lodbench.methods.flight.findings import findings_of
-from lodbench.methods.flight.joint import Solution, State, differences, photo_covariance, solve
+from lodbench.methods.flight.joint import CONSTANTS, Solution, State, differences, photo_covariance, solve
 from lodbench.methods.flight.params import Params
-from lodbench.methods.flight.photo_terms import PhotoTerms, photo_terms
+from lodbench.methods.flight.photo_terms import LENS, PhotoTerms, photo_terms
 from lodbench.methods.flight.reconstruction import placed
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.tracks import relative_poses
@@ -32,6 +33,8 @@ Floats = NDArray[np.float64]
 _REACHES_PX = (24.0, 4.0)
 # Steps in which photos find their places among each other, before any outline is looked at.
 _TIE_STEPS = 6
+# What photos have in common is this many sigmas from what was expected before all is believed less.
+_EXPECTED_SIGMAS = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +106,7 @@ class FlightMethod:
         state = State(
             vectors=priors,
             priors=priors,
-            roofs=RoofParts(self.params.part_width_m),
+            roofs=RoofParts(self.params.part_width_m, city_map.scene.num_buildings),
             buildings_m=np.zeros(city_map.scene.num_buildings),
             weights=np.ones(len(queries)),
         )
@@ -124,6 +127,9 @@ class FlightMethod:
         steps = self.params.steps
         reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
         for number, reach_px in enumerate(reaches):
+            if number in (steps // 2, steps):
+                drawn, state.roofs.drawn_m = corrected_map(city_map, state.roofs.building_heights())
+                aligners = [Aligner(query, drawn, photo) for query in queries]
             terms = [
                 photo_terms(aligner, vector, state.lens, state.roofs, reach_px, photo, self.params.trust())
                 for aligner, vector in zip(aligners, state.vectors, strict=True)
@@ -144,9 +150,18 @@ class FlightMethod:
         state.weights = np.where(lost, 0.0, 1.0)
         state.reasons = {k: _reason(terms[k], away[k], fits[k] < poor) for k in np.flatnonzero(lost).tolist()}
 
+    def _misfit(self, state: State) -> float:
+        """Returns by how much less all is known where photos agree on what masks and map can hardly be.
+
+        Masks that are all far too large, or roofs all far too high, stand for an error of another kind.
+        """
+        common = slice(6 + LENS - 1, CONSTANTS)
+        beyond = state.constants[common] / self.params.constant_sigmas()[common] / _EXPECTED_SIGMAS
+        return max(1.0, float((beyond**2).max()))
+
     def _estimate(self, aligned: _Aligned, row: int) -> Estimate:
         vector = aligned.state.vectors[row]
-        spread = photo_covariance(aligned.solution, row)
+        spread = photo_covariance(aligned.solution, row) * self._misfit(aligned.state)
         term = aligned.terms[row]
         return Estimate(
             pose=pose_from_vector(vector),

@@ -102,8 +102,9 @@ def photo_terms(
     rows = aligner.edges.rows[seen.buildings]
     # Where walls end has heights of its own, numbered apart from roofs.
     tops, feet = roofs.numbers_of(rows, seen.places), roofs.numbers_of(-1 - rows, seen.places)
-    # The map's silhouette stands where the map has its roofs: the heights found move it to first order.
-    lifted = seen.slopes[:, _TOP] * roofs.heights_m[tops] + seen.slopes[:, _FOOT] * roofs.heights_m[feet]
+    # The silhouette stands where roofs are drawn: the heights found move it from there, to first order.
+    lifted = seen.slopes[:, _TOP] * (roofs.heights_m[tops] - roofs.drawn_m[rows])
+    lifted = lifted + seen.slopes[:, _FOOT] * roofs.heights_m[feet]
     seen = replace(seen, distances=seen.distances + lifted)
     noise_px, weights = _outline_noise(seen, reach_px)
     parts, column = np.unique(np.stack([tops, feet]), return_inverse=True)

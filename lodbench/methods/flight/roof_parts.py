@@ -22,12 +22,16 @@ class RoofParts:
         heights_m: (N,) by how much each is higher than in the map, metres.
         building: (N,) row of the scene's building it belongs to.
 
+        drawn_m: (B,) by how much each building of the scene is drawn higher than the map has it, metres.
+
     Args:
         cell_m: Width of a part, metres.
+        buildings: Number of the scene's buildings.
     """
 
-    def __init__(self, cell_m: float) -> None:
+    def __init__(self, cell_m: float, buildings: int) -> None:
         self._cell_m = cell_m
+        self.drawn_m: Floats = np.zeros(buildings)
         self._numbers: dict[tuple[int, int], int] = {}
         self.heights_m: Floats = np.zeros(0)
         self.building: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
@@ -56,6 +60,13 @@ class RoofParts:
             self.heights_m = np.concatenate([self.heights_m, heights])
         numbers = np.array([self._numbers[pair] for pair in found], dtype=np.int64)
         return numbers[inverse.reshape(-1)]
+
+    def building_heights(self) -> Floats:
+        """Returns (B,) the mean height of each building's parts against the map, metres; 0 without any."""
+        is_roof = self.building >= 0
+        rows, heights = self.building[is_roof], self.heights_m[is_roof]
+        counts = np.bincount(rows, minlength=len(self.drawn_m))
+        return np.asarray(np.bincount(rows, heights, len(self.drawn_m)) / np.maximum(counts, 1))
 
     def _height_of(self, building: int) -> float:
         same = self.heights_m[self.building == building]

@@ -116,7 +116,7 @@ def test_parameters_out_of_range_are_refused(wrong):
 def random_problem(generator, photos=4):
     """Returns a state and terms with random curvatures over six parts of three buildings."""
     params = Params()
-    roofs = RoofParts(10.0)
+    roofs = RoofParts(10.0, 8)
     places = np.array([[5.0, 5.0], [15.0, 5.0]])
     for building in range(3):
         roofs.numbers_of(np.full(2, building), places)
@@ -205,7 +205,7 @@ def test_eliminating_photos_gives_what_the_dense_problem_does(seed):
 
 
 def test_parts_keep_their_numbers():
-    roofs = RoofParts(10.0)
+    roofs = RoofParts(10.0, 8)
     first = roofs.numbers_of(np.array([4, 4, 4]), np.array([[1.0, 1.0], [11.0, 1.0], [2.0, 3.0]]))
     assert first[0] == first[2] != first[1]
     roofs.heights_m[:] = [2.0, 4.0]
