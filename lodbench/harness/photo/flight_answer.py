@@ -29,6 +29,7 @@ class FlightAnswer:
         """Returns what the flight says of drone, camera and map."""
         lines = constants_in_words(self.findings.get("constants", {}))
         lines += map_in_words(self.findings)
+        lines += self.findings.get("notes", [])
         reasons = self.findings.get("reasons", {})
         for name in self.findings.get("lost", []):
             reason = f": {reasons[name]}" if name in reasons else ""

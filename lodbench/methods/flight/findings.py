@@ -14,6 +14,7 @@ from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.flight.gone_buildings import gone_buildings
 from lodbench.methods.flight.joint import (
     CONSTANTS,
+    FOCAL,
     ROOFS,
     Solution,
     State,
@@ -41,6 +42,8 @@ _NAMES = (
 )
 # Where photos narrow a number by less than this, they do not tell it.
 _TOLD = 0.7
+# A focal length that is not told, and whose error goes with the height's by more than this, is left alone.
+_HEIGHT, _ALIKE = 2, 0.5
 # A building's height is in doubt where it differs from the others' by so many metres and sigmas.
 _DOUBT_M, _DOUBT_SIGMAS = 1.0, 2.0
 
@@ -104,6 +107,16 @@ def findings_of(
         "lost": lost,
         "reasons": reasons,
     }
+
+
+def cannot_tell_focal(solution: Solution, params: Params) -> bool:
+    """Returns whether photos leave a longer lens and a higher flight alike: all look straight down."""
+    if params.focal == 0.0:
+        return False
+    spread = shared_covariance(solution, np.array([_HEIGHT, FOCAL]))
+    height, focal = np.sqrt(np.diag(spread))
+    is_told = focal < _TOLD * params.constant_sigmas()[FOCAL]
+    return bool(not is_told and abs(spread[0, 1]) > _ALIKE * height * focal)
 
 
 def _heights(state: State, solution: Solution) -> Iterator[tuple[int, float, float]]:

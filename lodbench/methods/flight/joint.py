@@ -30,7 +30,7 @@ Rows = NDArray[np.int64]
 
 # The shared numbers before the buildings': flight's error, lens, all roofs, all feet of walls.
 _FLIGHT, _LENS, ROOFS, _FEET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
-_FOCAL = 6
+FOCAL = 6
 # Degrees of freedom of what heights err by: most are right to a little, some wrong by much.
 _FREEDOM = 1.0
 # The longest step of a photo: a linearisation says little beyond it (metres, degrees).
@@ -141,7 +141,7 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
         if term is not None and state.weights[k] > 0:
             unknowns = np.concatenate([pose, shared + np.arange(6, 6 + LENS), parts + term.parts])
             equations.add(unknowns, state.weights[k] * term.information, state.weights[k] * term.gradient)
-    _add_relative_poses(equations, state, shared + _FOCAL, similarity)
+    _add_relative_poses(equations, state, shared + FOCAL, similarity)
     factorised, step = equations.solve()
     steps = step[:shared].reshape(-1, 6)
     longest = np.maximum(1.0, np.max(np.abs(steps) / _LONGEST_STEP, axis=1, initial=0.0))
@@ -155,7 +155,7 @@ def _add_relative_poses(equations: NormalEquations, state: State, focal: int, si
     derivatives = [rotation_derivatives(vector) for vector in state.vectors]
     for tie in state.ties:
         unknowns = np.concatenate([np.arange(6) + 6 * tie.first, np.arange(6) + 6 * tie.second, [focal]])
-        residuals, jacobian = tie.linearize(state.vectors, derivatives, state.constants[_FOCAL])
+        residuals, jacobian = tie.linearize(state.vectors, derivatives, state.constants[FOCAL])
         equations.add_residuals(unknowns, jacobian, residuals, tie.weighted_information(residuals))
     if state.reconstruction is not None:
         shared = similarity + np.arange(SIMILARITY)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,16 @@ from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vec
 from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.flight.consensus import flight_error
 from lodbench.methods.flight.corrected_map import corrected_map
-from lodbench.methods.flight.findings import findings_of
-from lodbench.methods.flight.joint import CONSTANTS, Solution, State, differences, photo_covariance, solve
+from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
+from lodbench.methods.flight.joint import (
+    CONSTANTS,
+    FOCAL,
+    Solution,
+    State,
+    differences,
+    photo_covariance,
+    solve,
+)
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms, photo_terms
 from lodbench.methods.flight.reconstruction import placed
@@ -33,6 +41,9 @@ Floats = NDArray[np.float64]
 _REACHES_PX = (24.0, 4.0)
 # Steps in which photos find their places among each other, before any outline is looked at.
 _TIE_STEPS = 6
+_SAME_SCALE = (
+    "focal length and height cannot be told apart by these photos: the focal length is left as stated"
+)
 # What photos have in common is this many sigmas from what was expected before all is believed less.
 _EXPECTED_SIGMAS = 2.0
 
@@ -96,6 +107,15 @@ class FlightMethod:
         )
         offset, _ = flight_error(queries, start.vectors, offsets, city_map, self.params)
         aligned = self._align(queries, start.shifted(offset), city_map)
+        if cannot_tell_focal(aligned.solution, self.params):
+            held = FlightMethod(replace(self.params, focal=0.0))
+            aligned.state.constants[FOCAL] = 0.0
+            found = held._finished(queries, held._align(queries, aligned.state, city_map), city_map)
+            found.findings["notes"] = [_SAME_SCALE]
+            return found
+        return self._finished(queries, aligned, city_map)
+
+    def _finished(self, queries: Sequence[Query], aligned: _Aligned, city_map: CityMap) -> FlightEstimate:
         estimates = [self._estimate(aligned, row) for row in range(len(queries))]
         found = findings_of(aligned.state, aligned.solution, aligned.terms, queries, city_map, self.params)
         return FlightEstimate(estimates, found)
