@@ -22,15 +22,18 @@ class Progress:
         total: Number of items; None where nobody knows it.
         stream: Where to draw, standard error by default.
         unit: What the items are, where the label does not say it: ``MB``.
+        done: Items that were finished before, by an earlier process.
     """
 
-    def __init__(self, label: str, total: int | None, stream: TextIO | None = None, unit: str = "") -> None:
+    def __init__(
+        self, label: str, total: int | None, stream: TextIO | None = None, unit: str = "", done: int = 0
+    ) -> None:
         self._label, self._total, self._unit = label, total, f" {unit}" if unit else ""
         self._stream = stream if stream is not None else sys.stderr
-        self._done = 0
+        self._done = done
         self._first: tuple[int, float] | None = None
         self._logged = time.monotonic()
-        self._bar = _bar(label, total, self._stream, self._unit)
+        self._bar = _bar(label, total, self._stream, self._unit, done)
 
     def __enter__(self) -> Progress:
         return self
@@ -69,7 +72,7 @@ class Progress:
         return f"{format_seconds(took_s / count * max(self._total - self._done, 0))} left"
 
 
-def _bar(label: str, total: int | None, stream: TextIO, unit: str) -> Any:
+def _bar(label: str, total: int | None, stream: TextIO, unit: str, done: int) -> Any:
     """Returns tqdm's bar for a notebook or a terminal; None for a log, and where there is nothing to do."""
     is_notebook = "ipykernel" in sys.modules and stream is sys.stderr
     if total == 0 or not (is_notebook or stream.isatty()):
@@ -81,7 +84,13 @@ def _bar(label: str, total: int | None, stream: TextIO, unit: str) -> Any:
     shape = "{desc}: {n_fmt}" if total is None else "{desc}: {n_fmt} of {total_fmt}"
     ending = f"{unit}, {{elapsed}}" if total is None else f"{unit} |{{bar}}|{{postfix}}"
     return tqdm(
-        total=total, desc=label, file=stream, leave=False, dynamic_ncols=True, bar_format=shape + ending
+        total=total,
+        initial=done,
+        desc=label,
+        file=stream,
+        leave=False,
+        dynamic_ncols=True,
+        bar_format=shape + ending,
     )
 
 

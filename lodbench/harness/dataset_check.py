@@ -181,6 +181,7 @@ def _check_place(dataset: Dataset, scene: Scene, findings: Findings) -> None:
     """Looks whether the poses are in the city's coordinates, and the priors near it."""
     if dataset.crs is not None and scene.crs is not None and not is_same_plane(dataset.crs, scene.crs):
         findings.add(CRS_DIFFERS, dataset.name, f"{dataset.crs}, city model {scene.crs}")
+        return  # a distance between coordinates of two systems is none
     for entry in dataset.entries:
         away = 0.0 if entry.prior is None else distance_outside_m(entry.prior, scene)
         if away > FURTHEST_M:

@@ -52,6 +52,15 @@ class TestProgress:
         assert "4 min 04 s left" in screen.getvalue()
         assert not re.search(r"\d h \d+ min left", screen.getvalue())
 
+    def test_what_was_there_already_is_no_pace(self, monkeypatch):
+        log = io.StringIO()
+        clock = iter([0.0, 190.0, 255.0])
+        monkeypatch.setattr("lodbench.execution.progress.time.monotonic", lambda: next(clock))
+        with Progress("queries", 40, log, done=10) as progress:
+            progress.advance()
+            progress.advance()
+        assert log.getvalue().splitlines() == ["queries: 11 of 40", "queries: 12 of 40, 30 min 20 s left"]
+
     def test_an_unknown_total_is_not_made_up(self, monkeypatch):
         log = io.StringIO()
         clock = iter([0.0, 61.0])

@@ -111,8 +111,8 @@ def predict(
     waiting = [e for e in entries if e.key not in stored or (retries_failed and stored[e.key]["failure"])]
     again = {entry.key for entry in waiting}
     batches = _batches(work.method, entries, waiting)
-    with Progress(f"{work.method.name} on {work.dataset.name}", len(entries)) as progress:
-        progress.advance(len(entries) - len(waiting))
+    label, done = f"{work.method.name} on {work.dataset.name}", len(entries) - len(waiting)
+    with Progress(label, len(entries), done=done) as progress:
         answers: Iterator[list[tuple[str, dict[str, Any]]]]
         if executor.name == SERIAL:
             _warm_up(city_map)
