@@ -6,6 +6,9 @@ from typing import Any
 
 from lodbench.citymodel.crs import epsg_codes
 
+# Attributes that CityJSON takes a single text for.
+ONE_TEXT = ("class", "function", "usage")
+
 
 def listed(value: Any) -> list[Any]:
     """Returns a list as it is, and anything else as a list of one."""
@@ -14,7 +17,7 @@ def listed(value: Any) -> list[Any]:
 
 def fitting(key: str, value: Any) -> Any:
     """Returns an attribute of the type that CityJSON asks for, where it asks for one and it can be."""
-    if key in ("class", "function", "usage"):
+    if key in ONE_TEXT:
         return ", ".join(map(str, listed(value)))
     if key.startswith("storeyHeights") and isinstance(value, int | float):
         return [value]

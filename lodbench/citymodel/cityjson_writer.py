@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.cityjson_textures import TextureWriter
-from lodbench.citymodel.cityjson_values import fitting, listed, reference_system
+from lodbench.citymodel.cityjson_values import ONE_TEXT, fitting, listed, reference_system
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.objects import CityObjects
 from lodbench.citymodel.pictures import counted_lines
@@ -160,6 +160,9 @@ class _Writer:
                 item["address"] = [self._address(one) for one in listed(address)]
             if attributes:
                 item["attributes"] = {key: fitting(key, value) for key, value in attributes.items()}
+                for key in ONE_TEXT:
+                    if len(listed(attributes.get(key, ""))) > 1:
+                        self.notes[f"several values of {key!r} joined to one text, as CityJSON asks for"] += 1
             children = [table.ids[k] for k in members if table.parents[k] == n]
             if children:
                 item["children"] = children

@@ -28,6 +28,10 @@ _MAX_MEMBER_BYTES = 1 << 28
 _PROLOG_DOCTYPE = re.compile(
     rb"\A(?:\xef\xbb\xbf|\xff\xfe|\xfe\xff)?(?:\s|<\?.*?\?>|<!--.*?-->)*<!DOCTYPE", re.DOTALL
 )
+# What libxml2 says of a text of single bytes that calls itself UTF-16 depends on where the text breaks.
+_WIDE_LABEL = re.compile(
+    rb"\A(?:\xef\xbb\xbf)?<\?xml[^>]*encoding=[\"'](?:utf-?(?:16|32)|ucs)", re.IGNORECASE
+)
 _NAMESPACE_ERRORS = frozenset({"NS_ERR_UNDEFINED_NAMESPACE"})
 
 
@@ -78,6 +82,7 @@ class XmlMembers:
         self._findings = findings
         self._offset = 0
         self._logged = 0
+        self._is_mislabelled = False
         self._parser = etree.XMLPullParser(
             events=("end",),
             tag=tuple("{*}" + name for name in member_names),
@@ -104,6 +109,8 @@ class XmlMembers:
         while chunk := self._stream.read(_CHUNK_BYTES):
             if self._offset == 0 and _PROLOG_DOCTYPE.match(chunk.replace(b"\0", b"")):
                 raise self._doctype_error()
+            if self._offset == 0:
+                self._is_mislabelled = _WIDE_LABEL.match(chunk) is not None
             self._offset += len(chunk)
             pending += len(chunk)
             self._feed(chunk)
@@ -185,7 +192,7 @@ class XmlMembers:
     def _fault(self, line: int, message: str) -> CityModelError:
         where = f"line {line}, before byte {self._offset}"
         hint = "The file is damaged or cut off: download or export it again."
-        if "encoding" in message.lower() or "labelled UTF" in message:
+        if self._is_mislabelled or "encoding" in message.lower():
             hint = "The bytes are not in the encoding the first line of the file names."
         elif message.startswith("Entity '"):
             hint = "City models need no entities."

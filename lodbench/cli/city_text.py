@@ -23,7 +23,8 @@ def format_info(name: str, info: dict[str, Any]) -> str:
     """
     x, y, z = info["extent_m"]
     place = info["center_lat_lon"]
-    parts = f", and {info['parts']:,} building parts" if info["parts"] else ""
+    noun = "building part" if info["parts"] == 1 else "building parts"
+    parts = f", and {info['parts']:,} {noun}" if info["parts"] else ""
     lines = [
         name,
         f"format     {info['format']} {info['version'] or ''}".rstrip(),

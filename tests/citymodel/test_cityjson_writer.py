@@ -112,3 +112,13 @@ def test_two_buildings_of_one_key(tmp_path: Path) -> None:
     assert model.building_ids == ("house", "house~2")
     assert model.findings.counts()["LB205 DUPLICATE_ID"] == 1
     assert mesh_model(model).area_m2 == pytest.approx(2 * (2 * 10 * 10 + 4 * 10 * 6))
+
+
+def test_several_functions_are_told(tmp_path: Path) -> None:
+    functions = "".join(f"<bldg:function>{code}</bldg:function>" for code in (1000, 2000))
+    text = city(member(functions + multi_surface(surface_members(map(polygon, box_rings())))))
+    model = read_city_model(write(tmp_path / "a.gml", text), options=DETAILS)
+    done = convert_city(model, tmp_path / "a.city.json")
+    assert done.left_out == ("several values of 'function' joined to one text, as CityJSON asks for",)
+    told = json.loads((tmp_path / "a.city.json").read_text())["CityObjects"]["b1"]["attributes"]
+    assert told["function"] == "1000, 2000"

@@ -131,3 +131,12 @@ def test_tag_parts() -> None:
     assert local_name("{urn:x}b") == "b"
     assert local_name("b") == "b"
     assert namespace_of("b") == ""
+
+
+@pytest.mark.parametrize("gap", ["", "\n", "\n\n  "])
+@pytest.mark.parametrize("label", ["UTF-16", "utf-16le", "UTF-32"])
+def test_single_bytes_that_call_themselves_wide(label: str, gap: str) -> None:
+    text = f'<?xml version="1.0" encoding="{label}"?>{gap}<a><m><b/></m></a>'
+    with pytest.raises(CityModelError, match="not well-formed") as fault:
+        names(text.encode())
+    assert "not in the encoding" in fault.value.hint
