@@ -50,7 +50,7 @@ def measure_reconstructions(
     """Returns how far off the cameras of georeferenced reconstructions are, flight by flight.
 
     Args:
-        flights: The city and its flights; one of each kind of path is drawn of each seed.
+        flights: The city and its flights; of each seed one is drawn, or if no path is named one of each kind.
         seeds: Each draws flights of its own.
         noise: Of the reconstructions.
         progress: Called after each flight.
@@ -59,8 +59,9 @@ def measure_reconstructions(
         LodbenchError: The city cannot be read, or a flight cannot be drawn.
     """
     rows = [["path", "seed", "median m", "median deg", "worst m", "off m", "sigma m", "start m"]]
-    medians, count = [], len(seeds) * len(PATHS)
-    for number, (seed, path) in enumerate((seed, path) for seed in seeds for path in PATHS):
+    paths = list(PATHS) if flights.path is None else [flights.path]
+    medians, count = [], len(seeds) * len(paths)
+    for number, (seed, path) in enumerate((seed, path) for seed in seeds for path in paths):
         drawn = replace(flights, num_flights=1, path=path, flights_seed=seed)
         try:
             numbers = _placed(drawn, noise)

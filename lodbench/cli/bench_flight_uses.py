@@ -12,6 +12,7 @@ from lodbench.bench.tracking import TrackingOptions, measure_tracking
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.execution import ProgressCallback
 from lodbench.synthesis.flights.dataset import FlightsParams
+from lodbench.synthesis.flights.paths import PATHS
 
 
 def add_uses(actions: Any) -> tuple[argparse.ArgumentParser, ...]:
@@ -21,6 +22,7 @@ def add_uses(actions: Any) -> tuple[argparse.ArgumentParser, ...]:
     placed.add_argument("--mask-iou", type=float, default=0.88, help="of the degraded masks (0.88)")
     placed.add_argument("--noise-m", type=float, default=0.1, help="of a reconstruction's places (0.1)")
     placed.add_argument("--noise-deg", type=float, default=0.05, help="of its directions (0.05)")
+    placed.add_argument("--path", choices=tuple(PATHS), help="how they fly (each kind)")
     placed.add_argument("--map-lod", help="level of detail to place it in (the lowest)")
     placed.add_argument("--mask-lod", help="that masks are drawn from, or finest (the map's)")
     tracked = actions.add_parser("tracking", help="drawn frames from pixels to poses, and how many a second")
@@ -42,6 +44,7 @@ def measure_georeference(options: argparse.Namespace, steps: ProgressCallback) -
     flights = FlightsParams(
         str(options.city),
         num_photos=options.photos,
+        path=options.path,
         mask_iou=options.mask_iou,
         lod=options.map_lod,
         mask_lod=options.mask_lod,

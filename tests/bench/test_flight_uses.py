@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lodbench.bench import reconstructions
 from lodbench.bench.reconstructions import Noise, measure_reconstructions
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
 from lodbench.synthesis.flights.dataset import FlightsParams
-from lodbench.synthesis.flights.paths import PATHS
 from tests.town import box_obj
 
 
@@ -20,9 +18,8 @@ def city(tmp_path):
     return path
 
 
-def test_a_reconstruction_is_placed_again(city, monkeypatch):
-    monkeypatch.setattr(reconstructions, "PATHS", {"orbit": PATHS["orbit"]})
-    flights = FlightsParams(str(city), num_photos=5, mask_iou=0.97)
+def test_a_reconstruction_is_placed_again(city):
+    flights = FlightsParams(str(city), num_photos=5, path="orbit", mask_iou=0.97)
     report = measure_reconstructions(flights, [4], Noise(0.02, 0.01))
     error, placed = report.figures
     assert (placed.value, placed.peer) == (1, "of 1")
