@@ -68,6 +68,11 @@ def is_without_truth(failure: str) -> bool:
     return failure.startswith(NO_TRUTH)
 
 
+def own_failure(failure: str) -> str:
+    """Returns a row's reason without the words that nothing is known to compare with."""
+    return failure.removeprefix(NO_TRUTH).removeprefix("; ")
+
+
 def summarize_queries(
     queries: pd.DataFrame, split: str, thresholds: Sequence[Threshold] = DEFAULT_THRESHOLDS
 ) -> tuple[SplitSummary, SplitSummary]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from lodbench.datasets.pose_text import format_pose, read_poses
 from tests.reporting.browser import PHONE, column_texts, fits, opened, press
 from tests.town import box_obj, write_dataset
 
@@ -125,6 +127,25 @@ def test_without_a_truth_the_page_has_the_answers_and_no_empty_table(lodbench, t
         assert {"x m", "from the prior m", "probability", "trust"} <= {head.split(" ↕")[0] for head in heads}
         assert page.locator("main img").count() == page.locator("g.spot").count() == 3
         assert complaints == []
+
+
+def test_a_query_that_failed_without_a_truth_says_why_and_leaves_the_map_in_scale(lodbench, tmp_path):
+    root, _ = write_dataset(tmp_path / "mine", count=3)
+    (root / "GT_pose.txt").unlink()
+    (root / "dataset.json").write_text('{"truth": false, "city_model": "../city.obj"}')
+    poses = read_poses(root / "GPS_pose.txt")
+    far = {
+        name: pose.shifted(np.array([3e4, 0, 0])) if "01" in name else pose for name, pose in poses.items()
+    }
+    (root / "GPS_pose.txt").write_text("".join(f"{format_pose(*each)}\n" for each in far.items()))
+    done = lodbench("run", "dataset=folder", f"dataset.root={root}", "method=prior_only")
+    why = re.search(r"1 x (the prior lies [\d.]+ km outside the city model)", done.stdout)[1]
+    folder = tmp_path / re.search(r"results:\s+(\S+)", done.stdout)[1]
+    assert lodbench("report", str(folder)).returncode == 0
+    page = (folder / "report.html").read_text()
+    assert "no true pose" not in page
+    assert page.count(why) >= 3
+    assert float(re.search(r'<svg viewBox="\S+ \S+ (\S+) ', page)[1]) < 1000
 
 
 def test_a_changed_summary_is_said_on_the_page_and_by_the_exit_code(lodbench, tmp_path, data):

@@ -12,9 +12,9 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Entry
 from lodbench.errors import LodbenchError
-from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, is_without_truth
+from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, own_failure
 from lodbench.geometry import Pose
-from lodbench.harness.city import open_city
+from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.answers import trust_of
@@ -54,7 +54,7 @@ def draw_places(verdict: Verdict, scene: Scene | None, tilt: str, view: str) -> 
 
     spots = []
     for entry in verdict.entries:
-        prior, estimate, truth = map(place, _poses(verdict, entry, tilt))
+        prior, estimate, truth = map(place, _poses(verdict, entry, tilt, scene))
         found = verdict.stored.predictions.get(entry.key)
         spots.append(Spot(entry.key, prior, estimate, truth, "-" if found is None else trust_of(found)))
     if scene is None:
@@ -74,7 +74,8 @@ def view_of_run(verdict: Verdict, scene: Scene, tilt: str, title: str) -> str:
     cameras = []
     for number, entry in enumerate(verdict.entries):
         prior, estimate, truth = (
-            None if pose is None else pose.shifted(-scene.origin) for pose in _poses(verdict, entry, tilt)
+            None if pose is None else pose.shifted(-scene.origin)
+            for pose in _poses(verdict, entry, tilt, scene)
         )
         photo = read_picture(entry.image) if number < MAX_PHOTOS and entry.image is not None else None
         jpeg = None if photo is None else photo_jpeg(photo)
@@ -83,11 +84,19 @@ def view_of_run(verdict: Verdict, scene: Scene, tilt: str, title: str) -> str:
     return draw_view3d(title, scene, cameras)
 
 
-def _poses(verdict: Verdict, entry: Entry, tilt: str) -> tuple[Pose | None, Pose | None, Pose | None]:
-    """Returns prior, estimate and truth of a query, in the dataset's coordinates."""
+def _poses(
+    verdict: Verdict, entry: Entry, tilt: str, scene: Scene | None
+) -> tuple[Pose | None, Pose | None, Pose | None]:
+    """Returns prior, estimate and truth of a query, in the dataset's coordinates.
+
+    An unanswered query's prior kilometres outside the city is left out: all else would shrink to a dot.
+    """
     assert verdict.dataset is not None  # noqa: S101 - there are entries
-    prior = prior_of(entry, verdict.dataset, tilt)
-    return prior, verdict.stored.poses.get(entry.key), verdict.dataset.truth.get(entry.key)
+    prior, estimate = prior_of(entry, verdict.dataset, tilt), verdict.stored.poses.get(entry.key)
+    is_lost = estimate is None and prior is not None and scene is not None
+    if is_lost and distance_outside_m(prior, scene) > FURTHEST_M:  # type: ignore[arg-type]
+        prior = None
+    return prior, estimate, verdict.dataset.truth.get(entry.key)
 
 
 def _facts(verdict: Verdict, key: str) -> dict[str, str]:
@@ -101,10 +110,7 @@ def _facts(verdict: Verdict, key: str) -> dict[str, str]:
         facts |= {"score": "" if found.score is None else f"{found.score:.3f}", "trust": trust_of(found)}
         if found.probability is not None:
             facts["sure"] = f"{100 * found.probability:.0f} %"
-    reason = str(row["failure"])
-    if reason and not is_without_truth(reason):
-        facts["failure"] = reason
-    return facts
+    return {**facts, "failure": own_failure(str(row["failure"]))}
 
 
 def _error(row: pd.Series[Any], columns: tuple[str, ...]) -> str:

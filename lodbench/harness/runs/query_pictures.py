@@ -9,7 +9,7 @@ import numpy as np
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Entry
-from lodbench.evaluation.queries import ERROR, has_truth
+from lodbench.evaluation.queries import ERROR, has_truth, own_failure
 from lodbench.execution import Progress
 from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import prior_of
@@ -83,7 +83,7 @@ def _shown(verdict: Verdict, scene: Scene, tilt: str, entry: Entry) -> OverlayIn
 def _caption(verdict: Verdict, row: pd.Series[Any]) -> str:
     found = verdict.stored.predictions.get(str(row.name))
     if found is None or found.pose is None:
-        return f"{row.name}: {row['failure']}"
+        return f"{row.name}: {own_failure(row['failure'])}"
     metres, degrees = row[list(ERROR)]
     words = [] if math.isnan(metres) else [f"{metres:.2f} m, {degrees:.2f} deg"]
     words += [] if math.isnan(row["score"]) else [f"score {row['score']:.3f}"]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from lodbench.citymodel.scene import Scene
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.calibration import calibrate
-from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, is_without_truth, of_split
+from lodbench.evaluation.queries import ERROR, PARTS, PRIOR_ERROR, has_truth, of_split, own_failure
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.harness.runs.flight_pages import flight_findings
 from lodbench.harness.runs.gallery import chosen_queries
@@ -138,7 +139,7 @@ def _query_table(verdict: Verdict, tilt: str) -> str:
     frame = queries.assign(trust=[_trust(verdict, str(key)) for key in queries.index])
     if not is_scored:
         # That there is no truth is no failure of an answer.
-        frame["failure"] = frame["failure"].where(~frame["failure"].map(is_without_truth).astype(bool), "")
+        frame["failure"] = frame["failure"].map(own_failure)
         frame = frame.join(_answers(verdict, tilt))
     first = (("query", "query", ""),) + ((("split", "split", ""),) if queries["split"].nunique() > 1 else ())
     columns = [*first, *(_SCORED_COLUMNS if is_scored else _ANSWER_COLUMNS), *_LAST_COLUMNS]
@@ -149,6 +150,14 @@ def _query_table(verdict: Verdict, tilt: str) -> str:
 
 def _holds_anything(cells: pd.Series[Any]) -> bool:
     return bool((cells.ne("") & cells.ne("-")).any() if cells.dtype == object else cells.notna().any())
+
+
+def _failures(verdict: Verdict) -> Mapping[str, int]:
+    """Returns how many queries failed, by reason; that there is no truth is none."""
+    stored = verdict.stored
+    if has_truth(stored.queries).any():
+        return dict(stored.summary["failures"])
+    return Counter(filter(None, stored.queries["failure"].map(own_failure)))
 
 
 def _trust(verdict: Verdict, key: str) -> str:
@@ -236,12 +245,7 @@ def _provenance(verdict: Verdict) -> str:
     shown["run"] = stored.folder.resolve().name
     inputs = stored.summary["dataset"].items()
     shown |= {f"{key} digest": value for key, value in inputs if key not in ("name", "version")}
-    is_scored = has_truth(stored.queries).any()
-    failures = {
-        reason: f"{count} queries"
-        for reason, count in stored.summary["failures"].items()
-        if is_scored or not is_without_truth(reason)
-    }
+    failures = {reason: f"{count} queries" for reason, count in _failures(verdict).items()}
     return rendered(
         "provenance.html.jinja",
         facts=facts(shown),
