@@ -69,7 +69,12 @@ def is_without_truth(failure: str) -> bool:
 
 
 def own_failure(failure: str) -> str:
-    """Returns a row's reason without the words that nothing is known to compare with."""
+    """Returns a row's reason without the words that nothing is known to compare with.
+
+    Example:
+        >>> own_failure(f"{NO_TRUTH}; no match"), own_failure(NO_TRUTH), own_failure("no match")
+        ('no match', '', 'no match')
+    """
     return failure.removeprefix(NO_TRUTH).removeprefix("; ")
 
 

@@ -15,7 +15,7 @@ from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm
 from lodbench.datasets.exchange.tum import write_tum
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.evaluation.queries import is_without_truth, queries_csv
+from lodbench.evaluation.queries import own_failure, queries_csv
 from lodbench.harness.export.export import CRS, DATASET, Export
 from lodbench.harness.runs.stored import StoredRun
 from lodbench.storage import write_bytes, write_text
@@ -176,11 +176,15 @@ def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
     features = []
     for key, row in run.queries.iterrows():
         stated: dict[str, Any] = {"name": row["query"], "split": row["split"]}
-        numbers = ("score", "translation_error_m", "rotation_error_deg") if key in run.poses else ("score",)
+        numbers = (
+            ("score", "probability", "translation_error_m", "rotation_error_deg")
+            if key in run.poses
+            else ("score",)
+        )
         stated |= {name: round(row[name], 4) for name in numbers if math.isfinite(row[name])}
         # A pose with nothing to compare it with has not failed.
-        if row["failure"] and not is_without_truth(row["failure"]):
-            stated["failure"] = row["failure"]
+        if reason := own_failure(row["failure"]):
+            stated["failure"] = reason
         pose = run.poses.get(str(key))
         features.append(nowhere_feature(stated) if pose is None else camera_feature(frame, pose, stated))
     return features
