@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import BUILDING_EMPTY, NOT_A_BUILDING
 from lodbench.citymodel.gml_batch import read_batch
-from lodbench.citymodel.gml_context import owner_of
+from lodbench.citymodel.gml_context import envelope_srs, gml_id, is_inside, owner_of
 from lodbench.citymodel.gml_details import SolidReader, read_attributes
 from lodbench.citymodel.gml_links import LinkResolver
 from lodbench.citymodel.gml_names import (
-    GML_IDS,
     MEMBERS,
     NESTED_TYPES,
     is_citygml,
@@ -150,21 +149,21 @@ class _Reader:
         namespaces = [namespace_of(root.tag), *(root.nsmap or {}).values()]
         versions = [ns.rpartition("/")[2] for ns in namespaces if "opengis.net/citygml/" in (ns or "")]
         self._version = versions[0] if versions else ""
-        self._srs_name = _envelope_srs(root) or root.get("srsName")
+        self._srs_name = envelope_srs(root) or root.get("srsName")
 
     def _read_member(self, member: Element) -> None:
         self.walk.begin_member()
         met: list[tuple[Element, dict[Element, int], int]] = []
         for element in member.iter(*self._wanted):
             type_ = local_name(element.tag)
-            if not is_citygml(element.tag) or (type_ != "Building" and _is_inside(element, met)):
+            if not is_citygml(element.tag) or (type_ != "Building" and is_inside(element, met)):
                 continue
             number = len(self._building_ids)
-            building_id = _gml_id(element) or f"{type_.lower()}-{number + 1}"
+            building_id = gml_id(element) or f"{type_.lower()}-{number + 1}"
             self._building_ids.append(building_id)
             attributes = read_attributes(element) if self._objects.has_details else None
             own = self._objects.add(building_id, _JSON_TYPES.get(type_, type_), -1, number, attributes)
-            srs_name = _envelope_srs(element) or self._srs_name
+            srs_name = envelope_srs(element) or self._srs_name
             before = len(self.walk.batch.owners), len(self.walk.references)
             part_of = self.walk.walk_building(
                 element, number, building_id, srs_name, own, partial(self._add_nested, element, own)
@@ -196,7 +195,7 @@ class _Reader:
         table = self._objects
         name = local_name(nested.tag)
         parent = owner_of(nested, building, part_of, own)
-        object_id = _gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
+        object_id = gml_id(nested) or f"{table.ids[own]}-{name}-{len(part_of) + 1}"
         attributes = read_attributes(nested) if table.has_details else None
         return table.add(object_id, NESTED_TYPES[name], parent, table.building[own], attributes)
 
@@ -259,26 +258,3 @@ class _Reader:
             picture=picture,
             uv=uv,
         )
-
-
-def _is_inside(element: Element, met: list[tuple[Element, dict[Element, int], int]]) -> bool:
-    """Tells whether an element stands inside of one that was met, as terrain does inside of terrain."""
-    above = set(element.iterancestors())
-    return any(other in above for other, _, _ in met)
-
-
-def _gml_id(element: Element) -> str | None:
-    for name in GML_IDS:
-        value = element.get(name)
-        if value is not None:
-            return str(value)
-    return None
-
-
-def _envelope_srs(element: Element) -> str | None:
-    """Returns the srsName of an element's own ``boundedBy/Envelope``, if it has one."""
-    for child in element.iterchildren("{*}boundedBy"):
-        for envelope in child.iterchildren("{*}Envelope"):
-            name = envelope.get("srsName")
-            return None if name is None else str(name).strip()
-    return None

@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.cityjson_semantics import DEPTHS, flatten, surface_kinds
 from lodbench.citymodel.cityjson_textures import TextureReader
 from lodbench.citymodel.codes import BAD_INDEX, GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED, SEMANTICS_MISFIT
 from lodbench.citymodel.collect import PolygonCollector
-from lodbench.citymodel.gml_names import INTERIOR_NAMES, SURFACE_KINDS
-from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.objects import ObjectTable
 from lodbench.errors import CityModelError
 
-# How many lists of lists stand around a surface.
-_DEPTHS = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2, "CompositeSolid": 2}
 _WITHOUT_SURFACES = frozenset({"MultiPoint", "MultiLineString"})
 
 
@@ -63,7 +60,7 @@ class GeometryReader:
         findings = self._collector.findings
         if kind == "GeometryInstance":
             self._read_instance(geometry, building, object_id, is_interior, part)
-        elif kind in _DEPTHS:
+        elif kind in DEPTHS:
             if not self._read_surfaces(geometry, building, object_id, is_interior, part):
                 findings.add(GEOMETRY_EMPTY, object_id, f"{kind} of LoD{geometry.get('lod')}")
         elif kind not in _WITHOUT_SURFACES:
@@ -126,13 +123,13 @@ class GeometryReader:
         """Adds the surfaces of a geometry; returns how many it has, sound or not."""
         collector, indices = self._collector, self._indices
         lod = collector.lod_index(lod_name(geometry.get("lod", "")))
-        surfaces = _flatten(geometry["boundaries"], _DEPTHS[geometry["type"]])
+        surfaces = flatten(geometry["boundaries"], DEPTHS[geometry["type"]])
         kinds, oddity = surface_kinds(geometry, len(surfaces), is_interior)
         if oddity:
             collector.findings.add(SEMANTICS_MISFIT, object_id, f"LoD{geometry.get('lod')}: {oddity}")
         self._objects.append((len(collector.ring_counts), object_id))
         if self._textures is not None and "texture" in geometry:
-            surfaces_painted = self._textures.read(geometry, surfaces, _DEPTHS[geometry["type"]])
+            surfaces_painted = self._textures.read(geometry, surfaces, DEPTHS[geometry["type"]])
             collector.painted |= {len(collector.owners) + n: one for n, one in surfaces_painted.items()}
         collector.owners += [(building, lod, kind, part) for kind in kinds]
         if collector.objects is not None and collector.objects.has_details:
@@ -149,7 +146,7 @@ class GeometryReader:
         first = table.num_polygons
         table.num_polygons += count
         serials += range(first, first + count)
-        depth = _DEPTHS[geometry["type"]]
+        depth = DEPTHS[geometry["type"]]
         if depth == 0:
             return
         composite = -1
@@ -206,67 +203,3 @@ def lod_name(value: Any) -> str:
     """
     text = str(value).strip()
     return text.removesuffix(".0")
-
-
-def surface_kinds(geometry: dict[str, Any], num_surfaces: int, is_interior: bool) -> tuple[list[int], str]:
-    """Returns the ``SurfaceKind`` of each surface, in the order of the boundaries, and what is odd about it.
-
-    Labels nested otherwise than the surfaces are taken in their order where their number fits.
-    """
-    if is_interior:
-        return [int(SurfaceKind.INTERIOR)] * num_surfaces, ""
-    unknown = [int(SurfaceKind.UNKNOWN)] * num_surfaces
-    semantics = geometry.get("semantics")
-    if not isinstance(semantics, dict) or not semantics.get("values"):
-        return unknown, ""
-    names = [str(surface.get("type")) for surface in semantics.get("surfaces", ())]
-    known = [int(SurfaceKind.INTERIOR if n in INTERIOR_NAMES else SURFACE_KINDS.get(n, 0)) for n in names]
-    values, is_aligned = _labels(semantics["values"], geometry["boundaries"], _DEPTHS[geometry["type"]])
-    if len(values) != num_surfaces:
-        return unknown, f"{len(values)} labels of {num_surfaces} surfaces: none is taken"
-    if set(map(type, values)) == {int} and 0 <= min(values) and max(values) < len(known):
-        kinds, num_lost = [known[v] for v in values], 0
-    else:
-        kinds = [known[v] if type(v) is int and 0 <= v < len(known) else 0 for v in values]
-        num_lost = sum(v is not None and not (type(v) is int and 0 <= v < len(known)) for v in values)
-    if num_lost:
-        return kinds, f"{num_lost} of {num_surfaces} labels name no surface type of the geometry"
-    return kinds, "" if is_aligned else f"{num_surfaces} labels nested otherwise, taken in their order"
-
-
-def _labels(values: Any, boundaries: list[Any], depth: int) -> tuple[list[Any], bool]:
-    """Returns the labels in the order of the surfaces, and whether they are nested as the surfaces are."""
-    flat: list[Any] = []
-    if _align(values, boundaries, depth, flat):
-        return flat, True
-    flat.clear()
-    stack = [iter(values)] if isinstance(values, list) else []
-    while stack:
-        value = next(stack[-1], stack)
-        if value is stack:
-            stack.pop()
-        elif isinstance(value, list):
-            stack.append(iter(value))
-        else:
-            flat.append(value)
-    return flat, False
-
-
-def _align(values: Any, boundaries: list[Any], depth: int, flat: list[Any]) -> bool:
-    """Appends one label per surface, None for those below a null; tells whether the nesting agrees."""
-    if values is None:
-        flat += [None] * len(_flatten(boundaries, depth))
-        return True
-    if not isinstance(values, list) or len(values) != len(boundaries):
-        return False
-    if depth:
-        return all(_align(v, b, depth - 1, flat) for v, b in zip(values, boundaries, strict=True))
-    flat += values
-    return list not in set(map(type, values))
-
-
-def _flatten(boundaries: list[Any], depth: int) -> list[Any]:
-    """Returns the surfaces of a solid or of several."""
-    for _ in range(depth):
-        boundaries = list(chain.from_iterable(boundaries))
-    return boundaries

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from lodbench.citymodel.codes import LOD_DERIVED, LOD_UNDERIVABLE
 from lodbench.citymodel.extrude import extrude
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
+from lodbench.citymodel.newell import newell
 from lodbench.citymodel.objects import outer_parts
 from lodbench.citymodel.raw import starts_of
 from lodbench.citymodel.selection import select_polygons
-from lodbench.citymodel.triangulate import newell, triangulate
+from lodbench.citymodel.triangulate import triangulate
 from lodbench.errors import CityModelError, ConfigError
 from lodbench.findings import Findings
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lodbench.citymodel.gml_names import INTERIOR_NAMES, OUTER_NAMES, SURFACE_KINDS
+from lodbench.citymodel.gml_names import GML_IDS, INTERIOR_NAMES, OUTER_NAMES, SURFACE_KINDS
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.xml import Element, local_name
 
@@ -70,3 +70,27 @@ def relief_lod(surface: Element) -> str:
     """Returns the level of detail of a terrain surface, which stands beside it."""
     relief = surface.getparent()
     return "" if relief is None else (relief.findtext("{*}lod") or "").strip()
+
+
+def is_inside(element: Element, met: list[tuple[Element, dict[Element, int], int]]) -> bool:
+    """Tells whether an element stands inside of one that was met, as terrain does inside of terrain."""
+    above = set(element.iterancestors())
+    return any(other in above for other, _, _ in met)
+
+
+def gml_id(element: Element) -> str | None:
+    """Returns an element's id, or None."""
+    for name in GML_IDS:
+        value = element.get(name)
+        if value is not None:
+            return str(value)
+    return None
+
+
+def envelope_srs(element: Element) -> str | None:
+    """Returns the srsName of an element's own ``boundedBy/Envelope``, if it has one."""
+    for child in element.iterchildren("{*}boundedBy"):
+        for envelope in child.iterchildren("{*}Envelope"):
+            name = envelope.get("srsName")
+            return None if name is None else str(name).strip()
+    return None

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lodbench.citymodel.gml_dialect import Dialect, tag
-from lodbench.citymodel.gml_geometry import GeometryXml, LevelShapes
+from lodbench.citymodel.gml_geometry import GeometryXml
+from lodbench.citymodel.gml_levels import LevelShapes
 from lodbench.citymodel.gml_properties import Property
 
 # Namespace by prefix, without the version.

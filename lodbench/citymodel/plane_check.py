@@ -20,11 +20,11 @@ from lodbench.citymodel.codes import (
 )
 from lodbench.citymodel.derive import part_blocks
 from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.newell import newell
 from lodbench.citymodel.selection import select_polygons
 from lodbench.citymodel.triangulate import (
     CHUNK_POLYGONS,
     PLANAR_TOLERANCE_M,
-    newell,
     triangulate,
 )
 from lodbench.findings import FindingCode, Findings

@@ -16,11 +16,11 @@ from lodbench.citymodel.frame import to_metres
 from lodbench.citymodel.layers import INTERIORS
 from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.naming import unique_ids, unique_objects
+from lodbench.citymodel.newell import newell
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.pictures import Pictures
 from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.selection import select_polygons
-from lodbench.citymodel.triangulate import newell
 from lodbench.errors import CityModelError
 from lodbench.geometry.frames import ShiftedEcef
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import AREA_MISMATCH, FAR_FROM_PLANAR, NOT_PLANAR, ZERO_AREA
 from lodbench.citymodel.model import Polygons
+from lodbench.citymodel.newell import deviation, local_points, newell, points_per_polygon, project
 from lodbench.citymodel.raw import take_segments
 from lodbench.citymodel.selection import slice_polygons
 from lodbench.findings import Findings
@@ -88,12 +89,12 @@ def triangulate(
 def _triangulate(polygons: Polygons) -> Triangulation:
     """Returns the triangles of a few polygons: about ten times their points are held meanwhile."""
     normals, areas = newell(polygons)
-    local = _local_points(polygons)
+    local = local_points(polygons)
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
-    point_counts = _points_per_polygon(polygons)
+    point_counts = points_per_polygon(polygons)
     has_holes = np.diff(polygons.polygon_starts) > 1
     is_flat = areas < _MIN_AREA_M2
-    plane = _project(local, unit, point_counts)
+    plane = project(local, unit, point_counts)
 
     simple = ~has_holes & ~is_flat
     threes = np.flatnonzero(simple & (point_counts == 3))
@@ -116,54 +117,12 @@ def _triangulate(polygons: Polygons) -> Triangulation:
         area_m2=areas,
         meshed_m2=_sum_by(owner, np.linalg.norm(vectors, axis=1), len(polygons)),
         covered_m2=_sum_by(owner, covered, len(polygons)),
-        deviation_m=_deviation(polygons, local, unit, point_counts),
+        deviation_m=deviation(polygons, local, unit, point_counts),
     )
-
-
-def newell(polygons: Polygons) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns the outlines' Newell vectors (N, 3), of twice their area, and the areas less holes (N,)."""
-    points, starts = polygons.points, polygons.ring_starts
-    lengths = np.diff(starts)
-    if len(lengths) == 0:
-        return np.zeros((0, 3)), np.zeros(0)
-    relative = points - np.repeat(points[starts[:-1]], lengths, axis=0)
-    following = np.concatenate([relative[1:], relative[:1]])
-    following[starts[1:] - 1] = 0.0  # the first point of each ring, relative to itself
-    ring_vectors = np.add.reduceat(np.cross(relative, following), starts[:-1], axis=0)
-    ring_areas = 0.5 * np.linalg.norm(ring_vectors, axis=1)
-    outlines = polygons.polygon_starts[:-1]
-    total = np.add.reduceat(ring_areas, outlines)
-    return ring_vectors[outlines], np.maximum(2.0 * ring_areas[outlines] - total, 0.0)
 
 
 def _sum_by(owner: NDArray[np.int64], weights: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     return np.bincount(owner, weights, minlength=size).astype(np.float64)
-
-
-def _points_per_polygon(polygons: Polygons) -> NDArray[np.int64]:
-    return np.diff(polygons.ring_starts[polygons.polygon_starts])
-
-
-def _local_points(polygons: Polygons) -> NDArray[np.float64]:
-    """Returns the points with each polygon's first point as its origin."""
-    first = polygons.ring_starts[polygons.polygon_starts[:-1]]
-    return polygons.points - np.repeat(polygons.points[first], _points_per_polygon(polygons), axis=0)
-
-
-def _project(
-    local: NDArray[np.float64], unit: NDArray[np.float64], point_counts: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Returns (P, 2) points seen against each polygon's normal, outlines counter-clockwise.
-
-    The exact normal matters: seen along the nearest axis instead, a narrow polygon that is bent by
-    a millimetre can fold over itself.
-    """
-    helper = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
-    across = np.cross(helper, unit)
-    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-    frames = np.stack([across, np.cross(unit, across)], axis=2)
-    plane: NDArray[np.float64] = np.einsum("pi,pij->pj", local, np.repeat(frames, point_counts, axis=0))
-    return plane
 
 
 def _turn(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -220,21 +179,6 @@ def _triangle_vectors(points: NDArray[np.float64], triangles: NDArray[np.int64])
     return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def _deviation(
-    polygons: Polygons,
-    local: NDArray[np.float64],
-    unit: NDArray[np.float64],
-    point_counts: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Returns each polygon's largest corner distance from the plane through its mean point, metres."""
-    if len(polygons) == 0:
-        return np.zeros(0)
-    height = np.einsum("ij,ij->i", local, np.repeat(unit, point_counts, axis=0))
-    first = polygons.ring_starts[polygons.polygon_starts[:-1]]
-    mean = np.add.reduceat(height, first) / point_counts
-    return np.maximum.reduceat(np.abs(height - np.repeat(mean, point_counts)), first)
-
-
 def _report(
     result: Triangulation,
     polygons: Polygons,
@@ -244,7 +188,7 @@ def _report(
 ) -> None:
     is_flat = result.area_m2 < _MIN_AREA_M2
     tolerance = AREA_TOLERANCE * result.area_m2
-    counts = _points_per_polygon(polygons)
+    counts = points_per_polygon(polygons)
     is_off = ~is_flat & (np.abs(result.covered_m2 - result.area_m2) > tolerance + _MIN_AREA_M2)
     is_bent = ~is_flat & ~is_off & (result.deviation_m > PLANAR_TOLERANCE_M)
     is_far = is_bent & (result.deviation_m > _MAX_BEND_M)
