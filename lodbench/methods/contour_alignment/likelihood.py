@@ -33,6 +33,8 @@ _NOISE_PX = (0.5, 6.0)
 _AGREES = 0.3
 # Share of the outline's variance that each point has for itself.
 _OWN_SHARE = 0.3
+# An outline that could be anywhere lies within so many pixels of the mask's: standard deviation.
+_ANYWHERE_PX = 10.0
 # A point that weighs less than this has a variance that no factorisation feels.
 _LEAST_WEIGHT = 1e-8
 
@@ -111,7 +113,7 @@ def outline_noise(here: Residuals, distances: Floats) -> float:
     return float(np.clip(1.4826 * np.median(near), low, high)) if len(near) else high
 
 
-def sum_up(points: Points, world: WorldErrors, shared: Floats, params: Params) -> Sums:
+def sum_up(points: Points, world: WorldErrors, shared: Floats, params: Params, anywhere: float) -> Sums:
     """Returns what an outline says under a hypothesis.
 
     Args:
@@ -120,25 +122,16 @@ def sum_up(points: Points, world: WorldErrors, shared: Floats, params: Params) -
         shared: (3,) what is thought of the shared errors so far.
         params: The method's. Its ``heat`` divides all that is said: the model is not the whole truth, and
             points that it takes for independent are not quite.
+        anywhere: The logarithm of the outline's density by ``density_anywhere``.
     """
-    here, slopes = points.here, points.slopes
-    distances = here.distances + slopes[:, CAMERA:] @ shared
-    noise_px = outline_noise(here, distances)
-    variance = noise_px**2
-    weights = _weights(here, slopes, distances, noise_px, world, params)
-    information, gradient, log_density = np.zeros((10, 10)), np.zeros(10), 0.0
+    slopes = points.slopes
+    distances, noise_px, weights = _judged(points, world, shared, params)
+    information, gradient, log_density = np.zeros((10, 10)), np.zeros(10), -anywhere
+    roofs_and_bases = (world.roof_m**2, world.part_m**2, world.base_m**2)
     for chunk in points.chunks:
-        matrix = error_covariance(
-            points.pixels[chunk],
-            slopes[chunk, CAMERA],
-            slopes[chunk, CAMERA + 1],
-            here.points.buildings[chunk],
-            ((1.0 - _OWN_SHARE) * variance, _OWN_SHARE * variance),
-            (params.outline_px, params.roof_part_px),
-            (world.roof_m**2, world.part_m**2, world.base_m**2),
-        )
+        matrix = _covariance(points, chunk, noise_px, roofs_and_bases, params)
         # Outliers have an error of their own beside the shared one.
-        matrix[np.diag_indices(len(chunk))] += variance * (1.0 / weights[chunk] - 1.0)
+        matrix[np.diag_indices(len(chunk))] += noise_px**2 * (1.0 / weights[chunk] - 1.0)
         columns = np.ascontiguousarray(np.column_stack([slopes[chunk], distances[chunk]]))
         log_determinant = float(whiten(matrix, columns))
         jacobian, residuals = columns[:, :-1], columns[:, -1]
@@ -146,6 +139,59 @@ def sum_up(points: Points, world: WorldErrors, shared: Floats, params: Params) -
         gradient += jacobian.T @ residuals
         log_density -= 0.5 * (float(residuals @ residuals) + log_determinant)
     return Sums(information / params.heat, gradient / params.heat, log_density / params.heat)
+
+
+def density_anywhere(points: Points, world: WorldErrors, shared: Floats, params: Params) -> float:
+    """Returns the logarithm of an outline's density if it lay anywhere near the mask's.
+
+    Evidence is measured against it. Cameras at two places see other points of the model, and the one that
+    sees fewer, from further up, would have the higher density: each point's is below 1.
+
+    Args:
+        points: The outline.
+        world: The hypothesis that says which points are outliers, and by how much.
+        shared: (3,) what is thought of its shared errors.
+        params: The method's.
+    """
+    distances, noise_px, weights = _judged(points, world, shared, params)
+    log_density = 0.0
+    for chunk in points.chunks:
+        matrix = _covariance(points, chunk, _ANYWHERE_PX, (0.0, 0.0, 0.0), params)
+        matrix[np.diag_indices(len(chunk))] += noise_px**2 * (1.0 / weights[chunk] - 1.0)
+        residuals = np.ascontiguousarray(distances[chunk][:, None])
+        log_determinant = float(whiten(matrix, residuals))
+        log_density -= 0.5 * (float((residuals**2).sum()) + log_determinant)
+    return log_density
+
+
+def _covariance(
+    points: Points,
+    chunk: NDArray[np.int64],
+    noise_px: float,
+    roofs_and_bases: tuple[float, float, float],
+    params: Params,
+) -> Floats:
+    return np.asarray(
+        error_covariance(
+            points.pixels[chunk],
+            points.slopes[chunk, CAMERA],
+            points.slopes[chunk, CAMERA + 1],
+            points.here.points.buildings[chunk],
+            ((1.0 - _OWN_SHARE) * noise_px**2, _OWN_SHARE * noise_px**2),
+            (params.outline_px, params.roof_part_px),
+            roofs_and_bases,
+        )
+    )
+
+
+def _judged(
+    points: Points, world: WorldErrors, shared: Floats, params: Params
+) -> tuple[Floats, float, Floats]:
+    """Returns distances less what is shared, (N,), the outline's noise in pixels and weights, (N,)."""
+    distances = points.here.distances + points.slopes[:, CAMERA:] @ shared
+    noise_px = outline_noise(points.here, distances)
+    weights = _weights(points.here, points.slopes, distances, noise_px, world, params)
+    return distances, noise_px, weights
 
 
 def _weights(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.methods.contour_alignment.alignment import Aligner, shortened
-from lodbench.methods.contour_alignment.likelihood import CAMERA, Sums, deal_out, sum_up
+from lodbench.methods.contour_alignment.likelihood import CAMERA, Sums, deal_out, density_anywhere, sum_up
 from lodbench.methods.contour_alignment.params import Params
 from lodbench.methods.contour_alignment.world_errors import TRACKS, WorldErrors
 
@@ -120,7 +120,8 @@ def _weigh(aligner: Aligner, track: _Track, params: Params, step: int) -> bool:
     if here is None:
         return False
     points = deal_out(here)
-    sums = {world: sum_up(points, world, shared, params) for world, shared in track.shared.items()}
+    anywhere = density_anywhere(points, *next(iter(track.shared.items())), params)
+    sums = {world: sum_up(points, world, shared, params, anywhere) for world, shared in track.shared.items()}
     offset = aligner.offset(track.vector)
     track.iou = here.iou
     track.modes = [
