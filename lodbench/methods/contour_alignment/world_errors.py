@@ -53,10 +53,11 @@ _COARSE = WorldErrors("coarse", 0.30, 1.3, 1.3, 0.2, (-0.7, 0.8), (0.0, 0.1))
 _VAGUE = WorldErrors("vague", 0.10, 3.0, 3.0, 0.6, (0.0, 2.0), (0.0, 0.3))
 # A map older than its roofs, or drawn up to the eaves.
 _TOO_LOW = WorldErrors("too low", 0.01, 0.3, 0.3, 0.05, (1.2, 0.5), (0.0, 0.05))
-# Hedges, cars and slopes hide the feet of walls: they end higher, never lower. Rough masks of few buildings look
-# like it too, hence the odds: evidence is 20 and more in its logarithm where feet are hidden, elsewhere seldom 10.
-_HIDDEN = WorldErrors("feet hidden", 1e-4, 0.2, 0.2, 0.3, (0.0, 0.2), (1.2, 0.8))
-_COARSE_HIDDEN = WorldErrors("coarse, feet hidden", 1e-4, 1.3, 1.3, 0.6, (-0.7, 0.8), (1.2, 0.8))
+# Hedges, cars and slopes hide the feet of walls: they end higher, never lower. Rough masks of few buildings
+# look like it too, hence the odds: where feet are hidden the evidence is 20 and more in its logarithm,
+# elsewhere seldom 10.
+_HIDDEN = WorldErrors("feet hidden", 1e-3, 0.2, 0.2, 0.3, (0.0, 0.2), (1.2, 0.8))
+_COARSE_HIDDEN = WorldErrors("coarse, feet hidden", 1e-3, 1.3, 1.3, 0.6, (-0.7, 0.8), (1.2, 0.8))
 
 # Which hypotheses are followed together, and whether the lens is free there. A pose that explains hidden feet
 # by wrong roofs looks good from where it stands, so the two are followed apart and compared at their ends.
