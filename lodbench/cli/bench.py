@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench.accuracy import measure_accuracy
+from lodbench.bench.accuracy_cities import measure_cities
 from lodbench.bench.budget import measure_budget
 from lodbench.bench.city import CityOptions, measure_city
 from lodbench.bench.evaluation import EvaluationOptions, measure_evaluation
@@ -80,7 +81,12 @@ def _views(options: argparse.Namespace) -> tuple[ViewsParams, list[int]]:
 
 def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     methods = [make_method(name) for name in options.method.split(",")]
-    return measure_accuracy(*_views(options), methods, steps)
+    cities = options.city or [None]
+    drawn = [_views(argparse.Namespace(**{**vars(options), "city": city})) for city in cities]
+    seeds = drawn[0][1]
+    if len(drawn) == 1:
+        return measure_accuracy(drawn[0][0], seeds, methods, steps)
+    return measure_cities([views for views, _ in drawn], seeds, methods, steps)
 
 
 def _budget(options: argparse.Namespace, steps: ProgressCallback) -> Report:
@@ -231,7 +237,10 @@ def _parser() -> argparse.ArgumentParser:
     training.add_argument("--props", type=Path, help="scene props to picture; made up if not given")
     for action in (speed, scale, slopes, accuracy, budget, wide, evaluation, training):
         action.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
-    for action in (speed, accuracy, budget, wide, city, training):
+    accuracy.add_argument(
+        "--city", type=Path, action="append", help="city model, repeat for a table of several; the demo town"
+    )
+    for action in (speed, budget, wide, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
     measured = (speed, scale, slopes, accuracy, budget, wide, city, evaluation, flights, real)
     every = (*measured, *uses, segmentation, training)

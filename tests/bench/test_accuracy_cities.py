@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import math
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lodbench.bench.accuracy_cities import measure_cities, share_rejected
+from lodbench.errors import DatasetError
+from lodbench.evaluation.queries import ERROR
+from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.synthesis.views_dataset import ViewsParams
+
+
+def answers(*rows):
+    errors, given = np.array([row[0] for row in rows]), [row[1] for row in rows]
+    return pd.DataFrame({ERROR[0]: errors, ERROR[1]: np.zeros(len(rows)), "probability": given})
+
+
+class TestRejected:
+    def test_wrong_answers_below_nine_tenths_of_the_right_ones(self):
+        right = [(0.5, 0.1 * k) for k in range(1, 11)]
+        # 90 % of the right ones are kept from 0.19 on.
+        assert share_rejected(
+            answers(*right, (5.0, 0.18), (5.0, 0.2), (math.inf, math.nan))
+        ) == pytest.approx(2 / 3)
+
+    def test_nothing_to_say_without_right_or_without_wrong_ones(self):
+        assert math.isnan(share_rejected(answers((0.5, 0.9))))
+        assert math.isnan(share_rejected(answers((5.0, 0.9))))
+
+
+def test_a_row_for_every_city_and_the_reason_for_one_that_has_none(city, tmp_path):
+    twin = tmp_path / f"twin{city.suffix}"
+    shutil.copy(city, twin)
+    views = [ViewsParams(str(path), num_views=1) for path in (city, twin, tmp_path / "absent.gml")]
+    report = measure_cities(views, [0], [ContourAlignment()], threads=1)
+    assert list(report.data["city"]) == 2 * [city.name, twin.name]
+    for part in (city.name, twin.name, "mean of 2", "absent.gml is left out: "):
+        assert part in report.text
+    means = {f.figure: f.value for f in report.figures if f.figure.startswith("mean recall")}
+    # The same views of the same city, twice.
+    alone = {f.figure: f.value for f in report.figures if f.figure.endswith(city.name)}
+    assert list(means.values()) == list(alone.values())
+    with pytest.raises(DatasetError, match="No city is left"):
+        measure_cities(views[2:], [0], [ContourAlignment()])
