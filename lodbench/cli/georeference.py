@@ -134,7 +134,7 @@ def _parser() -> argparse.ArgumentParser:
     add_height_options(parser)
     parser.add_argument("--method", default="flight", metavar="NAME", help="solves flights (flight)")
     parser.add_argument("--sidecars", action="store_true", help="write PHOTO.xmp beside each of --images")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     parser.add_argument(
         "--out", type=Path, default=Path("georeferenced"), metavar="DIR", help="(georeferenced)"
     )
