@@ -22,7 +22,7 @@ from lodbench.citymodel.picture_writer import write_pictures
 from lodbench.citymodel.pictures import counted_lines
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.selection import polygon_blocks
-from lodbench.citymodel.subset import keep_level
+from lodbench.citymodel.subset import drop_repeats_of_mesh, keep_level
 from lodbench.citymodel.texture_files import read_textured
 from lodbench.citymodel.textured_model import textured_model
 from lodbench.citymodel.textured_writer import write_textured
@@ -108,6 +108,7 @@ def convert_city(
     if keeps_details(target):
         if lod is not None:
             model = keep_level(model, lod, roof_height, findings)
+        model = drop_repeats_of_mesh(model, findings)
         check_surfaces(model, findings)
         pictures, lost_pictures = _written_pictures(model, target)
         if suffix in _CITYJSON_WRITERS:

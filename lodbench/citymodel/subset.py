@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.derive import derive_lod1
+from lodbench.citymodel.duplicates import drop_repeats
 from lodbench.citymodel.lods import has_lod, polygons_at
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.raw import take_segments
@@ -47,6 +48,22 @@ def keep_level(model: CityModel, lod: str, roof_height: str | None, findings: Fi
         lods=tuple(model.lods[n] for n in used),
         polygons_read=tuple(model.polygons_read[n] for n in used),
     )
+
+
+def drop_repeats_of_mesh(model: CityModel, findings: Findings) -> CityModel:
+    """Returns a city as CityGML and CityJSON have it: no polygon twice in a building at a level.
+
+    A mesh keeps such polygons when it is read, since its triangles are all it has. Other cities lost them
+    there, and are returned as they are.
+
+    Args:
+        model: The city.
+        findings: Receives ``DUPLICATE_POLYGON`` for each polygon dropped.
+    """
+    if model.lods != ("",):
+        return model
+    _, _, kept = drop_repeats(model.polygons, model.building_ids, findings)
+    return model if len(kept) == len(model.polygons) else _keep_polygons(model, kept)
 
 
 def choose_buildings(

@@ -265,6 +265,20 @@ class TestConvert:
         (line,) = convert_city(model, tmp_path / "a.json").left_out
         assert "EPSG:25832+7837" in line
 
+    @pytest.mark.parametrize("name", ["a.gml", "a.json", "a.jsonl"])
+    def test_triangles_that_a_mesh_has_twice_are_told(self, tmp_path: Path, name: str) -> None:
+        corners = "v 0 0 0\nv 4 0 0\nv 0 3 0\nv 0 0 2\n"
+        path = write(tmp_path / "a.obj", corners + "f 1 2 3\nf 1 2 4\nf 3 2 1\n")
+        model = read_city_model(path)
+        assert (len(model.polygons), model.findings.counts()) == (3, {})
+        done = convert_city(model, tmp_path / name)
+        assert (len(done.model.polygons), done.findings.counts()) == (2, {"LB109 DUPLICATE_POLYGON": 1})
+        again = read_city_model(tmp_path / name)
+        assert (len(again.polygons), again.findings.counts()) == (2, {"LB301 CRS_MISSING": 1})
+        as_mesh = convert_city(model, tmp_path / "b.obj")
+        assert as_mesh.findings.counts() == {}
+        assert len(read_city_model(tmp_path / "b.obj").polygons) == 3
+
     def test_refusals(self, tmp_path: Path) -> None:
         model = read_city_model(write(tmp_path / "a.gml", box_city()))
         with pytest.raises(CityModelError, match="No format"):
