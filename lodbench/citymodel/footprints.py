@@ -206,7 +206,7 @@ def _read_table(
         raise
     except Exception as error:  # pyogrio has a dozen kinds, and GDAL's messages are the useful part
         raise CityModelError(
-            f"{source} cannot be read as a vector file: {error}.",
+            f"{source} cannot be read as a vector file: {str(error).rstrip('.')}.",
             "Try to open it in a GIS, or export it again as GeoPackage.",
         ) from None
     for text in told:

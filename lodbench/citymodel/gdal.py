@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from types import ModuleType
 from typing import Any
 
-from lodbench.errors import CityModelError
+from lodbench.errors import CityModelError, nearest_names
 
 VECTOR_DRIVERS = {
     ".gpkg": "GPKG",
@@ -26,6 +26,7 @@ VECTOR_DRIVERS = {
     ".fgb": "FlatGeobuf",
     ".gdb": "OpenFileGDB",
 }
+_LAYERED = (".gpkg", ".gdb")
 RASTER_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".img": "HFA", ".hgt": "SRTMHGT", ".dt2": "DTED"}
 # What else pyogrio's GDAL has been built with, up to 3.12.
 _OTHER_DRIVERS = (
@@ -49,15 +50,16 @@ _PREFIXED_SINCE = (3, 10)
 
 
 def read_vector(path: str, source: str, layer: str | None) -> tuple[Any, list[str]]:
-    """Returns what ``pyogrio.raw.read`` does, by the driver of the file's ending, and GDAL's warnings.
+    """Returns what ``pyogrio.raw.read`` does, by the driver of the file's ending, and what GDAL warns of.
 
     Args:
         path: A file, a FileGDB folder, or ``/vsizip/...``.
         source: Name for messages.
-        layer: Layer to read, or None for the only one.
+        layer: Layer to read, or None for the first that has geometries.
 
     Raises:
-        CityModelError: pyogrio is not installed, or the file is of another kind than its ending says.
+        CityModelError: pyogrio is not installed, the file is of another kind than its ending says, or
+            has no such layer.
         Exception: Whatever pyogrio raises.
     """
     suffix = PurePosixPath(path).suffix.lower()
@@ -75,8 +77,24 @@ def read_vector(path: str, source: str, layer: str | None) -> tuple[Any, list[st
         place = f"GeoJSON:{place}"
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        told: list[str] = []
+        if layer is not None or suffix in _LAYERED:
+            layer, told = _choose_layer(pyogrio, place, source, layer)
         table = pyogrio.raw.read(place, layer=layer)
-    return table, list(dict.fromkeys(str(item.message) for item in caught))
+    return table, told + list(dict.fromkeys(str(item.message) for item in caught))
+
+
+def _choose_layer(
+    pyogrio: ModuleType, place: str, source: str, wanted: str | None
+) -> tuple[str | None, list[str]]:
+    """Returns the layer to read, and that there are others; tables without geometries are none."""
+    layers = pyogrio.list_layers(place)
+    names = [str(name) for name, kind in layers if kind is not None] or [str(name) for name, _ in layers]
+    if wanted is not None and wanted not in names:
+        raise CityModelError(f"{source} has no layer {wanted!r}.", nearest_names(wanted, names))
+    if wanted is not None or len(names) < 2:
+        return wanted or next(iter(names), None), []
+    return names[0], [f"of its layers {', '.join(names)} the first is read"]
 
 
 def _import_pyogrio(source: str) -> ModuleType:

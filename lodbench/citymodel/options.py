@@ -26,7 +26,7 @@ class ReadOptions:
         is_strict: Whether a bad coordinate is an error, or a finding that drops its polygon.
         origin: What to subtract from the coordinates (east, north, up), metres; None chooses.
         up_axis: Axis that points up in a mesh; ``auto`` is y for glTF and z for the others.
-        layer: Layer of a vector file; None takes the only one.
+        layer: Layer of a vector file; None takes the first that has geometries, and tells of others.
         height_column: Column of building heights above ground, metres; None looks for one.
         storeys_column: Column of storey counts, used where there is no height.
         storey_height_m: Height of one storey.

@@ -23,6 +23,7 @@ examples:
   lodbench city convert tiles/ centre.city.jsonl --to-crs EPSG:25832 --bbox 691000 5335000 692000 5336000
   lodbench city convert lod2.gml churches.json --where function=31001_3041
   lodbench city convert a.gml b.gml -o both.gml --citygml 3.0
+  lodbench city convert textured.gml town.city.json --textures        CityJSON and CityGML keep pictures too
   lodbench city convert big.gml tiles/town.city.json --tiles 500      tiles/town_691000_5335000.city.json ...
   lodbench city convert tiles/ town.scene --lod 2 --workers 4         goes on where it was stopped
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 
-def squares(path: Path, count: int = 40, driver: str = "ESRI Shapefile") -> Path:
-    """Writes footprints of 10 m with heights."""
+def squares(path: Path, count: int = 40, driver: str = "ESRI Shapefile", **options: Any) -> Path:
+    """Writes footprints of 10 m with heights; ``options`` are those of ``pyogrio.raw.write``."""
     import pyogrio
     import shapely
 
@@ -22,5 +23,6 @@ def squares(path: Path, count: int = 40, driver: str = "ESRI Shapefile") -> Path
         geometry_type="Polygon",
         crs="EPSG:25832",
         driver=driver,
+        **options,
     )
     return path

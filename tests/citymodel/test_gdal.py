@@ -110,3 +110,25 @@ class TestCutOff:
         model = read_city_model(path)
         assert model.findings.counts().get("LB214 READER_WARNING") == 1
         assert not recwarn.list
+
+    def test_layers(self, tmp_path: Path, recwarn: Any) -> None:
+        import sqlite3
+
+        path = squares(tmp_path / "a.gpkg", driver="GPKG", layer="houses")
+        with sqlite3.connect(path) as database:  # what a GIS leaves beside its layers
+            database.execute("CREATE TABLE layer_styles (id INTEGER PRIMARY KEY, style TEXT)")
+            database.execute(
+                "INSERT INTO gpkg_contents (table_name, data_type) VALUES ('layer_styles', 'attributes')"
+            )
+        assert "LB214 READER_WARNING" not in read_city_model(path).findings.counts()
+        squares(path, driver="GPKG", layer="sheds", append=True)
+        (told,) = (
+            item for item in read_city_model(path).findings.items if item.code.name == "READER_WARNING"
+        )
+        assert told.detail == "of its layers houses, sheds the first is read"
+        chosen = read_city_model(path, options=ReadOptions(layer="sheds"))
+        assert "LB214 READER_WARNING" not in chosen.findings.counts()
+        with pytest.raises(CityModelError, match="no layer 'shed'") as caught:
+            read_city_model(path, options=ReadOptions(layer="shed"))
+        assert "sheds" in caught.value.hint
+        assert not recwarn.list
