@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.exchange.colmap import read_colmap
+from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import find_mask
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import undistorted
@@ -64,14 +65,31 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
 
 
 def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pose]:
-    """Returns the poses of photos in a COLMAP model, by file; none without a model."""
+    """Returns the poses of photos in a COLMAP model, by file; none without a model.
+
+    Where several photos or images have one name, folders tell them apart; what they do not is left out.
+
+    Raises:
+        DatasetError: The model cannot be read, or has none of the photos.
+    """
     if model is None:
         return {}
-    there = {PurePosixPath(found.name).name: found.pose for found in read_colmap(model)}
-    known = {photo: there[photo.name] for photo in photos if photo.name in there}
+    images: dict[str, list[FoundPose]] = defaultdict(list)
+    for image in read_colmap(model):
+        images[PurePosixPath(image.name).name].append(image)
+    named = Counter(photo.name for photo in photos)
+    matched: dict[Path, FoundPose] = {}
+    for photo in photos:
+        same = images.get(photo.name, [])
+        if named[photo.name] > 1 or len(same) > 1:
+            same = [image for image in same if photo.absolute().as_posix().endswith(f"/{image.name}")]
+        if len(same) == 1:
+            matched[photo] = same[0]
+    claims = Counter(image.name for image in matched.values())
+    known = {photo: image.pose for photo, image in matched.items() if claims[image.name] == 1}
     if not known:
         raise DatasetError(
-            f"{model} has none of these photos.", f"Its images are called {', '.join([*there][:3])}."
+            f"{model} has none of these photos.", f"Its images are called {', '.join([*images][:3])}."
         )
     return known
 

@@ -1,0 +1,45 @@
+"""What a flight's photos are solved with: poses in a model whose images may be called alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lodbench.datasets.exchange.colmap import write_colmap
+from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.errors import DatasetError
+from lodbench.geometry import EulerAngles, Pose
+from lodbench.harness.photo.flight_inputs import poses_in_model
+from tests.town import CAMERA
+
+
+def model_of(folder: Path, *names: str) -> Path:
+    """Returns a model whose images stand at x = 1, 2 and so on."""
+    poses = [Pose.from_euler(EulerAngles(0, 0, 0), (x + 1.0, 0.0, 0.0)) for x in range(len(names))]
+    write_colmap([FoundPose(n, "", pose, CAMERA) for n, pose in zip(names, poses, strict=True)], folder)
+    return folder
+
+
+def places(known: dict[Path, Pose]) -> dict[str, int]:
+    return {photo.as_posix(): round(float(pose.center[0])) for photo, pose in known.items()}
+
+
+@pytest.mark.parametrize(
+    ("images", "photos", "expected"),
+    [
+        (["a.jpg", "b.jpg"], ["x/a.jpg", "x/b.jpg", "x/c.jpg"], {"x/a.jpg": 1, "x/b.jpg": 2}),
+        (["card/a.jpg"], ["x/a.jpg"], {"x/a.jpg": 1}),
+        # Memory cards begin anew after 999 photos: two folders, each with an a.jpg.
+        (["1/a.jpg", "2/a.jpg"], ["x/2/a.jpg", "x/1/a.jpg"], {"x/2/a.jpg": 2, "x/1/a.jpg": 1}),
+        (["1/a.jpg", "2/a.jpg", "b.jpg"], ["x/a.jpg", "x/b.jpg"], {"x/b.jpg": 3}),
+        (["a.jpg", "b.jpg"], ["1/a.jpg", "2/a.jpg", "1/b.jpg"], {"1/b.jpg": 2}),
+    ],
+)
+def test_no_photo_gets_the_pose_of_another_of_its_name(tmp_path, images, photos, expected):
+    assert places(poses_in_model(model_of(tmp_path / "model", *images), [*map(Path, photos)])) == expected
+
+
+def test_a_model_of_other_photos_is_refused(tmp_path):
+    with pytest.raises(DatasetError, match="none of these photos"):
+        poses_in_model(model_of(tmp_path / "model", "a.jpg"), [Path("b.jpg")])
