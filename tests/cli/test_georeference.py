@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -125,6 +126,7 @@ def test_a_model_is_placed_within_decimetres_and_handed_on(capsys, case, tmp_pat
         ((), "nothing to place the model by"),
         (("--masks", "MASKS"), "Nobody says where the model is, roughly"),
         (("--masks", "EMPTY", "--start", "ROUGH"), "0 of 6 photos can be used, and 3 are needed"),
+        (("--masks", "BLACK", "--start", "ROUGH"), "photos can be used, and 3 are needed"),
         (("--masks", "MASKS", "--start", "FAR"), "km outside the city model"),
         (("--masks", "MASKS", "--start", "FEW"), "2 of the model's 6 cameras have a rough place"),
         (("--masks", "MASKS", "--start", "ROUGH", "--method", "region"), "solves no flights"),
@@ -132,12 +134,16 @@ def test_a_model_is_placed_within_decimetres_and_handed_on(capsys, case, tmp_pat
 )
 def test_what_is_missing_is_said_in_one_line(capsys, case, tmp_path, words, said):
     (tmp_path / "empty").mkdir()
+    (tmp_path / "black").mkdir()
+    for mask in case.masks.iterdir():
+        size = cv2.imread(str(mask)).shape[:2]
+        cv2.imwrite(str(tmp_path / "black" / mask.name), np.zeros(size, np.uint8))
     rough = read_pose_file(case.rough, "lines")[1]
     write_lines([pose._replace(pose=pose.pose.shifted((9e4, 0, 0))) for pose in rough], tmp_path / "far.txt")
     write_lines(rough[:2], tmp_path / "few.txt")
     known = {
         "MASKS": case.masks, "ROUGH": case.rough, "EMPTY": tmp_path / "empty",
-        "FAR": tmp_path / "far.txt", "FEW": tmp_path / "few.txt",
+        "BLACK": tmp_path / "black", "FAR": tmp_path / "far.txt", "FEW": tmp_path / "few.txt",
     }  # fmt: skip
     code, told = georeference(capsys, case, tmp_path / "out", *(known.get(word, word) for word in words))
     assert code == 2

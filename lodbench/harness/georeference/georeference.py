@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -60,12 +61,7 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     rough, start = _rough(request, images, frame)
     _require_near(images, rough, city.scene)
     queries, left_out = _queries(request, images, rough, city.scene)
-    if len(queries) < FEWEST_POSES:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:3])
-        raise DatasetError(
-            f"{len(queries)} of {len(images)} photos can be used, and {FEWEST_POSES} are needed: {reasons}.",
-            "Name the masks as the photos, or give --images and leave --masks out.",
-        )
+    _require_enough(len(queries), len(images), left_out)
     found = _solved(request, queries, city)
     places = {
         name: each for name, each in zip(queries, found.estimates, strict=True) if isinstance(each, Estimate)
@@ -75,12 +71,15 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
         for name, each in zip(queries, found.estimates, strict=True)
         if isinstance(each, QueryFault)
     ]
-    left_out += [(name, "it fits nowhere near the others") for name in found.findings.get("lost", [])]
+    reasons = found.findings.get("reasons", {})
+    left_out += [
+        (name, reasons.get(name, "it fits nowhere near the others"))
+        for name in found.findings.get("lost", [])
+    ]
     lost = {name for name, _ in left_out}
-    fitted = _fitted(
-        {i.name: i.pose for i in images}, {n: e for n, e in places.items() if n not in lost}, city.scene
-    )
     used = [name for name in places if name not in lost]
+    _require_enough(len(used), len(images), left_out)
+    fitted = _fitted({i.name: i.pose for i in images}, {name: places[name] for name in used}, city.scene)
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
     placed = Georeferenced(
         fitted=fitted,
@@ -96,6 +95,15 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     return write_georeferenced(placed, request, city.scene, frame)
 
 
+def _require_enough(usable: int, count: int, left_out: Sequence[tuple[str, str]]) -> None:
+    if usable < FEWEST_POSES:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:3])
+        raise DatasetError(
+            f"{usable} of {count} photos can be used, and {FEWEST_POSES} are needed: {reasons}.",
+            "Name the masks as the photos, or give --images and leave --masks out.",
+        )
+
+
 def _rough(
     request: GeoreferenceRequest, images: Sequence[FoundPose], frame: MapFrame | None
 ) -> tuple[Similarity, str]:
@@ -108,10 +116,7 @@ def _rough(
             ), f"the similarity in {request.start}"
     if request.start is not None:
         _, listed = read_pose_file(request.start, "auto")
-        there = {Path(pose.name).name: pose.pose for pose in listed}
-        known = {
-            image.name: there[Path(image.name).name] for image in images if Path(image.name).name in there
-        }
+        known = _by_name(images, listed)
         source = str(request.start)
     else:
         known, source = _stated_by_photos(request, images, frame), "what the photos state"
@@ -126,6 +131,23 @@ def _rough(
     fitted = fit_similarity([mine[name] for name in known], list(known.values()), *sigmas)
     away = float(np.median(fitted.distances_m))
     return fitted.similarity, f"{source}: {len(known)} cameras, {away:.1f} m apart in the median"
+
+
+def _by_name(images: Sequence[FoundPose], listed: Sequence[FoundPose]) -> dict[str, Pose]:
+    """Returns the rough poses of images, by name: the same, or that without folders where one has it."""
+    whole = {pose.name: pose.pose for pose in listed}
+    named = Counter(Path(image.name).name for image in images)
+    bare: dict[str, list[Pose]] = defaultdict(list)
+    for pose in listed:
+        bare[Path(pose.name).name].append(pose.pose)
+    known = {}
+    for image in images:
+        same = bare[Path(image.name).name]
+        if image.name in whole:
+            known[image.name] = whole[image.name]
+        elif len(same) == named[Path(image.name).name] == 1:
+            known[image.name] = same[0]
+    return known
 
 
 def _stated_similarity(values: object, path: Path) -> Similarity:
