@@ -75,3 +75,10 @@ def test_a_file_that_is_cut_off_is_named(models, tmp_path):
     (broken / "points3D.bin").write_bytes(points[: len(points) // 2])
     with pytest.raises(DatasetError, match=r"points3D\.bin"):
         write_moved_colmap(broken, MOVED, tmp_path / "moved")
+
+
+def test_a_model_is_never_written_over_itself(models):
+    before = (models[1] / "images.txt").read_bytes()
+    with pytest.raises(DatasetError, match="is the model that is to be moved"):
+        write_moved_colmap(models[1], MOVED, models[1] / ".." / models[1].name)
+    assert (models[1] / "images.txt").read_bytes() == before
