@@ -77,10 +77,11 @@ def _grid(views: Sequence[View], city_map: CityMap) -> tuple[Floats, tuple[int, 
             down[:, 2] < -1e-3, (ground - view.pose.center[2]) / np.minimum(down[:, 2], -1e-3), np.inf
         )
         reach = _FURTHEST_M / np.maximum(np.linalg.norm(down[:, :2], axis=1), 1e-6)
-        hits.append(view.pose.center[:2] + down[:, :2] * np.minimum(depth, reach)[:, None])
+        # In a valley a camera may be below the city's usual ground, which is then behind it.
+        hits.append(view.pose.center[:2] + down[:, :2] * np.clip(depth, 0.0, reach)[:, None])
     spots = np.concatenate(hits)
     low, high = spots.min(axis=0), spots.max(axis=0)
-    count = np.ceil((high - low) / _CELL_M).astype(int)
+    count = np.maximum(np.ceil((high - low) / _CELL_M), 1).astype(int)
     return low, (int(count[0]), int(count[1])), ground
 
 

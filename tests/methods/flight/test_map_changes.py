@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
+from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.flight.gone_buildings import gone_buildings
 from lodbench.methods.flight.map_views import views_of
-from lodbench.methods.flight.missing_buildings import missing_buildings
+from lodbench.methods.flight.missing_buildings import _grid, missing_buildings
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map
 from lodbench.synthesis.flights.paths import PATHS
 from lodbench.synthesis.mask_degradation import degrade_mask
@@ -72,3 +75,18 @@ def test_two_photos_are_too_few(world):
     few = views(world)[:2]
     assert gone_buildings(few, CityMap(wrong, threads=1)) == []
     assert missing_buildings(few, CityMap(wrong, threads=1)) == []
+
+
+def test_cameras_below_the_city_s_usual_ground_look_at_no_ground_kilometres_behind_them(world):
+    seen = views(world, 4)
+    sunk = [(0.0, 0.0, -40.0 - float(view.pose.center[2])) for view in seen]
+    seen = [replace(view, pose=view.pose.shifted(by)) for view, by in zip(seen, sunk, strict=True)]
+    _, counts, _ = _grid(seen, CityMap(world, threads=1))
+    # Nobody looks further than 400 m.
+    assert max(counts) <= 2 * 400 / 2 + 100
+
+
+def test_one_place_from_which_no_ground_is_seen_is_no_error(world):
+    one = views(world, 4)[0]
+    low = replace(one, pose=Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), (0.0, 0.0, -500.0)))
+    assert missing_buildings([low] * 3, CityMap(world, threads=1)) == []
