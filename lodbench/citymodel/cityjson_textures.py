@@ -39,7 +39,7 @@ class TextureReader:
         ]
         try:
             self._places = np.asarray(appearance.get("vertices-texture") or [], np.float64).reshape(-1, 2)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise CityModelError(
                 f"{source} has malformed vertices of textures ({error}).",
                 "Mend them, or leave out --textures.",
@@ -70,7 +70,7 @@ class TextureReader:
             if values is None or len(values) != len(surfaces):
                 raise ValueError("another number of surfaces")
             found = {n: self._surface(*pair) for n, pair in enumerate(zip(surfaces, values, strict=True))}
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, LookupError):
             self._pictures.notes["geometry with textures nested otherwise than its surfaces"] += 1
             return {}
         return {n: one for n, one in found.items() if one is not None}

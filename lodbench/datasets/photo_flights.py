@@ -134,4 +134,4 @@ def _taken_at(stated: PhotoMetadata) -> datetime | None:
 
 def _natural(name: str) -> list[tuple[int, str]]:
     """Returns a key that sorts IMG_2 before IMG_10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]

@@ -236,7 +236,17 @@ def test_names_in_cityjson_are_held_likewise(tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    "values", [None, [], [[[0, 1]]], [[[0, 99999]] for _ in range(4)], [[["a"]]] * 4, "x", [[[99, 0]]] * 4]
+    "values",
+    [
+        None,
+        [],
+        [[[0, 1]]],
+        [[[0, 99999]] for _ in range(4)],
+        [[["a"]]] * 4,
+        "x",
+        [[[99, 0]]] * 4,
+        [[{"a": 1}]] * 4,
+    ],
 )
 def test_textures_that_do_not_fit_are_told(
     values: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -84,3 +84,9 @@ def test_photos_without_a_clock_stay_where_their_names_are():
 def test_each_photo_is_in_one_flight(seconds):
     found = split_flights(photos(*seconds))
     assert sorted(row for flight in found for row in flight.rows) == list(range(len(seconds)))
+
+
+def test_digits_that_are_no_numbers_sort_as_letters():
+    (_, first), (_, second) = photos(0, 2)
+    (flight,) = split_flights([(Path("1\u00b22.JPG"), first), (Path("1a.JPG"), second)])
+    assert flight.rows == [1, 0]

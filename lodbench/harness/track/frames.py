@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -84,7 +85,9 @@ class Footage:
             raise DatasetError(
                 f"{self.source} is no video that OpenCV reads.", "Take MP4, or a folder of photos."
             )
-        rate = self.rate or video.get(cv2.CAP_PROP_FPS) or _VIDEO_RATE
+        stated = float(video.get(cv2.CAP_PROP_FPS))
+        # Some containers say 0, -1 or no number at all.
+        rate = self.rate or (stated if 0 < stated < math.inf else _VIDEO_RATE)
         number = 0
         try:
             while video.grab():
