@@ -56,3 +56,11 @@ def test_another_program_s_sidecar_is_left_alone_and_one_s_own_is_not(tmp_path):
     before = own.read_text()
     assert write_sidecar(tmp_path / "b.JPG", pose.shifted((5.0, 0.0, 0.0)), FRAME) == own
     assert own.read_text() != before
+
+
+def test_minutes_are_never_sixty(tmp_path):
+    # 7 degrees less than a ten-millionth of a minute.
+    east, north = FRAME.east_north(51.0, 7.0 - 1e-12)
+    path = write_sidecar(tmp_path / "a.JPG", Pose.from_euler(EulerAngles(0, 0, 0), (east, north, 9.0)), FRAME)
+    assert path is not None
+    assert ",60.0" not in path.read_text()

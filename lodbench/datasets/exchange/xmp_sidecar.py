@@ -70,5 +70,6 @@ def _packet(pose: Pose, frame: MapFrame) -> str:
 
 def _minutes(degrees: float, letters: str) -> str:
     """Returns XMP's ``DDD,MM.mmmmmmmk``."""
-    whole, rest = divmod(abs(degrees), 1.0)
-    return f"{int(whole)},{60.0 * rest:.7f}{letters[int(degrees < 0)]}"
+    # Rounded before it is split: no minutes are 60.
+    whole, rest = divmod(round(60.0 * abs(degrees), 7), 60.0)
+    return f"{int(whole)},{rest:.7f}{letters[int(degrees < 0)]}"
