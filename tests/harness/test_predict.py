@@ -322,7 +322,7 @@ def test_a_query_without_a_mask_says_so_to_whom_it_concerns(dataset):
 
 def test_flights_are_asked_whole_and_what_they_say_is_kept(dataset, tmp_path):
     entries = tuple(
-        replace(entry, sequence="west" if entry.name == NAMES[0] else "east") for entry in dataset.entries
+        replace(entry, sequence="../west" if entry.name == NAMES[0] else "east") for entry in dataset.entries
     )
     flown = replace(dataset, entries=entries)
     method = Flying()
@@ -330,7 +330,7 @@ def test_flights_are_asked_whole_and_what_they_say_is_kept(dataset, tmp_path):
     assert method.flights == [[NAMES[0]], NAMES[1:]]
     assert [found.pose is not None for found in done.predictions.values()] == [True] * 3
     told = sorted(path.name for path in (done.folder / "flights").iterdir())
-    assert told == [f"{entries[0].split}-east.json", f"{entries[0].split}-west.json"]
+    assert told == [f"{entries[0].split}-..%2Fwest.json", f"{entries[0].split}-east.json"]
     # One photo's line is lost: its whole flight is asked again, the other is not.
     ledger = done.folder / "predictions.jsonl"
     lines = ledger.read_text().splitlines(keepends=True)

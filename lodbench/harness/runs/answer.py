@@ -136,7 +136,13 @@ def _answer_flight(
     if found.findings:
         make_folder(folder / FLIGHTS_FOLDER)
         told = json.dumps(found.findings, indent=1, sort_keys=True)
-        write_text(folder / FLIGHTS_FOLDER / f"{first.split}-{first.sequence or 'all'}.json", told + "\n")
+        write_text(folder / FLIGHTS_FOLDER / f"{flight_name(first)}.json", told + "\n")
+
+
+def flight_name(entry: Entry) -> str:
+    """Returns what the files of a query's flight are called, whatever its dataset calls the sequence."""
+    name = f"{entry.split}-{entry.sequence or 'all'}"
+    return name.replace("%", "%25").replace("/", "%2F").replace("\\", "%5C")
 
 
 @contextmanager

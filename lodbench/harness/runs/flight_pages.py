@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.exchange.posed import read_json
 from lodbench.harness.flights.map_findings import city_and_marks
-from lodbench.harness.runs.answer import FLIGHTS_FOLDER
+from lodbench.harness.runs.answer import FLIGHTS_FOLDER, flight_name
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.query_pictures import picture_of
 from lodbench.harness.runs.verify import Verdict
@@ -35,9 +35,13 @@ def pages_of_run(verdict: Verdict, scene: Scene, tilt: str) -> dict[str, str]:
 
 
 def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
-    """Returns what each flight of a run says, by the name of its file."""
+    """Returns what each flight of a run says, by the name of its file.
+
+    Raises:
+        DatasetError: A file is no JSON object.
+    """
     files = sorted((verdict.stored.folder / FLIGHTS_FOLDER).glob("*.json"))
-    return {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in files}
+    return {file.stem: read_json(file) for file in files}
 
 
 def _page_of_sequence(
@@ -45,7 +49,7 @@ def _page_of_sequence(
 ) -> str:
     dataset, stored = verdict.dataset, verdict.stored
     assert dataset is not None  # noqa: S101 - the caller has opened it
-    entries = [e for e in verdict.entries if f"{e.split}-{e.sequence or 'all'}" == name]
+    entries = [e for e in verdict.entries if flight_name(e) == name]
     photos: list[PhotoOnPage] = []
     left_out: list[tuple[str, str]] = []
     for entry in entries:
