@@ -97,7 +97,8 @@ def _joined(flights: list[Flight]) -> list[Flight]:
             last is not None
             and last.ended is not None
             and flight.started is not None
-            and flight.started - last.ended <= _LANDED
+            # Two drones of one kind that are in the air at once are two flights.
+            and timedelta() <= flight.started - last.ended <= _LANDED
         ):
             last.take(flight)
         else:

@@ -74,6 +74,11 @@ def test_a_flight_goes_on_in_the_next_folder():
     assert rows(split_flights(apart)) == [[0, 1, 2], [3, 4]]
 
 
+def test_two_drones_of_one_kind_that_fly_at_once_are_two_flights():
+    both = photos(0, 10, 20, folder="east") + photos(5, 15, 25, folder="west")
+    assert rows(split_flights(both)) == [[0, 1, 2], [3, 4, 5]]
+
+
 def test_photos_without_a_clock_stay_where_their_names_are():
     assert rows(split_flights(photos(None, 0, None, 2000, None))) == [[0, 1, 2], [3, 4]]
     assert rows(split_flights(photos(None, None))) == [[0, 1]]
