@@ -84,15 +84,19 @@ def find_mask(folder: Path | None, name: str) -> Path | None:
     """Returns the mask of an image: a file of its name, or of its stem as PNG."""
     if folder is None:
         return None
-    return find_inside(folder, name) or find_inside(folder, str(PurePosixPath(name).with_suffix(".png")))
+    path = PurePosixPath(name)
+    return find_inside(folder, name) or find_inside(folder, str(path.parent / f"{path.stem}.png"))
 
 
 def find_inside(folder: Path, name: str) -> Path | None:
     """Returns the file that a model's name means: with its folders, or else without; never one outside."""
     root = folder.resolve()
     for path in (folder / name, folder / PurePosixPath(name).name):
-        if path.resolve().is_relative_to(root) and path.is_file():
-            return path
+        try:
+            if path.resolve().is_relative_to(root) and path.is_file():
+                return path
+        except (OSError, ValueError):  # a name too long, or with a NUL
+            continue
     return None
 
 
