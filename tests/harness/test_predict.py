@@ -349,3 +349,7 @@ def test_a_flight_that_breaks_is_each_photo_s_failure(dataset, tmp_path):
 
     done = run(Breaking(), dataset, tmp_path)
     assert all("FlightEstimate of 3 photos" in reason for reason in failures(done))
+    # Where code raised is told once.
+    told = "\n".join(_failure_lines(done))
+    assert told.count("Traceback") == 1
+    assert "FlightEstimate of 3 photos" in told.splitlines()[-1]

@@ -124,7 +124,7 @@ def _answer_flight(
     except ConfigError:
         raise
     except Exception as error:
-        keep_traceback(folder, f"flight {first.key}", error)
+        keep_traceback(folder, first.key, error)
         for each, _ in ready:
             each.failure = f"{type(error).__name__}: {error}"
         return
