@@ -21,11 +21,14 @@ def surface_kinds(geometry: dict[str, Any], num_surfaces: int, is_interior: bool
         return [int(SurfaceKind.INTERIOR)] * num_surfaces, ""
     unknown = [int(SurfaceKind.UNKNOWN)] * num_surfaces
     semantics = geometry.get("semantics")
-    if not isinstance(semantics, dict) or not semantics.get("values"):
+    if not isinstance(semantics, dict):
+        return unknown, ""
+    labels = semantics.get("values", [])  # null is no label for any surface
+    if labels is None or not (labels or semantics.get("surfaces")):
         return unknown, ""
     names = [str(surface.get("type")) for surface in semantics.get("surfaces", ())]
     known = [int(SurfaceKind.INTERIOR if n in INTERIOR_NAMES else SURFACE_KINDS.get(n, 0)) for n in names]
-    values, is_aligned = _labels(semantics["values"], geometry["boundaries"], DEPTHS[geometry["type"]])
+    values, is_aligned = _labels(labels, geometry["boundaries"], DEPTHS[geometry["type"]])
     if len(values) != num_surfaces:
         return unknown, f"{len(values)} labels of {num_surfaces} surfaces: none is taken"
     if set(map(type, values)) == {int} and 0 <= min(values) and max(values) < len(known):

@@ -223,7 +223,9 @@ class TestLabels:
             ([[[0], [1]]], [1, 2], "nested otherwise, taken in their order"),
             ([None], [0, 0], None),
             ([[0, None]], [1, 0], None),
+            (None, [0, 0], None),
             ([[0]], [0, 0], "1 labels of 2 surfaces: none is taken"),
+            ([], [0, 0], "0 labels of 2 surfaces: none is taken"),
             ([[0, 7]], [1, 0], "1 of 2 labels name no surface type"),
         ],
     )

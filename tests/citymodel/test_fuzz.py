@@ -83,9 +83,9 @@ _CRS_NAMES = (
 )  # fmt: skip
 _CRS_PLACES = re.compile(rb'(srsName=")[^"]*|("referenceSystem": ?")[^"]*')
 _IDS = re.compile(rb'gml:id="[^"]*"')
-_KEYS = re.compile(rb'"[^"]*": ?\{"type": ?"B')
+_KEYS = re.compile(rb'"[^"]*":\s*\{\s*"type":\s*"B')
 _LINKED = re.compile(rb"<(?:\w+:)?surfaceMember>")
-_VALUES = re.compile(rb'"values": ?\[[^"]{0,4000}?\](?=[,}])')
+_VALUES = re.compile(rb'"values":\s*\[[^"]{0,4000}?\](?=\s*(?:\}|,\s*"))')
 _LABELS = (b"[]", b"[null]", b"[[[[0]]]]", b"[0]", b"[-1, 99, true]", b'["0"]', b"[[0, 1], 0]", b"[{}]")
 _LINK = (
     b'<gml:surfaceMember xmlns:gml="http://www.opengis.net/gml" xmlns:xlink="http://www.w3.org/1999/xlink">'
@@ -206,6 +206,25 @@ def test_cut_sidecars(tmp_path: Path) -> None:
     num_read, num_refused = fuzz_sidecars(40, tmp_path, seed=3)
     assert num_read > 3
     assert num_refused > 10
+
+
+@pytest.mark.parametrize(
+    ("name", "codes"),
+    [
+        ("v2.gml", {"LB205 DUPLICATE_ID"}),
+        ("v20.city.json", {"LB205 DUPLICATE_ID", "LB213 SEMANTICS_MISFIT"}),
+        ("seq.city.jsonl", {"LB205 DUPLICATE_ID", "LB213 SEMANTICS_MISFIT"}),
+    ],
+)
+def test_mutations_reach_past_the_parser(name: str, codes: set[str]) -> None:
+    data, met = documents()[name].encode(), set[str]()
+    for seed in range(24):
+        try:
+            content = mutate_structure(data, np.random.default_rng(seed))
+            met |= parse_city_model(content, name).findings.counts().keys()
+        except LodbenchError:
+            continue
+    assert codes <= met
 
 
 def test_mutated_twins() -> None:
