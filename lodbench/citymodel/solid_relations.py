@@ -138,12 +138,12 @@ def _inside_points(corners: Floats) -> Floats:
     spots = np.concatenate([middle, *np.einsum("sk,tkc->stc", shares, corners)])
     normals = np.tile(unit, (4, 1))
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    random = np.random.Generator(np.random.Philox(key=len(corners)))
+    generator = np.random.Generator(np.random.Philox(key=len(corners)))
     points = np.concatenate(
         [
             spots + _OFF_FACE_M * normals,
             spots - _OFF_FACE_M * normals,
-            random.uniform(low, high, (_NUM_SAMPLES, 3)),
+            generator.uniform(low, high, (_NUM_SAMPLES, 3)),
         ]
     )
     is_inside = [abs(winding(corners, point)) > 0.5 for point in points]
