@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +14,7 @@ from lodbench.citymodel.citygml_writer import CityGmlWriter
 from lodbench.citymodel.cityjson_writer import cityjson_text, cityjsonseq_text
 from lodbench.citymodel.mesh import CityMesh, mesh_model
 from lodbench.citymodel.mesh_frames import MeshFrame
+from lodbench.citymodel.mesh_writer import glb_bytes, obj_text, ply_bytes
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.picture_writer import write_pictures
@@ -205,55 +204,11 @@ def check_surfaces(model: CityModel, findings: Findings) -> None:
         triangulate(block, model.building_ids, findings, num_before=num_before)
 
 
-def obj_text(scene: Scene) -> str:
-    """Returns a scene as Wavefront OBJ, one object per building, in the local frame."""
-    lines = [f"# {line}" for line in MeshFrame.of_scene(scene).comments()]
-    vertices = scene.vertices.astype(np.float64)
-    triangles = scene.triangles + 1
-    for b, building_id in enumerate(scene.building_ids):
-        lines.append(f"o {' '.join(building_id.split())}")
-        own = vertices[scene.vertex_starts[b] : scene.vertex_starts[b + 1]]
-        faces = triangles[scene.triangle_starts[b] : scene.triangle_starts[b + 1]]
-        # One format of many lines at once takes half the time of one per line.
-        for line, rows in (("v %.4f %.4f %.4f", own), ("f %d %d %d", faces)):
-            if len(rows):
-                lines.append("\n".join([line] * len(rows)) % tuple(rows.ravel().tolist()))
-    return "\n".join(lines) + "\n"
-
-
-def _ply(scene: Scene) -> bytes:
-    trimesh: Any = import_module("trimesh")  # half typed, which is worse than not at all
-
-    mesh = trimesh.Trimesh(scene.vertices, scene.triangles, process=False)
-    content: bytes = mesh.export(file_type="ply")
-    magic, newline, rest = content.partition(b"\n")
-    lines = [f"comment {line}\n".encode() for line in MeshFrame.of_scene(scene).comments()]
-    form, _, rest = rest.partition(b"\n")  # comments come after the line that names the form
-    return b"".join([magic, newline, form, newline, *lines, rest])
-
-
-def _glb(scene: Scene) -> bytes:
-    """Returns binary glTF with one node per building; glTF looks along -z with y up."""
-    trimesh: Any = import_module("trimesh")  # half typed, which is worse than not at all
-
-    points = np.stack([scene.vertices[:, 0], scene.vertices[:, 2], -scene.vertices[:, 1]], axis=1)
-    graph = trimesh.Scene()
-    graph.metadata.update(MeshFrame.of_scene(scene).extras())
-    for b, building_id in enumerate(scene.building_ids):
-        first, last = scene.vertex_starts[b], scene.vertex_starts[b + 1]
-        triangles = scene.triangles[scene.triangle_starts[b] : scene.triangle_starts[b + 1]] - first
-        if len(triangles):
-            mesh = trimesh.Trimesh(points[first:last], triangles, process=False)
-            graph.add_geometry(mesh, node_name=building_id, geom_name=building_id)
-    content: bytes = graph.export(file_type="glb")
-    return content
-
-
 _CITYJSON_WRITERS = {".json": cityjson_text, ".jsonl": cityjsonseq_text}
 _MESH_WRITERS: dict[str, Callable[[Scene], bytes]] = {
     ".obj": lambda scene: obj_text(scene).encode(),
-    ".ply": _ply,
-    ".glb": _glb,
+    ".ply": ply_bytes,
+    ".glb": glb_bytes,
 }
 _TEXTURED_SUFFIXES = (".glb", ".obj")
 _CITYGML_SUFFIXES = (".gml", ".xml", ".citygml")
