@@ -25,7 +25,7 @@ from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
 from lodbench.reporting.answers import format_answers, untrusted_note
-from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.safe_text import plain_lines, plain_text
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import RecallTable, tables_of
 from lodbench.segmentation import notes_of
@@ -211,5 +211,6 @@ def _failure_lines(run: Run) -> list[str]:
         lines.append(f"  {len(keys)} x {reason}: {', '.join(map(plain_text, keys[:3]))}{more}")
         raised = traceback_file(run.folder, keys[0])
         if raised.is_file():
-            lines += [f"    {line}" for line in raised.read_text(encoding="utf-8").splitlines()]
+            traced = plain_lines(raised.read_text(encoding="utf-8"))
+            lines += [f"    {line}" for line in traced.splitlines()]
     return lines
