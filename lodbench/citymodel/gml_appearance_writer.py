@@ -7,6 +7,7 @@ from collections import defaultdict
 import numpy as np
 
 from lodbench.citymodel.gml_dialect import Dialect, tag
+from lodbench.citymodel.gml_properties import text_of
 from lodbench.citymodel.model import Polygons
 
 _THEME = "pictures"
@@ -61,7 +62,7 @@ class AppearanceXml:
     def _texture(self, picture: int, targets: dict[str, list[tuple[str, str]]]) -> str:
         name = self._names[picture]
         mime = "image/jpeg" if name.endswith(".jpg") else "image/png"
-        head = tag("app:imageURI", name) + tag("app:mimeType", mime)
+        head = tag("app:imageURI", text_of(name)) + tag("app:mimeType", mime)
         target = self._target_2 if self._dialect.version == "2.0" else self._target_3
         return tag(
             "app:ParameterizedTexture", head + "".join(target(name, rings) for name, rings in targets.items())

@@ -31,7 +31,7 @@ def write_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tupl
         target: The file; the folder is called after it, ``NAME_pictures``.
 
     Returns:
-        names: Where each picture lies, as the file is to say it, by number.
+        names: Where each picture lies, as a link from the file, by number.
         notes: A line for each that cannot be read.
 
     Raises:
@@ -54,7 +54,8 @@ def write_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], tupl
         name = "_".join(filter(None, (f"{len(names) + 1:04d}", stem))) + suffix
         make_folder(folder)
         write_bytes(folder / name, content)
-        names[number] = f"{folder.name}/{name}"
+        # As a link, in which % begins a code.
+        names[number] = f"{folder.name}/{name}".replace("%", "%25")
     return names, tuple(notes)
 
 

@@ -135,6 +135,12 @@ def test_there_and_back(ending: str, more: tuple[str, ...], tmp_path: Path) -> N
     assert copied == (tmp_path / "pictures/wall east.jpg").read_bytes()
 
 
+@pytest.mark.parametrize("ending", [".city.json", ".gml"])
+def test_names_of_files_that_mean_something_in_xml_or_in_links(ending: str, tmp_path: Path) -> None:
+    target = convert(write_town(tmp_path), tmp_path / f"out/a&b <50%20>{ending}")
+    assert spots_of(read_city_model(target, options=OPTIONS)) == expected()
+
+
 def test_a_long_way_round(tmp_path: Path) -> None:
     path = write_town(tmp_path)
     for n, ending in enumerate((".city.json", ".gml", ".city.jsonl", ".xml", ".city.json")):
