@@ -44,17 +44,21 @@ def contradictions(scene: Scene, findings: Mapping[str, Any]) -> list[tuple[dict
     """Returns what a flight contradicts in the map, the surest of each kind first: what, and where.
 
     ``kind`` is ``height``, ``gone`` or ``missing``; the rest is as the flight's findings have it. Outlines
-    are polygons, each its rings, in the city's coordinates.
+    are polygons, each its rings, in the city's coordinates; of buildings that this map has not there is none.
     """
     rows = {name: row for row, name in enumerate(scene.building_ids)}
+
+    def outline(name: str) -> Outline:
+        return building_outline(scene, rows[name]) if name in rows else []
+
     found: list[tuple[dict[str, Any], Outline]] = [
-        ({"kind": "height", **each}, building_outline(scene, rows[each["id"]]))
+        ({"kind": "height", **each}, outline(each["id"]))
         for each in doubted_buildings(findings.get("buildings", []))
     ]
     for change in findings.get("changes", []):
         said = {key: value for key, value in change.items() if key != "outline"}
         if change["kind"] == "gone":
-            found.append((said, building_outline(scene, rows[change["id"]])))
+            found.append((said, outline(change["id"])))
         else:
             found.append((said, [[np.array(ring, dtype=np.float64)] for ring in change["outline"]]))
     return found

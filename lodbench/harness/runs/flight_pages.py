@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.posed import read_json
+from lodbench.errors import DatasetError
 from lodbench.harness.flights.map_findings import city_and_marks
 from lodbench.harness.runs.answer import FLIGHTS_FOLDER, flight_name
 from lodbench.harness.runs.prepare import prior_of
@@ -18,6 +19,7 @@ from lodbench.harness.runs.verify import Verdict
 from lodbench.rendering import make_renderer
 from lodbench.reporting.answers import trust_of
 from lodbench.reporting.flight_page import PhotoOnPage, chosen_for_pictures, flight_page, photo_on_page
+from lodbench.reporting.flight_words import constants_in_words, map_in_words
 
 Floats = NDArray[np.float64]
 
@@ -38,10 +40,19 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
     """Returns what each flight of a run says, by the name of its file.
 
     Raises:
-        DatasetError: A file is no JSON object.
+        DatasetError: A file is no JSON object, or says something else.
     """
-    files = sorted((verdict.stored.folder / FLIGHTS_FOLDER).glob("*.json"))
-    return {file.stem: read_json(file) for file in files}
+    found = {}
+    for file in sorted((verdict.stored.folder / FLIGHTS_FOLDER).glob("*.json")):
+        said = found[file.stem] = read_json(file)
+        try:
+            constants_in_words(said.get("constants", {})), map_in_words(said)
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            raise DatasetError(
+                f"{file} does not tell constants, buildings and changes as method=flight does ({error!r}).",
+                "Run the method again.",
+            ) from error
+    return found
 
 
 def _page_of_sequence(
