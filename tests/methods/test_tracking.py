@@ -86,3 +86,8 @@ def test_a_lost_camera_says_so_and_is_found_again(city_map):
 def test_a_wrong_setting_is_named():
     with pytest.raises(ConfigError, match="fit is finite and above 0"):
         Params(fit=0.0)
+
+
+def test_a_search_grows_to_its_widest_and_stays_there_however_long_the_camera_is_lost():
+    widths_m = [Params().search(lost).range_x_m for lost in (1, 2, 3, 10, 100_000)]
+    assert widths_m == [20.0, 30.0, 45.0, 120.0, 120.0]

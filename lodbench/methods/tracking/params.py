@@ -57,7 +57,8 @@ class Params:
 
     def search(self, lost: int) -> PhotoParams:
         """Returns the parameters by which a camera is searched that was lost for so many frames."""
-        place = min(self.search_m * 1.5 ** max(0, lost - 1), self.most_m)
+        # Beyond some 1750 frames the power is no number any more.
+        place = min(self.search_m * 1.5 ** min(max(0, lost - 1), 100), self.most_m)
         return self._photo(place, self.search_deg, 4.0)
 
     def _photo(self, place_m: float, turn_deg: float, tilt_deg: float) -> PhotoParams:
