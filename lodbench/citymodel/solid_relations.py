@@ -18,6 +18,8 @@ _PARALLEL = 1.0 - 1e-6
 # Points inside of a solid that are joined where they see each other, and triangles up to which it is done.
 _NUM_SAMPLES, _MAX_TRIANGLES = 240, 2000
 _OFF_FACE_M = 0.01
+# Of each point so many neighbours are tried first, and so many pairs at a time after that.
+_NEIGHBOURS, _MOST_PAIRS = 16, 100_000
 
 
 def check_composites(
@@ -103,13 +105,10 @@ def check_insides(report: ShellReport, faces: SolidFaces, solids: Solids, cut: s
         is_crossed = any((a, b) in cut for a in shells for b in shells)
         if is_crossed or len(corners) > _MAX_TRIANGLES or not _touch(corners, shell):
             continue
-        points = _inside_points(corners)
-        first, second = np.triu_indices(len(points), 1)
-        is_free = _is_free(points[first], points[second], corners)
-        piece = connected_components(len(points), first[is_free], second[is_free])
-        if len(np.unique(piece)) > 1:
+        count = _num_pieces(_inside_points(corners), corners)
+        if count > 1:
             point = int(faces.point[np.argmax(faces.edge_shell == shells[1])])
-            report.add(INTERIOR_DISCONNECTED, shells[0], point, f"pieces: {len(np.unique(piece))}")
+            report.add(INTERIOR_DISCONNECTED, shells[0], point, f"pieces: {count}")
 
 
 def _touch(corners: Floats, shell: Ints) -> bool:
@@ -148,6 +147,46 @@ def _inside_points(corners: Floats) -> Floats:
     )
     is_inside = [abs(winding(corners, point)) > 0.5 for point in points]
     return points[is_inside]
+
+
+def _num_pieces(points: Floats, corners: Floats) -> int:
+    """Returns how many pieces points fall into that are joined where they see each other.
+
+    Neighbours are tried first, then the smallest piece against all others: of thousands of points all pairs
+    would not fit into memory.
+    """
+    from scipy.spatial import KDTree
+
+    if len(points) < 2:
+        return len(points)
+    _, near = KDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
+    first, second = np.repeat(np.arange(len(points)), near.shape[1]), near.ravel()
+    is_free = _is_free(points[first], points[second], corners)
+    piece = connected_components(len(points), first[is_free], second[is_free])
+    num_apart = 0
+    while len(piece):
+        labels, sizes = np.unique(piece, return_counts=True)
+        is_mine = piece == labels[np.argmin(sizes)]
+        seen = _seen_from(points[is_mine], points[~is_mine], corners)
+        if seen.any():
+            piece[np.isin(piece, piece[~is_mine][seen])] = piece[is_mine][0]
+        else:
+            num_apart += 1
+            points, piece = points[~is_mine], piece[~is_mine]
+    return num_apart
+
+
+def _seen_from(points: Floats, others: Floats, corners: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Tells which other points some of the points see; the first of them that see any are enough."""
+    seen = np.zeros(len(others), np.bool_)
+    step = max(1, _MOST_PAIRS // max(1, len(others)))
+    for k in range(0, len(points), step):
+        block = points[k : k + step]
+        ways = np.repeat(block, len(others), axis=0), np.tile(others, (len(block), 1))
+        seen = np.asarray(_is_free(*ways, corners).reshape(len(block), len(others)).any(axis=0))
+        if seen.any():
+            break
+    return seen
 
 
 def _is_free(start: Floats, end: Floats, corners: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
