@@ -15,7 +15,7 @@ class FlightAnswer:
 
     Attributes:
         name: ``flight 1``, and so on.
-        photos: How many are in it, those left out aside.
+        photos: Its files, those left out aside.
         taken: With what and when, and what is odd about it, in sentences.
         findings: What its photos say besides where they were taken; see ``findings_of`` of the method.
     """

@@ -38,6 +38,8 @@ class Params:
         roofs_m: Standard deviation of what all roofs of the map are wrong about alike, metres.
         roof_m: Standard deviation of each building's height in the map, metres.
         part_m: Standard deviation of the height of parts of a roof around it, metres.
+        feet_m: Standard deviation of where all walls of the map end, alike, metres.
+        foot_m: The same of parts of them, metres.
         part_width_m: Width of a part, metres.
         view_roof_m: The same as one view sees it: a ridge from here, eaves from there.
         heat: By how much less outlines say than their covariance has it: the model is not the whole truth.

@@ -21,7 +21,6 @@ class RoofParts:
     Attributes:
         heights_m: (N,) by how much each is higher than in the map, metres.
         building: (N,) row of the scene's building it belongs to.
-
         drawn_m: (B,) by how much each building of the scene is drawn higher than the map has it, metres.
 
     Args:
