@@ -239,6 +239,7 @@ class TestTheMethodNeverSeesTheTruth:
             "instances",
             "segment",
             "sequence",
+            "reconstructed",  # in a frame of its own
             "true_pixels",  # for oracles alone
         }
         assert Input.TRUE_PIXELS not in made_inputs(LodLocV2())
