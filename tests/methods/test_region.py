@@ -82,6 +82,16 @@ class TestTheMethod:
         assert estimate.probability is not None
         assert estimate.probability < 0.2
 
+    def test_an_answer_beyond_the_prior_s_range_is_said_to_be(self, city_map, photographed, truths):
+        prior = truths[0].center + np.array([0.0, 0.0, 9.0])
+        query = replace(photographed[0], prior=replace(truths[0], translation=-truths[0].rotation @ prior))
+        told = replace(FAST, range_z_m=6.0)
+        estimate = Region(told).localize(query, city_map, streams())
+        away = estimate.pose.center[2] - prior[2]
+        said = [note for note in estimate.notes if "beyond the range" in note and "z " in note]
+        assert bool(said) == (abs(away) > 3.0 + max(1.0, 2.0 * float(np.sqrt(estimate.covariance[2, 2]))))
+        assert said
+
     def test_a_prior_s_width_sets_the_search(self):
         wide = Region().params_for_prior(UniformPrior(50.0, 40.0, 30.0, 30.0, 2.0, 2.0))
         assert (wide.range_x_m, wide.range_y_m, wide.range_z_m, wide.range_yaw_deg) == (

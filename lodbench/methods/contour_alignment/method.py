@@ -18,12 +18,10 @@ from lodbench.methods.contour_alignment.params import Params
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.refinement import refine
 from lodbench.methods.contour_alignment.starts import find_starts
-from lodbench.methods.contour_alignment.uncertainty import Answer, answer_of
+from lodbench.methods.contour_alignment.uncertainty import answer_of, beyond_range
 from lodbench.methods.protocol import Estimate, Streams
 
 Floats = NDArray[np.float64]
-
-_NUMBERS = (("x", "m"), ("y", "m"), ("z", "m"), ("pitch", "deg"), ("roll", "deg"), ("yaw", "deg"))
 
 
 class ContourAlignment:
@@ -68,7 +66,11 @@ class ContourAlignment:
             covariance=answer.covariance,
             probability=answer.probability,
             alternatives=answer.alternatives,
-            notes=_out_of_range(aligner.offset(np.append(answer.vector, 0.0))[:6], answer, self.params),
+            notes=beyond_range(
+                aligner.offset(np.append(answer.vector, 0.0))[:6],
+                answer.covariance,
+                self.params.half_widths(),
+            ),
         )
 
     def _align(self, aligner: Aligner, starts: Floats) -> tuple[Floats, tuple[float, ...]]:
@@ -81,18 +83,3 @@ class ContourAlignment:
         if max(ious) <= 0:
             raise QueryFault("no outline of a building is in view of any aligned pose")
         return aligned[int(np.argmax(ious))], tuple(ious)
-
-
-def _out_of_range(offset: Floats, answer: Answer, params: Params) -> tuple[str, ...]:
-    """Returns a sentence for an answer, (6,) off the prior, clearly beyond what that was said to be."""
-    beyond = np.abs(offset) - params.half_widths()
-    # Twice what the answer may be wrong by: on the edge of the range it is no news.
-    is_out = beyond > np.maximum(
-        2.0 * np.sqrt(np.diagonal(answer.covariance)), (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)
-    )
-    out = [f"{name} {offset[k]:+.1f} {unit}" for k, (name, unit) in enumerate(_NUMBERS) if is_out[k]]
-    return (
-        (f"the answer lies beyond the range that the prior was said to have: {', '.join(out)}",)
-        if out
-        else ()
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ Floats = NDArray[np.float64]
 
 # What the probability is of.
 WITHIN_M, WITHIN_DEG = 2.0, 2.0
+_NUMBERS = (("x", "m"), ("y", "m"), ("z", "m"), ("pitch", "deg"), ("roll", "deg"), ("yaw", "deg"))
 # Draws of the error: enough for a probability to a percent or two.
 _DRAWS = 2048
 # Hypotheses less likely than this are left out; answers less likely are no alternatives.
@@ -77,6 +79,23 @@ def probability_within(covariance_6: Floats, vector: Floats) -> float:
     """
     errors = _gaussian(covariance_6, _DRAWS)
     return _within(errors, np.full(_DRAWS, 1.0 / _DRAWS), turn_per_angle(vector))
+
+
+def beyond_range(offset: Floats, covariance: Floats, half_widths: Sequence[float]) -> tuple[str, ...]:
+    """Returns a sentence for an answer beyond the range that the prior was said to have, or nothing.
+
+    Args:
+        offset: (6,) of the answer from the prior: metres and degrees.
+        covariance: (6, 6) of the answer.
+        half_widths: Of the range, in the same order.
+    """
+    beyond = np.abs(offset) - np.asarray(half_widths)
+    # Twice what the answer may be wrong by: on the edge of the range it is no news.
+    is_out = beyond > np.maximum(2.0 * np.sqrt(np.diagonal(covariance)), (1.0, 1.0, 1.0, 0.5, 0.5, 0.5))
+    out = [f"{name} {offset[k]:+.1f} {unit}" for k, (name, unit) in enumerate(_NUMBERS) if is_out[k]]
+    if not out:
+        return ()
+    return (f"the answer lies beyond the range that the prior was said to have: {', '.join(out)}",)
 
 
 def _draws(information: Floats, step: Floats, count: int) -> Floats:

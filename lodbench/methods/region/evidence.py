@@ -79,11 +79,16 @@ class Evidence:
 
     def log_prior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the prior, up to a constant."""
-        offsets = vectors - self._prior
-        offsets[:, 5] = [wrap_deg(float(turn)) for turn in offsets[:, 5]]
+        offsets = self.offsets(vectors)
         # What lies outside the prior's range by a fifth of it is as unlikely as one standard deviation.
         beyond = np.maximum(np.abs(offsets) - self._range, 0.0) / (_EDGE_SHARE * self._range)
         return np.asarray(-0.5 * ((offsets / self._sigmas) ** 2 + beyond**2).sum(axis=1))
+
+    def offsets(self, vectors: Floats) -> Floats:
+        """Returns (N, 6) how far poses (N, 6) are from the prior, metres and degrees."""
+        offsets = vectors - self._prior
+        offsets[:, 5] = [wrap_deg(float(turn)) for turn in offsets[:, 5]]
+        return np.asarray(offsets)
 
     def prior_information(self) -> Floats:
         """Returns (6, 6) the inverse of the prior's covariance."""

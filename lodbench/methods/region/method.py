@@ -19,7 +19,7 @@ from lodbench.errors import QueryFault
 from lodbench.geometry import Camera
 from lodbench.methods.contour_alignment.outline import edges_in_reach
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
-from lodbench.methods.contour_alignment.uncertainty import probability_within
+from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.lines import aligned_by_lines
@@ -85,6 +85,7 @@ class Region:
             covariance=covariance,
             probability=share_of_best(modes) * probability_within(covariance, vector),
             alternatives=tuple(pose_from_vector(mode.cloud.mean) for mode in modes[1:]),
+            notes=beyond_range(final.offsets(vector[None])[0], covariance, params.half_widths()),
         )
 
     def _evidence(
