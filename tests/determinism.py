@@ -43,7 +43,7 @@ class Variation:
 CHUNKS = {
     "lodbench.rendering.silhouette._MOST_GROUPS": 1,
     "lodbench.citymodel.triangulate.CHUNK_POLYGONS": 77,
-    "lodbench.citymodel.mesh.CHUNK_POLYGONS": 77,
+    "lodbench.citymodel.meshing.CHUNK_POLYGONS": 77,
     "lodbench.citymodel.cleaning._CHUNK_POINTS": 1001,
     "lodbench.citymodel.frame._CHUNK_POINTS": 1001,
     "lodbench.citymodel.scene._CHUNK_TRIANGLES": 999,

@@ -24,8 +24,8 @@ from lodbench.evaluation.calibration import Calibration, calibrate
 from lodbench.evaluation.queries import ERROR, summarize_queries
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.methods import Method
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.calibration_figures import draw_calibration
-from lodbench.reporting.columns import format_columns
 from lodbench.reporting.table_columns import finite_text
 from lodbench.synthesis.views_dataset import SPLIT, ViewsParams
 

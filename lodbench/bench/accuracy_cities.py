@@ -15,7 +15,7 @@ from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.methods import Method
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.table_columns import finite_text
 from lodbench.synthesis.views_dataset import ViewsParams, open_views
 

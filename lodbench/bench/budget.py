@@ -15,8 +15,8 @@ from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, summarize
 from lodbench.methods import Method
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.calibration_figures import BudgetPoint, draw_budget
-from lodbench.reporting.columns import format_columns
 from lodbench.synthesis.views_dataset import ViewsParams
 
 if TYPE_CHECKING:

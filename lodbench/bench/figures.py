@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import make_folder, write_bytes
 
 if TYPE_CHECKING:

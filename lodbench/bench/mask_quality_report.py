@@ -11,7 +11,7 @@ import numpy as np
 from lodbench.bench.figures import Figure, Report
 from lodbench.bench.mask_pictures import draw_sheet
 from lodbench.evaluation.statistics import Interval, bootstrap_means, bootstrap_ratio
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,7 +14,7 @@ from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.bench.mask_quality import found_mask, one_core
 from lodbench.errors import DatasetError
 from lodbench.evaluation.statistics import Interval, bootstrap_means
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.overlays import draw_outline, write_picture
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter

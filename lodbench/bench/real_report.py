@@ -13,7 +13,7 @@ from lodbench.bench.figures import Figure, Report
 from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.recall import Threshold, hits_of
 from lodbench.evaluation.statistics import wilson_interval
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from lodbench.geometry.similarity import Similarity
 from lodbench.harness.georeference.georeference import georeference
 from lodbench.harness.georeference.request import GeoreferenceRequest
 from lodbench.methods.registry import make_method
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream
 from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
 from lodbench.synthesis.flights.paths import PATHS

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
-from lodbench.bench.opening import Opening, open_apart
+from lodbench.bench.scene_opening import Opening, open_apart
 from lodbench.bench.silhouettes import SilhouetteOptions, Swarm, make_swarm
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import read_scene
@@ -25,7 +25,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera
 from lodbench.rendering.engine_store import arrays_folder
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
 if TYPE_CHECKING:

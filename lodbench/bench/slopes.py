@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
-from lodbench.bench.opening import open_apart
 from lodbench.bench.scale import ScaleOptions, swarms_inside
+from lodbench.bench.scene_opening import open_apart
 from lodbench.citymodel.scene_file import read_scene
 from lodbench.errors import ConfigError
 from lodbench.execution import Ledger
 from lodbench.execution.executor import PROCESS, ExecutorParams, spread
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress, plain_report
-from lodbench.bench.opening import resident_mb
+from lodbench.bench.scene_opening import resident_mb
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import encoded_mask

@@ -12,7 +12,7 @@ from lodbench.bench.views import Job, of_seeds, protocol_of, sweep
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.errors import FAILED
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.synthesis.views_dataset import ViewsParams
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lodbench.citymodel.info import city_info as city_info
-    from lodbench.citymodel.mesh import CityMesh as CityMesh
-    from lodbench.citymodel.mesh import mesh_city as mesh_city
-    from lodbench.citymodel.mesh import mesh_model as mesh_model
+    from lodbench.citymodel.meshing import CityMesh as CityMesh
+    from lodbench.citymodel.meshing import mesh_city as mesh_city
+    from lodbench.citymodel.meshing import mesh_model as mesh_model
     from lodbench.citymodel.model import CityModel as CityModel
     from lodbench.citymodel.options import ReadOptions as ReadOptions
     from lodbench.citymodel.read import open_scene as open_scene

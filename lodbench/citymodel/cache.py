@@ -10,7 +10,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from lodbench.citymodel.mesh import CityMesh, mesh_model
+from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import read_city_model

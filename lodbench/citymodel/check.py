@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lodbench.citymodel.codes import VAL3DITY
-from lodbench.citymodel.mesh import NothingToMesh, mesh_model
+from lodbench.citymodel.meshing import NothingToMesh, mesh_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.plane_check import check_folds, check_parts, check_planes
 from lodbench.citymodel.shells import check_shells

@@ -12,9 +12,9 @@ import numpy as np
 from lodbench.citymodel.cache import open_city, store_city
 from lodbench.citymodel.citygml_writer import CityGmlWriter
 from lodbench.citymodel.cityjson_writer import cityjson_text, cityjsonseq_text
-from lodbench.citymodel.mesh import CityMesh, mesh_model
 from lodbench.citymodel.mesh_frames import MeshFrame
 from lodbench.citymodel.mesh_writer import glb_bytes, obj_text, ply_bytes
+from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.picture_writer import write_pictures

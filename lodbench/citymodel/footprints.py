@@ -20,12 +20,12 @@ from lodbench.citymodel.codes import (
     READER_WARNING,
     RING_TOO_SHORT,
 )
-from lodbench.citymodel.columns import Columns
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.gdal import missing_bytes, read_vector
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity, starts_of, take_segments
 from lodbench.citymodel.terrain import ground_under
+from lodbench.citymodel.vector_columns import Columns
 from lodbench.citymodel.vector_surfaces import surfaces_as_read
 from lodbench.citymodel.wkb import WkbPolygons
 from lodbench.errors import CityModelError

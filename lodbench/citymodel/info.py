@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.mesh import NothingToMesh, mesh_model
+from lodbench.citymodel.meshing import NothingToMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.findings import Findings
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import cast
 
 from lodbench.citymodel.codes import FILE_SKIPPED
-from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model

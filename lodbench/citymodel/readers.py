@@ -53,7 +53,7 @@ def obj(source: Source, options: ReadOptions) -> RawCity:
 
 def mesh(source: Source, options: ReadOptions) -> RawCity:
     """Returns the buildings of a PLY, STL or glTF."""
-    from lodbench.citymodel.meshes import read_mesh
+    from lodbench.citymodel.mesh_reader import read_mesh
 
     with source.open() as stream:
         return read_mesh(stream, source.name, suffix_of(source), options)

@@ -26,8 +26,8 @@ from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
+from lodbench.synthesis.map_and_camera_errors import World
 from lodbench.synthesis.views_dataset import AREAS, ViewsParams
-from lodbench.synthesis.world import World
 
 
 def main(argv: Sequence[str]) -> int:

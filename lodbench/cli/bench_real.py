@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench.figures import Report
-from lodbench.bench.real import RealOptions, measure_real
+from lodbench.bench.real_query import RealOptions, measure_real
 from lodbench.cli.segmenters import default_segmenter, segmenter_of
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input, declared_inputs

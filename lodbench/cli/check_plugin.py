@@ -84,7 +84,7 @@ def _checks(group: str, name: str, sample: Path | None) -> Iterator[Check]:
 
 def _source_checks(name: str) -> Iterator[Check]:
     """Yields whether a profile can be read, its options are options, and its reader there is."""
-    from lodbench.cli.sources import load_profile
+    from lodbench.cli.source_profiles import load_profile
 
     if name not in config_files(_SOURCE):
         raise ConfigError(f"There is no source {name!r}.", nearest_names(name, config_files(_SOURCE)))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.city_parser import city_parser
 from lodbench.cli.flags import hints_in_flags
-from lodbench.cli.sources import load_profile
+from lodbench.cli.source_profiles import load_profile
 from lodbench.errors import CityModelError
 from lodbench.execution import ProgressCallback
 from lodbench.storage import make_folder
@@ -153,7 +153,7 @@ def _compile(asked: argparse.Namespace, tiles: Path, out: Path, options: ReadOpt
     from lodbench.citymodel.scene_file import scene_info
     from lodbench.cli.city_text import format_scene
     from lodbench.execution.executor import ExecutorParams
-    from lodbench.harness.prepared import compile_tiles
+    from lodbench.harness.tiled_city import compile_tiles
 
     executor = ExecutorParams(asked.executor, asked.workers, None, asked.address)
     with ProgressCallback(f"compiling {tiles.name}", "tiles") as progress:

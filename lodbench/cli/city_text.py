@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.codes import finding_catalogue
 from lodbench.citymodel.lods import lod_in_words
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 
 if TYPE_CHECKING:
     from lodbench.citymodel.convert import Conversion

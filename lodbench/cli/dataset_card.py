@@ -52,8 +52,10 @@ def main(argv: Sequence[str]) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class PlugInCard:
-    """The card of a plug-in's dataset, ``dataset/NAME.md`` in its folder of configuration.
+class ConfigCard:
+    """The card of a dataset that is no published one: ``dataset/NAME.md`` beside its configuration.
+
+    The demo's is written by the code that makes it.
 
     Attributes:
         text: All of it.
@@ -66,8 +68,8 @@ class PlugInCard:
     counts: dict[str, int]
 
 
-def plugin_card(name: str) -> PlugInCard | None:
-    """Returns the card of a plug-in's dataset; None if it has none.
+def config_card(name: str) -> ConfigCard | None:
+    """Returns the card beside a dataset's configuration; None if it has none.
 
     Raises:
         ConfigError: Its head is no YAML.
@@ -75,15 +77,16 @@ def plugin_card(name: str) -> PlugInCard | None:
     from omegaconf import OmegaConf
 
     file = config_files("dataset", MARKDOWN).get(name)
-    if file is None:
+    if file is None and name != DEMO:
         return None
-    text = re.sub(r"\A<!--.*?-->\s*", "", file.read_text(encoding="utf-8"))
+    text = demo_card_markdown() if file is None else file.read_text(encoding="utf-8")
+    text = re.sub(r"\A<!--.*?-->\s*", "", text)
     head = re.match(r"---\n(.*?)\n---\n", text, re.DOTALL)
     try:
         values: Any = OmegaConf.to_container(OmegaConf.create(head[1])) if head else {}
         splits = values.get("splits") or {}
         counts = {str(split): int(count) for split, count in splits.items() if count is not None}
-        return PlugInCard(text, str(values.get("title", name)), counts)
+        return ConfigCard(text, str(values.get("title", name)), counts)
     except Exception as error:  # the YAML reader's faults share no base with OmegaConf's
         raise ConfigError(f"The head of {file} cannot be read: {str(error).splitlines()[0]}") from error
 
@@ -94,15 +97,13 @@ def _texts(name: str) -> dict[str, str]:
     Raises:
         ConfigError: There is no card of that name.
     """
-    if name == DEMO:
-        return {MARKDOWN: demo_card_markdown()}
     if name not in SPECS:
-        card = plugin_card(name)
+        card = config_card(name)
         if card is None:
             if name in config_files("dataset"):
                 raise ConfigError(
                     f"{name} has no card.",
-                    f"Of a plug-in's dataset it is conf/dataset/{name}.md, beside the YAML.",
+                    f"It would be conf/dataset/{name}.md, beside the dataset's YAML.",
                 )
             known = [*SPECS, DEMO, *config_files("dataset", MARKDOWN)]
             raise ConfigError(f"There is no card of {name!r}.", nearest_names(name, known))

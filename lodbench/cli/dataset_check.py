@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from lodbench.cli.dataset_card import plugin_card
+from lodbench.cli.dataset_card import config_card
 from lodbench.cli.flags import hints_in_flags, in_flags
 from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.cli.parser import Parser
@@ -41,7 +41,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print plain values instead of text")
     options = parser.parse_args(argv[1:])
     with hints_in_flags():
-        dataset, card = open_named(options), plugin_card(options.dataset)
+        dataset, card = open_named(options), config_card(options.dataset)
         counts = card.counts if card else {}
         dataset = replace(dataset, city_hint=in_flags(dataset.city_hint))
         report = check_dataset(dataset, with_pixels=not options.headers_only, counts=counts)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from lodbench.cli.dataset_card import plugin_card
+from lodbench.cli.dataset_card import config_card
 from lodbench.cli.parser import Parser
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.datasets.published.layout import Survey, survey
@@ -16,13 +16,6 @@ from lodbench.errors import LodbenchError
 from lodbench.plugins import PlugIn, installed
 from lodbench.reporting.safe_text import plain_text
 from lodbench.storage.paths import data_root
-
-_OTHERS = """\
-demo          built in: written on first use
-views         seeded views of any city model: city=FILE
-flights       seeded flights over any city model, with errors that photos share: city=FILE
-folder        your own photos and poses: dataset.root=DIR city=FILE
-"""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -32,7 +25,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print plain values instead of text")
     options = parser.parse_args(argv[1:])
     found = [survey(spec, options.root, None) for spec in SPECS.values()]
-    others = [plug_in for plug_in in installed("datasets") if not plug_in.is_ours]
+    others = [plug_in for plug_in in installed("datasets") if plug_in.name not in SPECS]
     if options.json:
         sys.stdout.write(json.dumps([*map(_values, found), *map(_other_values, others)], indent=2) + "\n")
         return 0
@@ -40,7 +33,7 @@ def main(argv: Sequence[str]) -> int:
     lines = [f"published datasets in {root}"]
     for item in found:
         lines += _lines(item)
-    lines += [*_OTHERS.splitlines(), *map(_other_line, others)]
+    lines += map(_other_line, others)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0
 
@@ -67,14 +60,15 @@ def _num_bytes(found: Survey) -> int:
 def _other_line(plug_in: PlugIn) -> str:
     values = _other_values(plug_in)
     words = f"broken: {values['fault']}" if values["fault"] else values["title"]
-    return plain_text(f"{plug_in.name:<13} {words} (package {plug_in.package})")
+    origin = "" if plug_in.is_ours else f" (package {plug_in.package})"
+    return plain_text(f"{plug_in.name:<13} {words}{origin}")
 
 
 def _other_values(plug_in: PlugIn) -> dict[str, Any]:
-    """Returns what a plug-in's card says of it."""
+    """Returns what its card says of a dataset that is no published one."""
     card, fault = None, plug_in.fault
     try:
-        card = plugin_card(plug_in.name)
+        card = config_card(plug_in.name)
         plug_in.load()
     except LodbenchError as error:
         fault = error.message

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
-from lodbench.cli.sources import load_profile
+from lodbench.cli.source_profiles import load_profile
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.own_dataset import OwnDataset

@@ -11,7 +11,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.sources import profile_of
+from lodbench.cli.source_profiles import profile_of
 from lodbench.errors import ConfigError
 from lodbench.execution.executor import ExecutorParams
 from lodbench.params import to_params

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import add_city_options, add_height_options, height_options
 from lodbench.cli.segmenters import segmenter_of
-from lodbench.cli.sources import load_profile
+from lodbench.cli.source_profiles import load_profile
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.safe_text import plain_text
 

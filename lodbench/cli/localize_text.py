@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.answers import trust_word
-from lodbench.reporting.columns import format_columns
 from lodbench.reporting.safe_text import plain_text
 
 if TYPE_CHECKING:

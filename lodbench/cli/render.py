@@ -9,7 +9,7 @@ from dataclasses import replace
 from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra
-from lodbench.cli.sources import profile_of
+from lodbench.cli.source_profiles import profile_of
 from lodbench.harness.render.render import RenderParams, render_poses
 from lodbench.params import to_params
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from inspect import signature
 from typing import Any
 
-from lodbench.cli.sources import profile_of
+from lodbench.cli.source_profiles import profile_of
 from lodbench.datasets.prior_sources import FilePrior, Priors, prior_digest
 from lodbench.datasets.query import Dataset
 from lodbench.params import to_params

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lodbench.cli.sources import option_pairs
+from lodbench.cli.source_profiles import option_pairs
 from lodbench.datasets.query import Dataset
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin

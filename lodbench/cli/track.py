@@ -18,7 +18,7 @@ from lodbench.cli.place_options import (
     height_options,
 )
 from lodbench.cli.segmenters import segmenter_of
-from lodbench.cli.sources import load_profile
+from lodbench.cli.source_profiles import load_profile
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.safe_text import plain_text
 

@@ -1,5 +1,21 @@
 """Runs of methods over datasets; photos of one's own, exports, pictures of a city, the doctor.
 
+==================  ================================================================================
+use                 what
+==================  ================================================================================
+``runs``            ``lodbench run`` and all that reads a run: report, compare, verify, status
+``photo``           ``lodbench localize``: photos and flights of one's own, and their pages
+``flights``         what flights say of the map
+``georeference``    a reconstruction placed on the map
+``track``           a video
+``mask``            ``lodbench mask``: masks by strokes
+``export``          poses and results for other programs
+``render``          ``lodbench render``
+``city``            opening the city of a command; ``tiled_city``: of many tiles
+``conformance``     checks of plug-ins; ``doctor``: of this machine
+``results``         runs as DataFrames
+==================  ================================================================================
+
 Names are loaded when first used: `lodbench doctor` lives here too, and must start where numpy does not.
 """
 

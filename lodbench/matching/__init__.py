@@ -1,4 +1,8 @@
-"""Points that two pictures have in common: what extracts and matches them, by name."""
+"""Points that two pictures have in common: what extracts and matches them, and poses from them, by name.
+
+Extractors and matchers are modules of their own (networks of transformers are in
+``transformers_matchers``); pose solvers are ``*_pose``.
+"""
 
 from lodbench.matching.protocol import (
     FeatureExtractor,

@@ -14,8 +14,8 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera, Pose
-from lodbench.methods.asking import localize_query
 from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.protocol import Estimate, Method, SupportsPrepare
 from lodbench.methods.workspace import Workspace
 from lodbench.segmentation import check_mask

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from lodbench.evaluation.predictions import Prediction
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_columns import finite_text
 

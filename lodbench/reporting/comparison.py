@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from lodbench.evaluation.statistics import Agreement, Comparison
-from lodbench.reporting.columns import format_columns
+from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.table_columns import finite_text
 
 

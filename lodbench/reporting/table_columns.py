@@ -41,7 +41,10 @@ class Column(NamedTuple):
             return plain_text(printed) if isinstance(printed, str) else "-"
         text = "/".join(self._number(row, name) for name in self.numbers)
         low, high = (row.get(f"{self.numbers[0]} {end}", math.nan) for end in ("low", "high"))
-        return f"{text} [{low:.1f}, {high:.1f}]" if self.has_bounds and math.isfinite(low) else text
+        low_text, high_text = (
+            finite_text(end, ".1f" if self.better > 0 else self.spec) for end in (low, high)
+        )
+        return f"{text} [{low_text}, {high_text}]" if self.has_bounds and math.isfinite(low) else text
 
     def _number(self, row: Mapping[str, Any], name: str) -> str:
         text = finite_text(row.get(name, math.nan), self.spec)
@@ -68,7 +71,7 @@ def segmenter_columns(labels: Sequence[str]) -> tuple[Column, ...]:
 def detail_columns(labels: Sequence[str]) -> tuple[Column, ...]:
     """Returns what the paper's layout leaves out: areas, parts of the error, cost, answered queries."""
     return (
-        *(Column(f"AUC {label}", (f"AUC {label}",), better=1) for label in labels),
+        *_areas(labels),
         *(Column(f"{label} of answered", (f"{label} of answered",), better=1) for label in labels[:1]),
         Column("horizontal m", ("median_horizontal_m",), better=-1),
         Column("vertical m", ("median_vertical_m",), better=-1),
@@ -79,8 +82,14 @@ def detail_columns(labels: Sequence[str]) -> tuple[Column, ...]:
 
 
 def interval_columns(labels: Sequence[str]) -> tuple[Column, ...]:
-    """Returns recalls with their 95 % intervals."""
-    return tuple(column._replace(has_bounds=True) for column in _recalls(labels))
+    """Returns recalls, their areas and both medians with their 95 % intervals."""
+    columns = (
+        *_recalls(labels),
+        *_areas(labels),
+        Column("T.e.", ("median_translation_m",), better=-1),
+        Column("R.e.", ("median_rotation_deg",), better=-1),
+    )
+    return tuple(column._replace(has_bounds=True) for column in columns)
 
 
 def calibration_columns(labels: Sequence[str]) -> tuple[Column, ...]:
@@ -117,3 +126,7 @@ def columns_named(name: str, labels: Sequence[str], numbers: Sequence[str]) -> t
 
 def _recalls(labels: Sequence[str]) -> list[Column]:
     return [Column(label, (label,), better=1) for label in labels]
+
+
+def _areas(labels: Sequence[str]) -> list[Column]:
+    return [Column(f"AUC {label}", (f"AUC {label}",), better=1) for label in labels]

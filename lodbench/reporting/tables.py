@@ -128,7 +128,11 @@ class RecallTable:
 
 def numbers_of(split: dict[str, Any]) -> dict[str, Any]:
     """Returns the numbers of one split of a ``summary.json`` by flat names, as CSV has them."""
-    bounds = split.get("recall_interval_95", {}).items()
+    bounds = {
+        **split.get("recall_interval_95", {}),
+        **{f"median_{name}": ends for name, ends in split.get("median_interval_95", {}).items()},
+        **{f"AUC {label}": ends for label, ends in split.get("auc_interval_95", {}).items()},
+    }
     counts = {"queries": split["num_queries"] or 0, "failed": split["num_failed"] or 0}
     printed = {f"{head} printed": text for head, text in split.get("printed", {}).items()}
     costs = ("hypotheses_per_query", "seconds_per_query")
@@ -136,7 +140,7 @@ def numbers_of(split: dict[str, Any]) -> dict[str, Any]:
         **split["recall"],
         **{
             f"{label} {end}": value
-            for label, ends in bounds
+            for label, ends in bounds.items()
             for end, value in zip(("low", "high"), ends, strict=True)
         },
         **{f"{label} of answered": value for label, value in split.get("recall_of_answered", {}).items()},

@@ -24,7 +24,8 @@ Where something new goes:
   ``town/fittings.py``, halls in ``town/estates.py``, single buildings in ``town/landmarks.py``;
 - a kind of block or landmark: a function in ``town/estates.py`` or ``town/landmarks.py``, chosen in
   ``town/districts.py``;
-- a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py``;
+- a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py``; settings of its own in
+  ``training_data/params.py`` and ``conf/generate-training-data.yaml``;
 - a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
   field of ``LookRanges`` in ``photo/look.py``, used in ``photo/camera_response.py`` if the sensor makes
   it and in ``photo/surfaces.py`` or ``photo/ground.py`` if the place does;

@@ -22,12 +22,12 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
 from lodbench.storage.paths import cache_root
+from lodbench.synthesis.map_and_camera_errors import World
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
 from lodbench.synthesis.queries import SyntheticQuery, write_queries
 from lodbench.synthesis.view_photos import with_photos
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
-from lodbench.synthesis.world import World
 
 # Raised whenever the same settings would draw something else.
 VIEWS_VERSION = 1

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
-from lodbench.citymodel.columns import find_column
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.terrain import ground_under
+from lodbench.citymodel.vector_columns import find_column
 from lodbench.citymodel.wkb import WkbPolygons
 from lodbench.errors import CityModelError, ConfigError
 

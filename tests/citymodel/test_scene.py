@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lodbench.citymodel.growing import GrowingArray
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
 from lodbench.citymodel.lods import choose_lod, polygons_at
-from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
 from lodbench.citymodel.scene import build_scene
 from lodbench.citymodel.selection import group_cuts
@@ -177,7 +177,7 @@ class TestBlocks:
         ids = tuple("abcdefghij")
         model = CityModel("x", "GML", None, None, np.zeros(3), ids, 0, ("1",), polygons, (40,), Findings())
         whole = mesh_model(model)
-        monkeypatch.setattr("lodbench.citymodel.mesh.CHUNK_POLYGONS", size)
+        monkeypatch.setattr("lodbench.citymodel.meshing.CHUNK_POLYGONS", size)
         parts = mesh_model(model)
         assert parts.scene.digest() == whole.scene.digest()
         assert parts.area_m2 == pytest.approx(whole.area_m2, rel=1e-12)

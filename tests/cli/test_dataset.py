@@ -51,6 +51,13 @@ class TestList:
         assert swiss["missing"] == ["split in_place: no GPS_pose.txt"]
         assert swiss["bytes"] > 10_000
 
+    def test_every_dataset_there_is_has_a_title_and_a_card(self, lodbench):
+        listed = lodbench("dataset", "list").stdout
+        assert "has no card" not in listed
+        for name in ("demo", "demo_train", "flights", "folder", "views"):
+            assert re.search(rf"^{name} +\S", listed, re.M)
+            assert lodbench("dataset", "card", name).stdout.count("# ") >= 1
+
 
 class TestCheck:
     def test_the_miniature_differs_from_the_paper_and_nothing_else(self, lodbench, uavd4l):

@@ -19,7 +19,6 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.methods.asking import localize_query
 from lodbench.methods.contour_alignment import ContourAlignment, Params
 from lodbench.methods.contour_alignment.alignment import Aligner, Residuals, signed_distance
 from lodbench.methods.contour_alignment.likelihood import deal_out
@@ -32,6 +31,7 @@ from lodbench.methods.contour_alignment.pose_vector import (
 )
 from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.contour_alignment.world_errors import TRACKS
+from lodbench.methods.measured_calls import localize_query
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 

@@ -15,9 +15,9 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.harness.runs.requirements import made_inputs
 from lodbench.methods import Input, Method
-from lodbench.methods.asking import localize_query
 from lodbench.methods.lodlocv2 import LodLocV2, Params
 from lodbench.methods.lodlocv2.method import PoseScorer, select
+from lodbench.methods.measured_calls import localize_query
 from lodbench.storage import random_stream
 
 SMALL = {"coarse_size": (160, 120), "fine_size": (320, 240)}

@@ -190,3 +190,19 @@ def test_summaries_of_the_last_version_are_read_under_todays_names(tmp_path):
     numbers = {"mean_confidence_percent": 91.25, "ece_percent": 3.5, "aurc_percent": 0.75, "mask_iou": 0.9}
     assert found["metrics"] == numbers
     assert found["recall"] == old["splits"]["in_place"]["recall"]
+
+
+def test_intervals_of_areas_and_medians_stand_beside_them():
+    shown = summary("full", 97.9)
+    shown["splits"]["in_place"] |= {
+        "auc": {"2m-2deg": 61.0},
+        "auc_interval_95": {"2m-2deg": [50.04, 71.0]},
+        "median_interval_95": {"translation_m": [0.612, None], "rotation_deg": [None, None]},
+    }
+    (table,) = tables_of([shown])
+    intervals = table.with_columns("intervals")
+    line = intervals.lines[1]
+    cells = {column.head: column.text(numbers) for column, numbers in list(intervals.cells(line))[:6]}
+    assert cells["AUC 2m-2deg"] == "61.00 [50.0, 71.0]"
+    assert cells["T.e."] == "0.72 [0.61, -]"  # so few were found that the median may be infinite
+    assert cells["R.e."] == "-"

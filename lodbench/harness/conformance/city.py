@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import RawCity

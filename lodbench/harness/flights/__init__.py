@@ -1,1 +1,1 @@
-"""What flights say besides poses: in words, on a map, on a page."""
+"""What a flight says of the map, as outlines of buildings. Pages of flights: ``runs``, ``photo``."""

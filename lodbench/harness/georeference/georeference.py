@@ -32,7 +32,7 @@ from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.georeference.outputs import write_georeferenced
 from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
 from lodbench.methods import Estimate
-from lodbench.methods.asking import localize_flight
+from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.segmentation import check_mask, notes_of, resized
 from lodbench.segmentation.masks import read_mask

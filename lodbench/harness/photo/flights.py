@@ -33,7 +33,7 @@ from lodbench.harness.photo.many import Answers, PhotoAnswer, numbered, write_an
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
 from lodbench.harness.photo.request import PhotoRequest
 from lodbench.methods import Estimate
-from lodbench.methods.asking import localize_flight
+from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.storage import random_stream, write_text
 

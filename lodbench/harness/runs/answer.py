@@ -21,7 +21,7 @@ from lodbench.geometry import Pose
 from lodbench.harness.runs.method_inputs import keep_traceback
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.methods import Estimate, Method
-from lodbench.methods.asking import localize_flight, localize_queries, localize_query
+from lodbench.methods.measured_calls import localize_flight, localize_queries, localize_query
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.segmentation import binary_mask
 from lodbench.storage import make_folder, write_text

@@ -12,7 +12,7 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.methods import Method
-from lodbench.methods.asking import weight_files
+from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import SupportsPrepare
 from lodbench.methods.workspace import open_workspace
 from lodbench.segmentation.masks import content_digest

@@ -16,7 +16,7 @@ from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
 from lodbench.evaluation.queries import NO_TRUTH
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.runs.door import require_near, require_photo
+from lodbench.harness.runs.input_checks import require_near, require_photo
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation import (
     InstanceSegmenter,

@@ -27,7 +27,7 @@ from lodbench.execution.executor import SERIAL, ExecutorParams
 from lodbench.execution.lock import only_one_in
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.code_digest import code_digest
-from lodbench.harness.runs.door import looks_at_photos, require_pictures, require_same_place
+from lodbench.harness.runs.input_checks import looks_at_photos, require_pictures, require_same_place
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_tilt

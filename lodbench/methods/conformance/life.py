@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from lodbench.errors import QueryFault
-from lodbench.methods.asking import localize_queries, weight_files
 from lodbench.methods.conformance.rules import Violation
 from lodbench.methods.conformance.trial import TrialAnswers, ask, streams_of
+from lodbench.methods.measured_calls import localize_queries, weight_files
 from lodbench.methods.protocol import Estimate, Method, SupportsBatches, SupportsPrepare
 from lodbench.methods.workspace import Workspace
 

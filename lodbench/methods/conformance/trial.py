@@ -18,7 +18,7 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.methods.asking import localize_query
+from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.protocol import Estimate, Method, Streams, SupportsPrepare
 from lodbench.methods.workspace import Workspace
 from lodbench.rendering import LayerRenderer, open_renderer

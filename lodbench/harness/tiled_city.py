@@ -18,7 +18,7 @@ import numpy as np
 from lodbench.citymodel.cache import code_digest, source_digest
 from lodbench.citymodel.codes import CRS_MIXED, FILE_SKIPPED, LOD_ABSENT
 from lodbench.citymodel.lods import COARSEST, FINEST, choose_lod, has_lod
-from lodbench.citymodel.mesh import mesh_model
+from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.naming import unique_ids
 from lodbench.citymodel.options import ReadOptions

@@ -25,7 +25,7 @@ from lodbench.geometry import Pose
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method
-from lodbench.methods.asking import localize_query
+from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.protocol import Streams
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream

@@ -1,4 +1,4 @@
-"""What opening a stored scene takes: `python -m lodbench.bench.opening FOLDER` does it and says.
+"""What opening a stored scene takes: `python -m lodbench.bench.scene_opening FOLDER` does it and says.
 
 Memory is what the process holds when the scene is open, mapped pages that were read included.
 """
@@ -39,7 +39,7 @@ def open_apart(folder: Path) -> Opening:
     Raises:
         LodbenchError: The process failed.
     """
-    command = [sys.executable, "-m", "lodbench.bench.opening", str(folder)]
+    command = [sys.executable, "-m", "lodbench.bench.scene_opening", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True)  # noqa: S603
     if done.returncode != 0:
         raise LodbenchError(f"Opening {folder} in a process of its own failed: {done.stderr.strip()[-300:]}")
