@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from lodbench.citymodel.scene import Scene as Scene
 
 _HOMES = {
-    "CityMesh": "mesh",
+    "CityMesh": "meshing",
     "CityModel": "model",
     "ReadOptions": "options",
     "Scene": "scene",
     "city_info": "info",
-    "mesh_city": "mesh",
-    "mesh_model": "mesh",
+    "mesh_city": "meshing",
+    "mesh_model": "meshing",
     "open_scene": "read",
     "parse_city_model": "read",
     "read_city_model": "read",
