@@ -100,5 +100,8 @@ def _trust_rows(found: LocalizedPhoto) -> list[tuple[str, str]]:
     if found.alternatives:
         away = found.alternatives[0].center - found.pose.center
         x, y, z = (float(v) for v in away)
-        rows.append(("or", f"{x:+.1f} {y:+.1f} {z:+.1f} m from there, which fits less well"))
+        how = "which fits less well"
+        if found.alternative_probabilities:
+            how = f"with {100 * found.alternative_probabilities[0]:.0f} %"
+        rows.append(("or", f"{x:+.1f} {y:+.1f} {z:+.1f} m from there, {how}"))
     return rows

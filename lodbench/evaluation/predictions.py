@@ -30,6 +30,7 @@ class Prediction:
         mask_png: The query mask at 602 pixels' width or less, as a PNG of one bit per pixel in base64; ""
             where there is none.
         alternatives: Other poses that fit nearly as well, best first, in the dataset's frame.
+        alternative_probabilities: Of each, or empty.
         notes: What the method would have a reader know of its answer.
     """
 
@@ -43,6 +44,7 @@ class Prediction:
     covariance: tuple[float, ...] = field(default=(), repr=False)
     mask_png: str = field(default="", repr=False)
     alternatives: tuple[Pose, ...] = ()
+    alternative_probabilities: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -62,6 +64,7 @@ class Prediction:
             "probability": self.probability,
             "covariance": list(self.covariance),
             "alternatives": [pose_numbers(pose) for pose in self.alternatives],
+            "alternative_probabilities": list(self.alternative_probabilities),
             "notes": list(self.notes),
             "mask_png": self.mask_png,
         }
@@ -79,6 +82,7 @@ class Prediction:
             probability=value.get("probability"),
             covariance=tuple(value.get("covariance", ())),
             alternatives=tuple(_pose(numbers) for numbers in value.get("alternatives", ())),
+            alternative_probabilities=tuple(value.get("alternative_probabilities", ())),
             notes=tuple(value.get("notes", ())),
             mask_png=value.get("mask_png", ""),
         )

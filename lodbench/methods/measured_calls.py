@@ -93,6 +93,8 @@ def weight_files(method: Method) -> tuple[Path, ...]:
 def _measured(estimate: object, hypotheses: int, seconds: float) -> Estimate:
     if not isinstance(estimate, Estimate):
         raise TypeError(f"localize returned {type(estimate).__name__} instead of an Estimate")
+    if len(estimate.alternative_probabilities) not in (0, len(estimate.alternatives)):
+        raise TypeError("localize returned another number of alternatives than of their probabilities")
     other = seconds - sum(estimate.seconds.values())
     stages = (
         {**estimate.seconds, "other": other} if estimate.seconds and other >= 0 else {"localize": seconds}

@@ -35,6 +35,8 @@ class Estimate:
             method knows it.
         probability: That the pose is within 2 m and 2 degrees, where the method knows it.
         alternatives: Other poses that fit nearly as well, best first, where the method looks for them.
+        alternative_probabilities: How probable it is that the camera is near each of these rather, where the
+            method knows it.
         notes: What a reader should know of the answer, in sentences.
     """
 
@@ -46,6 +48,7 @@ class Estimate:
     covariance: NDArray[np.float64] | None = field(default=None, repr=False)
     probability: float | None = None
     alternatives: tuple[Pose, ...] = ()
+    alternative_probabilities: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
 
 

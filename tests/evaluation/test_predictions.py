@@ -17,13 +17,14 @@ def test_a_prediction_comes_back_as_it_was_stored():
     mask = np.random.default_rng(0).random((37, 61)) < 0.3
     made = Prediction(
         POSE, "", 0.75, 2425, {"grid": 0.5}, {"beams": (0.1, 0.2)}, 0.9, (1.0, 2.0), encoded_mask(mask),
-        (POSE.shifted([1.0, 0.0, 0.0]),), ("far",),
+        (POSE.shifted([1.0, 0.0, 0.0]),), (0.1,), ("far",),
     )  # fmt: skip
     again = Prediction.from_json(json.loads(json.dumps(made.to_json(), allow_nan=False)))
     np.testing.assert_array_equal(again.pose.cam_from_world, POSE.cam_from_world)
     np.testing.assert_array_equal(again.mask, mask)
     np.testing.assert_array_equal(again.alternatives[0].cam_from_world, made.alternatives[0].cam_from_world)
-    for name in ("notes", "failure", "score", "hypotheses", "seconds", "trace", "probability", "covariance"):
+    names = ("notes", "failure", "score", "hypotheses", "seconds", "trace", "probability", "covariance")
+    for name in (*names, "alternative_probabilities"):
         assert getattr(again, name) == getattr(made, name)
 
 

@@ -29,7 +29,8 @@ from lodbench.methods.contour_alignment.pose_vector import (
     turn_per_angle,
     vector_from_pose,
 )
-from lodbench.methods.contour_alignment.uncertainty import probability_within
+from lodbench.methods.contour_alignment.refinement import Mode, Refined
+from lodbench.methods.contour_alignment.uncertainty import answer_of, probability_within
 from lodbench.methods.contour_alignment.world_errors import TRACKS
 from lodbench.methods.measured_calls import localize_query
 from lodbench.storage import random_stream
@@ -385,3 +386,25 @@ class TestParams:
         default = Params()
         assert stored.keys() == {field.name for field in fields(default)}
         assert Params(**stored) == default
+
+
+class TestAlternatives:
+    """Hypotheses that put the camera elsewhere are told, those of one place as one, with their weight."""
+
+    def mixture(self, *places: tuple[float, float]) -> Refined:
+        modes = tuple(
+            Mode(TRACKS[0][0][k], False, False, np.array([east, *[0.0] * 9]), 25.0 * np.eye(10), -float(k))
+            for k, (east, _) in enumerate(places)
+        )
+        weights = np.array([weight for _, weight in places])
+        return Refined(np.array([0.0, 0.0, 100.0, 30.0, 0.0, 10.0, 0.0]), modes, weights, 0.9)
+
+    def test_weights_of_one_place_are_added(self):
+        answer = answer_of(self.mixture((0.0, 0.6), (10.0, 0.2), (10.5, 0.15), (-20.0, 0.05)))
+        np.testing.assert_allclose(answer.alternative_probabilities, [0.35, 0.05])
+        np.testing.assert_allclose([pose.center[0] for pose in answer.alternatives], [10.0, -20.0])
+        assert answer.probability == pytest.approx(0.6, abs=0.02)
+
+    def test_the_unlikely_and_the_near_are_none(self):
+        answer = answer_of(self.mixture((0.0, 0.7), (1.0, 0.29), (30.0, 0.01)))
+        assert answer.alternatives == answer.alternative_probabilities == ()

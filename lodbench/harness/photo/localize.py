@@ -138,6 +138,7 @@ def write_answer(
         covariance=estimate.covariance,
         sigmas=_sigmas(estimate),
         alternatives=estimate.alternatives,
+        alternative_probabilities=estimate.alternative_probabilities,
         is_trusted=is_trusted(estimate.probability, estimate.score, has_mask),
         place=None if frame is None else frame.place_of(estimate.pose),
         camera=photo.pinhole,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,7 @@ class LocalizedPhoto:
         covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where it knows it.
         sigmas: Standard deviations of x, y, z (metres), pitch, roll and yaw (degrees), where it knows them.
         alternatives: Other poses that fit nearly as well, in the city's coordinates, best first.
+        alternative_probabilities: Of each, where the method knows them; else empty.
         is_trusted: Whether the pose is more likely right than wrong, as far as can be told.
         place: Where on Earth, or None without a reference system.
         camera: Pinhole that was localised.
@@ -96,6 +98,7 @@ class LocalizedPhoto:
     covariance: NDArray[np.float64] | None
     sigmas: tuple[float, ...] | None
     alternatives: tuple[Pose, ...]
+    alternative_probabilities: tuple[float, ...]
     is_trusted: bool
     place: Place | None
     camera: Camera
@@ -133,7 +136,10 @@ class LocalizedPhoto:
             "probability": self.probability,
             "covariance": None if self.covariance is None else self.covariance.tolist(),
             "sigmas": None if self.sigmas is None else dict(zip(_SIGMA_NAMES, self.sigmas, strict=True)),
-            "alternatives": [_pose_values(pose) for pose in self.alternatives],
+            "alternatives": [
+                _pose_values(pose) | {"probability": probability}
+                for pose, probability in zip_longest(self.alternatives, self.alternative_probabilities)
+            ],
             "trusted": self.is_trusted,
             "trust": self.trust,
             "camera": {"colmap": [*self.camera.to_colmap()], "source": self.camera_source},

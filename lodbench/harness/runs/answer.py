@@ -73,6 +73,7 @@ def _stored_estimate(
         probability=None if found.probability is None else float(found.probability),
         covariance=_upper_triangle(found.covariance),
         alternatives=tuple(preparation.in_dataset_frame(pose) for pose in found.alternatives),
+        alternative_probabilities=tuple(map(float, found.alternative_probabilities)),
         notes=found.notes,
         mask_png=mask_png,
     )

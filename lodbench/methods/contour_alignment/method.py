@@ -66,6 +66,7 @@ class ContourAlignment:
             covariance=answer.covariance,
             probability=answer.probability,
             alternatives=answer.alternatives,
+            alternative_probabilities=answer.alternative_probabilities,
             notes=beyond_range(
                 aligner.offset(np.append(answer.vector, 0.0))[:6],
                 answer.covariance,

@@ -35,12 +35,14 @@ class Answer:
         covariance: (6, 6) of the error there, what the hypotheses disagree about included.
         probability: That it is within (2 m, 2 deg).
         alternatives: Where other hypotheses put the camera, beyond that, the likeliest first.
+        alternative_probabilities: Of each.
     """
 
     vector: Floats
     covariance: Floats
     probability: float
     alternatives: tuple[Pose, ...]
+    alternative_probabilities: tuple[float, ...]
 
 
 def answer_of(refined: Refined) -> Answer:
@@ -56,18 +58,32 @@ def answer_of(refined: Refined) -> Answer:
     best = int(np.argmax(chances))
     center = (*means, shares @ errors)[best]
     spread = (shares[:, None] * (errors - center)).T @ (errors - center)
-    overlap = (refined.iou - _NO_OVERLAP) / (_OVERLAP - _NO_OVERLAP)
-    others = [
-        pose_from_vector(refined.vector[:6] + mean)
-        for mean, weight in zip(means, weights, strict=True)
-        if weight >= _LEAST_ALTERNATIVE and not _is_near(mean - center, turn)
-    ]
+    overlap = float(np.clip((refined.iou - _NO_OVERLAP) / (_OVERLAP - _NO_OVERLAP), 0.0, 1.0))
+    others = _others(means, weights, center, turn)
     return Answer(
         refined.vector[:6] + center,
         0.5 * (spread + spread.T),
-        chances[best] * float(np.clip(overlap, 0.0, 1.0)),
-        tuple(others),
+        chances[best] * overlap,
+        tuple(pose_from_vector(refined.vector[:6] + mean) for mean, _ in others),
+        tuple(overlap * weight for _, weight in others),
     )
+
+
+def _others(
+    means: Sequence[Floats], weights: Floats, center: Floats, turn: Floats
+) -> list[tuple[Floats, float]]:
+    """Returns where else the camera may be, with the weight of all hypotheses that put it near there."""
+    others: list[tuple[Floats, float]] = []
+    for mean, weight in zip(means, weights, strict=True):
+        if _is_near(mean - center, turn):
+            continue
+        near = [k for k, (other, _) in enumerate(others) if _is_near(mean - other, turn)]
+        if near:
+            others[near[0]] = others[near[0]][0], others[near[0]][1] + float(weight)
+        else:
+            others.append((mean, float(weight)))
+    likely = [other for other in others if other[1] >= _LEAST_ALTERNATIVE]
+    return sorted(likely, key=lambda other: -other[1])
 
 
 def probability_within(covariance_6: Floats, vector: Floats) -> float:
