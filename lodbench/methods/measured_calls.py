@@ -10,6 +10,7 @@ from pathlib import Path
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
+from lodbench.execution.one_blas_thread import on_one_blas_thread
 from lodbench.methods.protocol import (
     Estimate,
     FlightEstimate,
@@ -21,6 +22,7 @@ from lodbench.methods.protocol import (
 )
 
 
+@on_one_blas_thread
 def localize_query(method: Method, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
     """Returns a method's estimate with the poses it had drawn and the time it took.
 
@@ -38,6 +40,7 @@ def localize_query(method: Method, query: Query, city_map: CityMap, streams: Str
     return _measured(estimate, sum(city_map.usage.take().values()), seconds)
 
 
+@on_one_blas_thread
 def localize_queries(
     method: SupportsBatches, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
 ) -> list[Estimate | QueryFault]:
@@ -56,6 +59,7 @@ def localize_queries(
     return [found if isinstance(found, QueryFault) else _measured(found, drawn, seconds) for found in answers]
 
 
+@on_one_blas_thread
 def localize_flight(
     method: SupportsFlights, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
 ) -> FlightEstimate:

@@ -11,6 +11,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import ConfigError, LodbenchError
+from lodbench.execution.one_blas_thread import on_one_blas_thread
 from lodbench.methods import Method
 from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import SupportsPrepare
@@ -40,6 +41,7 @@ def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) ->
     return inputs
 
 
+@on_one_blas_thread
 def prepare_method(
     method: Method,
     params: object,

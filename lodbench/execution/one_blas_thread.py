@@ -1,0 +1,71 @@
+"""Linear algebra whose sums have one order: BLAS on one thread while results are made.
+
+OpenBLAS splits long sums over its threads, so that the last digits of a product depend on how many there
+are; a pose that an optimiser takes through them then differs too. For the small systems of a query its
+threads gain nothing, and those of many workers only wait for each other.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import Any, ParamSpec, TypeVar
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+_lock = threading.Lock()
+# What the first of the calls under way set aside, and None for each of the others.
+_under_way: list[Any] = []
+
+
+def on_one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Returns a function that runs with BLAS on one thread; what was set before is set again after it.
+
+    The libraries' thread counts are the process's: threads that call at the same time share them, and the
+    last one to leave restores.
+    """
+
+    @wraps(function)
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        with _lock:
+            _under_way.append(None if _under_way else _take_control(_limit))
+        try:
+            return function(*args, **kwargs)
+        finally:
+            with _lock:
+                if len(_under_way) == 1:
+                    _take_control(_under_way[0].restore_original_limits)
+                # The first stays until the last has left.
+                _under_way.pop()
+
+    return limited
+
+
+def _limit() -> Any:
+    return _libraries().limit(limits=1, user_api="blas")
+
+
+def _take_control(change: Callable[[], Result]) -> Result:
+    """Returns what a change of limits returns, made by this thread whoever made the last one."""
+    from threadpoolctl import OpenBLASController
+
+    # In newer versions of threadpoolctl the changes of other threads do nothing; here the last to leave restores.
+    give_up = getattr(OpenBLASController, "clear_controlling_thread", None)
+    if give_up is None:
+        return change()
+    give_up(force=True)
+    try:
+        return change()
+    finally:
+        give_up(force=True)
+
+
+@cache
+def _libraries() -> Any:
+    # SciPy brings a BLAS of its own, which must be loaded to be found.
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

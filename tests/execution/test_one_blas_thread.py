@@ -1,0 +1,77 @@
+"""BLAS on one thread while results are made."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+import scipy.linalg  # noqa: F401 - its BLAS is one of its own
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from lodbench.execution.one_blas_thread import on_one_blas_thread
+
+
+def threads() -> set[int]:
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+@on_one_blas_thread
+def threads_inside() -> set[int]:
+    return threads()
+
+
+@on_one_blas_thread
+def nested() -> tuple[set[int], set[int]]:
+    return threads_inside(), threads()
+
+
+@on_one_blas_thread
+def broken() -> None:
+    raise ValueError("no")
+
+
+def test_one_inside_and_as_before_after() -> None:
+    with threadpool_limits(3, "blas"):
+        assert threads() == {3}
+        assert threads_inside() == {1}
+        assert nested() == ({1}, {1})
+        with pytest.raises(ValueError, match="no"):
+            broken()
+        assert threads() == {3}
+
+
+def test_threads_that_overlap_restore_what_was_before_the_first() -> None:
+    inside, leave, seen = threading.Event(), threading.Event(), []
+
+    @on_one_blas_thread
+    def first() -> None:
+        inside.set()
+        leave.wait(10)
+
+    @on_one_blas_thread
+    def second() -> None:
+        leave.set()
+        other.join(10)
+        # The first has left; it is not the last.
+        seen.append(threads())
+
+    with threadpool_limits(3, "blas"):
+        other = threading.Thread(target=first)
+        other.start()
+        assert inside.wait(10)
+        second()
+        assert seen == [{1}]
+        assert threads() == {3}
+
+
+def test_sums_do_not_depend_on_the_threads_there_are() -> None:
+    values = np.random.default_rng(0).normal(size=(200_003, 12))
+    product = on_one_blas_thread(
+        lambda: (values.T @ values, values.T @ values[:, 0], values[:, 0] @ values[:, 1])
+    )
+    with threadpool_limits(1, "blas"):
+        expected = product()
+    with threadpool_limits(4, "blas"):
+        found = product()
+    assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
