@@ -51,7 +51,7 @@ def _take_control(change: Callable[[], Result]) -> Result:
     """Returns what a change of limits returns, made by this thread whoever made the last one."""
     from threadpoolctl import OpenBLASController
 
-    # In newer versions of threadpoolctl the changes of other threads do nothing; here the last to leave restores.
+    # Newer versions of threadpoolctl let one thread change limits alone; here the last to leave restores.
     give_up = getattr(OpenBLASController, "clear_controlling_thread", None)
     if give_up is None:
         return change()
