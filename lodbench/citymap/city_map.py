@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property
 from typing import cast
 
@@ -13,7 +14,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, ViewEdges, make_renderer
+from lodbench.rendering import DepthRenderer, Fit, Instances, IouCounts, Scorer, ViewEdges, make_renderer
 from lodbench.rendering.bits import Words
 from lodbench.rendering.model_edges import EdgeFaces, edge_faces, edges_in_view
 from lodbench.rendering.projection import require_poses, view_planes, visible_buildings
@@ -48,6 +49,7 @@ class CityMap:
         scene: The city.
         name: The renderer's.
         usage: Poses drawn.
+        scorer: Draws and compares silhouettes; what it is asked directly is not counted.
 
     Raises:
         ConfigError: The renderer is unknown.
@@ -66,9 +68,17 @@ class CityMap:
         self._textured_mesh = textured
         self.usage = MapUsage()
         self._threads = threads
-        self._scorer = make_renderer(renderer, scene, threads)
-        self.name = self._scorer.name
-        self.threads = int(getattr(self._scorer, "threads", 1))
+        self.scorer: Scorer = make_renderer(renderer, scene, threads)
+        self.name = self.scorer.name
+        self.threads = int(getattr(self.scorer, "threads", 1))
+
+    def with_scorer(self, scorer: Scorer) -> CityMap:
+        """Returns this map with silhouettes by another renderer of the city; usage is counted together."""
+        other = copy(self)
+        # What only the engine draws stays with the engine there is.
+        other.__dict__["_engine"] = self._engine
+        other.scorer = scorer
+        return other
 
     @property
     def is_textured(self) -> bool:
@@ -78,7 +88,7 @@ class CityMap:
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from one pose."""
         self.usage.add("silhouettes", 1)
-        return self._scorer.render(camera, pose)
+        return self.scorer.render(camera, pose)
 
     def silhouettes(self, camera: Camera, rotations: Floats, centers: Floats) -> Words:
         """Returns N silhouettes, bit-packed: (N, H, ceil(W / 64)) uint64.
@@ -86,19 +96,19 @@ class CityMap:
         ``lodbench.rendering.bits.unpack_mask`` turns one into an (H, W) mask.
         """
         self.usage.add("silhouettes", len(centers))
-        return self._scorer.silhouettes(camera, rotations, centers)
+        return self.scorer.silhouettes(camera, rotations, centers)
 
     def counts(
         self, camera: Camera, rotations: Floats, centers: Floats, mask: NDArray[np.bool_]
     ) -> IouCounts:
         """Returns how many pixels N silhouettes share with an (H, W) mask, and those of either."""
         self.usage.add("counts", len(centers))
-        return self._scorer.counts(camera, rotations, centers, mask)
+        return self.scorer.counts(camera, rotations, centers, mask)
 
     def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
         """Returns the similarity of N silhouettes to a query, (N,) in [0, 1]; see ``Fit``."""
         self.usage.add("fit", len(centers))
-        return self._scorer.fit(camera, rotations, centers, fit)
+        return self.scorer.fit(camera, rotations, centers, fit)
 
     def instances(self, camera: Camera, rotations: Floats, centers: Floats) -> tuple[Instances, ...]:
         """Returns the silhouettes of single buildings, none hidden by another, view by view."""
@@ -108,9 +118,9 @@ class CityMap:
     def depth(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
         """Returns (N, H, W) depths along the optical axis, metres; 0 where there is no building."""
         self.usage.add("depth", len(centers))
-        if not hasattr(self._scorer, "depth") or hasattr(self._scorer, "depths"):
+        if not hasattr(self.scorer, "depth") or hasattr(self.scorer, "depths"):
             return self._raster.depths(camera, rotations, centers)
-        renderer = cast(DepthRenderer, self._scorer)
+        renderer = cast(DepthRenderer, self.scorer)
         depths = [renderer.depth(camera, pose) for pose in _poses(rotations, centers)]
         return np.array(depths, dtype=np.float32).reshape(-1, camera.height, camera.width)
 
@@ -174,8 +184,8 @@ class CityMap:
 
     @cached_property
     def _engine(self) -> SilhouetteRenderer:
-        if isinstance(self._scorer, SilhouetteRenderer):
-            return self._scorer
+        if isinstance(self.scorer, SilhouetteRenderer):
+            return self.scorer
         return SilhouetteRenderer(self.scene, self._threads)
 
     @cached_property

@@ -111,7 +111,7 @@ def run_config(values: dict[str, Any]) -> Run:
         runs_root=Path(paths.runs).expanduser(),
         config=config,
         renderer=options.renderer,
-        threads=executor.num_threads,
+        threads=executor.threads,
         tilt=options.tilt,
         seed=options.seed,
         splits=tuple(options.split),

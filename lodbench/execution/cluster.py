@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
+from contextlib import contextmanager
 from importlib import import_module
 from itertools import islice
 from typing import Any, TypeVar
 from uuid import uuid4
 
 from lodbench.errors import ConfigError, LodbenchError
-from lodbench.execution.executor import ExecutorParams
 from lodbench.execution.fan_out import KEEP_DYING, KEEP_DYING_HINT
 
 Item = TypeVar("Item")
@@ -26,19 +26,86 @@ _RETRIES = 3
 _CONNECT_S = 30
 
 
-def over_dask(
-    executor: ExecutorParams,
-    work: Callable[[Item], Result],
-    items: Iterable[Item],
+class DaskWorkers:
+    """Workers of a cluster, as ``Processes`` are of this machine.
+
+    Args:
+        client: Dask's.
+        address: The scheduler's, for messages.
+        prepare: Module-level function, called once in each worker before its first item.
+        prepare_with: Its arguments.
+        workers: How many are asked for, where none has come yet.
+        patience_s: Seconds without any result after which the workers count as hung.
+    """
+
+    def __init__(
+        self,
+        client: Any,
+        address: str,
+        prepare: Callable[..., None],
+        prepare_with: tuple[Any, ...],
+        workers: int,
+        patience_s: float,
+    ) -> None:
+        self._client, self._address, self._patience_s = client, address, patience_s
+        self.count = max(1, sum(client.nthreads().values()) or workers)
+        # One name for all that is prepared alike: a worker does it once, a new one does it again.
+        # A task, not scattered data: made again where the worker that held it died.
+        self._common = client.submit(
+            _together, uuid4().hex, prepare, prepare_with, pure=False, retries=_RETRIES
+        )
+
+    def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Yields results as ``Processes.map`` does.
+
+        Raises:
+            LodbenchError: Workers keep dying or hanging, or the scheduler goes away.
+            Exception: What the work raised.
+        """
+        with _one_line_for(self._address):
+            yield from self._results(work, iter(items))
+
+    def _results(self, work: Callable[[Item], Result], waiting: Iterator[Item]) -> Iterator[Result]:
+        """Yields results as they come; items are handed out as others come back."""
+        distributed: Any = import_module("distributed")
+
+        def submit(count: int) -> set[Any]:
+            return {
+                self._client.submit(_on_worker, self._common, work, item, pure=False, retries=_RETRIES)
+                for item in islice(waiting, count)
+            }
+
+        running, hung = submit(_AHEAD * self.count), 0
+        while running:
+            try:
+                done, running = distributed.wait(running, self._patience_s, "FIRST_COMPLETED")
+            except TimeoutError as error:
+                hung += 1
+                if hung > _RETRIES:
+                    raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
+                # What they were at is done again.
+                names = [name for name, keys in self._client.processing().items() if keys]
+                self._client.restart_workers(names)
+                continue
+            for future in done:
+                yield future.result()
+                hung = 0
+            running |= submit(len(done))
+
+
+@contextmanager
+def dask_workers(
+    address: str | None,
+    workers: int,
+    patience_s: float,
     prepare: Callable[..., None],
     prepare_with: tuple[Any, ...],
-) -> Iterator[Result]:
-    """Yields results as ``spread`` does, from the cluster at an address or one of its own on this machine.
+) -> Iterator[DaskWorkers]:
+    """Opens the cluster at an address, or one of its own on this machine.
 
     Raises:
         ConfigError: Dask is not installed.
-        LodbenchError: Workers keep dying or hanging, the scheduler is not there, or goes away.
-        Exception: What the work raised.
+        LodbenchError: The scheduler is not there.
     """
     try:
         distributed: Any = import_module("distributed")
@@ -49,60 +116,38 @@ def over_dask(
     # Workers in processes of their own, of one thread: the engine has threads itself.
     own = None
     try:
-        if executor.address is None:
-            own = distributed.LocalCluster(n_workers=executor.num_workers, threads_per_worker=1)
-        with distributed.Client(executor.address or own, timeout=_CONNECT_S) as client:
+        if address is None:
+            own = distributed.LocalCluster(n_workers=workers, threads_per_worker=1)
+        try:
+            client = distributed.Client(address or own, timeout=_CONNECT_S)
+        except OSError as error:
+            if address is None or error.errno is not None:
+                raise
+            raise LodbenchError(
+                f"Dask's scheduler {address} does not answer.", "dask scheduler starts one."
+            ) from error
+        with client:
             _LOGGER.warning("Dask's dashboard: %s", client.dashboard_link)
-            # One name for all that is prepared alike: a worker does it once, a new one does it again.
-            # A task, not scattered data: made again where the worker that held it died.
-            common = client.submit(
-                _together, uuid4().hex, work, prepare, prepare_with, pure=False, retries=_RETRIES
-            )
-            slots = max(1, sum(client.nthreads().values()) or executor.num_workers)
-            yield from _results(client, common, iter(items), _AHEAD * slots, executor.patience_s)
-    except distributed.KilledWorker as error:
-        raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
-    except CancelledError as error:
-        raise LodbenchError(
-            f"Dask's scheduler {executor.address or 'on this machine'} is gone.",
-            "Start it again and give the same command: what was done is kept.",
-        ) from error
-    except OSError as error:
-        if executor.address is None or error.errno is not None:
-            raise
-        raise LodbenchError(
-            f"Dask's scheduler {executor.address} does not answer.", "dask scheduler starts one."
-        ) from error
+            name = address or "on this machine"
+            yield DaskWorkers(client, name, prepare, prepare_with, workers, patience_s)
     finally:
         if own is not None:
             own.close()
 
 
-def _results(
-    client: Any, common: Any, waiting: Iterator[Any], ahead: int, patience_s: float
-) -> Iterator[Any]:
-    """Yields results as they come; items are handed out as others come back."""
+@contextmanager
+def _one_line_for(address: str) -> Iterator[None]:
+    """Turns what Dask raises where its workers or its scheduler fail into errors of one line."""
     distributed: Any = import_module("distributed")
-
-    def submit(count: int) -> set[Any]:
-        taken = islice(waiting, count)
-        return {client.submit(_on_worker, common, item, pure=False, retries=_RETRIES) for item in taken}
-
-    running, hung = submit(ahead), 0
-    while running:
-        try:
-            done, running = distributed.wait(running, patience_s, "FIRST_COMPLETED")
-        except TimeoutError as error:
-            hung += 1
-            if hung > _RETRIES:
-                raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
-            # What they were at is done again.
-            client.restart_workers([name for name, keys in client.processing().items() if keys])
-            continue
-        for future in done:
-            yield future.result()
-            hung = 0
-        running |= submit(len(done))
+    try:
+        yield
+    except distributed.KilledWorker as error:
+        raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
+    except CancelledError as error:
+        raise LodbenchError(
+            f"Dask's scheduler {address} is gone.",
+            "Start it again and give the same command: what was done is kept.",
+        ) from error
 
 
 # What this worker has prepared, by its token; the latest only, since it may hold a city.
@@ -114,9 +159,9 @@ def _together(*common: Any) -> tuple[Any, ...]:
 
 
 def _on_worker(
-    common: tuple[str, Callable[[Any], Any], Callable[..., None], tuple[Any, ...]], item: Any
+    common: tuple[str, Callable[..., None], tuple[Any, ...]], work: Callable[[Any], Any], item: Any
 ) -> Any:
-    token, work, prepare, prepare_with = common
+    token, prepare, prepare_with = common
     if _prepared != [token]:
         prepare(*prepare_with)
         _prepared[:] = [token]

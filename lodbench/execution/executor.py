@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from lodbench.errors import ConfigError
-from lodbench.execution.fan_out import fan_out
+from lodbench.execution.fan_out import Processes
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 SERIAL, PROCESS, DASK = "serial", "process", "dask"
+QUERIES, HYPOTHESES = "queries", "hypotheses"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +28,8 @@ class ExecutorParams:
         threads: Threads of the engine in each process, None for the cores divided by the workers.
         address: Dask's scheduler, ``tcp://HOST:8786``, or None for a cluster of its own on this machine.
         patience_s: Seconds without any result after which workers count as hung and are replaced.
+        share: What workers share: ``queries``, or ``hypotheses`` of one query after the other, for a few
+            queries with grids of many thousands.
     """
 
     name: str = SERIAL
@@ -33,10 +37,13 @@ class ExecutorParams:
     threads: int | None = None
     address: str | None = None
     patience_s: float = 3600.0
+    share: str = QUERIES
 
     def __post_init__(self) -> None:
         if self.name not in (SERIAL, PROCESS, DASK):
             raise ConfigError(f"There is no executor {self.name!r}.", "Known: dask, process, serial.")
+        if self.share not in (QUERIES, HYPOTHESES):
+            raise ConfigError(f"executor.share={self.share} is not known.", "Known: hypotheses, queries.")
         for name, value in (("threads", self.threads), ("workers", self.workers)):
             if value is not None and value < 1:
                 raise ConfigError(f"executor.{name}={value} is not a number of {name}.")
@@ -56,6 +63,52 @@ class ExecutorParams:
         return max(1, (os.cpu_count() or 1) // self.num_workers)
 
 
+class Workers(Protocol):
+    """Those who do work, in as many rounds as they are given.
+
+    Attributes:
+        count: How many work at a time.
+    """
+
+    count: int
+
+    def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Yields the results of a module-level function on items, in the order they come.
+
+        An item whose worker died is tried again on another one.
+
+        Raises:
+            LodbenchError: Workers keep dying, or the scheduler is gone.
+            Exception: What the work raised.
+        """
+        ...
+
+
+@contextmanager
+def open_workers(
+    executor: ExecutorParams, prepare: Callable[..., None], prepare_with: tuple[Any, ...]
+) -> Iterator[Workers]:
+    """Opens the workers of an executor for some rounds of work; ``serial`` is this process.
+
+    Args:
+        executor: Where.
+        prepare: Module-level function, called once in each worker before its first item.
+        prepare_with: Its arguments.
+
+    Raises:
+        LodbenchError: The scheduler is not there.
+    """
+    if executor.name == DASK:
+        from lodbench.execution.cluster import dask_workers
+
+        asked = executor.address, executor.num_workers, executor.patience_s
+        with dask_workers(*asked, prepare, prepare_with) as cluster:
+            yield cluster
+        return
+    with closing(Processes(executor.num_workers, prepare, prepare_with, executor.patience_s)) as processes:
+        yield processes
+
+
 def spread(
     executor: ExecutorParams,
     work: Callable[[Item], Result],
@@ -63,23 +116,6 @@ def spread(
     prepare: Callable[..., None],
     prepare_with: tuple[Any, ...],
 ) -> Iterator[Result]:
-    """Yields the results of work on items, in the order they come.
-
-    An item whose worker died is tried again on another one.
-
-    Args:
-        executor: Where.
-        work: Module-level function of one item.
-        items: What to work on; taken as workers become free.
-        prepare: Module-level function, called once in each worker before its first item.
-        prepare_with: Its arguments.
-
-    Raises:
-        LodbenchError: Workers keep dying, or the scheduler is not there.
-        Exception: What the work raised.
-    """
-    if executor.name == DASK:
-        from lodbench.execution.cluster import over_dask
-
-        return over_dask(executor, work, items, prepare, prepare_with)
-    return fan_out(work, items, executor.num_workers, prepare, prepare_with, executor.patience_s)
+    """Yields the results of one round of work; see ``open_workers`` and ``Workers.map``."""
+    with open_workers(executor, prepare, prepare_with) as workers:
+        yield from workers.map(work, items)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from itertools import islice
+from multiprocessing import forkserver
 from multiprocessing.connection import wait as wait_for
 from typing import Any, TypeVar
 
@@ -24,6 +27,20 @@ KEEP_DYING = "Workers keep dying, perhaps for lack of memory, or give no result.
 KEEP_DYING_HINT = "Fewer workers need less; executor.patience_s=SECONDS is how long one may take."
 # Workers that may die one after the other with no result in between.
 _DEATHS = 3
+# Fresh processes, not forks of this one: a fork would copy locks that other threads hold. On Linux they fork
+# from a server that has imported what they need and holds no lock; elsewhere system libraries forbid it.
+_START = "forkserver" if sys.platform == "linux" else "spawn"
+
+
+def expect_workers(modules: tuple[str, ...]) -> None:
+    """Lets what workers need be imported once, beside this process, while it does other things.
+
+    Args:
+        modules: Of the work; the first call in a process counts.
+    """
+    if _START == "forkserver":
+        multiprocessing.set_forkserver_preload(list(modules))
+        forkserver.ensure_running()
 
 
 def fan_out(
@@ -34,88 +51,126 @@ def fan_out(
     prepare_with: tuple[Any, ...],
     patience_s: float | None = None,
 ) -> Iterator[Result]:
-    """Yields the results of work on items, in the order they come.
+    """Yields the results of work on items, in the order they come; arguments as for ``Processes``."""
+    with closing(Processes(workers, prepare, prepare_with, patience_s)) as processes:
+        yield from processes.map(work, items)
 
-    With one worker the work is done in this process. Otherwise every worker is a fresh process,
-    which ends when this one does, however that happens; when one dies, what was at work is done again.
+
+class Processes:
+    """Processes that do work, in as many rounds as they are given.
+
+    With one worker the work is done in this process. Otherwise every worker is a fresh process, which ends
+    when this one does, however that happens; when one dies, what was at work is done again. They start with
+    the first round.
 
     Args:
-        work: Module-level function of one item.
-        items: What to work on; taken as workers become free.
         workers: Number of processes.
         prepare: Module-level function, called once in each worker before its first item.
         prepare_with: Its arguments.
         patience_s: Seconds without any result after which the workers count as hung and are replaced; None
             waits for ever.
-
-    Raises:
-        LodbenchError: Workers keep dying or hanging.
-        Exception: What the work raised; items not yet handed out are left.
     """
-    if workers == 1:
-        prepare(*prepare_with)
-        yield from map(work, items)
-        return
-    waiting, again, deaths = iter(items), list[Item](), 0
-    while True:
-        try:
-            for result in _over_processes(work, waiting, again, workers, prepare, prepare_with, patience_s):
-                deaths = 0
-                yield result
+
+    def __init__(
+        self,
+        workers: int,
+        prepare: Callable[..., None],
+        prepare_with: tuple[Any, ...],
+        patience_s: float | None = None,
+    ) -> None:
+        self.count = workers
+        self._prepare, self._prepare_with, self._patience_s = prepare, prepare_with, patience_s
+        self._pool: ProcessPoolExecutor | None = None
+        self._others: set[Any] = set()
+        self._is_prepared = False
+
+    def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Yields the results of work on items, in the order they come.
+
+        Args:
+            work: Module-level function of one item.
+            items: What to work on; taken as workers become free.
+
+        Raises:
+            LodbenchError: Workers keep dying or hanging.
+            Exception: What the work raised; items not yet handed out are left.
+        """
+        if self.count == 1:
+            if not self._is_prepared:
+                self._prepare(*self._prepare_with)
+                self._is_prepared = True
+            yield from map(work, items)
             return
-        except BrokenProcessPool as error:
-            deaths += 1
-            if deaths > _DEATHS:
-                raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
-
-
-def _over_processes(
-    work: Callable[[Item], Result],
-    waiting: Iterator[Item],
-    again: list[Item],
-    workers: int,
-    prepare: Callable[..., None],
-    prepare_with: tuple[Any, ...],
-    patience_s: float | None,
-) -> Iterator[Result]:
-    """Yields results until all items are done or a worker dies; what was at work is in ``again`` then."""
-    # Fresh processes, not forks: a fork would copy locks that other threads hold.
-    context = multiprocessing.get_context("spawn")
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, context, _prepare, (prepare, prepare_with))
-    at_work: dict[Future[Result], Item] = {}
-    try:
+        waiting, again, deaths = iter(items), list[Item](), 0
         while True:
-            while len(at_work) < _AHEAD * workers:
-                again += [] if again else list(islice(waiting, 1))
-                if not again:
-                    break
-                # In `again` until it is handed out: a pool that is broken takes nothing.
-                future = pool.submit(work, again[-1])
-                at_work[future] = again.pop()
-            if not at_work:
+            try:
+                for result in self._round(work, waiting, again):
+                    deaths = 0
+                    yield result
                 return
-            done, _ = wait(at_work, patience_s, return_when=FIRST_COMPLETED)
-            if not done:
-                # Nobody knows which of them hangs; what they were at fails now, and is done again.
-                for worker in set(multiprocessing.active_children()) - others:
-                    worker.kill()
-            for future in done:
-                result = future.result()
-                del at_work[future]
-                yield result
-    except BrokenProcessPool:
-        # Nobody knows whose worker it was.
-        again += at_work.values()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+            except BrokenProcessPool as error:
+                self.close()
+                deaths += 1
+                if deaths > _DEATHS:
+                    raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
+
+    def close(self) -> None:
+        """Ends the workers, when they are done with what they are at."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+    def _round(
+        self, work: Callable[[Item], Result], waiting: Iterator[Item], again: list[Item]
+    ) -> Iterator[Result]:
+        """Yields results until all items are done or a worker dies; what was at work is in ``again`` then."""
+        pool = self._started()
+        at_work: dict[Future[Result], Item] = {}
+        try:
+            while True:
+                while len(at_work) < _AHEAD * self.count:
+                    again += [] if again else list(islice(waiting, 1))
+                    if not again:
+                        break
+                    # In `again` until it is handed out: a pool that is broken takes nothing.
+                    future = pool.submit(work, again[-1])
+                    at_work[future] = again.pop()
+                if not at_work:
+                    return
+                done, _ = wait(at_work, self._patience_s, return_when=FIRST_COMPLETED)
+                if not done:
+                    # Nobody knows which of them hangs; what they were at fails now, and is done again.
+                    for worker in set(multiprocessing.active_children()) - self._others:
+                        worker.kill()
+                for future in done:
+                    result = future.result()
+                    del at_work[future]
+                    yield result
+        except BrokenProcessPool:
+            # Nobody knows whose worker it was.
+            again += at_work.values()
+            raise
+        finally:
+            for future in at_work:
+                future.cancel()
+
+    def _started(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            expect_workers((self._prepare.__module__,))
+            self._others = set(multiprocessing.active_children())
+            begin = (self._prepare, self._prepare_with, dict(os.environ))
+            context = multiprocessing.get_context(_START)
+            self._pool = ProcessPoolExecutor(self.count, context, _begin, begin)
+        return self._pool
 
 
-def _prepare(prepare: Callable[..., None], prepare_with: tuple[Any, ...]) -> None:
+def _begin(prepare: Callable[..., None], prepare_with: tuple[Any, ...], environment: dict[str, str]) -> None:
     # Ctrl-C reaches every process of a terminal; the parent is the one to answer.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    # The server that workers fork from may be older than the settings.
+    os.environ.clear()
+    os.environ.update(environment)
     prepare(*prepare_with)
 
 

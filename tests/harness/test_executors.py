@@ -13,6 +13,7 @@ import pytest
 from lodbench.cli import main
 from lodbench.errors import LodbenchError
 from lodbench.execution.executor import ExecutorParams, spread
+from lodbench.harness.runs.shared_scoring import SharedScorer
 from tests.town import write_dataset
 
 # Times, machine facts, and answers in the order they came.
@@ -46,26 +47,32 @@ def test_dask(serial) -> None:
     assert run(folder, "dask", "executor=dask", "executor.workers=2") == expected
 
 
-def test_a_wide_row_of_a_basin_over_two_processes(serial, tmp_path, monkeypatch) -> None:
-    made = {}
+@pytest.mark.parametrize("name", ["process", pytest.param("dask", marks=pytest.mark.slow)])
+def test_the_grid_of_one_query_of_a_wide_basin_shared_by_two_workers(
+    serial, tmp_path, monkeypatch, name
+) -> None:
+    made, shared = {}, []
+    monkeypatch.setattr(SharedScorer, "_shared", counted(SharedScorer._shared, shared))
     words = [f"dataset.root={serial[0] / 'town/data'}", f"dataset.city_model={serial[0] / 'town/city.obj'}"]
-    words += [
-        "dataset=folder",
-        "segmenter=masks",
-        "method.steps=1",
-        "ranges=[200]",
-        "yaw_ranges=[]",
-        "limit=2",
-    ]
-    for name, more in (("serial", []), ("process", ["executor.workers=2"])):
-        (tmp_path / name).mkdir()
+    words += ["dataset=folder", "segmenter=masks", "method.steps=1", "yaw_ranges=[]", "limit=1"]
+    for executor, more in (("serial", []), (name, ["executor.workers=2", "executor.share=hypotheses"])):
+        (tmp_path / executor).mkdir()
         # Results name the folders of their runs: the same name, seen from where the command stands.
-        monkeypatch.chdir(tmp_path / name)
-        assert main(["basin", *words, "ranges=[200]", "maps=false", f"executor={name}", *more]) == 0
-        files = [path for path in (tmp_path / name).rglob("*") if path.is_file() and path.name not in APART]
-        made[name] = {path.relative_to(tmp_path / name): path.read_bytes() for path in files}
+        monkeypatch.chdir(tmp_path / executor)
+        assert main(["basin", *words, "ranges=[200]", "maps=false", f"executor={executor}", *more]) == 0
+        files = [path for path in Path().rglob("*") if path.is_file() and path.name not in APART]
+        made[executor] = {path: path.read_bytes() for path in files}
     assert any(path.name == "basin.csv" for path in made["serial"])
-    assert made["process"] == made["serial"]
+    assert made[name] == made["serial"]
+    assert max(shared) > 500_000
+
+
+def counted(function, numbers: list[int]):
+    def call(self, camera, rotations, centers, *more):
+        numbers.append(len(centers))
+        return function(self, camera, rotations, centers, *more)
+
+    return call
 
 
 def test_training_data_over_dask(serial, tmp_path) -> None:

@@ -6,25 +6,28 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.texture_files import open_textured_map
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.query import Dataset, Entry
+from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.predictions import Prediction
 from lodbench.execution import Ledger, Progress
-from lodbench.execution.executor import SERIAL, ExecutorParams, spread
+from lodbench.execution.executor import QUERIES, SERIAL, ExecutorParams, open_workers
 from lodbench.geometry import Camera
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.answer import Asked, answer
 from lodbench.harness.runs.method_inputs import prepare_method
 from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.runs.shared_scoring import Part, SharedScorer, score
 from lodbench.methods import Method
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
+from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream
 
@@ -74,6 +77,12 @@ class Work:
         names = (self.dataset.name, entry.key) if self.stream_names is None else self.stream_names(entry)
         return partial(random_stream, self.seed, *names)
 
+    def prepared_with(
+        self, city_map: CityMap
+    ) -> tuple[Method, object, dict[str, str], CityMap, tuple[Reference, ...], Path]:
+        """Returns the arguments of ``prepare_method``."""
+        return self.method, self.params, self.inputs, city_map, self.dataset.references, self.folder
+
     def answers(
         self, preparation: Preparation, city_map: CityMap, entries: Sequence[Entry]
     ) -> list[tuple[str, dict[str, Any]]]:
@@ -113,18 +122,37 @@ def predict(
     batches = _batches(work.method, entries, waiting)
     label, done = f"{work.method.name} on {work.dataset.name}", len(entries) - len(waiting)
     with Progress(label, len(entries), done=done) as progress:
-        answers: Iterator[list[tuple[str, dict[str, Any]]]]
-        if executor.name == SERIAL:
-            _warm_up(city_map)
-            answers = (work.answers(preparation, city_map, batch) for batch in batches)
-        else:
-            answers = spread(executor, _answer_here, batches, _open_here, (work,))
-        for answered in answers:
+        for answered in _answers(work, preparation, city_map, batches, executor):
             for key, answer in answered:
                 if key in again:
                     stored.record(key, answer)
                     progress.advance()
     return {entry.key: Prediction.from_json(stored[entry.key]) for entry in entries}
+
+
+def _answers(
+    work: Work,
+    preparation: Preparation,
+    city_map: CityMap,
+    batches: Sequence[Sequence[Entry]],
+    executor: ExecutorParams,
+) -> Iterator[list[tuple[str, dict[str, Any]]]]:
+    """Yields the answers to batches of queries, in the order they come."""
+    if executor.name == SERIAL:
+        _warm_up(city_map)
+        for batch in batches:
+            yield work.answers(preparation, city_map, batch)
+        return
+    with open_workers(executor, _open_here, (work,)) as workers:
+        if executor.share == QUERIES:
+            yield from workers.map(_answer_here, batches)
+            return
+        # The process that was asked goes on by itself, and has workers score its large grids.
+        prepare_method(*work.prepared_with(city_map))
+        shared = SharedScorer(city_map.scorer, workers, _score_here)
+        shared_map = city_map.with_scorer(cast(Scorer, shared))
+        for batch in batches:
+            yield work.answers(preparation, shared_map, batch)
 
 
 def _batches(method: Method, entries: Sequence[Entry], waiting: Sequence[Entry]) -> list[list[Entry]]:
@@ -158,7 +186,7 @@ def _open_here(work: Work) -> None:
     city_map = CityMap(scene, work.renderer, work.threads, textured)
     preparation = Preparation(dataset, scene, work.segmenter, work.tilt, work.needs, city_map)
     # It finds prepared what the run's own process prepared.
-    prepare_method(work.method, work.params, work.inputs, city_map, dataset.references, work.folder)
+    prepare_method(*work.prepared_with(city_map))
     _warm_up(city_map)
     _here[:] = [(work, preparation, city_map)]
 
@@ -166,6 +194,10 @@ def _open_here(work: Work) -> None:
 def _answer_here(entries: Sequence[Entry]) -> list[tuple[str, dict[str, Any]]]:
     work, preparation, city_map = _here[0]
     return work.answers(preparation, city_map, entries)
+
+
+def _score_here(part: Part) -> tuple[NDArray[np.int64], tuple[NDArray[Any], ...]]:
+    return score(_here[0][2].scorer, part)
 
 
 def _warm_up(city_map: CityMap) -> None:

@@ -23,7 +23,8 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.evaluate import evaluate
-from lodbench.execution.executor import SERIAL, ExecutorParams
+from lodbench.execution.executor import PROCESS, SERIAL, ExecutorParams
+from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.lock import only_one_in
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.code_digest import code_digest
@@ -51,7 +52,7 @@ class RunSettings:
         config: The resolved configuration that defines the result, as JSON values; it names the
             run folder together with the content of the inputs.
         renderer: Name of the renderer.
-        threads: Threads of the engine, None for one per core; never changes a result.
+        threads: Threads of the engine in this process, None for one per core; never changes a result.
         tilt: ``prior`` or ``truth``.
         seed: Seed of the random streams.
         splits: Splits to run; empty for all.
@@ -98,6 +99,9 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     if settings.limit is not None and settings.limit < 1:
         raise ConfigError(f"limit={settings.limit} is not a number of queries.")
     require_writable(settings.runs_root)
+    if settings.executor.name == PROCESS:
+        # Workers import while this process opens the city.
+        expect_workers((predict.__module__, type(method).__module__, type(segmenter).__module__))
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
     require_tilt(settings.tilt, dataset)
@@ -130,7 +134,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         dataset,
         segmenter,
         settings.renderer,
-        settings.threads,
+        settings.threads if settings.executor.name == SERIAL else settings.executor.num_threads,
         settings.tilt,
         preparation.needs,
         settings.seed,
