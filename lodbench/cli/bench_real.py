@@ -8,10 +8,13 @@ from typing import Any
 
 from lodbench.bench.figures import Report
 from lodbench.bench.real_query import RealOptions, measure_real
+from lodbench.bench.traced_photos import TracedOptions, open_traced_photos
+from lodbench.citymodel.scene import Scene
 from lodbench.cli.segmenters import default_segmenter, segmenter_of
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.harness.city import open_city
@@ -21,6 +24,7 @@ _MORE = """\
   lodbench bench real --query DIR --city CITY --priors 20
   lodbench bench real --query DIR --city CITY --prior-range 50 --prior-yaw 30     the wide protocol
   lodbench bench real --query DIR --city CITY --method region,contour_alignment --segmenter compact
+  lodbench bench real --photos DIR     DIR/PLACE/photos with traced DIR/PLACE/masks, which make the map
 """
 
 
@@ -32,10 +36,15 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
         epilog=_MORE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "--query", type=Path, required=True, metavar="DIR", help="photos and poses, as dataset=folder"
+    photos = parser.add_mutually_exclusive_group(required=True)
+    photos.add_argument("--query", type=Path, metavar="DIR", help="photos and poses, as dataset=folder")
+    photos.add_argument(
+        "--photos", type=Path, metavar="DIR", help="photos and traced masks, which make the map"
     )
-    parser.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
+    parser.add_argument("--city", type=Path, metavar="FILE", help="city model; needed with --query")
+    parser.add_argument(
+        "--map-error", type=float, default=0.5, metavar="M", help="of maps made of traced masks (0.5)"
+    )
     parser.add_argument("--lod", help="level of detail to localise against (the lowest)")
     parser.add_argument("--crs", help="of the city model, where its file says none")
     parser.add_argument("--method", default="region", help="methods, comma-separated (region)")
@@ -52,13 +61,7 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
 
 def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     """Returns what was asked for."""
-    if not options.city.exists():
-        raise ConfigError(f"The city model {options.city} does not exist.", "Write --city FILE.")
-    dataset = open_folder(
-        FolderParams(
-            str(options.query), str(options.city), options.lod, options.crs, None, options.query.name
-        )
-    )
+    dataset, scene = _photos_and_map(options)
     width = UniformPrior(
         x_m=options.prior_range,
         y_m=options.prior_range,
@@ -73,7 +76,24 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
         segmenter = segmenter_of(options.segmenter)
     else:
         segmenter = default_segmenter(dataset)[0] if needs_mask else segmenter_of("none")
+    # Priors of another width than the dataset's own leave its own out; traced photos have none.
+    has_own = options.photos is None and width == UniformPrior()
+    asked = RealOptions(options.priors, width, is_published_too=has_own, seed=options.seed)
+    return measure_real(dataset, scene, segmenter, methods, asked, steps)
+
+
+def _photos_and_map(options: argparse.Namespace) -> tuple[Dataset, Scene]:
+    if options.photos is not None:
+        if options.city is not None:
+            raise ConfigError("--photos makes its own map.", "Leave out --city, or write --query DIR.")
+        return open_traced_photos(options.photos, TracedOptions(options.map_error, options.seed))
+    if options.city is None or not options.city.exists():
+        what = "--query needs a city model." if options.city is None else f"{options.city} does not exist."
+        raise ConfigError(what, "Write --city FILE.")
+    dataset = open_folder(
+        FolderParams(
+            str(options.query), str(options.city), options.lod, options.crs, None, options.query.name
+        )
+    )
     city = open_city(options.city, dataset.lod, dataset.city_options, dataset.roof_height)
-    # Priors of another width than the dataset's own leave its own out.
-    asked = RealOptions(options.priors, width, is_published_too=width == UniformPrior(), seed=options.seed)
-    return measure_real(dataset, city.scene, segmenter, methods, asked, steps)
+    return dataset, city.scene
