@@ -66,6 +66,20 @@ def rotation_from_euler(angles: EulerAngles) -> Matrix:
     return np.ascontiguousarray(world_from_cam.T)
 
 
+def rotations_from_euler(angles_deg: Matrix) -> Matrix:
+    """Returns (N, 3, 3) cam_from_world of (N, 3) pitch, roll and yaw, degrees.
+
+    Written out element by element: no matrix product, whose last bit may depend on the BLAS.
+    """
+    (cp, cr, cy), (sp, sr, sy) = (turn(np.radians(angles_deg).T) for turn in (np.cos, np.sin))
+    rows = [
+        [cy * cr, sy * cr, -sr],
+        [sy * cp - cy * sr * sp, -cy * cp - sy * sr * sp, -cr * sp],
+        [-cy * sr * cp - sy * sp, cy * sp - sy * sr * cp, -cr * cp],
+    ]
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
+
+
 def rotations_at_yaws(pitch_deg: float, roll_deg: float, yaws_deg: Matrix) -> Matrix:
     """Returns (N, 3, 3) cam_from_world rotations of one tilt at (N,) yaws, degrees.
 

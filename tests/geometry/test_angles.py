@@ -15,7 +15,12 @@ from lodbench.geometry import (
     rotations_at_yaws,
     wrap_deg,
 )
-from lodbench.geometry.angles import blender_from_opencv, heading_from_yaw, rotation_from_dji
+from lodbench.geometry.angles import (
+    blender_from_opencv,
+    heading_from_yaw,
+    rotation_from_dji,
+    rotations_from_euler,
+)
 
 S = np.diag([1.0, -1.0, -1.0])
 angles_deg = st.floats(-180, 180)
@@ -82,6 +87,11 @@ class TestDatasetAngles:
 
     def test_no_yaws_give_no_rotations(self):
         assert rotations_at_yaws(10.0, 0.0, np.zeros(0)).shape == (0, 3, 3)
+
+    @given(st.lists(st.tuples(angles_deg, rolls_deg, angles_deg), max_size=4))
+    def test_of_many_angles_is_that_of_each(self, angles):
+        alone = np.array([rotation_from_euler(EulerAngles(*each)) for each in angles]).reshape(-1, 3, 3)
+        np.testing.assert_allclose(rotations_from_euler(np.reshape(angles, (-1, 3))), alone, atol=1e-14)
 
 
 class TestDji:

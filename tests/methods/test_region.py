@@ -16,7 +16,9 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.methods.region import Params, Region
+from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.evolution import Cloud, climb
+from lodbench.methods.region.search import grid_starts
 from lodbench.methods.registry import make_method
 from lodbench.storage import random_stream
 from tests.town import CAMERA
@@ -91,6 +93,31 @@ class TestTheMethod:
         said = [note for note in estimate.notes if "beyond the range" in note and "z " in note]
         assert bool(said) == (abs(away) > 3.0 + max(1.0, 2.0 * float(np.sqrt(estimate.covariance[2, 2]))))
         assert said
+
+    def test_a_prior_told_too_narrow_leads_no_answer_astray(self, city_map, photographed, truths):
+        told = replace(FAST, range_x_m=10.0, range_y_m=10.0, beyond_m=5.0)
+        for query, truth in zip(photographed[:3], truths[:3], strict=True):
+            off = replace(query, prior=truth.shifted([-9.0, 8.0, 2.0]))
+            estimate = Region(told).localize(off, city_map, streams())
+            assert pose_error(estimate.pose, truth).translation_m < 1.0
+
+    def test_the_grid_reaches_beyond_the_prior_but_not_in_height(self):
+        params = Params(range_x_m=20.0, range_y_m=6.0, range_z_m=0.0, range_yaw_deg=0.0, beyond_m=10.0)
+        grid = params.grid()
+        assert (grid.x.width, grid.y.width, grid.z.width, grid.yaw.width) == (40.0, 12.0, 0.0, 0.0)
+
+    def test_starts_are_tops_of_different_hills(self, city_map, photographed):
+        query, params = photographed[0], Params(starts=8)
+        photo = cv2.imread(str(query.image))
+        evidence = Evidence(query, city_map, PhotoFit(photo, (151, 113), params, True), params)
+        starts, best = grid_starts(query, evidence, params)
+        fits = evidence.fits(starts)
+        assert fits[0] == fits.max() == best
+        grid = params.grid()
+        steps = [axis.width / (axis.count - 1) for axis in (grid.x, grid.y, grid.z, grid.yaw)]
+        for i in range(len(starts)):
+            apart = np.abs(starts[:, [0, 1, 2, 5]] - starts[i, [0, 1, 2, 5]]) / steps
+            assert (np.delete(apart, i, axis=0).max(axis=1) > 1.5).all()
 
     def test_a_prior_s_width_sets_the_search(self):
         wide = Region().params_for_prior(UniformPrior(50.0, 40.0, 30.0, 30.0, 2.0, 2.0))

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
-from lodbench.geometry import EulerAngles, wrap_deg
-from lodbench.geometry.angles import rotation_from_euler
+from lodbench.geometry import wrap_deg
+from lodbench.geometry.angles import rotations_from_euler
 from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
 from lodbench.methods.region.params import Params
-from lodbench.rendering import ContourFit, Fit, RegionFit, Scorer, appearance_bins, edge_bins
+from lodbench.rendering import ContourFit, RegionFit, Scorer, appearance_bins, edge_bins
 from lodbench.rendering.bits import Words
 
 Floats = NDArray[np.float64]
 
 
-# How softly a prior's range ends, as a share of its half width.
-_EDGE_SHARE = 0.1
+# How softly a prior's range ends, as a share of its half width: x, y, z, pitch, roll and yaw. Softly in what
+# is often told narrower than it is.
+_EDGE_SHARES = np.array([1.0, 1.0, 0.1, 0.1, 0.1, 0.5])
 
 
 class PhotoFit:
@@ -29,21 +31,23 @@ class PhotoFit:
         photo: As of ``read_picture``.
         size: Width and height of the silhouettes, pixels.
         params: The method's.
-        is_coarse: Texture instead of edges: for poses that are metres off.
+        is_coarse: Texture counts too, and edges less: for poses that are metres off.
+
+    Attributes:
+        size: As given.
+        edge_weight: Of the contour fit.
     """
 
     def __init__(self, photo: NDArray[Any], size: tuple[int, int], params: Params, is_coarse: bool) -> None:
         self.size = size
         self._region = RegionFit(*appearance_bins(photo, size, has_texture=is_coarse))
-        self._contour: Fit | None = None
-        self._weight = 0.0 if is_coarse else params.edge_weight
-        if self._weight > 0:
-            self._contour = ContourFit(*edge_bins(photo, size, params.edge_blur_px))
+        self.edge_weight = params.coarse_edge_weight if is_coarse else params.edge_weight
+        self._contour = ContourFit(*edge_bins(photo, size, params.edge_blur_px))
 
     def __call__(self, words: Words) -> Floats:
         """Returns the (N,) fit of N silhouettes, nats per pixel."""
         regions = self._region(words)
-        return regions if self._contour is None else regions + self._weight * self._contour(words)
+        return regions + self.edge_weight * self._contour(words) if self.edge_weight > 0 else regions
 
 
 class Evidence:
@@ -54,20 +58,28 @@ class Evidence:
 
     Attributes:
         camera: Pinhole of the working size.
+        fit: Of the photo.
     """
 
-    def __init__(self, query: Query, scorer: Scorer, fit: Fit, params: Params) -> None:
+    def __init__(self, query: Query, scorer: Scorer, fit: PhotoFit, params: Params) -> None:
         self.camera = query.camera.scaled(*fit.size)
-        self._scorer, self._fit = scorer, fit
+        self._scorer, self.fit = scorer, fit
         self._prior = vector_from_pose(query.prior)
         self._sigmas = np.array(params.prior_sigmas())
         self._range = np.array(params.half_widths())
         self._samples = params.effective_pixels
 
+    def with_edges(self, weight: float) -> Evidence:
+        """Returns the same evidence with another weight of the photo's edges."""
+        other = copy(self)
+        other.fit = copy(self.fit)
+        other.fit.edge_weight = weight
+        return other
+
     def fits(self, vectors: Floats) -> Floats:
         """Returns the (N,) fit of poses (N, 6), centre in metres and angles in degrees; nats per pixel."""
-        rotations = np.stack([rotation_from_euler(EulerAngles(*(float(a) for a in v[3:]))) for v in vectors])
-        return self._scorer.fit(self.camera, rotations, np.ascontiguousarray(vectors[:, :3]), self._fit)
+        rotations = rotations_from_euler(vectors[:, 3:])
+        return self._scorer.fit(self.camera, rotations, np.ascontiguousarray(vectors[:, :3]), self.fit)
 
     def log_posterior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the posterior of poses (N, 6)."""
@@ -80,8 +92,7 @@ class Evidence:
     def log_prior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the prior, up to a constant."""
         offsets = self.offsets(vectors)
-        # What lies outside the prior's range by a fifth of it is as unlikely as one standard deviation.
-        beyond = np.maximum(np.abs(offsets) - self._range, 0.0) / (_EDGE_SHARE * self._range)
+        beyond = np.maximum(np.abs(offsets) - self._range, 0.0) / (_EDGE_SHARES * self._range)
         return np.asarray(-0.5 * ((offsets / self._sigmas) ** 2 + beyond**2).sum(axis=1))
 
     def offsets(self, vectors: Floats) -> Floats:

@@ -8,15 +8,14 @@ coarse one over many.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
-from lodbench.geometry import EulerAngles
-from lodbench.geometry.angles import rotation_from_euler
+from lodbench.geometry.angles import rotations_from_euler
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence
@@ -121,11 +120,25 @@ class LineFit:
 
     def _counts(self, vectors: Floats, offset_px: float = 0.0) -> NDArray[np.int64]:
         counts = np.zeros((len(vectors), 2, EDGE_LEVELS), dtype=np.int64)
-        rotations = np.stack([rotation_from_euler(EulerAngles(*(float(a) for a in v[3:]))) for v in vectors])
+        rotations = rotations_from_euler(vectors[:, 3:])
         centers = np.ascontiguousarray(vectors[:, :3])
         view = rotations, centers, self._intrinsics, self._levels
         count_levels(self._points, self._kinds, *view, offset_px, counts)
         return counts
+
+
+class Aligned(NamedTuple):
+    """A pose that puts the model's lines on the photo's edges.
+
+    Attributes:
+        vector: (6,) the pose.
+        nats: (N, 6) poses to the (N,) logarithm of the likelihood that it is best by.
+        sharpness: As of ``LineFit``: whether the map is exact enough for it to count.
+    """
+
+    vector: Floats
+    nats: Callable[[Floats], Floats]
+    sharpness: float
 
 
 def aligned_by_lines(
@@ -137,11 +150,10 @@ def aligned_by_lines(
     around: Surroundings,
     params: Params,
     streams: Streams,
-) -> tuple[Floats, Callable[[Floats], Floats]] | None:
-    """Returns the pose near one that puts the model's lines on the photo's edges, and the likelihood there.
+) -> Aligned | None:
+    """Returns the pose near one that puts the model's lines on the photo's edges; None without lines in view.
 
-    Lines alone lead in the first rounds; in the last the regions have their say too. None where the map is
-    too coarse for that, or no line is in view.
+    Lines alone lead in the first rounds; in the last the regions have their say too.
     """
     for number, (blur_px, spread_px) in enumerate(_ROUNDS):
         fit = LineFit(photo, query, city_map, vector, blur_px, params)
@@ -154,7 +166,7 @@ def aligned_by_lines(
             return nats(vectors) + evidence.log_prior(vectors)
 
         vector = climb(posterior, cloud, _GENERATIONS, params.population, streams("lines", number)).mean
-    return (vector, nats) if fit.sharpness(vector) >= params.least_sharpness else None
+    return Aligned(vector, nats, fit.sharpness(vector))
 
 
 def _joined(fit: LineFit, evidence: Evidence) -> Callable[[Floats], Floats]:

@@ -24,7 +24,7 @@ from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.lines import aligned_by_lines
 from lodbench.methods.region.params import Params
-from lodbench.methods.region.search import Surroundings, climbed, grid_starts
+from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged
 from lodbench.methods.region.uncertainty import covariance_at, share_of_best
 
 Floats = NDArray[np.float64]
@@ -70,11 +70,15 @@ class Region:
         modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams)
         if not modes:
             raise QueryFault("no outline of a building is in view of any pose that fits")
+        modes = judged(modes, final.with_edges(params.judging_edge_weight))
         vector = modes[0].cloud.mean
         nats: Callable[[Floats], Floats] = final.nats
         if params.lines_weight > 0:
-            exact = aligned_by_lines(photo, query, city_map, vector, final, around, params, streams)
-            vector, nats = exact or (vector, nats)
+            # Lines say what edges say, and more: the regions join them without.
+            regions = final.with_edges(0.0)
+            lines = aligned_by_lines(photo, query, city_map, vector, regions, around, params, streams)
+            if lines is not None and lines.sharpness >= params.least_sharpness:
+                vector, nats = lines.vector, lines.nats
         covariance = covariance_at(nats, vector, final, around)
         finished = time.perf_counter()
         return Estimate(

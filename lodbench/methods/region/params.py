@@ -11,6 +11,10 @@ from lodbench.geometry import AxisRange, PoseGrid
 from lodbench.rendering.raster_rule import GUARD_PX
 
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
+_AT_LEAST_0 = (
+    *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
+    *("judging_edge_weight", "lines_weight", "least_sharpness"),
+)
 _POSITIVE = ("stride_m", "stride_z_m", "stride_yaw_deg", "coarse_spread_px", "fine_spread_px", "edge_blur_px")
 
 
@@ -27,6 +31,9 @@ class Params:
         range_z_m: See range_x_m.
         range_yaw_deg: Full width in yaw, degrees.
         range_tilt_deg: Full width in pitch and in roll, degrees.
+        beyond_m: How much farther than the prior's error the search looks to either side in x and in y,
+            metres, but never more than half the range: priors are often told narrower than they are.
+        beyond_yaw_deg: The same in yaw, degrees.
         stride_m: Largest distance between samples of the grid along x and y, metres.
         stride_z_m: The same in height.
         stride_yaw_deg: The same in yaw, degrees.
@@ -39,6 +46,9 @@ class Params:
         fine_spread_px: The same in a refinement, pixels of the fine size.
         effective_pixels: How many independent pixels a photo is worth against the prior.
         edge_weight: Weight of the photo's edges along the outline beside its regions; 0 leaves them out.
+        coarse_edge_weight: The same in the search.
+        judging_edge_weight: The same where one of the tops is chosen: one large silhouette parts a photo well
+            in many wrong places, but no edges lie along it.
         edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
         lines_width: Width of the photo where the model's lines are laid over its edges, pixels.
         lines_weight: What a pixel of line is worth, independent pixels; 0 leaves lines out.
@@ -54,18 +64,22 @@ class Params:
     range_z_m: float = 60.0
     range_yaw_deg: float = 15.0
     range_tilt_deg: float = 2.0
+    beyond_m: float = 10.0
+    beyond_yaw_deg: float = 5.0
     stride_m: float = 5.0
     stride_z_m: float = 15.0
     stride_yaw_deg: float = 3.75
-    starts: int = 6
-    modes: int = 3
+    starts: int = 10
+    modes: int = 5
     coarse_generations: int = 14
     fine_generations: int = 22
     population: int = 24
     coarse_spread_px: float = 4.0
     fine_spread_px: float = 2.5
     effective_pixels: float = 2000.0
-    edge_weight: float = 2.0
+    edge_weight: float = 8.0
+    coarse_edge_weight: float = 4.0
+    judging_edge_weight: float = 20.0
     edge_blur_px: float = 1.0
     lines_width: int = 640
     lines_weight: float = 0.1
@@ -75,7 +89,7 @@ class Params:
         for name in ("coarse_width", "fine_width", "lines_width"):
             if not 16 <= getattr(self, name) <= GUARD_PX:
                 raise ConfigError(f"method.{name} is 16 to {GUARD_PX} px, not {getattr(self, name)}.")
-        for name in (*_RANGES, "effective_pixels", "edge_weight", "lines_weight", "least_sharpness"):
+        for name in (*_RANGES, *_AT_LEAST_0):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
         for name in _POSITIVE:
@@ -87,12 +101,15 @@ class Params:
             raise ConfigError(f"method.population is even and at least 8, not {self.population}.")
 
     def grid(self) -> PoseGrid:
-        """Returns the grid of the search: samples at most a stride apart, ends included."""
+        """Returns the grid of the search: samples at most a stride apart, ends included.
+
+        In height it ends where the prior does; see ``beyond_m`` for the rest.
+        """
         return PoseGrid(
-            _axis(self.range_x_m, self.stride_m),
-            _axis(self.range_y_m, self.stride_m),
+            _axis(_widened(self.range_x_m, self.beyond_m), self.stride_m),
+            _axis(_widened(self.range_y_m, self.beyond_m), self.stride_m),
             _axis(self.range_z_m, self.stride_z_m),
-            _axis(self.range_yaw_deg, self.stride_yaw_deg),
+            _axis(_widened(self.range_yaw_deg, self.beyond_yaw_deg), self.stride_yaw_deg),
         )
 
     def half_widths(self) -> tuple[float, ...]:
@@ -124,3 +141,7 @@ class Params:
 
 def _axis(width: float, stride: float) -> AxisRange:
     return AxisRange(width, math.ceil(width / stride - 1e-9) + 1)
+
+
+def _widened(width: float, beyond: float) -> float:
+    return width + min(2.0 * beyond, width)

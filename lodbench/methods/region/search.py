@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
@@ -38,7 +39,7 @@ class Mode(NamedTuple):
 
 
 def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Floats, float]:
-    """Returns the best samples of the grid, none a neighbour of a better one, (N, 6), and the best fit.
+    """Returns the tops of the grid, best first, none another's neighbour, (N, 6), and the best fit.
 
     Raises:
         QueryFault: The photo fits no sample at all.
@@ -51,12 +52,14 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
     best = float(fits.max())
     if best <= 0:
         raise QueryFault("the photo fits no view of the map: the prior may be far from the city")
-    axes = (grid.x, grid.y, grid.z, grid.yaw)
-    cell = np.array([axis.width / max(axis.count - 1, 1) or 1.0 for axis in axes])
-    places = np.column_stack([centers, yaws]) / cell
+    axes = (grid.yaw, grid.x, grid.y, grid.z)
+    values = fits.reshape([axis.count for axis in axes])
+    # Tops first, one of each hill: a broad false one shall not take every start. Then the best besides.
+    is_top = (values >= maximum_filter(values, size=3, mode="nearest")).ravel()
+    places = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)
     chosen: list[int] = []
-    for i in np.argsort(-fits, kind="stable"):
-        if (np.abs(places[chosen] - places[i]).max(axis=1, initial=0.0) > 1.01).all():
+    for i in np.lexsort([-fits, ~is_top]):
+        if (np.abs(places[chosen] - places[i]).max(axis=1, initial=0) > 1).all():
             chosen.append(int(i))
         if len(chosen) == params.starts:
             break
@@ -91,6 +94,12 @@ def climbed(
         if all(np.linalg.norm(gap[:3]) > _SAME_M or gap[3:].max() > _SAME_DEG for gap in gaps):
             distinct.append(top)
     return distinct
+
+
+def judged(modes: list[Mode], evidence: Evidence) -> list[Mode]:
+    """Returns the same tops as another evidence sees them, best first."""
+    seen = [Mode(mode.cloud, float(evidence.log_posterior(mode.cloud.mean[None])[0])) for mode in modes]
+    return sorted(seen, key=lambda mode: -mode.log_posterior)
 
 
 class Surroundings:
