@@ -39,9 +39,10 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
     from lodbench.datasets.own import find_inside
+    from lodbench.harness.city import open_city
     from lodbench.harness.georeference.georeference import georeference
     from lodbench.harness.georeference.request import GeoreferenceRequest
-    from lodbench.harness.photo.sidecars import write_sidecars
+    from lodbench.harness.photo.sidecars import frame_on_earth, write_sidecars
     from lodbench.methods.protocol import SupportsFlights
     from lodbench.methods.registry import make_method
 
@@ -59,23 +60,25 @@ def main(argv: Sequence[str]) -> int:
     if not isinstance(method, SupportsFlights):
         raise ConfigError(f"--method {asked.method} solves no flights.", "Leave --method out.")
     profile = load_profile(asked.source, asked.option, asked.crs)
-    placed = georeference(
-        GeoreferenceRequest(
-            model=asked.model,
-            city=asked.city,
-            out=asked.out,
-            method=method,
-            images=asked.images,
-            masks=asked.masks,
-            segmenter=None if asked.masks is not None else segmenter_of(asked.segmenter or "compact"),
-            start=asked.start,
-            heights=height_options(asked),
-            lod=asked.lod or profile.lod,
-            options=profile.options,
-            roof_height=asked.roof_height,
-            seed=asked.seed,
-        )
+    request = GeoreferenceRequest(
+        model=asked.model,
+        city=asked.city,
+        out=asked.out,
+        method=method,
+        images=asked.images,
+        masks=asked.masks,
+        segmenter=None if asked.masks is not None else segmenter_of(asked.segmenter or "compact"),
+        start=asked.start,
+        heights=height_options(asked),
+        lod=asked.lod or profile.lod,
+        options=profile.options,
+        roof_height=asked.roof_height,
+        seed=asked.seed,
     )
+    if asked.sidecars:
+        city = open_city(request.city, request.lod, request.options, request.roof_height)
+        frame_on_earth(city.scene.crs)
+    placed = georeference(request)
     text = json.dumps(placed.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(placed)
     sys.stdout.write(text + "\n")
     if asked.sidecars:

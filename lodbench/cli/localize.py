@@ -57,8 +57,9 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
     from lodbench.harness.photo.flights import localize_flights
-    from lodbench.harness.photo.localize import localize_photo
+    from lodbench.harness.photo.localize import localize_photo, open_map
     from lodbench.harness.photo.many import localize_photos, photos_of
+    from lodbench.harness.photo.sidecars import frame_on_earth
     from lodbench.harness.photo.view import write_view
     from lodbench.methods.protocol import SupportsFlights
 
@@ -68,6 +69,8 @@ def main(argv: Sequence[str]) -> int:
     photos = photos_of(asked.photos, masks)
     method = _method(asked, is_one, masks)
     request = _request(asked, photos[0], method, masks)
+    if asked.sidecars:
+        frame_on_earth(open_map(request).scene.crs)
     if is_one:
         found = localize_photo(request)
         write_view(found.view, request, [found])

@@ -19,6 +19,7 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.harness.photo.flights import FINDINGS_FILE, FLIGHTS_FILE
 from lodbench.rendering import make_renderer
+from lodbench.reporting.answers import UNTRUSTED
 from lodbench.synthesis.view_sampling import view_of
 from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
 from tests.flight import OFF_DEG, OFF_M, stated
@@ -174,6 +175,31 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp
     assert max(errors.values()) < 1.5
     left_out = json.loads((tmp_path / "out" / FLIGHTS_FILE).read_text())["left_out"]
     assert len(left_out) == 8
+
+
+def test_photos_of_one_wall_are_not_trusted_and_the_rest_of_the_command_works(capsys, flight, tmp_path):
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    wall = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
+    wall[:, CAMERA.width // 2 :] = 255
+    for mask in flight.masks.iterdir():
+        cv2.imwrite(str(masks / mask.name), wall)
+    code, told = localize(
+        capsys, flight.photos, "--city", flight.city, "--masks", masks, "--out", tmp_path / "out"
+    )
+    assert code == 3
+    assert "flight 1: 4 photos" in told
+    with (tmp_path / "out" / "localized.csv").open() as stream:
+        assert all(row["trust"] == UNTRUSTED for row in csv.DictReader(stream))
+
+
+def test_sidecars_of_a_city_that_is_nowhere_are_refused_before_photos_are_solved(capsys, flight, tmp_path):
+    city = tmp_path / "city.obj"
+    city.write_text("o house\nv 0 0 0\nv 9 0 0\nv 0 9 5\nf 1 2 3\n")
+    words = ["--city", city, "--masks", flight.masks, "--sidecars", "--out", tmp_path / "out"]
+    assert main(["localize", *map(str, (flight.photos, *words))]) == 2
+    assert "Without a reference system of the city, --sidecars" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_results_of_other_photos_are_not_written_over(capsys, flight, tmp_path):

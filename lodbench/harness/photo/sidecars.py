@@ -11,6 +11,22 @@ from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
 
 
+def frame_on_earth(crs: str | None) -> MapFrame:
+    """Returns the frame that sidecars are written in.
+
+    Args:
+        crs: Of the city.
+
+    Raises:
+        DatasetError: Nobody knows where on Earth the city is.
+    """
+    if crs is None:
+        raise DatasetError(
+            "Without a reference system of the city, --sidecars have nothing to say.", "Name it with --crs."
+        )
+    return MapFrame(crs)
+
+
 def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:
     """Writes ``PHOTO.xmp`` beside each photo; returns a line that says how many, and which were left alone.
 
@@ -21,11 +37,7 @@ def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:
     Raises:
         DatasetError: Nobody knows where on Earth the city is.
     """
-    if crs is None:
-        raise DatasetError(
-            "Without a reference system of the city, photos are nowhere on Earth.", "Name it with --crs."
-        )
-    frame, written, left = MapFrame(crs), 0, []
+    frame, written, left = frame_on_earth(crs), 0, []
     for photo, pose in placed:
         if write_sidecar(photo, pose, frame) is None:
             left.append(photo.with_suffix(".xmp").name)

@@ -63,6 +63,10 @@ class Level:
     scale: float
 
 
+# The query at the sizes asked for so far.
+Levels = dict[tuple[int, int], Level]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
     """How far N points of a pose's outline lie inside the mask's, in pixels of the fine size.
@@ -111,7 +115,7 @@ def shortened(step: Floats) -> Floats:
 class Aligner:
     """Aligns poses of one query."""
 
-    def __init__(self, query: Query, city_map: CityMap, params: Params) -> None:
+    def __init__(self, query: Query, city_map: CityMap, params: Params, levels: Levels | None = None) -> None:
         self._city_map, self._query, self._params = city_map, query, params
         self._prior = np.append(vector_from_pose(query.prior), 0.0)
         self._precision = np.array(params.start_sigmas()) ** -2.0
@@ -119,7 +123,11 @@ class Aligner:
         reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
         turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
         self.edges: EdgeArrays = edges_in_reach(city_map.scene, query.camera, query.prior, reach_m, turn_deg)
-        self._levels: dict[tuple[int, int], Level] = {}
+        self._levels: Levels = {} if levels is None else levels
+
+    def over(self, city_map: CityMap) -> Aligner:
+        """Returns an aligner of the same mask over another map."""
+        return Aligner(self._query, city_map, self._params, self._levels)
 
     def align(self, vector: Floats, reaches_px: tuple[float, ...], size: tuple[int, int]) -> Floats:
         """Returns (7,) numbers after one Gauss-Newton step per entry of ``reaches_px``."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
@@ -25,6 +26,8 @@ from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.flight.missing_buildings import missing_buildings
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import PhotoTerms
+
+Floats = NDArray[np.float64]
 
 # Of the shared numbers before the buildings': name and unit.
 _NAMES = (
@@ -55,8 +58,9 @@ def findings_of(
     queries: Sequence[Query],
     city_map: CityMap,
     params: Params,
+    of_ends: Floats,
 ) -> dict[str, Any]:
-    """Returns what a flight says, beside the poses.
+    """Returns what a flight says, beside the poses; ``of_ends`` is what constants err by besides, (11, 11).
 
     ``constants``: by name the ``value`` to be added to what the sensors or the map say, ``sigma``, ``unit``
     and whether the photos ``told`` it; ``buildings``: id, metres ``higher_m`` against the map and all other
@@ -64,7 +68,7 @@ def findings_of(
     the others alone, and ``reasons`` why, by name; ``changes``: buildings that stand in the map only
     (``gone_buildings``) and places where the map lacks one (``missing_buildings``).
     """
-    spread = np.sqrt(np.diag(shared_covariance(solution, np.arange(CONSTANTS))))
+    spread = np.sqrt(np.diag(shared_covariance(solution, np.arange(CONSTANTS)) + of_ends))
     beforehand = params.constant_sigmas()
     constants = {
         name: {

@@ -11,7 +11,7 @@ its building's and an error of its own, a building's that of all roofs and its o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from lodbench.methods.contour_alignment.pose_vector import rotation_derivatives
 from lodbench.methods.flight.normal_equations import NormalEquations
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
-from lodbench.methods.flight.reconstruction import SIMILARITY, Reconstruction
+from lodbench.methods.flight.reconstruction import MOUNT, UNKNOWNS, Reconstruction
 from lodbench.methods.flight.relative_poses import RelativePose
 from lodbench.methods.flight.roof_parts import RoofParts
 
@@ -73,13 +73,35 @@ class State:
         """Returns (6,) the flight's error: where photos were, less what the sensors said."""
         return self.constants[_FLIGHT]
 
-    def shifted(self, offset: Floats) -> State:
-        """Returns it with another error of the flight, (6,), that all photos and a reconstruction move by."""
-        self.vectors = self.vectors + offset
-        self.constants[_FLIGHT] += offset
-        if self.reconstruction is not None:
-            self.reconstruction = self.reconstruction.placed_at(self.vectors)
-        return self
+    def begun(self, photos: Rows, offset: Floats) -> State:
+        """Returns some of its photos, the flight's error further off by (6,), roofs as the map has them."""
+        number = {int(photo): k for k, photo in enumerate(photos)}
+        vectors, constants = self.vectors[photos] + offset, self.constants.copy()
+        constants[_FLIGHT] += offset
+        return State(
+            vectors=vectors,
+            priors=self.priors[photos],
+            roofs=self.roofs.untouched(),
+            buildings_m=np.zeros_like(self.buildings_m),
+            weights=np.ones(len(photos)),
+            constants=constants,
+            ties=[
+                replace(tie, first=number[tie.first], second=number[tie.second])
+                for tie in self.ties
+                if tie.first in number and tie.second in number
+            ],
+            reconstruction=None
+            if self.reconstruction is None
+            else self.reconstruction.part(number).placed_at(vectors),
+        )
+
+    def shift(self, poses: Floats, constants: Floats) -> None:
+        """Moves all poses by (6,) and what photos share by (11,); heights go with all roofs' and feet's."""
+        self.vectors = self.vectors + poses
+        self.constants = self.constants + constants
+        is_roof = self.roofs.building >= 0
+        self.roofs.heights_m = self.roofs.heights_m + np.where(is_roof, constants[ROOFS], constants[_FEET])
+        self.buildings_m[np.unique(self.roofs.building[is_roof])] += constants[ROOFS]
 
     def step(self, solution: Solution) -> None:
         """Moves everything by a solution's steps."""
@@ -90,7 +112,7 @@ class State:
         parts = CONSTANTS + len(shown)
         self.roofs.heights_m = self.roofs.heights_m + step[parts : parts + len(self.roofs)]
         if self.reconstruction is not None:
-            self.reconstruction = self.reconstruction.moved(step[-SIMILARITY:])
+            self.reconstruction = self.reconstruction.moved(step[-UNKNOWNS:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +151,7 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
     shared = 6 * len(terms)
     parts = shared + CONSTANTS + len(buildings)
     similarity = parts + len(state.roofs)
-    size = similarity + (0 if state.reconstruction is None else SIMILARITY)
+    size = similarity + (0 if state.reconstruction is None else UNKNOWNS)
     equations = NormalEquations(size)
     _add_map(equations, state, shared, buildings, params)
     own = np.diag(params.own_sigmas() ** -2.0)
@@ -141,14 +163,16 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
         if term is not None and state.weights[k] > 0:
             unknowns = np.concatenate([pose, shared + np.arange(6, 6 + LENS), parts + term.parts])
             equations.add(unknowns, state.weights[k] * term.information, state.weights[k] * term.gradient)
-    _add_relative_poses(equations, state, shared + FOCAL, similarity)
+    _add_relative_poses(equations, state, shared + FOCAL, similarity, params)
     factorised, step = equations.solve()
     steps = step[:shared].reshape(-1, 6)
     longest = np.maximum(1.0, np.max(np.abs(steps) / _LONGEST_STEP, axis=1, initial=0.0))
     return Solution(steps / longest[:, None], step[shared:], buildings, factorised)
 
 
-def _add_relative_poses(equations: NormalEquations, state: State, focal: int, similarity: int) -> None:
+def _add_relative_poses(
+    equations: NormalEquations, state: State, focal: int, similarity: int, params: Params
+) -> None:
     """Adds what is known of photos' poses relative to each other."""
     if not state.ties and state.reconstruction is None:
         return
@@ -158,7 +182,9 @@ def _add_relative_poses(equations: NormalEquations, state: State, focal: int, si
         residuals, jacobian = tie.linearize(state.vectors, derivatives, state.constants[FOCAL])
         equations.add_residuals(unknowns, jacobian, residuals, tie.weighted_information(residuals))
     if state.reconstruction is not None:
-        shared = similarity + np.arange(SIMILARITY)
+        shared = similarity + np.arange(UNKNOWNS)
+        precision = params.mount_precision()
+        equations.add(shared[MOUNT], np.eye(3) * precision, precision * state.reconstruction.mount)
         for photo in state.reconstruction.photos:
             residuals, jacobian = state.reconstruction.linearize(photo, state.vectors, derivatives)
             unknowns = np.concatenate([np.arange(6) + 6 * photo, shared])

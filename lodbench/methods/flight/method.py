@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
-from lodbench.errors import QueryFault
+from lodbench.errors import ConfigError, QueryFault
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
@@ -30,7 +30,8 @@ from lodbench.methods.flight.joint import (
 )
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms, photo_terms
-from lodbench.methods.flight.reconstruction import placed
+from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, placed
+from lodbench.methods.flight.restarts import STARTS_M, Ends, ends_of, restarted
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.tracks import relative_poses
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
@@ -91,7 +92,11 @@ class FlightMethod:
 
         A photo that shows nothing of the map, or whose outline fits nowhere near where the others say it
         was, is placed by the others alone; its covariance tells.
+
+        Raises:
+            ConfigError: A reconstruction is asked for, and there is none of these photos.
         """
+        self._require_reconstruction(queries)
         single = ContourAlignment(self.params.photo())
         alone = [_alone(single, query, city_map, own) for query, own in zip(queries, streams, strict=True)]
         faults = [found for found in alone if isinstance(found, QueryFault)]
@@ -106,19 +111,47 @@ class FlightMethod:
             ]
         )
         offset, _ = flight_error(queries, start.vectors, offsets, city_map, self.params)
-        aligned = self._align(queries, start.shifted(offset), city_map)
-        if cannot_tell_focal(aligned.solution, self.params):
-            held = FlightMethod(replace(self.params, focal=0.0))
-            aligned.state.constants[FOCAL] = 0.0
-            found = held._finished(queries, held._align(queries, aligned.state, city_map), city_map)
-            found.findings["notes"] = [_SAME_SCALE]
-            return found
-        return self._finished(queries, aligned, city_map)
+        aligned = self._align(queries, start.begun(np.arange(len(queries)), offset), city_map)
+        if not cannot_tell_focal(aligned.solution, self.params):
+            return self._finished(queries, start, aligned, city_map)
+        held = FlightMethod(replace(self.params, focal=0.0))
+        aligned.state.constants[FOCAL] = start.constants[FOCAL] = 0.0
+        found = held._finished(queries, start, held._align(queries, aligned.state, city_map), city_map)
+        found.findings["notes"] = [_SAME_SCALE]
+        return found
 
-    def _finished(self, queries: Sequence[Query], aligned: _Aligned, city_map: CityMap) -> FlightEstimate:
-        estimates = [self._estimate(aligned, row) for row in range(len(queries))]
-        found = findings_of(aligned.state, aligned.solution, aligned.terms, queries, city_map, self.params)
+    def _require_reconstruction(self, queries: Sequence[Query]) -> None:
+        known = sum(query.reconstructed is not None for query in queries)
+        if self.params.relative_poses == "reconstruction" and known < min(FEWEST_PHOTOS, len(queries)):
+            raise ConfigError(
+                f"method.relative_poses=reconstruction, and {known} of {len(queries)} photos of the flight "
+                f"of {queries[0].name} are in a reconstruction.",
+                "Set method.relative_poses=auto, or give the flight's COLMAP model (docs/flights.md).",
+            )
+
+    def _finished(
+        self, queries: Sequence[Query], start: State, aligned: _Aligned, city_map: CityMap
+    ) -> FlightEstimate:
+        ends = self._ends(queries, start, aligned, city_map)
+        state = aligned.state
+        state.shift(*ends.middle)
+        of_pose, of_constants = ends.covariances
+        estimates = [self._estimate(aligned, row, of_pose) for row in range(len(queries))]
+        found = findings_of(
+            state, aligned.solution, aligned.terms, queries, city_map, self.params, of_constants
+        )
         return FlightEstimate(estimates, found)
+
+    def _ends(self, queries: Sequence[Query], start: State, aligned: _Aligned, city_map: CityMap) -> Ends:
+        """Returns where the flight ends from other starts around its answer."""
+        photos, offset = restarted(len(queries)), aligned.state.offset - start.offset
+        iou = _mean_iou([aligned.terms[k] for k in photos])
+        found = [(aligned.state.vectors[photos], aligned.state.constants, iou)]
+        for start_m in STARTS_M[: self.params.restarts]:
+            begun = start.begun(photos, offset + np.append(start_m, np.zeros(3)))
+            again = self._align([queries[k] for k in photos], begun, city_map)
+            found.append((again.state.vectors, again.state.constants, _mean_iou(again.terms)))
+        return ends_of(found)
 
     def _start(self, queries: Sequence[Query], city_map: CityMap) -> State:
         """Returns where photos are by what sensors say, and by what ties them to each other."""
@@ -149,7 +182,7 @@ class FlightMethod:
         for number, reach_px in enumerate(reaches):
             if number in (steps // 2, steps):
                 drawn, state.roofs.drawn_m = corrected_map(city_map, state.roofs.building_heights())
-                aligners = [Aligner(query, drawn, photo) for query in queries]
+                aligners = [aligner.over(drawn) for aligner in aligners]
             terms = [
                 photo_terms(aligner, vector, state.lens, state.roofs, reach_px, photo, self.params.trust())
                 for aligner, vector in zip(aligners, state.vectors, strict=True)
@@ -179,9 +212,9 @@ class FlightMethod:
         beyond = state.constants[common] / self.params.constant_sigmas()[common] / _EXPECTED_SIGMAS
         return max(1.0, float((beyond**2).max()))
 
-    def _estimate(self, aligned: _Aligned, row: int) -> Estimate:
+    def _estimate(self, aligned: _Aligned, row: int, of_ends: Floats) -> Estimate:
         vector = aligned.state.vectors[row]
-        spread = photo_covariance(aligned.solution, row) * self._misfit(aligned.state)
+        spread = photo_covariance(aligned.solution, row) * self._misfit(aligned.state) + of_ends
         term = aligned.terms[row]
         return Estimate(
             pose=pose_from_vector(vector),
@@ -189,6 +222,10 @@ class FlightMethod:
             covariance=spread,
             probability=probability_within(spread, vector),
         )
+
+
+def _mean_iou(terms: Sequence[PhotoTerms | None]) -> float:
+    return float(np.mean([0.0 if term is None else term.iou for term in terms]))
 
 
 def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:

@@ -48,8 +48,11 @@ class Params:
             of them that there is.
         reconstruction_m: Standard deviation of poses within a reconstruction, metres.
         reconstruction_deg: The same of their turn, degrees.
+        reconstruction_mount_deg: The same of a turn of all its cameras alike, about their own axes, degrees.
         steps: Joint steps with robust kernels that narrow, and as many final ones.
         votes: Most photos whose own answers are tried as the flight's error, and that judge them.
+        restarts: Other starts around the answer, at most 4: how far apart they end is part of what poses
+            err by.
         lost_sigmas: A photo this far from what the flight says of it is lost.
     """
 
@@ -67,7 +70,7 @@ class Params:
     roofs_m: float = 1.5
     roof_m: float = 2.0
     part_m: float = 2.0
-    feet_m: float = 0.5
+    feet_m: float = 1.0
     foot_m: float = 1.5
     part_width_m: float = 20.0
     view_roof_m: float = 0.5
@@ -75,8 +78,10 @@ class Params:
     relative_poses: str = "auto"
     reconstruction_m: float = 0.15
     reconstruction_deg: float = 0.05
+    reconstruction_mount_deg: float = 0.4
     steps: int = 8
     votes: int = 24
+    restarts: int = 4
     lost_sigmas: float = 6.0
 
     def __post_init__(self) -> None:
@@ -86,10 +91,12 @@ class Params:
         if self.relative_poses not in RELATIVE_POSES:
             near = nearest_names(self.relative_poses, RELATIVE_POSES)
             raise ConfigError(f"method.relative_poses={self.relative_poses} is not known.", near)
-        if not (self.reconstruction_m > 0 and self.reconstruction_deg > 0):
-            raise ConfigError("method.reconstruction_m and method.reconstruction_deg are above 0.")
+        if not min(self.reconstruction_m, self.reconstruction_deg, self.reconstruction_mount_deg) > 0:
+            raise ConfigError("method.reconstruction_m, _deg and _mount_deg are above 0.")
         if self.steps < 1 or self.votes < 1:
             raise ConfigError("method.steps and method.votes are at least 1.")
+        if not 0 <= self.restarts <= 4:
+            raise ConfigError(f"method.restarts lies within 0 and 4, not {self.restarts}.")
         if self.part_width_m == 0 or self.heat == 0:
             raise ConfigError("method.part_width_m and method.heat are above 0.")
 
@@ -112,6 +119,10 @@ class Params:
         """Returns (6, 6) how well poses are known in a reconstruction: of metres, then radians."""
         sigmas = np.repeat([self.reconstruction_m, math.radians(self.reconstruction_deg)], 3)
         return np.asarray(np.diag(sigmas**-2.0))
+
+    def mount_precision(self) -> float:
+        """Returns how surely a reconstruction's cameras are turned right, per square radian."""
+        return float(math.radians(self.reconstruction_mount_deg) ** -2.0)
 
     def trust(self) -> tuple[float, float]:
         """Returns ``view_roof_m`` and ``heat``: how far one view's outlines are believed."""

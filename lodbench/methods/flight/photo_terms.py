@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.methods.contour_alignment.alignment import Aligner
-from lodbench.methods.contour_alignment.correlated import error_covariance, whiten
+from lodbench.methods.contour_alignment.correlated import add_products, error_covariance, whiten
 from lodbench.methods.contour_alignment.outline import OutlinePoints
 from lodbench.methods.contour_alignment.outline_kernel import measure_distances
 from lodbench.methods.contour_alignment.params import Params as PhotoParams
@@ -110,7 +110,7 @@ def photo_terms(
     parts, column = np.unique(np.stack([tops, feet]), return_inverse=True)
     column = column.reshape(2, -1)
     size = 6 + LENS + len(parts)
-    information, gradient = np.zeros((size, size)), np.zeros(size)
+    products = np.zeros((size + 1, size + 1))
     subsets = -(-len(rows) // _MOST_POINTS)
     used = min(subsets, _MOST_SUBSETS)
     for k in range(used):
@@ -123,9 +123,8 @@ def photo_terms(
         jacobian[lines, 6 + LENS + column[1, chosen]] += seen.slopes[chosen, _FOOT]
         jacobian[:, -1] = seen.distances[chosen]
         whiten(_covariance(seen, chosen, noise_px, weights[chosen], params, trust[0]), jacobian)
-        information += jacobian[:, :-1].T @ jacobian[:, :-1] / (used * trust[1])
-        gradient += jacobian[:, :-1].T @ jacobian[:, -1] / (used * trust[1])
-    return PhotoTerms(information, gradient, parts, iou, noise_px, len(rows))
+        add_products(jacobian, 1.0 / (used * trust[1]), products)
+    return PhotoTerms(products[:-1, :-1], products[:-1, -1], parts, iou, noise_px, len(rows))
 
 
 def _covariance(

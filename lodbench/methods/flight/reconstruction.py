@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,10 @@ from lodbench.methods.flight.relative_poses import robust, rotation_vector
 
 Floats = NDArray[np.float64]
 
-# Numbers of a similarity: a shift (metres), a turn (radians, map axes), and the logarithm of its scale.
-SIMILARITY = 7
+# What is unknown of a reconstruction: a shift (metres), a turn (radians, map axes), the logarithm of its
+# scale; and a turn of all its cameras about their own axes (radians): a focal length or a principal point
+# that it has wrong tips all photos alike, and leaves their places and pixels as they are.
+UNKNOWNS, MOUNT = 10, slice(7, 10)
 # Fewer photos than this leave a similarity open.
 FEWEST_PHOTOS = 3
 # Photos this much further from their priors than half of them do not place it.
@@ -31,36 +33,44 @@ class Reconstruction:
         poses: By number of the photo.
         middle: (3,) what the similarity turns and scales about, metres.
         information: (6, 6) of each photo's centre (metres) and turn (radians, camera axes).
+        mount: (3,) by how much its cameras are turned about their axes already, radians.
     """
 
     poses: Mapping[int, Pose]
     middle: Floats
     information: Floats
+    mount: Floats = field(default_factory=lambda: np.zeros(3))
 
     @property
     def photos(self) -> Sequence[int]:
         """Returns the numbers of its photos."""
         return list(self.poses)
 
+    def part(self, numbers: Mapping[int, int]) -> Reconstruction:
+        """Returns it of some photos, by their new numbers."""
+        poses = {numbers[photo]: pose for photo, pose in self.poses.items() if photo in numbers}
+        return replace(self, poses=poses)
+
     def placed_at(self, vectors: Floats) -> Reconstruction:
         """Returns it as near to poses, (P, 6), as a similarity brings it."""
         found = placed(self.poses, vectors, self.information)
-        return self if found is None else found
+        return self if found is None else replace(found, mount=self.mount)
 
     def moved(self, step: Floats) -> Reconstruction:
-        """Returns it after a similarity of (7,) numbers."""
-        turn = Rotation.from_rotvec(step[3:6]).as_matrix()
+        """Returns it after a step of its (10,) unknowns."""
+        turn, tip = (Rotation.from_rotvec(step[part]).as_matrix() for part in (slice(3, 6), MOUNT))
         scale = float(np.exp(step[6]))
         poses = {
             photo: Pose.from_center(
-                pose.rotation @ turn.T, self.middle + step[:3] + scale * turn @ (pose.center - self.middle)
+                tip @ pose.rotation @ turn.T,
+                self.middle + step[:3] + scale * turn @ (pose.center - self.middle),
             )
             for photo, pose in self.poses.items()
         }
-        return Reconstruction(poses, self.middle + step[:3], self.information)
+        return Reconstruction(poses, self.middle + step[:3], self.information, self.mount + step[MOUNT])
 
     def linearize(self, photo: int, vectors: Floats, derivatives: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Returns (6,) how far a photo's pose is from its own, and (6, 13) the change per unit of both.
+        """Returns (6,) how far a photo's pose is from its own, and (6, 16) the change per unit of both.
 
         Args:
             photo: Its number.
@@ -71,13 +81,14 @@ class Reconstruction:
         away = mine.center - self.middle
         turn = here.rotation @ mine.rotation.T
         residuals = np.concatenate([here.center - mine.center, rotation_vector(turn)])
-        jacobian = np.zeros((6, 6 + SIMILARITY))
+        jacobian = np.zeros((6, 6 + UNKNOWNS))
         jacobian[:3, :3], jacobian[:3, 6:9] = np.eye(3), -np.eye(3)
         jacobian[:3, 9:12], jacobian[:3, 12] = _cross(away), -away
         for angle in range(3):
             skew = derivatives[photo][angle] @ here.rotation.T
             jacobian[3:, 3 + angle] = skew[2, 1], skew[0, 2], skew[1, 0]
         jacobian[3:, 9:12] = here.rotation
+        jacobian[3:, 13:16] = -np.eye(3)
         return residuals, jacobian
 
     def weighted_information(self, residuals: Floats) -> Floats:

@@ -35,6 +35,10 @@ class RoofParts:
         self.heights_m: Floats = np.zeros(0)
         self.building: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
+    def untouched(self) -> RoofParts:
+        """Returns the same with no part met."""
+        return RoofParts(self._cell_m, len(self.drawn_m))
+
     def __len__(self) -> int:
         return len(self.building)
 
