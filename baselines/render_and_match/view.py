@@ -67,6 +67,7 @@ def shaded_views(city_map: CityMap, camera: Camera, rotations: Floats, centers: 
     normals = city_map.normals(camera, rotations, centers)
     # Half as bright on the side away from the light, so that there too faces differ.
     shade = 0.5 + 0.5 * (normals @ _LIGHT.astype(np.float32))
-    is_building = normals.any(axis=-1)
+    # Channel by channel: several times as fast as `any` over a last axis of three.
+    is_building = (normals[..., 0] != 0) | (normals[..., 1] != 0) | (normals[..., 2] != 0)
     grey = np.where(is_building, _DARK + _RANGE * shade, _BACKGROUND).astype(np.uint8)
     return np.repeat(grey[..., None], 3, axis=-1)

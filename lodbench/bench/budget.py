@@ -77,7 +77,7 @@ def _point(rows: pd.DataFrame) -> BudgetPoint:
 
 
 def _pictures(curves: dict[str, list[BudgetPoint]], title: str) -> dict[str, bytes]:
-    return {f"budget.{kind}": picture for kind, picture in draw_budget(curves, title).items()}
+    return {f"budget.{kind}": picture for kind, picture in draw_budget({title: curves}).items()}
 
 
 def _ladder() -> list[Method]:

@@ -12,18 +12,21 @@ from lodbench.errors import ConfigError
 from lodbench.evaluation.queries import has_truth
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.harness.results import summary_at
+from lodbench.harness.runs.budget import budget_panels
 from lodbench.harness.runs.compare import agreement, paired_comparison, require_same_queries
 from lodbench.harness.runs.comparison_page import comparison_page
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.harness.runs.verify import changed_files
 from lodbench.reporting.answers import format_answers
+from lodbench.reporting.calibration_figures import draw_budget
 from lodbench.reporting.comparison import agreement_text, format_comparison
 from lodbench.reporting.table_columns import COLUMNS
 from lodbench.reporting.table_formats import FORMATS
 from lodbench.reporting.tables import names_of, tables_of
-from lodbench.storage import write_text
+from lodbench.storage import make_folder, write_bytes, write_text
 
 _FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
+_MOST_PANELS = 4
 _EPILOG = """\
 Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed agree; --free lets some of
 these differ, and the rows then say which they have. Examples:
@@ -31,6 +34,7 @@ these differ, and the rows then say which they have. Examples:
   lodbench compare RUN RUN --format html --out page.html # a page with curves
   lodbench compare runs/demo/lodlocv2/* --over-seeds     # mean and spread over seeds
   lodbench compare RUN ... --free lod --columns details  # levels of detail in one table
+  lodbench compare RUN ... --budget pictures             # recall over poses drawn, a line a method
 """
 
 
@@ -61,7 +65,27 @@ def main(argv: Sequence[str]) -> int:
     else:
         write_text(options.out, text)
         sys.stdout.write(f"{options.out}\n")
+    if options.budget is not None:
+        _write_budget(runs, options.budget)
     return 0
+
+
+def _write_budget(runs: Sequence[StoredRun], folder: Path) -> None:
+    """Draws recall over poses drawn.
+
+    Raises:
+        ConfigError: No run has a truth, or there are more panels than fit a picture.
+    """
+    panels = budget_panels([run for run in runs if has_truth(run.queries).any()])
+    if not 1 <= len(panels) <= _MOST_PANELS:
+        raise ConfigError(
+            f"The runs are of {len(panels)} splits, tilts and numbers of queries.",
+            f"A picture has 1 to {_MOST_PANELS} of them.",
+        )
+    make_folder(folder)
+    for kind, picture in draw_budget(panels).items():
+        write_bytes(folder / f"budget.{kind}", picture)
+        sys.stdout.write(f"{folder / f'budget.{kind}'}\n")
 
 
 def _answers(run: StoredRun, name: str) -> str:
@@ -112,6 +136,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--free", nargs="+", choices=_FREE, default=[], help="what may differ within a table")
     parser.add_argument(
         "--over-seeds", action="store_true", help="one row for runs that differ in their seed: mean +- spread"
+    )
+    parser.add_argument(
+        "--budget",
+        type=Path,
+        metavar="FOLDER",
+        help="write budget.png and budget.svg there: recall over poses drawn per query, a line a method",
     )
     return parser
 

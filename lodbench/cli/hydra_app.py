@@ -33,6 +33,7 @@ PATH_KEYS = frozenset(
         "init",
         "segmenter.weights",
         "segmenter.encoder_weights",
+        "method.weights",
         "texture_model",
         "props",
         "terrain",

@@ -1,4 +1,4 @@
-"""`lodbench train`: a segmentation network from views with masks."""
+"""`lodbench train`: a segmentation network, or what a method learns, from rendered views."""
 
 from __future__ import annotations
 
@@ -18,7 +18,27 @@ from lodbench.training.train_params import TrainParams
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
+    if any(word.removeprefix("--").split("=")[0] == "method" for word in argv):
+        return run_hydra("train", "train-method", train_method, argv)
     return run_hydra("train", "train", task, argv)
+
+
+def train_method(config: DictConfig) -> None:
+    """Trains what the method of one configuration learns."""
+    values = plain(config)
+    schedule, method = section(values, "schedule"), section(values, "method")
+    others = {key: value for key, value in values.items() if key not in ("method", "schedule")}
+    name = str(method.get("name", ""))
+    part = load_plugin("methods", name)
+    if not hasattr(part, "train"):
+        raise ConfigError(f"method={name} learns nothing.", "Trainable: method=lodloc, and segmenters.")
+    if to_params(method, part.params_type, "method") != part.params_type():
+        raise ConfigError(
+            "What is set of a method means nothing to its training.", "Its training's settings are schedule.*"
+        )
+    settings = to_params(schedule | others, part.training_type, "")
+    _tell(f"training {name} on {settings.data} into {settings.out}")
+    sys.stdout.write(f"weights: {part.train(settings, _tell)}\n")
 
 
 def task(config: DictConfig) -> None:

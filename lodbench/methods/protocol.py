@@ -154,6 +154,31 @@ class SupportsWeights(Protocol):
 
 
 @runtime_checkable
+class SupportsTraining(Protocol):
+    """A method that learns, as a class: ``lodbench train method=NAME`` asks it.
+
+    Attributes:
+        training_type: A frozen dataclass of settings; ``data``, ``val_data``, ``out``, ``seed``, ``threads``,
+            ``resume`` and ``init`` are the command's, the others those of ``conf/schedule/NAME.yaml``.
+    """
+
+    training_type: type[Any]
+
+    @staticmethod
+    def train(settings: Any, tell: Callable[[str], None]) -> Path:
+        """Trains, or goes on where the same settings were stopped; returns the file of the weights.
+
+        Args:
+            settings: Of ``training_type``.
+            tell: Called with a line at a time.
+
+        Raises:
+            LodbenchError: A library is missing, or the data is at fault.
+        """
+        ...
+
+
+@runtime_checkable
 class SupportsPriorWidth(Protocol):
     """A method whose search can be fitted to how far off a prior may be."""
 

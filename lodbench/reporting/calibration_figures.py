@@ -51,32 +51,56 @@ def draw_calibration(curves: Mapping[str, Calibration]) -> dict[str, bytes]:
     return draw_figure(8.4, 3.6, draw)
 
 
-def draw_budget(curves: Mapping[str, Sequence[BudgetPoint]], title: str) -> dict[str, bytes]:
-    """Returns recall over hypotheses rendered, one line a method, as PNG and SVG.
+def draw_budget(panels: Mapping[str, Mapping[str, Sequence[BudgetPoint]]]) -> dict[str, bytes]:
+    """Returns recall over poses drawn, panels side by side, one line a method, as PNG and SVG.
+
+    A method that draws none is a dashed line.
 
     Args:
-        curves: By the name to show, fewest hypotheses first.
-        title: What was measured.
+        panels: By title: what was measured; then by the name to show, fewest poses first.
     """
 
     def draw(figure: Figure) -> None:
         from matplotlib.ticker import LogLocator, NullLocator
 
-        axes = figure.subplots()
-        for colour, (name, points) in zip(SERIES * len(curves), curves.items(), strict=False):
-            x = [point.hypotheses for point in points]
-            axes.plot(x, [p.recall for p in points], color=colour, marker="o", markersize=4, label=name)
-            low, high = [p.low for p in points], [p.high for p in points]
-            axes.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_locator(NullLocator())
-        axes.set(xlabel="hypotheses rendered per query", ylabel="within 2 m, 2 deg (%)", ylim=(0, 102))
-        axes.set_title(title)
-        axes.legend(loc="lower left")
+        names = list(dict.fromkeys(name for curves in panels.values() for name in curves))
+        marks = "os^Dv*"
+        row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+        for axes, (title, curves) in zip(row, panels.items(), strict=True):
+            for name, points in curves.items():
+                number = names.index(name)
+                _budget_curve(
+                    axes, name, points, SERIES[number % len(SERIES)], marks[number // len(SERIES) % 6]
+                )
+            axes.set_xscale("log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 3) if len(panels) > 1 else (1, 2, 5)))
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_locator(NullLocator())
+            axes.set(xlabel="poses drawn per query", ylim=(-2, 104), title=title)
+        row[0].set(ylabel="within 2 m, 2 deg (%)")
+        if len(names) > 3:
+            handles = {each.get_label(): each for axes in row for each in axes.get_lines()}
+            figure.legend(handles.values(), handles, loc="outside right upper")
+        else:
+            row[0].legend(loc="lower left")
 
-    return draw_figure(5.6, 3.6, draw)
+    wide = 5.6 if len(panels) == 1 else 3.6 * len(panels)
+    return draw_figure(wide + (1.9 if len(panels) > 1 else 0.0), 3.6, draw)
+
+
+def _budget_curve(axes: Axes, name: str, points: Sequence[BudgetPoint], colour: str, mark: str) -> None:
+    drawn = [point for point in points if point.hypotheses > 0]
+    for point in points:
+        if point.hypotheses <= 0:
+            axes.axhline(point.recall, color=colour, linestyle="--", linewidth=1, label=name)
+    if drawn:
+        x = [point.hypotheses for point in drawn]
+        axes.plot(x, [p.recall for p in drawn], color=colour, marker=mark, markersize=4, label=name)
+        low, high = [p.low for p in drawn], [p.high for p in drawn]
+        if len(drawn) > 1:
+            axes.fill_between(x, low, high, color=colour, alpha=0.12, linewidth=0)
+        else:
+            axes.vlines(x, low, high, color=colour, alpha=0.5, linewidth=1)
 
 
 def _reliability(axes: Axes, calibration: Calibration, colour: str, number_offset: int) -> None:

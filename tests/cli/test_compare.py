@@ -34,6 +34,21 @@ def test_two_runs_are_tested_query_by_query(lodbench, data):
     assert "perfect" in next(line for line in done.stdout.splitlines() if " against " in line)
 
 
+def test_the_budget_is_a_picture_of_recall_over_poses_drawn(lodbench, data, tmp_path):
+    words = ["run", "dataset=folder", f"dataset.root={data[0]}", f"city={data[1]}", "limit=1"]
+    few = ["method.coarse_size=[40,30]", "method.fine_size=[40,30]", "method.steps=1"]
+    folders = [
+        re.search(r"results:\s+(\S+)", lodbench(*words, *more).stdout)[1]
+        for more in (["method=prior_only"], few, [*few, "method.fit=soft_iou"])
+    ]
+    done = lodbench("compare", *folders, "--budget", str(tmp_path / "pictures"))
+    assert done.returncode == 0, done.stderr
+    svg = (tmp_path / "pictures" / "budget.svg").read_text()
+    for text in (">prior_only<", ">lodlocv2 iou<", ">lodlocv2 soft_iou<", "1 queries"):
+        assert text in svg
+    assert (tmp_path / "pictures" / "budget.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_the_page_has_tables_curves_and_tests_by_name(lodbench, data, tmp_path):
     prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
     truth = scored(lodbench, data, data[0] / "GT_pose.txt", "perfect")

@@ -18,7 +18,16 @@ def test_calibration_names_methods_areas_and_counts():
 
 def test_budget_names_methods():
     curves = {"ours": [BudgetPoint(100, 50, 40, 60), BudgetPoint(1000, 90, 85, 95)]}
-    svg = draw_budget(curves, "a city, 20 views")["svg"].decode()
+    svg = draw_budget({"a city, 20 views": curves})["svg"].decode()
     assert "ours" in svg
     assert "a city, 20 views" in svg
-    assert "hypotheses rendered per query" in svg
+    assert "poses drawn per query" in svg
+
+
+def test_budget_has_a_panel_for_each_split_and_a_line_for_what_draws_nothing():
+    many = {name: [BudgetPoint(10.0 * (n + 1), 50, 40, 60)] for n, name in enumerate("abcd")}
+    panels = {"in place": many, "out of place": {"a": many["a"], "prior_only": [BudgetPoint(0, 5, 1, 20)]}}
+    svg = draw_budget(panels)["svg"].decode()
+    for text in ("in place", "out of place", ">a<", ">d<", ">prior_only<"):
+        assert svg.count(text) >= 1
+    assert svg.count(">a<") == 1

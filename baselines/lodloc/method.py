@@ -1,0 +1,137 @@
+"""LoD-Loc (v1): the map's wireframe laid on a photo by a cost volume in three stages, then Gauss-Newton."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.priors import UniformPrior
+from lodbench.datasets.query import Query
+from lodbench.errors import QueryFault
+from lodbench.geometry import Camera, Pose, PoseGrid
+from lodbench.methods import Estimate, Input, Streams
+from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.working_size import working_size
+
+from .cost_volume import Stage, narrowed, search_grid, volume_scores
+from .likelihood import Maps, maps_of, weights_file
+from .params import LodLocParams
+from .refinement import refined
+from .training_params import LodLocTraining
+from .wireframe import visible_points
+
+Floats = NDArray[np.float64]
+_SCALES = (0.25, 0.5, 1.0)
+# A wireframe of fewer points is no town.
+_LEAST_POINTS = 60
+
+
+class LodLoc:
+    """Wireframe alignment; pitch and roll are the prior's until the last step frees them."""
+
+    params_type = LodLocParams
+    training_type = LodLocTraining
+    name = "lodloc"
+    requires: frozenset[Input] = frozenset({Input.IMAGE})
+
+    def __init__(self, params: LodLocParams | None = None) -> None:
+        self.params = params or LodLocParams()
+
+    def weight_files(self) -> list[Path]:
+        """Returns the file of the network.
+
+        Raises:
+            ConfigError: It is not there: told before any work.
+        """
+        return [weights_file(self.params.weights)]
+
+    def params_for_prior(self, prior: UniformPrior) -> LodLocParams:
+        """Returns the parameters whose first stage covers such a prior's error."""
+        return self.params.for_prior(prior)
+
+    @staticmethod
+    def train(settings: LodLocTraining, tell: Callable[[str], None]) -> Path:
+        """Trains the network; returns the file that ``weights`` takes. See ``train_heads``."""
+        from .training import train_heads
+
+        return train_heads(settings, tell)
+
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
+        """Returns the pose at which the map's wireframe fits the photo best.
+
+        Raises:
+            QueryFault: The photo is missing or of one colour, or the prior sees no edges of the map.
+        """
+        if query.image is None:
+            raise QueryFault("there is no photo")
+        photo = read_photo(query.image)
+        if (photo == photo[:1, :1]).all():
+            raise QueryFault("the photo has one colour")
+        started = time.perf_counter()
+        camera = query.camera.scaled(*working_size(query.camera.width, query.camera.height, self.params.size))
+        maps = maps_of(photo, camera.width, camera.height, self.params.weights)
+        seconds = {"network": time.perf_counter() - started}
+        alignment = _Alignment(maps, camera, city_map, self.params, streams)
+        pose = query.prior
+        for round_number in range(self.params.rounds):
+            pose = alignment.improved(pose, round_number)
+        seconds["alignment"] = time.perf_counter() - started - seconds["network"]
+        trace = {"stages": tuple(alignment.trace)}
+        return Estimate(pose, alignment.trace[-1], seconds=seconds, trace=trace)
+
+
+class _Alignment:
+    """The search on one photo's maps."""
+
+    def __init__(
+        self, maps: Maps, camera: Camera, city_map: CityMap, params: LodLocParams, streams: Streams
+    ) -> None:
+        self._maps, self._camera, self._city_map = maps, camera, city_map
+        self._params, self._streams = params, streams
+        self._grid = params.grid()
+        self.trace: list[float] = []
+
+    def improved(self, pose: Pose, round_number: int) -> Pose:
+        """Returns a better pose than the last one, by the wireframe that the last one sees."""
+        points = self._wireframe(pose, round_number)
+        grid = self._grid
+        first = 0 if round_number == 0 else 1
+        for stage in range(first, len(_SCALES)):
+            found = self._searched(stage, points, pose, grid)
+            pose, grid = found.pose, narrowed(grid, found.deviations, self._params.spread)
+            if stage == 0:
+                self._grid = grid
+        moved = refined(self._maps.refinement, self._camera, points, pose, self._params.iterations)
+        score = self._score(points, moved)
+        # Where the finest map says that refinement went astray, the grid's answer stays.
+        if score < self.trace[-1]:
+            return pose
+        self.trace.append(score)
+        return moved
+
+    def _wireframe(self, pose: Pose, round_number: int) -> Floats:
+        params = self._params
+        draw = self._streams("wireframe", round_number)
+        points = visible_points(self._city_map, self._camera, pose, params.spacing_m, params.points, draw)
+        if len(points) < _LEAST_POINTS:
+            raise QueryFault("the prior sees hardly an edge of the map: it may be far from the city")
+        return points
+
+    def _searched(self, stage: int, points: Floats, around: Pose, grid: PoseGrid) -> Stage:
+        self._city_map.usage.add("wireframes", len(grid))
+        found = search_grid(self._maps.stages[stage], _SCALES[stage], self._camera, points, around, grid)
+        self.trace.append(found.score)
+        return found
+
+    def _score(self, points: Floats, pose: Pose) -> float:
+        self._city_map.usage.add("wireframes", 1)
+        one = np.zeros((1, 3))
+        scores = volume_scores(
+            self._maps.stages[2], 1.0, self._camera, points - pose.center, pose.rotation[None], one
+        )
+        return float(scores[0, 0])
