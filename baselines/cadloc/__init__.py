@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.geometry import Camera
 
-from ..render_and_match import RenderAndMatch, RenderAndMatchParams, shaded_views
+from ..render_and_match import ORACLE, RenderAndMatch, RenderAndMatchParams, shaded_views
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +27,11 @@ class Cadloc(RenderAndMatch):
 
     params_type = CadlocParams
     name = "cadloc"
+    params: CadlocParams
+
+    def params_for_trial(self) -> CadlocParams:
+        """Returns true correspondences: blocks of plain colours give a matcher nothing to match."""
+        return replace(self.params, matcher=ORACLE)
 
     def draw(
         self, city_map: CityMap, camera: Camera, rotations: Floats, centers: Floats

@@ -139,6 +139,11 @@ class CityMap:
         self.usage.add("normals", len(centers))
         return self._raster.normals(camera, rotations, centers)
 
+    def buildings(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.int32]:
+        """Returns (N, H, W) indices into ``scene.building_ids`` of what is seen, -1 for none."""
+        self.usage.add("buildings", len(centers))
+        return self._raster.buildings(camera, rotations, centers)
+
     def colour(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
         """Returns (N, H, W, 3) RGB pictures of the textured map, or where there is none, of made-up surfaces.
 

@@ -14,6 +14,7 @@ from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.console import check_lines
 from lodbench.cli.hydra_app import explained, register_config_sources, section
 from lodbench.cli.parser import Parser
+from lodbench.cli.runner import remote_checks
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.methods.conformance import check_answers, check_class
 from lodbench.params import to_params
@@ -24,6 +25,7 @@ _EPILOG = """\
 A method is an entry point under lodbench.methods, with conf/method/NAME.yaml: see CONTRIBUTING.md, "Add a
 method". It is asked for the poses of three photos over seven blocks, with exact masks, several times.
 Settings are those of a run: lodbench check-method lodlocv2 method.variant=no_refine
+In another environment: lodbench check-method NAME runner.python=PATH
 Exit code: 0 it keeps to the protocol, 1 it does not, 2 there is no such method or setting.
 """
 
@@ -47,9 +49,12 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="one check per line, for machines")
     options = parser.parse_args(argv)
     for word in options.settings:
-        if not word.startswith("method."):
+        if not word.startswith(("method.", "runner.")):
             raise ConfigError(f"{word} is no setting of a method.", "Write method.KEY=VALUE.")
-    checks = list(_checks(find_plugin("methods", options.name), options.settings))
+    if any(word.startswith("runner.") for word in options.settings):
+        checks = list(remote_checks(options.name, options.settings))
+    else:
+        checks = list(_checks(find_plugin("methods", options.name), options.settings))
     faults = [check for check in checks if check.status != OK]
     if options.json:
         lines = [json.dumps(asdict(check)) for check in checks]

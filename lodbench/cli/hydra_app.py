@@ -40,6 +40,7 @@ PATH_KEYS = frozenset(
         "paths.runs",
         "paths.data_root",
         "prior.path",
+        "runner.python",
     }
 )
 # Below these any key may be set: ReadOptions checks them, profiles name only those they change.

@@ -13,16 +13,17 @@ from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.cli.run_dataset import data_identity, dataset_opener, with_prior, with_source
+from lodbench.cli.runner import made_method, offer_methods
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.errors import ConfigError
 from lodbench.evaluation.queries import ERROR, has_truth, is_without_truth
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
+from lodbench.harness.remote.method import HERE, RunnerParams
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
 from lodbench.harness.runs.method_inputs import traceback_file
-from lodbench.harness.runs.requirements import needs_segmenter
-from lodbench.methods.registry import configure_method
+from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.params import to_params
 from lodbench.reporting.answers import format_answers, untrusted_note
 from lodbench.reporting.safe_text import plain_lines, plain_text
@@ -30,7 +31,7 @@ from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import RecallTable, tables_of
 from lodbench.segmentation import notes_of
 
-_SECTIONS = {"method", "dataset", "segmenter", "source", "prior", "executor", "paths"}
+_SECTIONS = {"method", "dataset", "segmenter", "source", "prior", "executor", "runner", "paths"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +75,7 @@ def main(argv: Sequence[str]) -> int:
     _finished.clear()
     _flags.clear()
     _flags.update(word for word in argv if word == RETRY)
+    offer_methods(argv)
     code = run_hydra("run", "run", task, [word for word in argv if word != RETRY])
     if _finished:
         sys.stdout.write(report(_finished) + picture_to_open(_finished))
@@ -94,16 +96,20 @@ def run_config(values: dict[str, Any]) -> Run:
     options = _options_of(values)
     executor = to_params(section(values, "executor"), ExecutorParams, "executor")
     paths = to_params(section(values, "paths"), PathParams, "paths")
-    configured = configure_method(section(values, "method")).for_tilt(options.tilt)
+    # A basin has no other: its prior widths are told to a method in this process.
+    runner = to_params(section({"runner": {}, **values}, "runner"), RunnerParams, "runner")
+    method, params = made_method(section(values, "method"), runner, options.tilt)
     named = named_segmenter(section(values, "segmenter"))
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     dataset = with_source(opener(dataset_params), section(values, "source"))
-    segmenter, segmenter_params = named or default_segmenter(dataset, needs_segmenter(configured.make()))
+    segmenter, segmenter_params = named or default_segmenter(dataset, segmented_inputs(method))
     dataset, prior = with_prior(dataset, section(values, "prior"), options.seed)
     config = {
         **asdict(options),
         "prior": prior,
-        "method": asdict(configured.params),
+        "method": params,
+        # Left out where it is the process itself, as in all runs before there was a choice.
+        **({} if runner.name == HERE else {"runner": runner.name}),
         "segmenter": asdict(segmenter_params),
         **data_identity(dataset_params, section(values, "source")),
     }
@@ -119,7 +125,7 @@ def run_config(values: dict[str, Any]) -> Run:
         retries_failed=RETRY in _flags,
         executor=executor,
     )
-    run = run_method(configured.make(), dataset, segmenter, settings)
+    run = run_method(method, dataset, segmenter, settings)
     write_artefacts(run, OmegaConf.to_yaml(OmegaConf.create(config), sort_keys=True))
     write_overlays(run, run.preparation, run.scorer)
     return run

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from lodbench.cli.source_profiles import option_pairs
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
@@ -35,13 +36,17 @@ def named_segmenter(values: Mapping[str, Any]) -> Made | None:
     return None if values.get("name") == AUTO else _made(values, values)
 
 
-def default_segmenter(dataset: Dataset, is_needed: bool = True) -> Made:
+def default_segmenter(dataset: Dataset, wanted: Collection[Input] = frozenset({Input.MASK})) -> Made:
     """Returns the segmenter of a dataset where none is named; prints which, and why.
+
+    Args:
+        dataset: What is to be segmented.
+        wanted: What is looked at of what it makes.
 
     Raises:
         DatasetError: Masks are needed, and the dataset has neither masks nor photos.
     """
-    name, reason = chosen_segmenter(dataset, is_needed)
+    name, reason = chosen_segmenter(dataset, wanted)
     sys.stdout.write(f"segmenter={name}: {reason}; segmenter=NAME takes another\n")
     return _made({"name": name}, {})
 

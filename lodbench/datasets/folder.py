@@ -8,6 +8,7 @@
         intrinsic.txt           name PINHOLE W H fx fy cx cy
         Query_image/            the photos (optional; or images/)
         masks/                  building masks, 255 = building (optional)
+        instances/              labels of single buildings, 0 = none, one value per building (optional)
         sequences.txt           name sequence: which photos belong to one flight (optional)
         reconstruction/         a COLMAP model of the photos, or a folder with one per flight (optional)
         dataset.json            where it came from: city model, reference system; and whether it has a
@@ -27,6 +28,7 @@ from typing import Any
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
 from lodbench.datasets.exchange.posed import read_json
+from lodbench.datasets.instance_labels import INSTANCES_FOLDER
 from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
@@ -248,6 +250,7 @@ def _entry(
         mask=_first_file(folder / "masks", [name, Path(name).stem + ".png"]),
         hypotheses=priors,
         sequence=sequence,
+        instances=_first_file(folder / INSTANCES_FOLDER, [Path(name).stem + ".png"]),
     )
 
 

@@ -14,7 +14,7 @@ class Input(StrEnum):
 
     Attributes:
         MASK: Probability of building at each pixel. Of a dataset: masks made beforehand.
-        INSTANCES: A mask of each building in the photo.
+        INSTANCES: A mask of each building in the photo. Of a dataset: labels made beforehand.
         IMAGE: The photo.
         REFERENCES: Posed pictures of the place.
         TEXTURED_MAP: A city model with photographed surfaces.
@@ -38,7 +38,11 @@ class Input(StrEnum):
 # What each is called, and how to give it.
 _WORDS = {
     Input.MASK: ("masks", "Put them in each split's folder masks (255 = building), named as the photos."),
-    Input.INSTANCES: ("a mask of each building", "Name a segmenter that makes them: segmenter=NAME."),
+    Input.INSTANCES: (
+        "a mask of each building",
+        "Put labels (0 = none, one value per building) in each split's folder instances, or name a segmenter "
+        "that makes them: segmenter=NAME.",
+    ),
     Input.IMAGE: ("photos", "Put them in Query_image; segmenter=masks and segmenter=oracle need none."),
     Input.REFERENCES: ("posed pictures of the place", "Set dataset.references=FOLDER."),
     Input.TEXTURED_MAP: ("a textured map", "Set dataset.textured_map=FILE."),
@@ -75,6 +79,7 @@ def inputs_of(dataset: Dataset, entries: Sequence[Entry]) -> frozenset[Input]:
     """Returns what a dataset has for at least one of some of its queries."""
     has = {
         Input.MASK: any(entry.mask is not None for entry in entries),
+        Input.INSTANCES: any(entry.instances is not None for entry in entries),
         Input.IMAGE: any(entry.image is not None for entry in entries),
         Input.REFERENCES: bool(dataset.references),
         Input.TEXTURED_MAP: dataset.textured_map is not None,

@@ -77,6 +77,7 @@ class Entry:
         hypotheses: All rough poses the dataset states, the prior first; may be empty.
         sequence: Name of the flight it was taken on, unique within its split; "" where nobody says.
         reconstructed: Its pose in a reconstruction of its flight, in a frame of that.
+        instances: Labels of its buildings made beforehand, see ``lodbench.datasets.instance_labels``.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Entry:
     hypotheses: tuple[Pose, ...] = ()
     sequence: str = ""
     reconstructed: Pose | None = None
+    instances: Path | None = None
 
     @property
     def key(self) -> str:
@@ -137,7 +139,8 @@ class Dataset:
         references: Pictures of the place whose poses are known; no queries.
         textured_map: File or folder of a textured map, which ``CityMap.colour`` then shows; or None.
         on_demand: What is made only for a method that requires it, by the name of the ``Input``: a function
-            that makes it, or finds it made, and returns the file or folder; textured map and references.
+            that makes it, or finds it made, and returns the file or folder; textured map, references and
+            instances.
         assumed: Of ``tilt`` and ``height``, what the priors only assume: methods that require it do not run.
         crs: Reference system of the poses as the data states it, or None.
     """

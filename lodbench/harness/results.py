@@ -68,14 +68,14 @@ def run_method(
 
     from lodbench.harness.runs.artefacts import write_artefacts
     from lodbench.harness.runs.gallery import write_overlays
-    from lodbench.harness.runs.requirements import needs_segmenter
+    from lodbench.harness.runs.requirements import segmented_inputs
     from lodbench.harness.runs.run import RunSettings
     from lodbench.harness.runs.run import run_method as run
 
     asked = make_method(method) if isinstance(method, str) else method
     opened, stated = _opened(dataset, city)
     if segmenter is None:
-        kind = load_plugin("segmenters", chosen_segmenter(opened, needs_segmenter(asked))[0])
+        kind = load_plugin("segmenters", chosen_segmenter(opened, segmented_inputs(asked))[0])
         segmenter = kind(kind.params_type())
     config: dict[str, Any] = {
         **{"renderer": "silhouette", "tilt": tilt, "seed": seed, "split": [], "limit": limit},

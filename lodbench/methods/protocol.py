@@ -198,3 +198,15 @@ class SupportsTrueTilt(Protocol):
     def params_for_true_tilt(self) -> Any:
         """Returns the method's parameters for priors whose pitch and roll are exact (``tilt=truth``)."""
         ...
+
+
+@runtime_checkable
+class SupportsTrial(Protocol):
+    """A method that has no answer about the trial of ``check-method`` but under settings of its own.
+
+    The trial has a few blocks of plain colours: nothing that a picture of another kind could be matched with.
+    """
+
+    def params_for_trial(self) -> Any:
+        """Returns the method's parameters for the trial."""
+        ...

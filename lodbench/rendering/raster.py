@@ -22,7 +22,13 @@ from lodbench.rendering.projection import (
     visible_buildings,
 )
 from lodbench.rendering.raster_kernel import Band, Buffer, Mesh, blank_buffer, draw_band
-from lodbench.rendering.raster_layers import blank_planes, resolve_depth, resolve_layers, resolve_normals
+from lodbench.rendering.raster_layers import (
+    blank_planes,
+    resolve_buildings,
+    resolve_depth,
+    resolve_layers,
+    resolve_normals,
+)
 from lodbench.rendering.selection import bounding_spheres
 
 Floats = NDArray[np.float64]
@@ -119,6 +125,16 @@ class RasterRenderer:
 
         self.draw_views(camera, rotations, centers, resolve)
         return normals
+
+    def buildings(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.int32]:
+        """Returns (N, H, W) buildings seen in N views as in ``Layers``; arguments as for ``depths``."""
+        buildings = np.empty((len(centers), camera.height, camera.width), dtype=np.int32)
+
+        def resolve(view: int, band: Band, buffer: Buffer) -> None:
+            resolve_buildings(self._mesh, band, buffer, buildings[view])
+
+        self.draw_views(camera, rotations, centers, resolve)
+        return buildings
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
         """Returns the (H, W) silhouette seen from a pose."""

@@ -84,6 +84,20 @@ def resolve_normals(mesh, center, band, buffer, normal):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def resolve_buildings(mesh, band, buffer, building):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Writes a band's columns of (H, W) int32 indices of buildings, -1 for none."""
+    known, number = np.int32(-1), np.int64(-1)
+    for row in range(band.height):
+        for column in range(band.first, band.stop):
+            triangle = buffer.winner[column - band.first, row]
+            if triangle != known:
+                known, number = triangle, np.int64(-1)
+                if triangle >= 0:
+                    number = np.searchsorted(mesh.triangle_starts, triangle, side="right") - 1
+            building[row, column] = number
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def resolve_layers(mesh, appearance, center, band, buffer, planes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Writes a band's columns of every layer.
 

@@ -3,6 +3,7 @@
 from lodbench.segmentation.protocol import (
     BUILDING_THRESHOLD,
     InstanceSegmenter,
+    MapGuidedInstanceSegmenter,
     MapGuidedSegmenter,
     Segmenter,
     binary_mask,
@@ -15,6 +16,7 @@ from lodbench.segmentation.protocol import (
 __all__ = [
     "BUILDING_THRESHOLD",
     "InstanceSegmenter",
+    "MapGuidedInstanceSegmenter",
     "MapGuidedSegmenter",
     "Segmenter",
     "binary_mask",

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
 
 AUTO = "auto"
 
 
-def chosen_segmenter(dataset: Dataset, is_needed: bool = True) -> tuple[str, str]:
+def chosen_segmenter(
+    dataset: Dataset, wanted: Collection[Input] = frozenset({Input.MASK})
+) -> tuple[str, str]:
     """Returns the name of the segmenter for a dataset, and the reason in words.
 
     Masks lie in a dataset because somebody made them for these photos, so they go before a network that has
@@ -16,18 +21,24 @@ def chosen_segmenter(dataset: Dataset, is_needed: bool = True) -> tuple[str, str
 
     Args:
         dataset: What is to be segmented.
-        is_needed: Whether anybody looks at the masks.
+        wanted: What the method looks at of what a segmenter makes.
 
     Raises:
         DatasetError: Masks are needed, and the dataset has neither masks nor photos.
     """
+    if Input.INSTANCES in wanted:
+        total = len(dataset.entries)
+        labelled = sum(entry.instances is not None for entry in dataset.entries)
+        if labelled:
+            return "instances", f"{labelled} of {total} queries have labels of single buildings"
+        return "map_instances", "the method asks for single buildings, and the dataset has no labels of them"
     if dataset.segmenter is not None:
         return dataset.segmenter, f"as {dataset.name} says"
     total = len(dataset.entries)
     masks = sum(entry.mask is not None for entry in dataset.entries)
     if masks:
         return "masks", f"{masks} of {total} queries have masks made beforehand"
-    if not is_needed:
+    if not wanted:
         return "none", "the dataset has no masks, and the method needs none"
     if any(entry.image is not None for entry in dataset.entries):
         return "compact", "the dataset has photos and no masks"

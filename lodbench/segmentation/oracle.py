@@ -1,4 +1,4 @@
-"""``segmenter=oracle`` and ``noisy_oracle``: masks made from the truth, to bound what networks can bring."""
+"""``segmenter=oracle``, ``noisy_oracle``: what networks can bring at most, made from the truth."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.inputs import Input
+from lodbench.datasets.instance_labels import masks_of_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.storage import random_stream
+from lodbench.synthesis.instance_degradation import degraded_instances
 from lodbench.synthesis.mask_degradation import degrade_mask
 
 Mask = NDArray[np.bool_]
@@ -43,6 +45,8 @@ class NoisyOracleParams(OracleParams):
     Attributes:
         iou: IoU of each mask with the true silhouette, in (0, 1].
         trees: Whether trees stand in front of buildings.
+        merged: Of instances, share of buildings taken for one with a neighbour.
+        split: Of instances, share cut in two.
         seed: Of the errors.
 
     Raises:
@@ -52,20 +56,25 @@ class NoisyOracleParams(OracleParams):
     name: str = "noisy_oracle"
     iou: float = 0.88
     trees: bool = True
+    merged: float = 0.1
+    split: float = 0.05
     seed: int = 0
 
     def __post_init__(self) -> None:
         super(NoisyOracleParams, self).__post_init__()
         if not 0.0 < self.iou <= 1.0:
             raise ConfigError(f"segmenter.iou={self.iou} is not within 0 to 1.")
+        for name in ("merged", "split"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigError(f"segmenter.{name}={getattr(self, name)} is not within 0 to 1.")
 
 
 class Oracle:
-    """The silhouette at the true pose. Whoever holds the truth draws it: a segmenter never sees a pose."""
+    """What is seen at the true pose. Whoever holds the truth draws it: a segmenter never sees a pose."""
 
     params_type: type[OracleParams] = OracleParams
     requires: frozenset[Input] = frozenset()
-    provides = frozenset({Input.MASK})
+    provides = frozenset({Input.MASK, Input.INSTANCES})
 
     def __init__(self, params: OracleParams) -> None:
         self.params = params
@@ -79,9 +88,26 @@ class Oracle:
         """
         raise QueryFault(f"segmenter={self.name} needs the truth")
 
+    def segment_instances(self, entry: Entry) -> Mask:
+        """Never answers, as ``segment``.
+
+        Raises:
+            QueryFault: Always.
+        """
+        raise QueryFault(f"segmenter={self.name} needs the truth")
+
     def from_silhouette(self, silhouette: Mask, key: str) -> NDArray[np.float32]:
         """Returns the (H, W) float32 mask, 0 or 1, made of the true silhouette of the query ``key``."""
         return silhouette.astype(np.float32)
+
+    def from_buildings(self, buildings: NDArray[np.int32], key: str) -> Mask:
+        """Returns the (N, H, W) masks made of the buildings that the query ``key`` shows in truth.
+
+        Args:
+            buildings: (H, W), which building is seen, -1 for none.
+            key: The query's.
+        """
+        return masks_of_labels(buildings + 1)
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns nothing: the run's digest names the settings, the city and the true poses already."""
@@ -100,3 +126,12 @@ class NoisyOracle(Oracle):
         stream = random_stream(params.seed, "noisy_oracle", key)
         rough, _ = degrade_mask(silhouette, params.iou, stream, trees=params.trees)
         return rough.astype(np.float32)
+
+    def from_buildings(self, buildings: NDArray[np.int32], key: str) -> Mask:
+        """Returns the (N, H, W) masks of buildings with a network's errors: together they are the mask."""
+        params = self.params
+        assert isinstance(params, NoisyOracleParams)  # noqa: S101
+        mask = self.from_silhouette(buildings >= 0, key) > 0
+        stream = random_stream(params.seed, "noisy_oracle", key, "instances")
+        labels = degraded_instances(buildings, mask, stream, merged=params.merged, split=params.split)
+        return masks_of_labels(labels)

@@ -96,6 +96,24 @@ class InstanceSegmenter(Protocol):
         ...
 
 
+@runtime_checkable
+class MapGuidedInstanceSegmenter(Protocol):
+    """A segmenter that tells buildings apart by the map too; it requires ``map``, provides ``instances``.
+
+    Runs call this in place of ``segment_instances``.
+    """
+
+    name: str
+
+    def segment_instances_from(self, entry: Entry, pose: Pose, city_map: CityMap) -> NDArray[np.bool_]:
+        """Returns (N, H, W) bool, a mask of each building; arguments as for ``segment_from``.
+
+        Raises:
+            QueryFault: This query cannot be segmented.
+        """
+        ...
+
+
 def notes_of(segmenter: object) -> tuple[str, ...]:
     """Returns what a reader of results must know about a segmenter; none where it says nothing."""
     notes = getattr(segmenter, "notes", None)

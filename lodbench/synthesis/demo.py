@@ -56,7 +56,10 @@ def open_demo(params: DemoParams) -> Dataset:
     city = root / (FINE_CITY_FILE if is_fine else CITY_FILE)
     folder = open_folder(FolderParams(str(root), str(city), lod=params.lod, name=params.name))
     look = "" if params.look == "test" else f", look {params.look}"
-    on_demand: dict[str, Callable[[], Path]] = {Input.TEXTURED_MAP: partial(_textured_map, root, params)}
+    on_demand: dict[str, Callable[[], Path]] = {
+        Input.TEXTURED_MAP: partial(_textured_map, root, params),
+        Input.INSTANCES: partial(_instances, folder, root / FINE_CITY_FILE, params),
+    }
     # From pixels: its masks are drawn from the truth, as wrong as a network's, to compare with.
     version = f"town {TOWN_VERSION}{look}, seed {params.town_seed}"
     return replace(folder, version=version, segmenter="compact", on_demand=on_demand)
@@ -71,6 +74,12 @@ def _textured_map(root: Path, params: DemoParams) -> Path:
     from lodbench.synthesis.survey.assets import textured_map_of_demo
 
     return textured_map_of_demo(root, params.town_seed, params.look)
+
+
+def _instances(demo: Dataset, city: Path, params: DemoParams) -> Path:
+    from lodbench.synthesis.demo_instances import instances_of_demo
+
+    return instances_of_demo(demo, city, params.town_seed)
 
 
 def demo_folder(params: DemoParams) -> Path:

@@ -78,9 +78,7 @@ def degrade_mask(
         return mask.copy(), 0.0
     if mask_iou(mask, truth) <= target_iou:
         return mask.copy(), mask_iou(mask, truth)
-    height, width = mask.shape
-    typical = _TYPICAL_PIXELS_PER_M * math.sqrt(height * width / (602 * 448))
-    errors = _draw_errors(mask, generator, trees, pixels_per_m or typical)
+    errors = _draw_errors(mask, generator, trees, pixels_per_m or typical_pixels_per_m(mask.shape))
     wrong = errors.apply(mask, _strength_for(errors, mask, truth, target_iou))
     return wrong, mask_iou(wrong, truth)
 
@@ -89,6 +87,12 @@ def mask_iou(a: Mask, b: Mask) -> float:
     """Returns intersection over union of two (H, W) masks; 0 when both are empty."""
     union = int(np.count_nonzero(a | b))
     return int(np.count_nonzero(a & b)) / union if union else 0.0
+
+
+def typical_pixels_per_m(shape: tuple[int, ...]) -> float:
+    """Returns the image scale of the benchmark's drone views at a size, (height, width) pixels."""
+    height, width = shape
+    return _TYPICAL_PIXELS_PER_M * math.sqrt(height * width / (602 * 448))
 
 
 class _Errors(NamedTuple):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.folder import write_poses
+from lodbench.datasets.instance_labels import INSTANCES_FOLDER, encoded_labels
 from lodbench.datasets.pictures import encoded_mask
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import make_folder, write_bytes
@@ -26,6 +27,7 @@ class SyntheticQuery:
         mask: (H, W) query mask, as wrong as a network's.
         achieved_iou: Its IoU with the silhouette at the truth.
         photo: JPEG file of the view, or None.
+        instances: (H, W) labels of buildings that fill the mask, or None.
     """
 
     name: str
@@ -34,6 +36,7 @@ class SyntheticQuery:
     mask: NDArray[np.bool_]
     achieved_iou: float
     photo: bytes | None = None
+    instances: NDArray[np.uint16] | None = None
 
     @property
     def file_name(self) -> str:
@@ -48,7 +51,7 @@ def write_queries(
     origin: NDArray[np.float64],
     decimals: tuple[int, int] | None = None,
 ) -> None:
-    """Writes poses, intrinsics, masks and photos of one split, in a folder that becomes one once it is full.
+    """Writes all of one split, in a folder that becomes one once it is full.
 
     Args:
         folder: The split's, which is made.
@@ -70,6 +73,10 @@ def write_queries(
     )
     for query in queries:
         write_bytes((folder / "masks" / query.file_name).with_suffix(".png"), encoded_mask(query.mask), False)
+        if query.instances is not None:
+            make_folder(folder / INSTANCES_FOLDER)
+            file = (folder / INSTANCES_FOLDER / query.file_name).with_suffix(".png")
+            write_bytes(file, encoded_labels(query.instances), False)
         if query.photo is not None:
             make_folder(folder / "Query_image")
             write_bytes(folder / "Query_image" / query.name, query.photo, False)

@@ -1,4 +1,4 @@
-"""``dataset=views``: seeded drone views of any city, each with a mask as wrong as a network's.
+"""``dataset=views``: seeded drone views of any city, each with masks as wrong as a network's.
 
 Drawn once and written to the cache in the text layout, so that every command that takes a dataset can run
 on a city that has no photos. `lodbench bench accuracy` and its kin are runs of it. With a look each view
@@ -20,8 +20,10 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.rendering import Renderer, make_renderer
+from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
 from lodbench.storage.paths import cache_root
+from lodbench.synthesis.instance_degradation import degraded_instances
 from lodbench.synthesis.map_and_camera_errors import World
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
@@ -122,14 +124,18 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
     world, told = params.world, params.prior()
     seen = world.seen(scene)
     photographed = renderer if seen is scene else make_renderer("silhouette", seen, None)
+    raster = RasterRenderer(seen)
     prior = replace(told, pitch_deg=world.tilt * told.pitch_deg, roll_deg=world.tilt * told.roll_deg)
     queries = []
     for index, truth in enumerate(views.poses):
         name = f"view_{index:04d}"
-        clean = photographed.render(world.lens(camera, index), truth)
+        lens = world.lens(camera, index)
+        clean = photographed.render(lens, truth)
         rough, _ = degrade_mask(clean, params.mask_iou, random_stream(seed, "accuracy", name, "mask"))
         start = prior.draw(truth, random_stream(seed, "accuracy", name, "prior"))
-        queries.append(SyntheticQuery(name, truth, start, rough, iou_of(rough, clean)))
+        (buildings,) = raster.buildings(lens, truth.rotation[None], truth.center[None])
+        instances = degraded_instances(buildings, rough, random_stream(seed, "accuracy", name, "instances"))
+        queries.append(SyntheticQuery(name, truth, start, rough, iou_of(rough, clean), instances=instances))
     return queries, views.rejections
 
 
@@ -147,7 +153,7 @@ def open_views(params: ViewsParams) -> Dataset:
     scene = open_cached_city(city, lod=lod, options=options, roof_height=params.roof_height).scene
     of_the_scene = ("city_model", "lod", "crs", "name", "layers")  # its digest says it
     drawn = {key: value for key, value in asdict(params).items() if key not in of_the_scene}
-    key = digest_of([VIEWS_VERSION, drawn, scene.digest(), scene.origin.tolist()])
+    key = digest_of([VIEWS_VERSION, "instances", drawn, scene.digest(), scene.origin.tolist()])
     root = cache_root() / "views" / key
     if not root.is_dir():
         make_folder(root.parent)

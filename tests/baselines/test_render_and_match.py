@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import partial
 
@@ -13,12 +14,13 @@ from lodbench.baselines.render_and_match.lifting import lift
 from lodbench.baselines.render_and_match.view import canvas_camera, views_around
 from lodbench.baselines.uavd4l import Uavd4l, Uavd4lParams
 
+from lodbench.cli import main
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods import Input
 from lodbench.storage import random_stream
-from tests.town import CAMERA
+from tests.town import CAMERA, write_dataset
 
 STREAMS = partial(random_stream, 0, "test")
 BLURRED_OUT = np.full((CAMERA.height, CAMERA.width, 3), 117, np.uint8)
@@ -160,3 +162,25 @@ def test_views_beside_a_pose_keep_height_and_direction(truths):
         assert np.array_equal(view.rotation, truths[0].rotation)
         assert view.center[2] == pytest.approx(truths[0].center[2])
     assert len({tuple(np.round(view.center, 6)) for view in views}) == 11
+
+
+def test_cadloc_keeps_to_the_protocol(capsys):
+    assert main(["check-method", "cadloc"]) == 0
+    printed = capsys.readouterr().out
+    assert "settings       those that the method has for the trial" in printed
+    assert "3 of 3 queries" in printed
+
+
+def test_a_run_on_a_textured_map_is_verified_with_what_the_map_says(tmp_path, capsys):
+    root, city = write_dataset(tmp_path, count=1)
+    words = [
+        f"root={root}",
+        f"city={city}",
+        f"dataset.textured_map={city}",
+        f"paths.runs={tmp_path / 'runs'}",
+    ]
+    assert main(["run", "method=uavd4l", "method.matcher=oracle", "dataset=folder", *words]) == 0
+    (folder,) = (path.parent for path in (tmp_path / "runs").rglob("summary.json"))
+    assert "coordinates" in " ".join(json.loads((folder / "summary.json").read_text())["notes"])
+    assert main(["verify", str(folder)]) == 0
+    assert "follow from their poses and the truth" in capsys.readouterr().out

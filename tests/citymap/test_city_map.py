@@ -20,7 +20,7 @@ from lodbench.rendering.reference import ReferenceRenderer
 COUNT = 11
 ROTATIONS, CENTERS = poses_around(COUNT)
 POSES = [Pose.from_center(r, c) for r, c in zip(ROTATIONS, CENTERS, strict=True)]
-KINDS = ("silhouettes", "depth", "normals", "colour")
+KINDS = ("silhouettes", "depth", "normals", "buildings", "colour")
 
 
 @pytest.fixture(scope="module")
@@ -57,14 +57,16 @@ def test_counts_and_fits_are_those_of_the_silhouettes(scene, name):
     np.testing.assert_array_equal(city_map.silhouettes(CAMERA, ROTATIONS, CENTERS), words)
 
 
-def test_depth_and_normals_are_the_rasters(city_map, scene):
+def test_depth_normals_and_buildings_are_the_rasters(city_map, scene):
     raster = RasterRenderer(scene, 1)
     depths = city_map.depth(CAMERA, ROTATIONS, CENTERS)
     normals = city_map.normals(CAMERA, ROTATIONS, CENTERS)
-    for pose, depth, normal in zip(POSES, depths, normals, strict=True):
+    buildings = city_map.buildings(CAMERA, ROTATIONS, CENTERS)
+    for pose, depth, normal, building in zip(POSES, depths, normals, buildings, strict=True):
         layers = raster.draw(CAMERA, pose)
         np.testing.assert_array_equal(depth, layers.depth)
         np.testing.assert_array_equal(normal, layers.normal)
+        np.testing.assert_array_equal(building, layers.building)
 
 
 def test_depth_straight_down_is_the_height_above_each_roof(city_map):

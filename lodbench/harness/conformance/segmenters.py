@@ -15,7 +15,12 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
 from lodbench.harness.conformance.trial import CAMERA, Rules, Tried, require
-from lodbench.segmentation import MapGuidedSegmenter, check_instances, check_mask
+from lodbench.segmentation import (
+    MapGuidedInstanceSegmenter,
+    MapGuidedSegmenter,
+    check_instances,
+    check_mask,
+)
 from lodbench.storage import file_digest
 
 # What makes each kind of masks.
@@ -86,7 +91,10 @@ def _answer(tried: Tried, segmenter: Any, kind: Input, entry: Entry) -> NDArray[
     """Returns the masks of a photo, or why there are none."""
     masks: NDArray[Any]
     try:
-        if kind == Input.INSTANCES:
+        if kind == Input.INSTANCES and isinstance(segmenter, MapGuidedInstanceSegmenter):
+            pose = entry.prior or tried.truths[0]
+            masks = segmenter.segment_instances_from(entry, pose, CityMap(tried.scene))
+        elif kind == Input.INSTANCES:
             masks = segmenter.segment_instances(entry)
         elif isinstance(segmenter, MapGuidedSegmenter):
             masks = segmenter.segment_from(entry, entry.prior or tried.truths[0], CityMap(tried.scene))

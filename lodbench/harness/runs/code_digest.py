@@ -20,11 +20,13 @@ def code_digest(*parts: object) -> str:
     """Returns a digest of lodbench's own code, of the libraries that compute, and of some parts' packages.
 
     Args:
-        parts: A method, a segmenter: the Python files beside the one that defines them count in.
+        parts: A method, a segmenter: the Python files beside the one that defines them count in; and what
+            one that runs elsewhere says of its code there, ``remote_code``.
     """
+    elsewhere = [list(getattr(part, "remote_code", ())) for part in parts if hasattr(part, "remote_code")]
     folders = sorted({Path(inspect.getfile(type(part))).parent for part in parts})
     files = [file for folder in folders for file in sorted(folder.glob("*.py"))]
-    return digest_of([_own_digest(), [file_digest(file) for file in files]])
+    return digest_of([_own_digest(), [file_digest(file) for file in files], *elsewhere])
 
 
 @cache

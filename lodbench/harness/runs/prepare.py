@@ -17,9 +17,11 @@ from lodbench.errors import ConfigError, QueryFault, nearest_names
 from lodbench.evaluation.queries import NO_TRUTH
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.runs.input_checks import require_near, require_photo
+from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation import (
     InstanceSegmenter,
+    MapGuidedInstanceSegmenter,
     MapGuidedSegmenter,
     Segmenter,
     check_instances,
@@ -106,7 +108,7 @@ class Preparation:
                 self.local(tilted(pose, self.dataset.truth.get(entry.key), self.tilt))
                 for pose in entry.hypotheses
             ),
-            instances=self._instances(entry, camera) if Input.INSTANCES in self.needs else None,
+            instances=self._instances(entry, camera, local) if Input.INSTANCES in self.needs else None,
             segment=partial(self._probability, entry, camera) if guided and needs_mask else None,
             true_pixels=self._true_pixels(entry, camera) if Input.TRUE_PIXELS in self.needs else None,
             sequence=entry.sequence,
@@ -129,23 +131,39 @@ class Preparation:
             found = self.segmenter.segment(entry)
         return check_mask(found, camera)
 
-    def _instances(self, entry: Entry, camera: Camera) -> NDArray[np.bool_]:
+    def _instances(self, entry: Entry, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
+        if isinstance(self.segmenter, Oracle):
+            small, truth = self._true_view(self.segmenter, entry, camera)
+            (seen,) = self._raster.buildings(small, truth.rotation[None], truth.center[None])
+            return self.segmenter.from_buildings(seen, entry.key)
+        if isinstance(self.segmenter, MapGuidedInstanceSegmenter):
+            found = self.segmenter.segment_instances_from(entry, pose, self._map)
+            return check_instances(found, camera)
         if not isinstance(self.segmenter, InstanceSegmenter):
             raise QueryFault(f"segmenter={self.segmenter.name} has no segment_instances")
         return check_instances(self.segmenter.segment_instances(entry), camera)
 
     def _from_truth(self, oracle: Oracle, entry: Entry, camera: Camera) -> NDArray[np.float32]:
         """Returns what an oracle makes of the silhouette at the truth."""
+        return oracle.from_silhouette(
+            self._renderer.render(*self._true_view(oracle, entry, camera)), entry.key
+        )
+
+    def _true_view(self, oracle: Oracle, entry: Entry, camera: Camera) -> tuple[Camera, Pose]:
+        """Returns the camera at an oracle's width, and the true pose in the scene's frame."""
         if entry.key not in self.dataset.truth:
             raise QueryFault(NO_TRUTH)
-        truth = self.local(self.dataset.truth[entry.key])
         width = min(oracle.params.width, camera.width)
         small = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
-        return oracle.from_silhouette(self._renderer.render(small, truth), entry.key)
+        return small, self.local(self.dataset.truth[entry.key])
 
     @cached_property
     def _renderer(self) -> SilhouetteRenderer:
         return SilhouetteRenderer(self.scene, threads=1)
+
+    @cached_property
+    def _raster(self) -> RasterRenderer:
+        return RasterRenderer(self.scene, threads=1)
 
     @cached_property
     def _map(self) -> CityMap:

@@ -30,6 +30,12 @@ def made_inputs(method: object) -> frozenset[Input]:
     return segmented_inputs(method) | truth
 
 
+def required_inputs(method: Method, segmenter: Segmenter) -> frozenset[Input]:
+    """Returns what a run needs of its dataset: for its method, and for its segmenter where one is asked."""
+    requires = declared_inputs(method, "requires", {Input.MASK}) - _SEGMENTED
+    return requires | declared_inputs(segmenter, "requires") if needs_segmenter(method) else requires
+
+
 def require_run_inputs(
     method: Method, segmenter: Segmenter, dataset: Dataset, entries: Sequence[Entry]
 ) -> None:

@@ -16,7 +16,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.texture_files import open_textured_map
 from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.folder import select_splits
-from lodbench.datasets.inputs import Input, declared_inputs
+from lodbench.datasets.inputs import Input
 from lodbench.datasets.on_demand import with_inputs
 from lodbench.datasets.pose_direction import require_direction
 from lodbench.datasets.prior_sources import prior_digest
@@ -32,7 +32,7 @@ from lodbench.harness.runs.input_checks import looks_at_photos, require_pictures
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_tilt
-from lodbench.harness.runs.requirements import made_inputs, require_run_inputs
+from lodbench.harness.runs.requirements import made_inputs, require_run_inputs, required_inputs
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
@@ -107,7 +107,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     require_tilt(settings.tilt, dataset)
     load_plugin("renderers", settings.renderer)
     require_run_inputs(method, segmenter, dataset, entries)
-    dataset = with_inputs(dataset, declared_inputs(method, "requires", {Input.MASK}))
+    dataset = with_inputs(dataset, required_inputs(method, segmenter))
     require_pictures(dataset, entries, method, segmenter)
     scene, dataset = _open_city(dataset)
     require_same_place(dataset, entries, scene)

@@ -6,6 +6,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from lodbench.methods.conformance.rules import (
     whole_configuration,
 )
 from lodbench.methods.conformance.trial import GIVEN, Trial, TrialAnswers, ask, make_trial
-from lodbench.methods.protocol import Method
+from lodbench.methods.protocol import Method, SupportsTrial
 
 
 def check_class(
@@ -64,6 +65,11 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
     with tempfile.TemporaryDirectory() as folder:
         try:
             method = make()
+            if isinstance(method, SupportsTrial):
+                kind: Any = type(method)
+                make = partial(kind, method.params_for_trial())
+                method = make()
+                yield Check("answers", "settings", OK, "those that the method has for the trial")
             lacking = declared_inputs(method, "requires", {Input.MASK}) - GIVEN
             if lacking:
                 words = ", ".join(sorted(lacking))

@@ -9,12 +9,14 @@ from typing import cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.inputs import Input, declared_inputs
+from lodbench.datasets.instance_labels import masks_of_labels
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, EulerAngles, Pose
@@ -54,11 +56,13 @@ _PRIOR_OFF_YAW_DEG = 3.0
 GIVEN = frozenset(
     {
         Input.MASK,
+        Input.INSTANCES,
         Input.IMAGE,
         Input.REFERENCES,
         Input.TEXTURED_MAP,
         Input.TILT,
         Input.HEIGHT,
+        Input.TRUE_PIXELS,
         Input.MAP,
     }
 )
@@ -140,7 +144,11 @@ def make_trial(folder: Path, method: object) -> Trial:
         prior = Pose.from_euler(angles, truth.center + np.array(_PRIOR_OFF))
         photo = picture(f"view_{k}.png", truth)
         mask = city_map.render(_CAMERA, truth).astype(np.float32) if has_mask else None
-        queries.append(Query(photo.name, "trial", _CAMERA, prior, mask, photo, (prior,)))
+        instances = _instances(city_map, truth) if Input.INSTANCES in requires else None
+        query = Query(photo.name, "trial", _CAMERA, prior, mask, photo, (prior,), instances=instances)
+        if Input.TRUE_PIXELS in requires:
+            query = replace(query, true_pixels=partial(_pixels, truth))
+        queries.append(query)
         truths.append(truth)
     references = []
     for k, (pitch, roll, yaw, *center) in enumerate(_REFERENCES):
@@ -148,6 +156,16 @@ def make_trial(folder: Path, method: object) -> Trial:
         name = f"reference_{k}.png"
         references.append(Reference(name, picture(name, pose), _CAMERA, pose))
     return Trial(city_map, tuple(queries), tuple(truths), tuple(references), folder)
+
+
+def _instances(city_map: CityMap, pose: Pose) -> NDArray[np.bool_]:
+    """Returns the (N, H, W) masks of what is seen of each block."""
+    (seen,) = city_map.buildings(_CAMERA, pose.rotation[None], pose.center[None])
+    return masks_of_labels(seen + 1)
+
+
+def _pixels(pose: Pose, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return _CAMERA.project((points - pose.center) @ pose.rotation.T)
 
 
 def _speckled(scene: Scene) -> TexturedMesh:

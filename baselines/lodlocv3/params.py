@@ -1,0 +1,33 @@
+"""Settings of LoD-Loc v3: the search's are LoD-Loc v2's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lodbench.errors import ConfigError, nearest_names
+from lodbench.methods.lodlocv2 import Params
+
+WEIGHTS = ("box", "area", "equal")
+
+
+@dataclass(frozen=True, slots=True)
+class LodLocV3Params(Params):
+    """Settings of ``method=lodlocv3``; those not named here are LoD-Loc v2's and mean the same.
+
+    Attributes:
+        weights: How much each building of the photo counts: by its bounding ``box``, the paper's, by its
+            ``area`` in pixels, or all ``equal``.
+
+    Raises:
+        ConfigError: A value is unknown or out of range.
+    """
+
+    name: str = "lodlocv3"
+    weights: str = "box"
+
+    def __post_init__(self) -> None:
+        super(LodLocV3Params, self).__post_init__()
+        if self.weights not in WEIGHTS:
+            raise ConfigError(
+                f"method.weights={self.weights} is not known.", nearest_names(self.weights, WEIGHTS)
+            )

@@ -1,0 +1,51 @@
+"""Instance labels: pictures whose grey says which building a pixel belongs to, 0 for none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.datasets.pictures import decoded, encoded, has_too_many_pixels
+from lodbench.errors import QueryFault
+
+# Folder of a split's label files.
+INSTANCES_FOLDER = "instances"
+# More buildings in one photo than this are no buildings.
+_MOST = 2000
+
+
+def read_labels(path: Path) -> NDArray[np.uint16]:
+    """Returns the (H, W) labels of a grey PNG of 8 or 16 bits.
+
+    Raises:
+        QueryFault: The file is missing, is no such picture or has too many pixels, or has more than 2000
+            different values: a photo.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise QueryFault(f"instances {path.name} cannot be read: {error.strerror}") from error
+    if has_too_many_pixels(content):
+        raise QueryFault(f"instances {path.name} has too many pixels")
+    labels = decoded(content, as_stored=True)
+    if labels is None or labels.ndim != 2 or labels.dtype not in (np.uint8, np.uint16):
+        raise QueryFault(
+            f"instances {path.name} is not a grey image of 8 or 16 bits: 0, then one per building"
+        )
+    count = int(np.count_nonzero(np.bincount(labels.ravel(), minlength=1)[1:]))
+    if count > _MOST:
+        raise QueryFault(f"instances {path.name} has {count} labels: is it a photo?")
+    return labels.astype(np.uint16)
+
+
+def encoded_labels(labels: NDArray[np.uint16]) -> bytes:
+    """Returns (H, W) labels as the bytes of a PNG of 16 bits."""
+    return encoded(labels, ".png")
+
+
+def masks_of_labels(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Returns (N, H, W) bool, the mask of each label above 0 that occurs, ascending."""
+    found = np.unique(labels)
+    return np.asarray(labels[None] == found[found > 0][:, None, None])

@@ -1,0 +1,157 @@
+"""The other end: a method in its own environment. `PYTHON -m lodbench.harness.remote.child`, by pipes only.
+
+Its standard output is the pipe; what a method prints goes to standard error.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from functools import cached_property, partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.query import Query, Reference
+from lodbench.errors import LodbenchError
+from lodbench.geometry import Camera
+from lodbench.harness.remote.wire import FAULTS, packed, unpacked
+from lodbench.harness.runs.code_digest import code_digest
+from lodbench.methods.measured_calls import weight_files
+from lodbench.methods.protocol import Estimate, Method, SupportsFlights, SupportsPrepare
+from lodbench.methods.registry import configure_method
+from lodbench.methods.workspace import Workspace
+from lodbench.rendering import Fit
+
+Floats = NDArray[np.float64]
+
+
+class Pipe:
+    """This process's end: asks the other end, and is asked."""
+
+    def __init__(self, source: BinaryIO, target: BinaryIO) -> None:
+        self._source, self._target = source, target
+
+    def send(self, message: Any) -> None:
+        """Sends a message."""
+        self._target.write(packed(message))
+        self._target.flush()
+
+    def receive(self) -> Any:
+        """Returns the next message; ends the process where there is none."""
+
+        def read(count: int) -> bytes:
+            found = self._source.read(count)
+            if len(found) < count:
+                raise SystemExit(0)
+            return found
+
+        return unpacked(read)
+
+    def ask(self, *words: Any) -> Any:
+        """Returns the other end's answer; raises what it says was raised."""
+        self.send({"ask": list(words)})
+        answer = self.receive()
+        if "fault" in answer:
+            raise FAULTS.get(answer["kind"], LodbenchError)(answer["fault"])
+        return answer["answer"]
+
+
+class RemoteMap:
+    """The map as a method sees it: drawn, and counted, at the other end."""
+
+    def __init__(self, pipe: Pipe, about: dict[str, Any]) -> None:
+        self._pipe = pipe
+        self.name, self.threads, self.is_textured = about["name"], about["threads"], about["is_textured"]
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Returns the city, sent over when it is first asked for."""
+        return cast(Scene, self._pipe.ask("scene"))
+
+    def __getattr__(self, kind: str) -> Callable[..., Any]:
+        """Returns what draws a kind of view: ``silhouettes``, ``depth`` and so on."""
+        if kind.startswith("_"):
+            raise AttributeError(kind)
+        return lambda *arguments, **named: self._pipe.ask("draw", kind, named, *arguments)
+
+    def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
+        """Returns the similarity of N silhouettes to a query: drawn there, compared here."""
+        return fit(self._pipe.ask("draw", "silhouettes", {}, camera, rotations, centers))
+
+
+def streams_of(pipe: Pipe) -> Callable[[str, int], np.random.Generator]:
+    """Returns the random numbers of a query, in the state the other end makes them in."""
+
+    def stream(stage: str, step: int) -> np.random.Generator:
+        bits = np.random.Philox()
+        bits.state = pipe.ask("stream", stage, step)
+        return np.random.Generator(bits)
+
+    return stream
+
+
+class Served:
+    """A method, asked over a pipe."""
+
+    def __init__(self, pipe: Pipe) -> None:
+        self._pipe = pipe
+        self._method: Method | None = None
+        self._map: Any = None
+
+    def make(self, settings: dict[str, Any], tilt: str) -> dict[str, Any]:
+        """Makes the method; returns what there is to know of it."""
+        configured = configure_method(settings).for_tilt(tilt)
+        method = self._method = configured.make()
+        return {
+            "name": method.name,
+            "requires": sorted(str(word) for word in method.requires),
+            "params": asdict(configured.params),
+            "answers_flights": isinstance(method, SupportsFlights),
+            "prepares": isinstance(method, SupportsPrepare),
+            "weights": list(weight_files(method)),
+            "code": [code_digest(method), sys.version, version("numpy")],
+        }
+
+    def open_map(self, about: dict[str, Any]) -> None:
+        """Tells of the map that is then asked about."""
+        self._map = RemoteMap(self._pipe, about)
+
+    def prepare(self, references: Sequence[Reference], folder: Path) -> None:
+        """Lets the method prepare."""
+        assert isinstance(self._method, SupportsPrepare)  # noqa: S101
+        self._method.prepare(cast(CityMap, self._map), references, Workspace(folder))
+
+    def localize(self, query: Query, offers: dict[str, bool]) -> Estimate:
+        """Returns the method's estimate."""
+        segment = partial(self._pipe.ask, "segment") if offers["segment"] else None
+        true_pixels = partial(self._pipe.ask, "true_pixels") if offers["true_pixels"] else None
+        query = replace(query, segment=segment, true_pixels=true_pixels)
+        assert self._method is not None  # noqa: S101
+        return self._method.localize(query, cast(CityMap, self._map), streams_of(self._pipe))
+
+
+def main() -> None:
+    """Answers until the pipe is closed."""
+    pipe = Pipe(os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb"))
+    # What is printed, by C code too, would be taken for messages.
+    os.dup2(2, 1)
+    served = Served(pipe)
+    offered = {name: getattr(served, name) for name in ("make", "open_map", "prepare", "localize")}
+    while True:
+        name, *values = pipe.receive()["do"]
+        try:
+            pipe.send({"done": offered[name](*values)})
+        except LodbenchError as fault:
+            pipe.send({"fault": fault.message, "hint": fault.hint, "kind": type(fault).__name__})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,240 @@
+"""A method that runs in a process of another Python, as the harness asks any other."""
+
+from __future__ import annotations
+
+import os
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.query import Query, Reference
+from lodbench.errors import ConfigError, LodbenchError, QueryFault, RenderingError, nearest_names
+from lodbench.geometry import Camera, Pose
+from lodbench.harness.remote.process import Child, ProcessFault
+from lodbench.harness.remote.wire import FAULTS
+from lodbench.methods.protocol import Estimate, Streams
+from lodbench.methods.workspace import Workspace
+
+HERE, SUBPROCESS = "here", "subprocess"
+_MODULE = "lodbench.harness.remote.child"
+# What may be drawn for a child, and the bytes of one pixel of it.
+_DRAWN = {
+    "render": 1,
+    "silhouettes": 1,
+    "counts": 1,
+    "instances": 1,
+    "buildings": 4,
+    "depth": 4,
+    "surface_depth": 4,
+    "normals": 12,
+    "colour": 3,
+    "edges": 4,
+}
+_MOST_BYTES = 1 << 32
+
+
+@dataclass(frozen=True, slots=True)
+class RunnerParams:
+    """Where a method runs.
+
+    Attributes:
+        name: ``here``, in this process, or ``subprocess``.
+        python: Of a subprocess: its Python, which has lodbench and the method's package installed.
+        timeout_s: Of a subprocess: longest time for one query, seconds; then it is stopped and started anew.
+
+    Raises:
+        ConfigError: A value is unknown, missing or out of range.
+    """
+
+    name: str = HERE
+    python: str | None = None
+    timeout_s: float = 600.0
+
+    def __post_init__(self) -> None:
+        if self.name not in (HERE, SUBPROCESS):
+            raise ConfigError(
+                f"runner={self.name} is not known.", nearest_names(self.name, (HERE, SUBPROCESS))
+            )
+        if self.name == SUBPROCESS and not self.python:
+            raise ConfigError("runner=subprocess needs a Python.", "Set runner.python=PATH.")
+        if not self.timeout_s > 0:
+            raise ConfigError(f"runner.timeout_s={self.timeout_s:g} is no time to wait.")
+
+
+class RemoteMethod:
+    """A method of another environment: made, prepared and asked there, while the map is drawn here.
+
+    A process that dies, hangs or writes nonsense is one query's failure; the next starts another.
+
+    Args:
+        settings: The method's ``name`` and what differs from its defaults.
+        runner: The other Python.
+        tilt: The protocol's, ``prior`` or ``truth``.
+
+    Attributes:
+        name: The method's.
+        requires: What it needs.
+        params: Its parameters, as plain values.
+        remote_code: What its answers depend on there: a digest of the code, and versions.
+
+    Raises:
+        ConfigError: The Python cannot be started or has no lodbench, the method is unknown there, a setting
+            is wrong, or it answers whole flights only.
+    """
+
+    def __init__(self, settings: Mapping[str, Any], runner: RunnerParams, tilt: str = "prior") -> None:
+        self._settings, self._runner, self._tilt = dict(settings), runner, tilt
+        self._child: Child | None = None
+        self._told: CityMap | None = None
+        self._prepared_in: tuple[Sequence[Reference], Path] | None = None
+        about = self._start()
+        self.name = str(about["name"])
+        self.requires = frozenset(about["requires"])
+        self.params: dict[str, Any] = about["params"]
+        self.remote_code: list[str] = about["code"]
+        self._weights = [Path(file) for file in about["weights"]]
+        self._prepares = bool(about["prepares"])
+        if about["answers_flights"]:
+            raise ConfigError(
+                f"method={self.name} answers whole flights, which go over no pipe.", "Leave out runner=."
+            )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns all but the process: a worker starts its own."""
+        return {**self.__dict__, "_child": None, "_told": None}
+
+    def weight_files(self) -> list[Path]:
+        """Returns the files that the method says it reads."""
+        return self._weights
+
+    def prepare(self, city_map: CityMap, references: Sequence[Reference], workspace: Workspace) -> None:
+        """Lets the method prepare, if it does.
+
+        Raises:
+            LodbenchError: It cannot.
+        """
+        self._prepared_in = (references, workspace.folder)
+        self._told = None
+        try:
+            self._tell_of(city_map)
+        except ProcessFault as fault:
+            raise ConfigError(f"method={self.name} cannot prepare: {fault}.") from fault
+
+    def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
+        """Returns the method's estimate.
+
+        Raises:
+            QueryFault: The method says there is none.
+            ProcessFault: Its process died, hung or wrote nonsense.
+        """
+        self._tell_of(city_map)
+        offers = {"segment": query.segment is not None, "true_pixels": query.true_pixels is not None}
+
+        def answer(words: list[Any]) -> Any:
+            return answered(words, query, city_map, streams)
+
+        found = self._call(["localize", query, offers], answer)
+        if not isinstance(found, Estimate):
+            raise TypeError(f"localize returned {type(found).__name__} instead of an Estimate")
+        return found
+
+    def close(self) -> None:
+        """Ends the process, if there is one."""
+        if self._child is not None:
+            self._child.close()
+        self._child = None
+
+    def _start(self) -> dict[str, Any]:
+        """Starts a process and makes the method there; returns what there is to know of it."""
+        # What this environment tells its Python is no matter of the other's.
+        kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+        child = self._child = Child(
+            [cast(str, self._runner.python), "-m", _MODULE], self._runner.timeout_s, kept
+        )
+        weakref.finalize(self, child.close)
+        self._told = None
+        try:
+            return cast(dict[str, Any], self._call(["make", self._settings, self._tilt], _nothing))
+        except ProcessFault as fault:
+            raise ConfigError(
+                f"runner.python={self._runner.python}: {fault}.",
+                "lodbench must be installed there, and the method's package.",
+            ) from fault
+
+    def _tell_of(self, city_map: CityMap) -> None:
+        """Makes sure that there is a process, prepared, that knows the map."""
+        if self._child is None:
+            self._start()
+        if self._told is city_map:
+            return
+        about = {"name": city_map.name, "threads": city_map.threads, "is_textured": city_map.is_textured}
+        self._call(["open_map", about], _nothing)
+        self._told = city_map
+        if self._prepares and self._prepared_in is not None:
+            self._call(
+                ["prepare", *self._prepared_in],
+                lambda words: answered(words, None, city_map, _no_streams),
+            )
+
+    def _call(self, words: list[Any], answer: Callable[[list[Any]], Any]) -> Any:
+        assert self._child is not None  # noqa: S101
+        try:
+            said = self._child.call({"do": words}, answer)
+        except ProcessFault:
+            self._child = None
+            raise
+        if "fault" in said:
+            kind = FAULTS.get(str(said["kind"]), LodbenchError)
+            raise kind(str(said["fault"]), str(said.get("hint", "")))
+        return said.get("done")
+
+
+def _nothing(words: list[Any]) -> Any:
+    raise LodbenchError(f"there is nothing to ask yet: {words[:2]}")
+
+
+def _no_streams(stage: str, step: int) -> np.random.Generator:
+    raise LodbenchError("random numbers are a query's")
+
+
+def answered(words: list[Any], query: Query | None, city_map: CityMap, streams: Streams) -> Any:
+    """Returns the answer to what a child asks.
+
+    Raises:
+        LodbenchError: There is no such thing to ask, or its answer would be too large.
+        Exception: Whatever comes of arguments that are none.
+    """
+    kind, *values = words or [""]
+    if kind == "scene":
+        return city_map.scene
+    if kind == "stream":
+        stage, step = values
+        return streams(str(stage), int(step)).bit_generator.state
+    if kind == "segment" and query is not None and query.segment is not None:
+        return query.segment(_pose(*values))
+    if kind == "true_pixels" and query is not None and query.true_pixels is not None:
+        return query.true_pixels(np.asarray(values[0], dtype=np.float64))
+    if kind == "draw" and values and values[0] in _DRAWN:
+        return _drawn(city_map, *values)
+    raise LodbenchError(f"there is no {kind!r} to ask for")
+
+
+def _drawn(city_map: CityMap, kind: str, named: dict[str, Any], camera: Any, *arguments: Any) -> Any:
+    if not isinstance(camera, Camera) or not arguments:
+        raise RenderingError(f"{kind} is asked for with a camera and poses")
+    views = 1 if kind == "render" else len(arguments[0])
+    size = views * camera.width * camera.height * _DRAWN[kind]
+    if not 0 <= size <= _MOST_BYTES:
+        raise RenderingError(f"{views} views of {camera.width} x {camera.height} are too many at a time")
+    return getattr(city_map, kind)(camera, *arguments, **named)
+
+
+def _pose(*values: Any) -> Pose:
+    if len(values) != 1 or not isinstance(values[0], Pose):
+        raise QueryFault("a mask is asked for from a pose")
+    return replace(values[0])

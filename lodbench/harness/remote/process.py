@@ -1,0 +1,144 @@
+"""A child process that is asked over pipes, and may hang, die or write nonsense."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from typing import Any
+
+from lodbench.errors import LodbenchError
+from lodbench.harness.remote.wire import MalformedMessage, packed, unpacked
+
+# Of what the child wrote to standard error, at most this much is told.
+_TAIL_BYTES = 4000
+# Bytes read and written at a time.
+_CHUNK = 1 << 16
+
+
+class ProcessFault(Exception):
+    """The child died, took too long or wrote no message; its standard error is a note of this exception."""
+
+
+class Child:
+    """A process of another Python, asked one thing at a time.
+
+    Args:
+        command: What starts it.
+        timeout_s: Longest time for an answer, with all that is asked back meanwhile.
+        environment: Its environment variables.
+
+    Raises:
+        LodbenchError: It cannot be started.
+    """
+
+    def __init__(self, command: list[str], timeout_s: float, environment: dict[str, str]) -> None:
+        self._timeout_s = timeout_s
+        self._errors = tempfile.TemporaryFile()
+        try:
+            self._process = subprocess.Popen(  # noqa: S603 - the Python that the user names
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                env=environment,
+                bufsize=0,
+            )
+        except OSError as error:
+            raise LodbenchError(
+                f"{command[0]} cannot be started: {error.strerror}.", "runner.python=PATH names a Python."
+            ) from error
+        assert self._process.stdin is not None  # noqa: S101
+        assert self._process.stdout is not None  # noqa: S101
+        self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
+        os.set_blocking(self._in, False)
+        os.set_blocking(self._out, False)
+
+    def call(self, message: Any, answer: Callable[[list[Any]], Any]) -> Any:
+        """Returns the child's last word to a message.
+
+        Args:
+            message: What it is to do.
+            answer: Answers what it asks meanwhile; what it raises goes to the child.
+
+        Raises:
+            ProcessFault: There is no answer; the child has been stopped.
+        """
+        deadline = time.monotonic() + self._timeout_s
+        try:
+            self._write(packed(message), deadline)
+            while True:
+                said = unpacked(lambda count: self._read(count, deadline))
+                if not isinstance(said, dict):
+                    raise MalformedMessage("a message is no word")
+                if "ask" not in said:
+                    return said
+                try:
+                    told = {"answer": answer(list(said["ask"]))}
+                except LodbenchError as fault:
+                    told = {"fault": fault.message, "kind": type(fault).__name__}
+                except Exception as error:  # it may ask with arguments of any kind
+                    told = {"fault": f"{type(error).__name__}: {error}", "kind": "RenderingError"}
+                self._write(packed(told), deadline)
+        except (TimeoutError, EOFError, OSError, MalformedMessage) as error:
+            raise self._fault(error) from None
+
+    def close(self) -> None:
+        """Ends the process."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout, self._errors):
+            if stream is not None:
+                stream.close()
+
+    def _read(self, count: int, deadline: float) -> bytes:
+        parts, missing = [], count
+        while missing:
+            self._wait([self._out], [], deadline)
+            part = os.read(self._out, min(missing, max(_CHUNK, missing)))
+            if not part:
+                raise EOFError
+            parts.append(part)
+            missing -= len(part)
+        return b"".join(parts)
+
+    def _write(self, content: bytes, deadline: float) -> None:
+        view = memoryview(content)
+        while view:
+            self._wait([], [self._in], deadline)
+            view = view[os.write(self._in, view[:_CHUNK]) :]
+
+    @staticmethod
+    def _wait(reading: list[int], writing: list[int], deadline: float) -> None:
+        left = deadline - time.monotonic()
+        if left <= 0 or not any(select.select(reading, writing, [], left)):
+            raise TimeoutError
+
+    def _fault(self, error: Exception) -> ProcessFault:
+        """Stops the child; returns why it gave no answer."""
+        if isinstance(error, TimeoutError):
+            reason = f"the method's process gave no answer in {self._timeout_s:g} s and was stopped"
+        elif isinstance(error, MalformedMessage):
+            reason = f"the method's process was stopped, for {error.message}"
+        else:
+            try:
+                code = self._process.wait(5)
+            except subprocess.TimeoutExpired:
+                code = None
+            reason = f"the method's process ended with exit code {code}"
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+        self._errors.seek(0, os.SEEK_END)
+        self._errors.seek(max(0, self._errors.tell() - _TAIL_BYTES))
+        errors = self._errors.read().decode(errors="replace").strip()
+        self.close()
+        last = errors.splitlines()[-1].strip() if errors else ""
+        fault = ProcessFault(f"{reason}: {last}" if last else reason)
+        if errors:
+            fault.add_note(f"Its standard error:\n{errors}")
+        return fault

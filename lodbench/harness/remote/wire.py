@@ -1,0 +1,132 @@
+"""What goes over the pipes: JSON, and arrays of numbers as they lie in memory; nothing is unpickled.
+
+A message is the length of its head (8 bytes, least first), the head in JSON, then the bytes of its arrays.
+Of classes only those of ``CLASSES`` are made, field by field.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.query import Query, Reference
+from lodbench.errors import ConfigError, LodbenchError, QueryFault, RenderingError
+from lodbench.geometry import Camera, Pose
+from lodbench.methods.protocol import Estimate
+from lodbench.rendering import Instances, IouCounts, ViewEdges
+
+CLASSES = {
+    kind.__name__: kind
+    for kind in (Camera, Estimate, Instances, IouCounts, Pose, Query, Reference, Scene, ViewEdges)
+}
+# Faults that are made again at the other end; others become the one they all are.
+FAULTS = {kind.__name__: kind for kind in (ConfigError, QueryFault, RenderingError)}
+# Numbers and truth values only: no objects, no text.
+_KINDS = "biuf"
+_MOST_HEAD, _MOST_ARRAYS = 1 << 28, 1 << 33
+# Reads exactly so many bytes.
+Read = Callable[[int], bytes]
+
+
+class MalformedMessage(LodbenchError):
+    """What came over a pipe is no message."""
+
+
+def packed(message: Any) -> bytes:
+    """Returns a message as bytes: plain values, tuples, arrays, paths, and objects of ``CLASSES``.
+
+    Functions are left out: they become None.
+
+    Raises:
+        MalformedMessage: It holds something else.
+    """
+    arrays: list[NDArray[Any]] = []
+    tree = _plain(message, arrays)
+    told = [[array.dtype.str, list(array.shape)] for array in arrays]
+    head = json.dumps([tree, told]).encode()
+    return b"".join([len(head).to_bytes(8, "little"), head, *(array.tobytes() for array in arrays)])
+
+
+def unpacked(read: Read) -> Any:
+    """Returns the next message.
+
+    Args:
+        read: Returns the next bytes of it.
+
+    Raises:
+        MalformedMessage: It is none, or too large.
+    """
+    length = int.from_bytes(read(8), "little")
+    if length > _MOST_HEAD:
+        raise MalformedMessage(f"the head of a message has {length} bytes")
+    try:
+        tree, told = json.loads(read(length))
+        arrays = [_array(read, np.dtype(kind), [int(side) for side in shape]) for kind, shape in told]
+        return _whole(tree, arrays)
+    except MalformedMessage:
+        raise
+    except (LodbenchError, ValueError, TypeError, KeyError, IndexError, RecursionError) as error:
+        raise MalformedMessage(f"a message cannot be read: {type(error).__name__}") from error
+
+
+def _array(read: Read, dtype: np.dtype[Any], shape: list[int]) -> NDArray[Any]:
+    if dtype.kind not in _KINDS or dtype.fields is not None or min(shape, default=0) < 0:
+        raise MalformedMessage(f"an array of {dtype} and shape {shape}")
+    size = prod(shape) * dtype.itemsize
+    if size > _MOST_ARRAYS:
+        raise MalformedMessage(f"an array of {size} bytes")
+    return np.frombuffer(bytearray(read(size)), dtype).reshape(shape)
+
+
+def _plain(value: Any, arrays: list[NDArray[Any]]) -> Any:
+    """Returns a value as JSON values; its arrays go to a list."""
+    if isinstance(value, np.generic | Enum):
+        value = value.item() if isinstance(value, np.generic) else value.value
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, list):
+        return [_plain(item, arrays) for item in value]
+    if isinstance(value, np.ndarray) and value.dtype.kind in _KINDS:
+        arrays.append(value)
+        return {"array": len(arrays) - 1}
+    if isinstance(value, tuple | set | frozenset):
+        return {"tuple": [_plain(item, arrays) for item in value]}
+    if isinstance(value, dict):
+        return {"dict": [[str(key), _plain(item, arrays)] for key, item in value.items()]}
+    if isinstance(value, Path):
+        return {"path": str(value)}
+    if is_dataclass(value) and type(value).__name__ in CLASSES:
+        held = {field.name: getattr(value, field.name) for field in fields(value)}
+        return {"class": type(value).__name__, "fields": {k: _plain(v, arrays) for k, v in held.items()}}
+    if callable(value):
+        return None
+    raise MalformedMessage(f"{type(value).__name__} does not go over a pipe")
+
+
+def _whole(tree: Any, arrays: list[NDArray[Any]]) -> Any:
+    """Returns the value of what ``_plain`` made."""
+    if isinstance(tree, list):
+        return [_whole(item, arrays) for item in tree]
+    if not isinstance(tree, dict):
+        return tree
+    if "class" in tree:
+        return CLASSES[tree["class"]](**{k: _whole(v, arrays) for k, v in tree["fields"].items()})
+    ((kind, held),) = tree.items()
+    if kind == "array":
+        return arrays[held]
+    if kind == "tuple":
+        return tuple(_whole(item, arrays) for item in held)
+    if kind == "path":
+        return Path(held)
+    if kind != "dict":
+        raise MalformedMessage(f"a message holds {kind!r}")
+    return {key: _whole(item, arrays) for key, item in held}
