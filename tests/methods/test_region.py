@@ -85,14 +85,22 @@ class TestTheMethod:
         assert estimate.probability < 0.2
 
     def test_an_answer_beyond_the_prior_s_range_is_said_to_be(self, city_map, photographed, truths):
-        prior = truths[0].center + np.array([0.0, 0.0, 9.0])
+        prior = truths[0].center + np.array([0.0, 0.0, 12.5])
         query = replace(photographed[0], prior=replace(truths[0], translation=-truths[0].rotation @ prior))
-        told = replace(FAST, range_z_m=6.0)
+        told = replace(FAST, range_z_m=20.0)
         estimate = Region(told).localize(query, city_map, streams())
         away = estimate.pose.center[2] - prior[2]
         said = [note for note in estimate.notes if "beyond the range" in note and "z " in note]
-        assert bool(said) == (abs(away) > 3.0 + max(1.0, 2.0 * float(np.sqrt(estimate.covariance[2, 2]))))
+        assert bool(said) == (abs(away) > 10.0 + max(1.0, 2.0 * float(np.sqrt(estimate.covariance[2, 2]))))
         assert said
+
+    def test_no_answer_lies_far_below_the_prior_s_range(self, city_map, photographed, truths):
+        told = replace(FAST, range_z_m=10.0)
+        low = replace(photographed[0], prior=truths[0].shifted([0.0, 0.0, 25.0]))
+        estimate = Region(told).localize(low, city_map, streams())
+        assert abs(estimate.pose.center[2] - low.prior.center[2]) < 1.4 * 5.0
+        assert estimate.probability is not None
+        assert estimate.probability < 0.2
 
     def test_a_prior_told_too_narrow_leads_no_answer_astray(self, city_map, photographed, truths):
         told = replace(FAST, range_x_m=10.0, range_y_m=10.0, beyond_m=5.0)

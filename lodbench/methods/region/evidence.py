@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 # How softly a prior's range ends, as a share of its half width: x, y, z, pitch, roll and yaw. Softly in what
 # is often told narrower than it is.
 _EDGE_SHARES = np.array([1.0, 1.0, 0.1, 0.1, 0.1, 0.5])
+# And where it ends for good, in half widths, and how softly there: evidence of pixels that are not
+# independent outweighs any softer end, and from far below nearly every photo is parted well by some roof.
+_WALLS, _WALL_SHARE = np.array([np.inf, np.inf, 1.3, 5.0, 5.0, 2.5]), 0.02
 
 
 class PhotoFit:
@@ -93,7 +96,8 @@ class Evidence:
         """Returns the (N,) logarithm of the prior, up to a constant."""
         offsets = self.offsets(vectors)
         beyond = np.maximum(np.abs(offsets) - self._range, 0.0) / (_EDGE_SHARES * self._range)
-        return np.asarray(-0.5 * ((offsets / self._sigmas) ** 2 + beyond**2).sum(axis=1))
+        through = np.maximum(np.abs(offsets) - _WALLS * self._range, 0.0) / (_WALL_SHARE * self._range)
+        return np.asarray(-0.5 * ((offsets / self._sigmas) ** 2 + beyond**2 + through**2).sum(axis=1))
 
     def offsets(self, vectors: Floats) -> Floats:
         """Returns (N, 6) how far poses (N, 6) are from the prior, metres and degrees."""

@@ -25,6 +25,7 @@ from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.lines import aligned_by_lines
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged
+from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, Signs, trust_of
 from lodbench.methods.region.uncertainty import covariance_at, share_of_best
 
 Floats = NDArray[np.float64]
@@ -70,26 +71,43 @@ class Region:
         modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams)
         if not modes:
             raise QueryFault("no outline of a building is in view of any pose that fits")
-        modes = judged(modes, final.with_edges(params.judging_edge_weight))
+        judge = final.with_edges(params.judging_edge_weight)
+        modes = judged(modes, judge)
         vector = modes[0].cloud.mean
         nats: Callable[[Floats], Floats] = final.nats
+        apart_m, sharpness = TYPICAL_LINES
         if params.lines_weight > 0:
             # Lines say what edges say, and more: the regions join them without.
             regions = final.with_edges(0.0)
             lines = aligned_by_lines(photo, query, city_map, vector, regions, around, params, streams)
-            if lines is not None and lines.sharpness >= params.least_sharpness:
+            apart_m, sharpness = NO_LINES
+            if lines is not None:
+                apart_m, sharpness = float(np.linalg.norm((lines.vector - vector)[:3])), lines.sharpness
+            if lines is not None and sharpness >= params.least_sharpness:
                 vector, nats = lines.vector, lines.nats
         covariance = covariance_at(nats, vector, final, around)
+        offset, half_widths = final.offsets(vector[None])[0], params.half_widths()
+        signs = Signs(
+            probability_within(covariance, vector),
+            apart_m,
+            sharpness,
+            float(judge.fits(vector[None])[0]),
+            max(0.0, float(abs(offset[2]) / half_widths[2]) - 1.0),
+        )
         finished = time.perf_counter()
         return Estimate(
             pose=pose_from_vector(vector),
             score=float(final.fits(vector[None])[0]),
             seconds={"coarse": searched - started, "fine": finished - searched},
-            trace={"coarse": (best,), "modes": tuple(mode.log_posterior for mode in modes)},
+            trace={
+                "coarse": (best,),
+                "modes": tuple(mode.log_posterior for mode in modes),
+                "signs": tuple(signs),
+            },
             covariance=covariance,
-            probability=share_of_best(modes) * probability_within(covariance, vector),
+            probability=share_of_best(modes) * trust_of(signs),
             alternatives=tuple(pose_from_vector(mode.cloud.mean) for mode in modes[1:]),
-            notes=beyond_range(final.offsets(vector[None])[0], covariance, params.half_widths()),
+            notes=beyond_range(offset, covariance, half_widths),
         )
 
     def _evidence(

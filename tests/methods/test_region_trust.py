@@ -1,0 +1,34 @@
+"""The model of trust: a probability that each sign moves the way it should, and by how much it may."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lodbench.methods.region.trust import Signs, trust_of
+
+shares = st.floats(0.0, 1.0)
+some_signs = st.builds(
+    Signs, shares, st.floats(0.0, 100.0), st.floats(-5.0, 20.0), st.floats(0.0, 1.5), st.floats(0.0, 9.0)
+)
+BETTER = {"probability": 1, "apart_m": -1, "sharpness": 1, "fit": 1, "beyond": -1}
+
+
+@given(some_signs, st.sampled_from(sorted(BETTER)), st.floats(0.0, 5.0))
+def test_a_better_sign_never_lowers_it(signs, name, step):
+    value = max(getattr(signs, name) + BETTER[name] * step, -5.0 if name == "sharpness" else 0.0)
+    assert trust_of(signs._replace(**{name: value})) >= trust_of(signs)
+
+
+@given(some_signs)
+def test_it_is_a_probability(signs):
+    assert 0.0 <= trust_of(signs) <= 1.0
+
+
+def test_no_sign_alone_makes_an_answer_sure():
+    good = Signs(0.95, 0.3, 0.9, 0.7, 0.0)
+    assert trust_of(good) > 0.95
+    # Far from where the lines say, or far below the prior's range: not trusted. On a coarse map: less.
+    assert trust_of(good._replace(apart_m=30.0)) < 0.5
+    assert trust_of(good._replace(beyond=0.4)) < 0.5
+    assert trust_of(good._replace(apart_m=1.0, sharpness=0.2)) < 0.8
