@@ -84,6 +84,24 @@ def measure_flights(
 def _fly(
     tally: _Tally, params: FlightsParams, dataset: Dataset, scene: Scene, flight: int, method: FlightMethod
 ) -> None:
+    queries, truth = queries_of(dataset, scene, flight)
+    city_map = CityMap(scene)
+    streams = [partial(random_stream, 0, query.name) for query in queries]
+    started = process_time()
+    found = method.localize_flight(queries, city_map, streams)
+    tally.cpu_s += process_time() - started
+    for each, pose in zip(found.estimates, truth, strict=True):
+        error = pose_error(each.pose, pose) if isinstance(each, Estimate) else FAILED
+        tally.errors.append((error.translation_m, error.rotation_deg))
+        tally.probabilities.append(each.probability or 0.0 if isinstance(each, Estimate) else 0.0)
+    if found.findings:
+        tally.constants.append(_constants_off(params, flight, found))
+        if params.map_errors():
+            tally.score += _score(params, dataset, found, queries, truth, city_map)
+
+
+def queries_of(dataset: Dataset, scene: Scene, flight: int) -> tuple[list[Query], list[Pose]]:
+    """Returns the photos of a flight as a method sees them, and where they were taken, scene frame."""
     entries = [entry for entry in dataset.entries if entry.sequence == f"flight_{flight:02d}"]
     truth = [dataset.truth[entry.key].shifted(-scene.origin) for entry in entries]
     queries = [
@@ -99,19 +117,7 @@ def _fly(
         )
         for entry in entries
     ]
-    city_map = CityMap(scene)
-    streams = [partial(random_stream, 0, query.name) for query in queries]
-    started = process_time()
-    found = method.localize_flight(queries, city_map, streams)
-    tally.cpu_s += process_time() - started
-    for each, pose in zip(found.estimates, truth, strict=True):
-        error = pose_error(each.pose, pose) if isinstance(each, Estimate) else FAILED
-        tally.errors.append((error.translation_m, error.rotation_deg))
-        tally.probabilities.append(each.probability or 0.0 if isinstance(each, Estimate) else 0.0)
-    if found.findings:
-        tally.constants.append(_constants_off(params, flight, found))
-        if params.map_errors():
-            tally.score += _score(params, dataset, found, queries, truth, city_map)
+    return queries, truth
 
 
 def _constants_off(params: FlightsParams, flight: int, found: FlightEstimate) -> Floats:

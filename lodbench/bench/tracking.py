@@ -61,7 +61,7 @@ def measure_tracking(
         progress: Called after each flight.
     """
     scene = open_cached_city(city, lod="finest").scene
-    tracks, errors, lost = [], [], 0
+    tracks, errors, sigmas_m, lost = [], [], [], 0
     for number, seed in enumerate(seeds):
         drawn = _drawn(scene, seed, options)
         found = _tracked(city, scene, drawn, segmenter, options)
@@ -71,6 +71,7 @@ def measure_tracking(
                 lost += 1
             else:
                 errors.append(pose_error(frame.pose, query.truth.shifted(scene.origin)))
+                sigmas_m.append(np.nan if frame.sigmas is None else frame.sigmas[0])
         progress(number + 1, len(seeds))
     count = sum(len(found.frames) - 1 for found in tracks)
     # As everywhere: a frame without an answer is infinitely far off.
@@ -91,6 +92,7 @@ def measure_tracking(
         Figure("frames lost", lost, "", f"of {len(metres)}"),
         Figure("median error", float(np.median(metres)), "m"),
         Figure("median error", float(np.median(degrees)), "deg"),
+        Figure("median sigma of a place", float(np.nanmedian([*sigmas_m, np.inf])), "m"),
     ]  # fmt: skip
     size = f"{options.size[0]} x {options.size[1]}"
     return plain_report(f"{city.name}, {size}", figures, f"Measured under {load_in_words()}.")

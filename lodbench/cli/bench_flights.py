@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from lodbench.bench.figures import Report
 from lodbench.bench.flights import measure_flights
+from lodbench.bench.joint_solves import measure_joint_solves
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.flight import FlightMethod, Params
@@ -33,6 +35,10 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
     parser.add_argument("--relative-poses", choices=RELATIVE_POSES, default="auto", help="(auto)")
     parser.add_argument("--focal", type=float, default=0.0, help="focal lengths off by up to this share (0)")
     parser.add_argument("--shared-height", type=float, default=28.0, help="heights off by up to, metres (28)")
+    parser.add_argument(
+        "--joint", metavar="COUNTS", help="time the joint solve of so many photos instead, as 100,250,500"
+    )
+    parser.add_argument("--memory", action="store_true", help="of --joint too, which takes longer")
     for name, what in (
         ("wrong-heights", "are wrong by 1.5 to 5 m"),
         ("missing", "lack"),
@@ -44,12 +50,7 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
 
 def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     """Returns what the command measures."""
-    try:
-        seeds = [int(seed) for seed in options.seeds.split(",")]
-    except ValueError as error:
-        raise ConfigError(
-            f"Seeds are whole numbers, not {options.seeds!r}.", "Write --seeds 0,1,2"
-        ) from error
+    seeds = _whole_numbers("Seeds", options.seeds, "Write --seeds 0,1,2")
     flights = FlightsParams(
         city_model=str(options.city),
         num_flights=options.flights,
@@ -65,4 +66,16 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
         missing=options.missing,
         extra=options.extra,
     )
-    return measure_flights(flights, seeds, FlightMethod(Params(relative_poses=options.relative_poses)), steps)
+    method = FlightMethod(Params(relative_poses=options.relative_poses))
+    if options.joint is None:
+        return measure_flights(flights, seeds, method, steps)
+    sizes = _whole_numbers("Numbers of photos", options.joint, "Write --joint 100,250,500")
+    flights = replace(flights, flights_seed=seeds[0], path=flights.path or "orbit")
+    return measure_joint_solves(flights, sizes, method, traces_memory=options.memory, progress=steps)
+
+
+def _whole_numbers(what: str, text: str, hint: str) -> list[int]:
+    try:
+        return [int(word) for word in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"{what} are whole numbers, not {text!r}.", hint) from error

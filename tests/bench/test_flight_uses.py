@@ -1,12 +1,15 @@
-"""What is measured of georeferencing and tracking, on the tests' town."""
+"""What is measured of georeferencing, tracking and joint solves, on the tests' town."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from lodbench.bench.joint_solves import measure_joint_solves
 from lodbench.bench.reconstructions import Noise, measure_reconstructions
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
+from lodbench.errors import ConfigError
+from lodbench.methods.flight import FlightMethod, Params
 from lodbench.synthesis.flights.dataset import FlightsParams
 from tests.town import box_obj
 
@@ -41,3 +44,19 @@ def test_frames_are_counted_whether_found_or_lost(city):
     assert values["frames lost", ""] == 3
     assert values["frames within 2 m and 2 deg", "%"] == 0.0
     assert values["photos per second from pixels to pose", "1/s"] > 0
+
+
+def test_joint_solves_are_timed_by_their_number_of_photos(city):
+    flights = FlightsParams(str(city), path="orbit", mask_iou=0.97)
+    method = FlightMethod(Params(steps=2, restarts=0))
+    report = measure_joint_solves(flights, [3, 6], method, traces_memory=True)
+    values = {figure.figure: figure.value for figure in report.figures}
+    assert values["joint solve of 6 photos"] > 0
+    assert values["memory, 6 photos"] > values["memory, 3 photos"] > 0
+    assert np.isfinite(values["growth of time, power of the number"])
+    rows = [line.split() for line in report.text.splitlines()[1:3]]
+    assert [row[0] for row in rows] == ["3", "6"]
+    # The flight is found, not only timed.
+    assert all(float(row[-1]) < 2.0 for row in rows)
+    with pytest.raises(ConfigError, match="ascend"):
+        measure_joint_solves(flights, [6, 3], method, traces_memory=False)

@@ -46,6 +46,8 @@ def test_each_frame_is_found_from_the_last(city_map):
         error = pose_error(found.pose, pose)
         assert error.translation_m < 0.6
         assert error.rotation_deg < 0.3
+        # As sure as one frame is: not of centimetres, and not of metres.
+        assert 0.02 < np.sqrt(np.trace(found.covariance[:3, :3])) < 2.0
 
 
 def test_motion_carries_over_frames_that_are_gone(city_map):
@@ -76,6 +78,7 @@ def test_a_lost_camera_says_so_and_is_found_again(city_map):
     found = [tracker.track(frame) for frame in all_frames]
     states = [each.state for each in found]
     assert states[:5] == ["tracked"] * 3 + ["lost"] * 2
+    assert [each.covariance is None for each in found] == [state == "lost" for state in states]
     assert "found again" in states[5:8]
     again = states.index("found again")
     assert states[again + 1 :] == ["tracked"] * (8 - again)

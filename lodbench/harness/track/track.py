@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lodbench.citymap import CityMap
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
@@ -69,7 +72,17 @@ class TrackRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedFrame:
-    """What became of a frame: its pose in the city's coordinates, None where it was lost."""
+    """What became of a frame.
+
+    Attributes:
+        name: Of the frame.
+        time_s: When it was taken, seconds.
+        state: ``tracked``, ``found again`` or ``lost``.
+        pose: In the city's coordinates, None where it was lost.
+        score: IoU of silhouette and mask.
+        reason: Why there is no mask, or "".
+        sigmas: Standard deviations of its place, over all three axes (metres), and of its angles (degrees).
+    """
 
     name: str
     time_s: float
@@ -77,6 +90,7 @@ class TrackedFrame:
     pose: Pose | None
     score: float
     reason: str
+    sigmas: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +151,9 @@ def track(request: TrackRequest) -> Track:
             else:
                 found = tracker.track(Frame(shot.name, shot.time_s, mask))
                 pose = None if found.state == LOST else found.pose.shifted(scene.origin)
-                frames.append(TrackedFrame(shot.name, shot.time_s, found.state, pose, found.score, ""))
+                sigmas = None if found.covariance is None else _sigmas(found.covariance)
+                told = found.state, pose, found.score, "", sigmas
+                frames.append(TrackedFrame(shot.name, shot.time_s, *told))
             poses_s += time.perf_counter() - began
             if len(frames) == 1:
                 # The first is searched for: what it takes says nothing of the rate.
@@ -148,6 +164,12 @@ def track(request: TrackRequest) -> Track:
     done = Track(tuple(frames), seconds, time.process_time() - cpu, request.out, notes)
     _write(done, frame)
     return done
+
+
+def _sigmas(covariance: NDArray[np.float64]) -> tuple[float, float]:
+    """Returns the standard deviations of a place (metres) and of angles (degrees), over three axes each."""
+    variances = np.diagonal(covariance)
+    return float(np.sqrt(variances[:3].sum())), float(np.sqrt(variances[3:].sum()))
 
 
 def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose]:
@@ -194,6 +216,8 @@ def _feature(each: TrackedFrame, frame: MapFrame) -> dict[str, Any]:
     stated: dict[str, Any] = {
         "name": each.name, "time_s": round(each.time_s, 3), "state": each.state, "score": round(each.score, 4)
     }  # fmt: skip
+    if each.sigmas is not None:
+        stated |= {"sigma_m": round(each.sigmas[0], 3), "sigma_deg": round(each.sigmas[1], 3)}
     return nowhere_feature(stated) if each.pose is None else camera_feature(frame, each.pose, stated)
 
 
@@ -206,6 +230,8 @@ def _table(frames: Sequence[TrackedFrame], frame: MapFrame | None) -> str:
             "frame": hide_formula(each.name), "time_s": each.time_s, "state": each.state,
             "score": each.score, "reason": hide_formula(each.reason),
         }  # fmt: skip
+        if each.sigmas is not None:
+            row |= dict(zip(("sigma_m", "sigma_deg"), each.sigmas, strict=True))
         if each.pose is not None:
             row |= {} if frame is None else frame.place_of(each.pose)._asdict()
             row |= dict(zip(("east", "north", "up"), map(float, each.pose.center), strict=True))

@@ -7,6 +7,7 @@ miss other buildings as small as that.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -26,6 +27,8 @@ _MISSED_IF_GONE = 0.93
 # Share of buildings that are gone beforehand, how many photos of a flight are worth one, and what is told.
 _GONE, _HEAT, _SURE = 0.03, 2.0, 0.9
 _FEWEST_PHOTOS = 3
+# Buildings are as large as each other within a factor of two, told apart by steps of this, octaves of pixels.
+_SIZE_STEP = 0.25
 
 
 def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:
@@ -38,7 +41,8 @@ def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, A
     if not rows:
         return []
     building, photo, pixels, held = (np.array(column) for column in zip(*rows, strict=True))
-    missed, size = held < _MISSED, np.log2(pixels.astype(np.float64))
+    missed, size = held < _MISSED, np.round(np.log2(pixels) / _SIZE_STEP).astype(np.int64)
+    shares = {step: _shares_missed(building, missed, size, step) for step in np.unique(size).tolist()}
     found = []
     for each in np.unique(building):
         mine = building == each
@@ -46,11 +50,11 @@ def gone_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, A
             continue
         # Other buildings about as large, each counted once however many photos show it.
         odds = 0.0
-        for of, is_missed in zip(size[mine], missed[mine], strict=True):
-            like = ~mine & (np.abs(size - of) < 1.0)
-            rate = _rate(building[like], missed[like])
+        for (step, is_missed), times in Counter(zip(size[mine], missed[mine], strict=True)).items():
+            names, of_names = shares[int(step)]
+            rate = _rate(of_names[names != each])
             gone, there = (_MISSED_IF_GONE, rate) if is_missed else (1.0 - _MISSED_IF_GONE, 1.0 - rate)
-            odds += np.log(gone / there)
+            odds += times * np.log(gone / there)
         odds = odds / _HEAT + np.log(_GONE / (1.0 - _GONE))
         probability = float(1.0 / (1.0 + np.exp(-odds)))
         if probability > _SURE:
@@ -77,12 +81,19 @@ def shares_held(view: View, city_map: CityMap) -> list[tuple[int, int, float]]:
     return found
 
 
-def _rate(building: NDArray[np.int64], missed: Mask) -> float:
-    """Returns how often masks miss buildings like these, each building counted once, never 0 or 1."""
-    if len(building) == 0:
+def _shares_missed(
+    building: NDArray[np.int64], missed: Mask, size: NDArray[np.int64], step: int
+) -> tuple[NDArray[np.int64], Floats]:
+    """Returns the buildings seen about as large, and in which share of these photos each is missed."""
+    like = np.abs(size - step) < 1.0 / _SIZE_STEP
+    names, index, counts = np.unique(building[like], return_inverse=True, return_counts=True)
+    return names, np.bincount(index, weights=missed[like], minlength=len(names)) / counts
+
+
+def _rate(shares: Floats) -> float:
+    """Returns how often masks miss buildings, given each one's share of photos; never 0 or 1."""
+    if len(shares) == 0:
         return 0.2
-    _, index, counts = np.unique(building, return_inverse=True, return_counts=True)
-    shares = np.bincount(index, weights=missed) / counts
     # Those that no photo shows may be gone themselves.
     standing = shares[shares < _MISSED_IF_GONE - 0.05] if (shares < 0.5).any() else shares
     return float((0.2 + standing.sum()) / (1.0 + len(standing)))

@@ -99,6 +99,12 @@ class FlightMethod:
         self._require_reconstruction(queries)
         single = ContourAlignment(self.params.photo())
         alone = [_alone(single, query, city_map, own) for query, own in zip(queries, streams, strict=True)]
+        return self.solve_jointly(queries, alone, city_map)
+
+    def solve_jointly(
+        self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
+    ) -> FlightEstimate:
+        """Returns what ``localize_flight`` does, given what was found of each photo by itself."""
         faults = [found for found in alone if isinstance(found, QueryFault)]
         if len(faults) == len(alone):
             return FlightEstimate(faults)

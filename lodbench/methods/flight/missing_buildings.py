@@ -7,21 +7,28 @@ is one (a visual hull over a grid of voxels). Patches that one photo makes up ag
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from lodbench.citymap import CityMap
 from lodbench.methods.flight.map_views import View
+from lodbench.methods.flight.voxel_votes import add_votes
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Cells = NDArray[np.int64]
 
 # Voxels: their width, their heights above ground, metres; and what makes a place of them a building.
 _CELL_M, _HEIGHTS_M = 2.0, (1.0, 3.0, 5.0, 8.0, 12.0, 17.0, 23.0, 30.0)
 _SHARE, _FEWEST_PHOTOS, _LEAST_M2 = 0.8, 3, 24.0
+# The ground is looked at in squares of this many cells a side.
+_SQUARE = 256
 # What lies this near to a building's silhouette is its own, badly drawn; what lies further is seen too small.
 _MARGIN_PX, _FURTHEST_M = 4, 400.0
 
@@ -36,22 +43,41 @@ def missing_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str
         return []
     known = [_known(view, city_map) for view in views]
     corner, counts, ground = _grid(views, city_map)
-    places = corner + _CELL_M * (np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1) + 0.5)
-    flat = places.reshape(-1, 2)
-    hits = np.zeros((len(_HEIGHTS_M), len(flat)))
+    cells, shares = _built_cells(views, known, corner, counts, ground)
+    return _components(cells, shares, corner, ground, views, known, city_map)
+
+
+def _built_cells(
+    views: Sequence[View], known: Sequence[Mask], corner: Floats, counts: tuple[int, int], ground: float
+) -> tuple[Cells, Floats]:
+    """Returns the cells of the ground that photos call a building, (N, 2), and by how many of them, (H, N).
+
+    Square by square, so that a long flight needs no more room than a short one.
+    """
+    cells, shares = [np.zeros((0, 2), dtype=np.int64)], [np.zeros((len(_HEIGHTS_M), 0))]
+    for first in product(*(range(0, count, _SQUARE) for count in counts)):
+        sides = [np.arange(k, min(k + _SQUARE, count)) for k, count in zip(first, counts, strict=True)]
+        square = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
+        of_square = _shares(corner + _CELL_M * (square + 0.5), ground, views, known)
+        is_built = of_square[:2].max(axis=0) >= _SHARE
+        cells.append(square[is_built])
+        shares.append(of_square[:, is_built])
+    return np.concatenate(cells), np.concatenate(shares, axis=1)
+
+
+def _shares(places: Floats, ground: float, views: Sequence[View], known: Sequence[Mask]) -> Floats:
+    """Returns which share of the photos that see (N, 2) places past buildings call them one, (H, N)."""
+    hits = np.zeros((len(_HEIGHTS_M), len(places)))
     looks = np.zeros_like(hits)
+    heights = ground + np.array(_HEIGHTS_M)
+    middle, reach = places.mean(axis=0), _FURTHEST_M + _SQUARE * _CELL_M
     for view, covered in zip(views, known, strict=True):
-        near = np.flatnonzero(np.linalg.norm(flat - view.pose.center[:2], axis=1) < _FURTHEST_M)
-        for level, height in enumerate(_HEIGHTS_M):
-            points = np.column_stack([flat[near], np.full(len(near), ground + height)])
-            rows, pixels = _pixels(view, points)
-            is_free = ~covered[pixels[:, 1], pixels[:, 0]]
-            chosen = near[rows[is_free]]
-            looks[level, chosen] += 1
-            hits[level, chosen] += view.mask[pixels[is_free, 1], pixels[is_free, 0]]
-    shares = np.where(looks >= _FEWEST_PHOTOS, hits / np.maximum(looks, 1), 0.0)
-    low = (shares[:2].max(axis=0) >= _SHARE).reshape(counts)
-    return _components(low, shares.reshape(-1, *counts), corner, ground, views, known, city_map)
+        if np.linalg.norm(middle - view.pose.center[:2]) > reach:
+            continue
+        lens = view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy
+        rotation, center = np.ascontiguousarray(view.pose.rotation), np.ascontiguousarray(view.pose.center)
+        add_votes(places, heights, rotation, center, lens, covered, view.mask, _FURTHEST_M, looks, hits)
+    return np.where(looks >= _FEWEST_PHOTOS, hits / np.maximum(looks, 1), 0.0)
 
 
 def _known(view: View, city_map: CityMap) -> Mask:
@@ -101,7 +127,7 @@ def _pixels(view: View, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def _components(
-    low: Mask,
+    built: Cells,
     shares: Floats,
     corner: Floats,
     ground: float,
@@ -109,16 +135,15 @@ def _components(
     known: Sequence[Mask],
     city_map: CityMap,
 ) -> list[dict[str, Any]]:
-    """Returns the connected places of a grid, (X, Y), that are large enough."""
-    count, labels = cv2.connectedComponents(low.astype(np.uint8), connectivity=4)
+    """Returns the connected places of (N, 2) cells that are large enough."""
     found = []
-    for label in range(1, count):
-        cells = np.argwhere(labels == label)
+    for rows in _connected(built):
+        cells = built[rows]
         area = len(cells) * _CELL_M**2
         if area < _LEAST_M2:
             continue
         middle = corner + _CELL_M * (cells.mean(axis=0) + 0.5)
-        levels = shares[:, cells[:, 0], cells[:, 1]].max(axis=1) >= _SHARE
+        levels = shares[:, rows].max(axis=1) >= _SHARE
         top = float(np.array(_HEIGHTS_M)[levels].max())
         place = np.array([[*middle, ground + _HEIGHTS_M[0]]])
         photos = []
@@ -130,8 +155,12 @@ def _components(
                 and not covered[pixels[0, 1], pixels[0, 0]]
             ):
                 photos.append(view.name)
-        share = float(shares[:2, cells[:, 0], cells[:, 1]].mean())
-        outline = [(ring + corner + city_map.scene.origin[:2]).tolist() for ring in _outline(labels == label)]
+        share = float(shares[:2, rows].mean())
+        lowest = cells.min(axis=0)
+        shape = np.zeros(np.ptp(cells, axis=0) + 1, dtype=bool)
+        shape[tuple((cells - lowest).T)] = True
+        west_south = corner + _CELL_M * lowest + city_map.scene.origin[:2]
+        outline = [(ring + west_south).tolist() for ring in _outline(shape)]
         found.append(
             {
                 "kind": "missing",
@@ -143,6 +172,24 @@ def _components(
             }
         )
     return sorted(found, key=lambda change: -change["area_m2"])
+
+
+def _connected(cells: Cells) -> list[NDArray[np.int64]]:
+    """Returns the rows of (N, 2) cells that hang together by their sides, group by group."""
+    if len(cells) == 0:
+        return []
+    width = int(cells[:, 1].max()) + 2
+    keys = cells[:, 0] * width + cells[:, 1]
+    order = np.argsort(keys)
+    pairs = []
+    for step in (1, width):
+        place = np.minimum(np.searchsorted(keys[order], keys + step), len(keys) - 1)
+        is_there = keys[order[place]] == keys + step
+        pairs.append(np.stack([np.flatnonzero(is_there), order[place[is_there]]]))
+    first, second = np.concatenate(pairs, axis=1)
+    graph = coo_matrix((np.ones(len(first)), (first, second)), (len(keys), len(keys)))
+    count, labels = connected_components(graph, directed=False)
+    return [np.flatnonzero(labels == label) for label in range(count)]
 
 
 def _outline(cells: Mask) -> list[Floats]:

@@ -55,11 +55,22 @@ class Tracked:
         pose: Scene frame; where the camera is thought to be, should it be lost.
         state: ``tracked``, ``found again`` or ``lost``.
         score: IoU of silhouette and mask.
+        covariance: (6, 6) of centre (metres) and angles (degrees); None for a camera that is lost.
     """
 
     pose: Pose
     state: str
     score: float
+    covariance: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """Where a frame may have been taken: (6,) its pose, the IoU there, and the pose's covariance."""
+
+    vector: Floats
+    iou: float
+    covariance: Floats | None = None
 
 
 class Tracker:
@@ -92,18 +103,19 @@ class Tracker:
     def track(self, frame: Frame) -> Tracked:
         """Returns where the camera was; it is lost where nothing near fits as well as the last frames did."""
         if not (frame.mask >= 0.5).any():
-            return self._keep(frame, self._predicted(frame), LOST, 0.0)
+            return self._keep(frame, _Place(self._predicted(frame), 0.0), LOST)
         if self._time_s is None:
             found = self._searched(frame, self._vector, self._first)
-            return self._keep(frame, *found, is_first=True)
+            return self._keep(frame, found, TRACKED if found.iou >= self.params.least_iou else LOST)
         predicted = self._predicted(frame)
         if not self._lost:
-            vector, iou = self._aligned(frame, predicted)
-            if iou >= self._least():
-                return self._keep(frame, vector, TRACKED, iou)
-        vector, _, iou = self._searched(frame, predicted, self.params.search(self._lost + 1))
-        is_found = iou >= self._least()
-        return self._keep(frame, vector if is_found else predicted, FOUND if is_found else LOST, iou)
+            found = self._aligned(frame, predicted)
+            if found.iou >= self._least():
+                return self._keep(frame, found, TRACKED)
+        found = self._searched(frame, predicted, self.params.search(self._lost + 1))
+        if found.iou >= self._least():
+            return self._keep(frame, found, FOUND)
+        return self._keep(frame, _Place(predicted, found.iou), LOST)
 
     def _predicted(self, frame: Frame) -> Floats:
         seconds = 0.0 if self._time_s is None else frame.time_s - self._time_s
@@ -114,55 +126,54 @@ class Tracker:
         usual = float(np.median(self._ious)) if self._ious else 0.0
         return max(self.params.least_iou, self.params.fit * usual)
 
-    def _aligned(self, frame: Frame, predicted: Floats) -> tuple[Floats, float]:
-        """Returns the pose, (6,), that outlines lead to from where the motion leads, and its IoU.
+    def _aligned(self, frame: Frame, predicted: Floats) -> _Place:
+        """Returns the place that outlines lead to from where the motion leads.
 
         Should they lead nowhere, they start again from the last pose: the motion may have ended.
         """
         seconds = max(frame.time_s - (self._time_s or 0.0), 0.0)
         aligner = Aligner(self._query(frame, predicted), self._map, self.params.photo(seconds))
-        best, iou = self._steps(aligner, predicted)
-        if iou < self._least() and np.abs(self._motion).max() > 0:
-            again, other = self._steps(aligner, self._vector)
-            if other > iou:
-                return again, other
-        return best, iou
+        best = self._steps(aligner, predicted)
+        if best.iou < self._least() and np.abs(self._motion).max() > 0:
+            again = self._steps(aligner, self._vector)
+            if again.iou > best.iou:
+                return again
+        return best
 
-    def _steps(self, aligner: Aligner, start: Floats) -> tuple[Floats, float]:
+    def _steps(self, aligner: Aligner, start: Floats) -> _Place:
         size, params = self.params.fine_size, self.params
         reaches = np.geomspace(params.reach_px, _NEAR_PX, params.steps)
         vector = aligner.align(np.append(start, 0.0), tuple(map(float, reaches)), half_size(size))
         vector = aligner.align(vector, (_NEAR_PX,) * params.final_steps, size)
-        here = aligner.measure(vector, size)
-        return vector[:6], 0.0 if here is None else here.iou
+        here = aligner.linearize(vector, _NEAR_PX, size)
+        if here is None:
+            return _Place(vector[:6], 0.0)
+        return _Place(vector[:6], here.iou, np.asarray(np.linalg.inv(here.information))[:6, :6])
 
-    def _searched(self, frame: Frame, around: Floats, params: PhotoParams) -> tuple[Floats, str, float]:
-        """Returns the best pose, (6,), within a search, that it was found, and its IoU; 0 where none fits."""
+    def _searched(self, frame: Frame, around: Floats, params: PhotoParams) -> _Place:
+        """Returns the best place within a search; its IoU is 0 where none fits."""
         streams = partial(random_stream, 0, "track", frame.name)
         try:
             found = ContourAlignment(params).localize(self._query(frame, around), self._map, streams)
         except QueryFault:
-            return around, LOST, 0.0
-        return vector_from_pose(found.pose), FOUND, float(found.score)
+            return _Place(around, 0.0)
+        return _Place(vector_from_pose(found.pose), float(found.score), found.covariance)
 
     def _query(self, frame: Frame, around: Floats) -> Query:
         return Query(frame.name, "", self._camera, pose_from_vector(around), frame.mask)
 
-    def _keep(
-        self, frame: Frame, vector: Floats, state: str, iou: float, *, is_first: bool = False
-    ) -> Tracked:
+    def _keep(self, frame: Frame, found: _Place, state: str) -> Tracked:
         """Remembers what became of a frame, and returns it."""
-        if is_first:
-            state = TRACKED if iou >= self.params.least_iou else LOST
         if state == LOST:
             self._lost += 1
         else:
-            self._motion = self._motion_to(frame, vector) if state == TRACKED else np.zeros(6)
+            self._motion = self._motion_to(frame, found.vector) if state == TRACKED else np.zeros(6)
             self._lost = 0
-            self._ious.append(iou)
-            self._vector = vector
+            self._ious.append(found.iou)
+            self._vector = found.vector
             self._time_s = frame.time_s
-        return Tracked(pose_from_vector(vector), state, iou)
+        covariance = None if state == LOST else found.covariance
+        return Tracked(pose_from_vector(found.vector), state, found.iou, covariance)
 
     def _motion_to(self, frame: Frame, vector: Floats) -> Floats:
         """Returns the motion per second, (6,), after a frame was tracked."""

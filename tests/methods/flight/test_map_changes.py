@@ -70,6 +70,17 @@ def test_a_building_that_the_map_lacks_is_found_where_it_stands(world, seed):
         assert change["area_m2"] >= 24.0
 
 
+def test_it_does_not_matter_in_which_squares_the_ground_is_looked_at(world, monkeypatch):
+    wrong, _ = change_map(world, MapErrors(missing=0.1), np.random.default_rng(1))
+    shown, there = views(world, 6), CityMap(wrong, threads=1)
+    whole = missing_buildings(shown, there)
+    monkeypatch.setattr("lodbench.methods.flight.missing_buildings._SQUARE", 5)
+    in_squares = missing_buildings(shown, there)
+    assert len(whole) > 0
+    assert [change["outline"] for change in in_squares] == [change["outline"] for change in whole]
+    assert [change["share"] for change in in_squares] == pytest.approx([c["share"] for c in whole])
+
+
 def test_two_photos_are_too_few(world):
     wrong, _ = change_map(world, MapErrors(missing=0.1, extra=0.1), np.random.default_rng(0))
     few = views(world)[:2]
