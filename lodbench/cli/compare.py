@@ -79,7 +79,7 @@ def _write_budget(runs: Sequence[StoredRun], folder: Path) -> None:
     panels = budget_panels([run for run in runs if has_truth(run.queries).any()])
     if not 1 <= len(panels) <= _MOST_PANELS:
         raise ConfigError(
-            f"The runs are of {len(panels)} splits, tilts and numbers of queries.",
+            f"The runs are of {len(panels)} splits and tilts.",
             f"A picture has 1 to {_MOST_PANELS} of them.",
         )
     make_folder(folder)

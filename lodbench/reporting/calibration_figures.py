@@ -73,7 +73,7 @@ def draw_budget(panels: Mapping[str, Mapping[str, Sequence[BudgetPoint]]]) -> di
                     axes, name, points, SERIES[number % len(SERIES)], marks[number // len(SERIES) % 6]
                 )
             axes.set_xscale("log")
-            axes.xaxis.set_major_locator(LogLocator(subs=(1, 3) if len(panels) > 1 else (1, 2, 5)))
+            axes.xaxis.set_major_locator(LogLocator(subs=(1,) if len(panels) > 1 else (1, 2, 5)))
             axes.xaxis.set_major_formatter("{x:g}")
             axes.xaxis.set_minor_locator(NullLocator())
             axes.set(xlabel="poses drawn per query", ylim=(-2, 104), title=title)

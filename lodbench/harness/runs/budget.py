@@ -15,21 +15,22 @@ Curves = dict[str, list[BudgetPoint]]
 
 
 def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
-    """Returns points by panel and by method: a panel for each split of a dataset, tilt and number of queries.
+    """Returns points by panel and by method: a panel for each split of a dataset at a tilt.
 
     Runs of a method are one line, fewest poses first; but those whose settings in words differ
-    (``features=hog``, ``features=xfeat``) are lines of their own, named so.
+    (``features=hog``, ``features=xfeat``) are lines of their own, named so. Where runs differ in their number
+    of queries, names say it.
 
     Args:
         runs: Finished, with a truth.
     """
     worded = _differing_words(runs)
+    counted = len({_counts(run) for run in runs}) > 1
     panels: dict[str, Curves] = defaultdict(lambda: defaultdict(list))
     for run in runs:
         summary = run.summary
         method = summary["method"]
-        words = {key: value for key, value in method["params"].items() if key in worded[method["name"]]}
-        name = " ".join([method["name"], *map(str, words.values())])
+        words = [value for key, value in method["params"].items() if key in worded[method["name"]]]
         for split, numbers in summary["splits"].items():
             if _LABEL not in numbers.get("recall", {}):
                 continue
@@ -38,12 +39,17 @@ def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
                 float(numbers["recall"][_LABEL]),
                 *map(float, numbers["recall_interval_95"][_LABEL]),
             )
-            tilt, count = summary["protocol"]["tilt"], numbers["num_queries"]
-            title = f"{summary['dataset']['name']}, {split}, tilt={tilt}, {count} queries"
+            count = f"({numbers['num_queries']} queries)" if counted else ""
+            name = " ".join(str(word) for word in (method["name"], *words, count) if word)
+            title = f"{summary['dataset']['name']}, {split}, tilt={summary['protocol']['tilt']}"
             panels[title][name].append(point)
     return {
         title: {name: sorted(points) for name, points in curves.items()} for title, curves in panels.items()
     }
+
+
+def _counts(run: StoredRun) -> tuple[int, ...]:
+    return tuple(numbers["num_queries"] for numbers in run.summary["splits"].values())
 
 
 def _differing_words(runs: Sequence[StoredRun]) -> dict[str, set[str]]:
@@ -55,5 +61,6 @@ def _differing_words(runs: Sequence[StoredRun]) -> dict[str, set[str]]:
             if value is None or isinstance(value, str):
                 values[method["name"]][key].add(value)
     return {
-        name: {key for key, found in by_key.items() if len(found) > 1} for name, by_key in values.items()
-    } | {run.summary["method"]["name"]: set() for run in runs if run.summary["method"]["name"] not in values}
+        name: {key for key, found in values[name].items() if len(found) > 1}
+        for name in {run.summary["method"]["name"] for run in runs}
+    }
