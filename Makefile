@@ -17,11 +17,11 @@ ablation: $(VENV)/.base
 # More than an hour on two idle cores, most of it mcloc's.
 TABLE1 ?= runs/table1
 table1: $(VENV)/.table1
-	$(BIN)/lodbench run --multirun method=prior_only,lodlocv2,contour_alignment,region dataset=demo paths.runs=$(TABLE1)
+	$(BIN)/lodbench run --multirun method=prior_only,lodloc,lodlocv2,contour_alignment,region dataset=demo paths.runs=$(TABLE1)
 	$(BIN)/lodbench run method=lodlocv3 dataset=demo paths.runs=$(TABLE1)
 	$(BIN)/lodbench run --multirun method=uavd4l,cadloc method.matcher=sift_nn,xfeat,xfeat_lighterglue dataset=demo paths.runs=$(TABLE1)
 	$(BIN)/lodbench run --multirun method=mcloc method.features=hog,xfeat dataset=demo paths.runs=$(TABLE1)
-	$(BIN)/lodbench compare $(TABLE1)/demo/*/* --columns paper details --format md
+	$(BIN)/lodbench compare $(TABLE1)/demo/*/* --columns paper details --format md --budget $(TABLE1)
 	$(BIN)/lodbench leaderboard add $(TABLE1)/demo/*/*
 	$(BIN)/lodbench leaderboard build
 

@@ -41,16 +41,18 @@ class FeatureScorer:
         self._pitch_deg, self._roll_deg, _ = query.prior.euler
         self._city_map, self._is_textured = city_map, params.map == "textured"
         self._features = open_features(params.features, params.weights)
+        self.has_seen_map = False
         self._photo = self._features(resized_photo(photo, self._camera))
 
     def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
         """Returns the poses with their scores, each below 0."""
         rotations = rotations_at_yaws(self._pitch_deg, self._roll_deg, yaws_deg)
-        scores = [
-            similarity(self._photo, self._features(picture))
-            for start in range(0, len(centers), _BATCH)
-            for picture in self._pictures(rotations[start : start + _BATCH], centers[start : start + _BATCH])
-        ]
+        scores = []
+        for start in range(0, len(centers), _BATCH):
+            batch = slice(start, start + _BATCH)
+            pictures = self._pictures(rotations[batch], centers[batch])
+            self.has_seen_map = self.has_seen_map or bool(pictures.min() < pictures.max())
+            scores += [similarity(self._photo, self._features(picture)) for picture in pictures]
         return Particles(centers, yaws_deg, np.array(scores, dtype=np.float64))
 
     def _pictures(self, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
@@ -90,7 +92,7 @@ class McLoc:
         """Returns the pose whose render resembles the photo most.
 
         Raises:
-            QueryFault: The photo is missing or of one colour.
+            QueryFault: The photo is missing or of one colour, or no pose looked at sees the map.
         """
         if query.image is None:
             raise QueryFault("there is no photo")
@@ -98,7 +100,15 @@ class McLoc:
         if (photo == photo[:1, :1]).all():
             raise QueryFault("the photo has one colour")
 
-        def scorer_at(size: tuple[int, int]) -> FeatureScorer:
-            return FeatureScorer(query, photo, city_map, size, self.params)
+        scorers: list[FeatureScorer] = []
 
-        return search(scorer_at, query.prior, self.params, streams)
+        def scorer_at(size: tuple[int, int]) -> FeatureScorer:
+            if scorers and not scorers[-1].has_seen_map:
+                raise QueryFault("no pose of the grid sees the map: the prior may be far from the city")
+            scorers.append(FeatureScorer(query, photo, city_map, size, self.params))
+            return scorers[-1]
+
+        found = search(scorer_at, query.prior, self.params, streams)
+        if not scorers[-1].has_seen_map:
+            raise QueryFault("no pose looked at sees the map: the prior may be far from the city")
+        return found

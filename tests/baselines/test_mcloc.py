@@ -98,6 +98,14 @@ def test_a_photo_of_one_colour_is_a_failure(queries, city_map, tmp_path):
         McLoc().localize(replace(queries[0], image=None), city_map, STREAMS)
 
 
+@pytest.mark.parametrize("variant", ["full", "no_refine", "no_select"])
+def test_a_prior_far_from_the_map_is_a_failure(queries, city_map, variant):
+    elsewhere = replace(queries[0], prior=queries[0].prior.shifted([9000.0, 0.0, 0.0]))
+    method = McLoc(McLocParams(variant=variant, steps=1, coarse_size=(40, 30), fine_size=(40, 30)))
+    with pytest.raises(QueryFault, match="far from the city"):
+        method.localize(elsewhere, city_map, STREAMS)
+
+
 @pytest.mark.parametrize("wrong", [{"features": "hgo"}, {"map": "texture"}, {"steps": 0}])
 def test_wrong_settings_end_before_any_work(wrong):
     with pytest.raises(ConfigError):
