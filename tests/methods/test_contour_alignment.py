@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.priors import UniformPrior
@@ -20,7 +21,7 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.contour_alignment import ContourAlignment, Params
-from lodbench.methods.contour_alignment.alignment import Aligner, Residuals, signed_distance
+from lodbench.methods.contour_alignment.alignment import Aligner, Residuals, _distance, signed_distance
 from lodbench.methods.contour_alignment.likelihood import deal_out
 from lodbench.methods.contour_alignment.outline import OutlinePoints, edges_in_reach, sample_outline
 from lodbench.methods.contour_alignment.pose_vector import (
@@ -164,6 +165,16 @@ class TestOutline:
         assert len(fine) > 1 << 14
         coarse = sample_outline(edges, CAMERA, pose, derivatives, silhouette, 1.0)
         assert fine.lengths.sum() == pytest.approx(coarse.lengths.sum(), rel=0.03)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_distances_are_exact_whatever_the_threads(threads):
+    mask = np.random.default_rng(0).random((301, 402)) > 0.02
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(threads)
+    found = _distance(mask)
+    cv2.setNumThreads(before)
+    assert np.array_equal(found, distance_transform_edt(mask).astype(np.float32))
 
 
 class TestAlignment:

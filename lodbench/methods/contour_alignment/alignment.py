@@ -212,10 +212,15 @@ def signed_distance(mask: Mask) -> NDArray[np.float32]:
     """
     if mask.all() or not mask.any():
         return np.full(mask.shape, (1.0 if mask.any() else -1.0) * sum(mask.shape), dtype=np.float32)
-    inside = cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    outside = cv2.distanceTransform((~mask).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    stairs = np.asarray(inside - outside + np.where(mask, -0.5, 0.5), dtype=np.float32)
+    stairs = np.asarray(_distance(mask) - _distance(~mask) + np.where(mask, -0.5, 0.5), dtype=np.float32)
     return np.asarray(cv2.GaussianBlur(stairs, (0, 0), _STAIR_PX), dtype=np.float32)
+
+
+def _distance(mask: Mask) -> NDArray[np.float32]:
+    """Returns the distance of a mask's pixel centres to the nearest one outside, (H, W) pixels."""
+    found = cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # OpenCV's last digit depends on how many threads it has. Squares of distances are whole numbers.
+    return np.asarray(np.sqrt(np.rint(found.astype(np.float64) ** 2)), dtype=np.float32)
 
 
 def _without_roofs(products: Floats, gradients: Floats, roof_m: float) -> tuple[Floats, Floats]:
