@@ -5,7 +5,7 @@ CPU seconds, not those of a clock, so that a busy machine tells the same; slope 
 
 from __future__ import annotations
 
-import resource
+import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -179,26 +179,26 @@ _here: list[tuple[SilhouetteRenderer, Pose, Around]] = []
 
 
 def _share(workers: int, seed: int, pose: Pose, around: Around) -> float:
-    """Returns the CPU seconds of all processes together, their start included: what workers cost besides."""
+    """Returns the CPU seconds of all processes together, opening included: what workers cost besides."""
     folder = open_grown_city(TILE_BUILDINGS, seed)
     executor = ExecutorParams(PROCESS, workers=workers)
-    before = _cpu_of_all()
-    list(spread(executor, _item, range(16_000 // _ITEM), _begin, (folder, pose, around)))
-    return _cpu_of_all() - before
+    started = time.process_time()
+    used: dict[int, float] = {os.getpid(): 0.0}
+    for worker, cpu_s in spread(executor, _item, range(16_000 // _ITEM), _begin, (folder, pose, around)):
+        used[worker] = max(used.get(worker, 0.0), cpu_s)
+    used[os.getpid()] = time.process_time() - started
+    return sum(used.values())
 
 
 def _begin(folder: Path, pose: Pose, around: Around) -> None:
     _here[:] = [(SilhouetteRenderer(read_scene(folder)[0], 1), pose, around)]
 
 
-def _item(_: int) -> float:
+def _item(_: int) -> tuple[int, float]:
+    """Returns which process scored an item, and the CPU seconds it has used since it started."""
     engine, pose, around = _here[0]
-    return _score(engine, RGB_CAMERA.scaled(*FINE_SIZE), pose, around, _ITEM)
-
-
-def _cpu_of_all() -> float:
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(each.ru_utime + each.ru_stime for each in used)
+    _score(engine, RGB_CAMERA.scaled(*FINE_SIZE), pose, around, _ITEM)
+    return os.getpid(), time.process_time()
 
 
 def _text(data: pd.DataFrame, slopes: dict[str, float]) -> str:

@@ -20,6 +20,7 @@ from lodbench.bench.silhouettes import SilhouetteOptions, measure_silhouettes
 from lodbench.bench.slopes import SlopeOptions, measure_slopes
 from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
 from lodbench.bench.wide_priors import measure_wide_priors
+from lodbench.bench.workers import WorkerOptions, measure_workers
 from lodbench.cli import bench_flight_uses, bench_flights, bench_real
 from lodbench.cli.bench_segmentation import add_segmentation, measure_segmentation
 from lodbench.cli.parser import Parser
@@ -114,6 +115,11 @@ def _slopes(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     return measure_slopes(SlopeOptions(*reach, seed=options.seed), steps)
 
 
+def _workers(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    asked = WorkerOptions(options.queries, options.workers, options.method, options.repeats)
+    return measure_workers(asked, steps)
+
+
 def _evaluation(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     asked = EvaluationOptions(options.queries, options.methods, options.seed)
     return measure_evaluation(asked, steps)
@@ -143,6 +149,7 @@ MEASURES: dict[str, Callable[[argparse.Namespace, ProgressCallback], Report]] = 
     "tracking": bench_flight_uses.measure_track,
     "training-data": _training_data,
     "wide-priors": _wide_priors,
+    "workers": _workers,
 }
 
 
@@ -235,6 +242,11 @@ def _parser() -> argparse.ArgumentParser:
     training.add_argument("--views", type=int, default=24, help="photos of each size; masks 10 x (24)")
     training.add_argument("--workers", type=int, help="processes (one per core)")
     training.add_argument("--props", type=Path, help="scene props to picture; made up if not given")
+    workers = actions.add_parser("workers", help="runs of the demo with masks over processes, by the clock")
+    workers.add_argument("--queries", type=int, default=200, help="of the demo (200)")
+    workers.add_argument("--workers", type=int, default=2, help="processes of one thread each (2)")
+    workers.add_argument("--method", default="lodlocv2", help="the method (lodlocv2)")
+    workers.add_argument("--repeats", type=int, default=2, help="rounds, the fastest counts (2)")
     for action in (speed, scale, slopes, accuracy, budget, wide, evaluation, training):
         action.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     accuracy.add_argument(
@@ -242,7 +254,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     for action in (speed, budget, wide, city, training):
         action.add_argument("--city", type=Path, help="city model; the demo town if not given")
-    measured = (speed, scale, slopes, accuracy, budget, wide, city, evaluation, flights, real)
+    measured = (speed, scale, slopes, accuracy, budget, wide, city, evaluation, flights, real, workers)
     every = (*measured, *uses, segmentation, training)
     for action in every:
         action.add_argument("--json", action="store_true", help="one figure per line, for machines")
