@@ -177,7 +177,8 @@ COMMANDS = [
     ),
     Command("city convert over a scene", _convert("scene"), (_convert("scene"),)),
     Command("render", RENDER),
-    Command("dataset import", IMPORT, is_once=True),
+    # The seal in dataset.json is of the cache's key.
+    Command("dataset import", IMPORT, timed=("dataset.json",), is_once=True),
     Command(
         "dataset prior", _in("dataset", "prior", "{}/town/data", "--kind", "uniform", "--out", "{}/p.txt")
     ),

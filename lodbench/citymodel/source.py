@@ -100,6 +100,9 @@ def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:
     Raises:
         CityModelError: Nothing is there, it cannot be read, or it holds no city file.
     """
+    # A pipe would be waited for, a device read without an end.
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise CityModelError(f"{path} is neither a file nor a folder.", "Check the path.")
     if path.suffix.lower() in _VECTOR_SUFFIXES and path.exists():
         return (Source(str(path), lambda: path.open("rb"), path, str(path)),)
     if path.is_dir():

@@ -43,6 +43,7 @@ from lodbench.datasets.references import read_references
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import write_text
+from lodbench.storage.seal import is_sealed, seal_of
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
 ABOUT_FILE = "dataset.json"
@@ -101,8 +102,9 @@ def open_folder(params: FolderParams) -> Dataset:
     if folders != [root]:
         _require_words(root, names)
     about = read_about(folders[0])
-    city = _stated_city(folders[0], about) if params.city_model is None else Path(params.city_model)
-    city = None if city is None else city.expanduser()
+    city, city_notes = _stated_city(root, folders[0], about)
+    if params.city_model is not None:
+        city, city_notes = Path(params.city_model).expanduser(), ()
     if city is not None and not city.exists():
         raise DatasetError(f"The city model {city} does not exist.", "Set city=FILE.")
     parts = [_read_split(folder, name) for folder, name in zip(folders, names, strict=True)]
@@ -115,9 +117,10 @@ def open_folder(params: FolderParams) -> Dataset:
         splits=tuple(names),
         entries=tuple(entry for entries, _, _ in parts for entry in entries),
         truth={key: pose for _, truth, _ in parts for key, pose in truth.items()},
-        notes=tuple(note for _, _, notes in parts for note in notes),
+        notes=(*city_notes, *(note for _, _, notes in parts for note in notes)),
         city_options=ReadOptions(crs=params.crs, layers=tuple(params.layers)),
         roof_height=params.roof_height,
+        city_hint=". ".join([*city_notes, "Set city=FILE."]),
         references=references,
         textured_map=textured,
         crs=about.get("crs"),
@@ -129,13 +132,33 @@ def read_about(folder: Path) -> dict[str, Any]:
     return read_json(folder / ABOUT_FILE) if (folder / ABOUT_FILE).is_file() else {}
 
 
-def _stated_city(folder: Path, about: Mapping[str, Any]) -> Path | None:
-    """Returns the city model that ``dataset.json`` names, relative to its folder; None if it is not there."""
+def _stated_city(root: Path, folder: Path, about: Mapping[str, Any]) -> tuple[Path | None, tuple[str, ...]]:
+    """Returns the city model that ``dataset.json`` names, relative to its folder, and notes for the reader.
+
+    None if it is not there. What a stranger's file names outside the dataset is not so much as looked for.
+    """
     stated = about.get("city_model")
     if not isinstance(stated, str):
-        return None
+        return None, ()
     path = Path(os.path.normpath(folder.absolute() / stated))
-    return path if path.exists() else None
+    if not is_sealed(_sealed_of(stated), about.get("seal")):
+        home = Path(os.path.normpath(root.absolute()))
+        # In words first: to resolve a path may mount what it leads to.
+        if not path.is_relative_to(home) or not path.resolve().is_relative_to(home.resolve()):
+            return None, (
+                f"{ABOUT_FILE} names a city model outside the dataset, {path}, which is not opened",
+            )
+    return (path if path.exists() else None), ()
+
+
+def sealed_about(about: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns what ``dataset.json`` is to say, with a seal of this user's on the city model that it names."""
+    stated = about.get("city_model")
+    return dict(about) if stated is None else {**about, "seal": seal_of(_sealed_of(str(stated)))}
+
+
+def _sealed_of(stated: str) -> list[str]:
+    return ["city model of a dataset", stated]
 
 
 def _require_words(root: Path, splits: Sequence[str]) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from lodbench.datasets.folder import ABOUT_FILE, write_poses
+from lodbench.datasets.folder import ABOUT_FILE, sealed_about, write_poses
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
@@ -219,5 +219,5 @@ def _write_texts(
     truth = {name: image.truth for name, image, _ in kept if image.truth is not None}
     priors = {name: image.prior for name, image, _ in kept if image.prior is not None}
     write_poses(folder, {name: pinhole for name, _, pinhole in kept}, truth, priors)
-    stated = {"truth": bool(truth), "priors": bool(priors), **about}
+    stated = sealed_about({"truth": bool(truth), "priors": bool(priors), **about})
     write_text(folder / ABOUT_FILE, json.dumps(stated, indent=2, ensure_ascii=False) + "\n")

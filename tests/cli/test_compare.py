@@ -65,9 +65,10 @@ def test_the_page_has_tables_curves_and_tests_by_name(lodbench, data, tmp_path):
 
 
 def test_runs_without_a_truth_are_told_apart_by_their_answers(lodbench, tmp_path):
-    root, _ = write_dataset(tmp_path / "mine", count=2)
+    root, city = write_dataset(tmp_path / "mine", count=2)
     (root / "GT_pose.txt").unlink()
-    (root / "dataset.json").write_text('{"truth": false, "city_model": "../city.obj"}')
+    city.rename(root / "city.obj")
+    (root / "dataset.json").write_text('{"truth": false, "city_model": "city.obj"}')
     folders = []
     for method in ("prior_only", "contour_alignment"):
         done = lodbench("run", "dataset=folder", f"dataset.root={root}", f"method={method}")

@@ -106,9 +106,10 @@ def test_the_map_zooms_about_the_pointer_moves_and_comes_back(lodbench, tmp_path
 
 
 def test_without_a_truth_the_page_has_the_answers_and_no_empty_table(lodbench, tmp_path):
-    root, _ = write_dataset(tmp_path / "mine", count=3)
+    root, city = write_dataset(tmp_path / "mine", count=3)
     (root / "GT_pose.txt").unlink()
-    (root / "dataset.json").write_text('{"truth": false, "city_model": "../city.obj"}')
+    city.rename(root / "city.obj")
+    (root / "dataset.json").write_text('{"truth": false, "city_model": "city.obj"}')
     done = lodbench("run", "dataset=folder", f"dataset.root={root}", "method=contour_alignment")
     assert done.returncode == 0, done.stderr
     folder = tmp_path / re.search(r"results:\s+(\S+)", done.stdout)[1]
@@ -130,9 +131,10 @@ def test_without_a_truth_the_page_has_the_answers_and_no_empty_table(lodbench, t
 
 
 def test_a_query_that_failed_without_a_truth_says_why_and_leaves_the_map_in_scale(lodbench, tmp_path):
-    root, _ = write_dataset(tmp_path / "mine", count=3)
+    root, city = write_dataset(tmp_path / "mine", count=3)
     (root / "GT_pose.txt").unlink()
-    (root / "dataset.json").write_text('{"truth": false, "city_model": "../city.obj"}')
+    city.rename(root / "city.obj")
+    (root / "dataset.json").write_text('{"truth": false, "city_model": "city.obj"}')
     poses = read_poses(root / "GPS_pose.txt")
     far = {
         name: pose.shifted(np.array([3e4, 0, 0])) if "01" in name else pose for name, pose in poses.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -140,3 +141,30 @@ def test_what_a_killed_make_demo_left_is_swept_up(tmp_path):
         assert len(list(tmp_path.iterdir())) == 1
     assert main(["dataset", "make-demo", str(tmp_path / "demo"), "--num-queries", "2"]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["demo"]
+
+
+@pytest.mark.parametrize("stated", ["../pipe.obj", "{}/pipe.obj", "/proc/self/environ", "link/pipe.obj"])
+def test_no_city_outside_a_stranger_s_dataset_is_opened(capsys, tmp_path, stated):
+    root, city = write_dataset(tmp_path / "town", 2)
+    os.mkfifo(root.parent / "pipe.obj")  # whoever opens it waits for ever
+    (root / "link").symlink_to(root.parent)
+    (root / "dataset.json").write_text(
+        json.dumps({"city_model": stated.format(root.parent), "seal": "0" * 64})
+    )
+    words = ["run", "dataset=folder", f"dataset.root={root}", "method=prior_only", "segmenter=masks"]
+    words.append(f"paths.runs={tmp_path / 'runs'}")
+    assert main(words) == 2
+    assert "There is no city model to localise against" in capsys.readouterr().err
+    # Named by the user it is this city that counts, whatever the dataset says.
+    assert main([*words, f"dataset.city_model={city}"]) == 0
+    assert main(["dataset", "check", str(root)]) == 1
+    assert "names a city model outside the dataset" in capsys.readouterr().out
+
+
+def test_a_city_that_is_a_pipe_or_a_device_is_refused(capsys, tmp_path):
+    root, _ = write_dataset(tmp_path / "town", 2)
+    os.mkfifo(root / "pipe.obj")
+    (root / "dataset.json").write_text(json.dumps({"city_model": "pipe.obj"}))
+    assert main(["run", "dataset=folder", f"dataset.root={root}", "method=prior_only"]) == 2
+    assert main(["city", "info", "/dev/zero"]) == 2
+    assert capsys.readouterr().err.count("is neither a file nor a folder") == 2

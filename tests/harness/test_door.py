@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lodbench.cli import main
+from lodbench.datasets.folder import sealed_about
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
 from tests.town import CAMERA, write_dataset
 
@@ -116,7 +117,7 @@ def test_dataset_check_finds_the_same(capsys, tmp_path):
 
 def test_dataset_check_takes_the_city_that_the_dataset_names_and_hints_in_its_own_words(capsys, tmp_path):
     root, city = write_dataset(tmp_path / "town")
-    (root / "dataset.json").write_text(json.dumps({"city_model": "../city.obj"}))
+    (root / "dataset.json").write_text(json.dumps(sealed_about({"city_model": "../city.obj"})))
     assert main(["dataset", "check", str(root)]) == 0
     assert str(city) in capsys.readouterr().out
     city.rename(tmp_path / "elsewhere.obj")
