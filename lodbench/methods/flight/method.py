@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +30,7 @@ from lodbench.methods.flight.joint import (
     solve,
 )
 from lodbench.methods.flight.params import Params
-from lodbench.methods.flight.photo_terms import LENS, PhotoTerms, photo_terms
+from lodbench.methods.flight.photo_terms import LENS, PhotoTerms, flight_terms
 from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, placed
 from lodbench.methods.flight.restarts import STARTS_M, Ends, ends_of, restarted
 from lodbench.methods.flight.roof_parts import RoofParts
@@ -185,18 +186,17 @@ class FlightMethod:
         aligners = [Aligner(query, city_map, photo) for query in queries]
         steps = self.params.steps
         reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
-        for number, reach_px in enumerate(reaches):
-            if number in (steps // 2, steps):
-                drawn, state.roofs.drawn_m = corrected_map(city_map, state.roofs.building_heights())
-                aligners = [aligner.over(drawn) for aligner in aligners]
-            terms = [
-                photo_terms(aligner, vector, state.lens, state.roofs, reach_px, photo, self.params.trust())
-                for aligner, vector in zip(aligners, state.vectors, strict=True)
-            ]
-            if number >= steps:
-                self._leave_out_lost(state, terms)
-            solution = solve(state, terms, self.params)
-            state.step(solution)
+        with ThreadPoolExecutor(city_map.threads) as threads:
+            asked = photo, self.params.trust(), threads
+            for number, reach_px in enumerate(reaches):
+                if number in (steps // 2, steps):
+                    drawn, state.roofs.drawn_m = corrected_map(city_map, state.roofs.building_heights())
+                    aligners = [aligner.over(drawn) for aligner in aligners]
+                terms = flight_terms(aligners, state.vectors, state.lens, state.roofs, reach_px, *asked)
+                if number >= steps:
+                    self._leave_out_lost(state, terms)
+                solution = solve(state, terms, self.params)
+                state.step(solution)
         return _Aligned(state, terms, solution)
 
     def _leave_out_lost(self, state: State, terms: Sequence[PhotoTerms | None]) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from lodbench.citymap import CityMap
 from lodbench.methods.flight.map_views import View
@@ -27,6 +28,8 @@ Cells = NDArray[np.int64]
 # Voxels: their width, their heights above ground, metres; and what makes a place of them a building.
 _CELL_M, _HEIGHTS_M = 2.0, (1.0, 3.0, 5.0, 8.0, 12.0, 17.0, 23.0, 30.0)
 _SHARE, _FEWEST_PHOTOS, _LEAST_M2 = 0.8, 3, 24.0
+# The ground is as high as where the walls of so many buildings nearby end, the median of them.
+_NEIGHBOURS = 3
 # The ground is looked at in squares of this many cells a side.
 _SQUARE = 256
 # What lies this near to a building's silhouette is its own, badly drawn; what lies further is seen too small.
@@ -42,13 +45,37 @@ def missing_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str
     if len(views) < _FEWEST_PHOTOS:
         return []
     known = [_known(view, city_map) for view in views]
-    corner, counts, ground = _grid(views, city_map)
+    ground = _Ground(city_map)
+    corner, counts = _grid(views, ground.usual)
     cells, shares = _built_cells(views, known, corner, counts, ground)
     return _components(cells, shares, corner, ground, views, known, city_map)
 
 
+class _Ground:
+    """The height of the ground: where the walls of the nearest buildings end.
+
+    Attributes:
+        usual: A low height of it in the whole city, scene metres.
+    """
+
+    def __init__(self, city_map: CityMap) -> None:
+        scene = city_map.scene
+        filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
+        starts, counts = scene.vertex_starts[filled], np.diff(scene.vertex_starts)[filled]
+        vertices = scene.vertices.astype(np.float64)
+        self._floors = np.minimum.reduceat(vertices[:, 2], starts)
+        self._tree = cKDTree(np.add.reduceat(vertices[:, :2], starts) / counts[:, None])
+        self.usual = float(np.percentile(self._floors, 30))
+
+    def at(self, places: Floats) -> Floats:
+        """Returns (N,) heights at (N, 2) places, scene metres."""
+        nearest = min(_NEIGHBOURS, len(self._floors))
+        _, rows = self._tree.query(places, k=nearest)
+        return np.asarray(np.median(self._floors[rows.reshape(len(places), nearest)], axis=1))
+
+
 def _built_cells(
-    views: Sequence[View], known: Sequence[Mask], corner: Floats, counts: tuple[int, int], ground: float
+    views: Sequence[View], known: Sequence[Mask], corner: Floats, counts: tuple[int, int], ground: _Ground
 ) -> tuple[Cells, Floats]:
     """Returns the cells of the ground that photos call a building, (N, 2), and by how many of them, (H, N).
 
@@ -65,18 +92,20 @@ def _built_cells(
     return np.concatenate(cells), np.concatenate(shares, axis=1)
 
 
-def _shares(places: Floats, ground: float, views: Sequence[View], known: Sequence[Mask]) -> Floats:
+def _shares(places: Floats, ground: _Ground, views: Sequence[View], known: Sequence[Mask]) -> Floats:
     """Returns which share of the photos that see (N, 2) places past buildings call them one, (H, N)."""
     hits = np.zeros((len(_HEIGHTS_M), len(places)))
     looks = np.zeros_like(hits)
-    heights = ground + np.array(_HEIGHTS_M)
+    floors, heights = ground.at(places), np.array(_HEIGHTS_M)
     middle, reach = places.mean(axis=0), _FURTHEST_M + _SQUARE * _CELL_M
     for view, covered in zip(views, known, strict=True):
         if np.linalg.norm(middle - view.pose.center[:2]) > reach:
             continue
         lens = view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy
         rotation, center = np.ascontiguousarray(view.pose.rotation), np.ascontiguousarray(view.pose.center)
-        add_votes(places, heights, rotation, center, lens, covered, view.mask, _FURTHEST_M, looks, hits)
+        add_votes(
+            places, floors, heights, rotation, center, lens, covered, view.mask, _FURTHEST_M, looks, hits
+        )
     return np.where(looks >= _FEWEST_PHOTOS, hits / np.maximum(looks, 1), 0.0)
 
 
@@ -87,10 +116,8 @@ def _known(view: View, city_map: CityMap) -> Mask:
     return np.asarray(cv2.dilate(shown, np.ones((size, size), np.uint8)) > 0)
 
 
-def _grid(views: Sequence[View], city_map: CityMap) -> tuple[Floats, tuple[int, int], float]:
-    """Returns the corner of the ground that photos show, (2,) metres, cells each way, and its height."""
-    scene = city_map.scene
-    ground = float(np.percentile(_floors(scene.vertices, scene.vertex_starts), 30))
+def _grid(views: Sequence[View], ground: float) -> tuple[Floats, tuple[int, int]]:
+    """Returns the corner of the ground that photos show, (2,) metres, and cells each way."""
     hits = []
     for view in views:
         rays = np.array([[u, v] for u in (0.0, 1.0) for v in (0.3, 1.0)]) * [
@@ -108,12 +135,7 @@ def _grid(views: Sequence[View], city_map: CityMap) -> tuple[Floats, tuple[int, 
     spots = np.concatenate(hits)
     low, high = spots.min(axis=0), spots.max(axis=0)
     count = np.maximum(np.ceil((high - low) / _CELL_M), 1).astype(int)
-    return low, (int(count[0]), int(count[1])), ground
-
-
-def _floors(vertices: NDArray[np.float32], starts: NDArray[np.int64]) -> Floats:
-    filled = np.flatnonzero(np.diff(starts) > 0)
-    return np.minimum.reduceat(vertices[:, 2].astype(np.float64), starts[filled])
+    return low, (int(count[0]), int(count[1]))
 
 
 def _pixels(view: View, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -130,7 +152,7 @@ def _components(
     built: Cells,
     shares: Floats,
     corner: Floats,
-    ground: float,
+    ground: _Ground,
     views: Sequence[View],
     known: Sequence[Mask],
     city_map: CityMap,
@@ -145,7 +167,7 @@ def _components(
         middle = corner + _CELL_M * (cells.mean(axis=0) + 0.5)
         levels = shares[:, rows].max(axis=1) >= _SHARE
         top = float(np.array(_HEIGHTS_M)[levels].max())
-        place = np.array([[*middle, ground + _HEIGHTS_M[0]]])
+        place = np.array([[*middle, float(ground.at(middle[None])[0]) + _HEIGHTS_M[0]]])
         photos = []
         for view, covered in zip(views, known, strict=True):
             _, pixels = _pixels(view, place)

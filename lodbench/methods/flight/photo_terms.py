@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,35 +75,69 @@ class _Seen:
     places: Floats
 
 
-def photo_terms(
-    aligner: Aligner,
-    vector: Floats,
+def flight_terms(
+    aligners: Sequence[Aligner],
+    vectors: Floats,
     lens: Floats,
     roofs: RoofParts,
     reach_px: float | None,
     params: PhotoParams,
     trust: tuple[float, float],
-) -> PhotoTerms | None:
-    """Returns what a photo says at a pose; None if too little outline is seen.
+    threads: Executor,
+) -> list[PhotoTerms | None]:
+    """Returns what photos say at their poses; None for one that too little outline is seen in.
 
     Args:
-        aligner: Of the photo.
-        vector: (6,) its pose: metres and degrees.
+        aligners: Of the photos.
+        vectors: (P, 6) their poses: metres and degrees.
         lens: (3,) change of the focal length as a share, radial distortion k1, pixels masks are too large by.
-        roofs: By how much parts of roofs are higher than in the map.
+        roofs: By how much parts of roofs are higher than in the map; parts that are met are added.
         reach_px: Scale of the robust kernel; None for what the outline's noise calls for.
         params: Of the alignment of photos.
         trust: Standard deviation of a roof's height as one view sees it, metres; and by how much less
             outlines say than their covariance has it.
+        threads: Photos are looked at side by side; what they say does not depend on how many there are.
     """
+    seen = list(threads.map(lambda k: _look(aligners[k], vectors[k], lens, params), range(len(aligners))))
+    # Where walls end has heights of its own, numbered apart from roofs; in the order of photos.
+    parts = [
+        None if one is None else (roofs.numbers_of(rows, one.places), roofs.numbers_of(-1 - rows, one.places))
+        for one, _, rows in seen
+    ]
+
+    def terms(k: int) -> PhotoTerms | None:
+        (one, iou, rows), numbers = seen[k], parts[k]
+        if one is None or numbers is None:
+            return None
+        return _terms(one, iou, rows, numbers, roofs, reach_px, params, trust)
+
+    return list(threads.map(terms, range(len(aligners))))
+
+
+def _look(
+    aligner: Aligner, vector: Floats, lens: Floats, params: PhotoParams
+) -> tuple[_Seen | None, float, NDArray[np.int64]]:
+    """Returns a photo's outline points, the IoU, and the scene's buildings they are of."""
     # The lens bends points afterwards: what is rendered has the focal length as told.
     points, iou = aligner.outline(np.append(vector, 0.0), params.fine_size)
     seen = _through_lens(aligner, points, lens, params.fine_size)
     if len(seen.distances) < _FEWEST_POINTS:
-        return None
-    rows = aligner.edges.rows[seen.buildings]
-    # Where walls end has heights of its own, numbered apart from roofs.
-    tops, feet = roofs.numbers_of(rows, seen.places), roofs.numbers_of(-1 - rows, seen.places)
+        return None, iou, np.zeros(0, dtype=np.int64)
+    return seen, iou, aligner.edges.rows[seen.buildings]
+
+
+def _terms(
+    seen: _Seen,
+    iou: float,
+    rows: NDArray[np.int64],
+    numbers: tuple[NDArray[np.int64], NDArray[np.int64]],
+    roofs: RoofParts,
+    reach_px: float | None,
+    params: PhotoParams,
+    trust: tuple[float, float],
+) -> PhotoTerms:
+    """Returns what outline points say, given the numbers of the parts of roofs and feet that they are of."""
+    tops, feet = numbers
     # The silhouette stands where roofs are drawn: the heights found move it from there, to first order.
     lifted = seen.slopes[:, _TOP] * (roofs.heights_m[tops] - roofs.drawn_m[rows])
     lifted = lifted + seen.slopes[:, _FOOT] * roofs.heights_m[feet]

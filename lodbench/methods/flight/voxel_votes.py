@@ -6,12 +6,13 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_votes(places, heights, rotation, center, lens, covered, shown, furthest_m, looks, hits):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def add_votes(places, ground, heights, rotation, center, lens, covered, shown, furthest_m, looks, hits):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Counts where a photo sees places past the map's buildings, and where its mask holds them; in place.
 
     Args:
         places: (N, 2) east and north, scene metres.
-        heights: (H,) at which each is looked for, scene metres.
+        ground: (N,) heights of the ground there, scene metres.
+        heights: (H,) above it at which each is looked for, metres.
         rotation: (3, 3) cam_from_world.
         center: (3,) of the camera.
         lens: Focal lengths and principal point, fx, fy, cx, cy, pixels.
@@ -30,7 +31,7 @@ def add_votes(places, heights, rotation, center, lens, covered, shown, furthest_
         y = rotation[1, 0] * east + rotation[1, 1] * north
         z = rotation[2, 0] * east + rotation[2, 1] * north
         for level in range(len(heights)):
-            up = heights[level] - center[2]
+            up = ground[n] + heights[level] - center[2]
             depth = z + rotation[2, 2] * up
             if depth <= 1.0:
                 continue
