@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -174,3 +175,34 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path) -> None:
             list(results)
     finally:
         cluster.close()
+
+
+@pytest.mark.slow
+def test_a_run_over_three_dask_workers_of_which_two_are_killed(tmp_path) -> None:
+    psutil = pytest.importorskip("psutil")
+    pytest.importorskip("distributed")
+    write_dataset(tmp_path / "town", 24)
+    expected = run(tmp_path, "serial", "method.steps=20")
+    killed: list[int] = []
+
+    def answers() -> int:
+        return sum(path.read_bytes().count(b"\n") for path in (tmp_path / "dask").rglob("predictions.jsonl"))
+
+    def kill_twice() -> None:
+        for least in (1, 8):
+            while answers() < least:
+                time.sleep(0.02)
+            workers = [
+                each for each in psutil.Process().children() if "spawn_main" in " ".join(each.cmdline())
+            ]
+            # Those that have worked longest are workers, and at work.
+            worker = max(workers, key=lambda each: sum(each.cpu_times()[:2]))
+            worker.kill()
+            killed.append(worker.pid)
+
+    killer = threading.Thread(target=kill_twice, daemon=True)
+    killer.start()
+    found = run(tmp_path, "dask", "method.steps=20", "executor=dask", "executor.workers=3")
+    killer.join(10)
+    assert len(set(killed)) == 2
+    assert found == expected
