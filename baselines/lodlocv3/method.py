@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +13,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import rotations_at_yaws
 from lodbench.methods import Estimate, Input, Streams
-from lodbench.methods.lodlocv2 import Particles, search
+from lodbench.methods.lodlocv2 import Particles, PoseScorer, Scoring, search
 
 from .instance_fit import InstanceFit
 from .params import LodLocV3Params
@@ -72,10 +74,16 @@ class LodLocV3:
         if masks is None:
             raise QueryFault("there are no masks of buildings")
 
-        def scorer_at(size: tuple[int, int]) -> InstanceScorer:
-            return InstanceScorer(query, city_map, size, self.params.weights, masks)
+        params = self.params
+        whole = replace(query, building_probability=np.asarray(masks.any(axis=0), np.float32))
+        by_silhouette = params.select == "silhouette" and params.coarse_size != params.fine_size
 
-        found = search(scorer_at, query.prior, self.params, streams)
+        def scorer_at(size: tuple[int, int]) -> Scoring:
+            if by_silhouette and size == params.coarse_size:
+                return PoseScorer(whole, city_map, size)
+            return InstanceScorer(query, city_map, size, params.weights, masks)
+
+        found = search(scorer_at, query.prior, params, streams)
         if found.score <= 0:
             raise QueryFault("no hypothesis overlaps a building: the prior may be far from the city")
         return found

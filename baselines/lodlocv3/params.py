@@ -8,6 +8,7 @@ from lodbench.errors import ConfigError, nearest_names
 from lodbench.methods.lodlocv2 import Params
 
 WEIGHTS = ("box", "area", "equal")
+SELECTS = ("silhouette", "instances")
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +18,8 @@ class LodLocV3Params(Params):
     Attributes:
         weights: How much each building of the photo counts: by its bounding ``box``, the paper's, by its
             ``area`` in pixels, or all ``equal``.
+        select: What the grid is ranked by: ``silhouette``, of all buildings, whose fit reaches as far as
+            the grid's steps; or ``instances``, as the filter always is, and both where they have one size.
 
     Raises:
         ConfigError: A value is unknown or out of range.
@@ -24,10 +27,10 @@ class LodLocV3Params(Params):
 
     name: str = "lodlocv3"
     weights: str = "box"
+    select: str = "silhouette"
 
     def __post_init__(self) -> None:
         super(LodLocV3Params, self).__post_init__()
-        if self.weights not in WEIGHTS:
-            raise ConfigError(
-                f"method.weights={self.weights} is not known.", nearest_names(self.weights, WEIGHTS)
-            )
+        for name, value, known in (("weights", self.weights, WEIGHTS), ("select", self.select, SELECTS)):
+            if value not in known:
+                raise ConfigError(f"method.{name}={value} is not known.", nearest_names(value, known))

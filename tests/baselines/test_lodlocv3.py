@@ -92,6 +92,15 @@ def test_no_buildings_and_none_that_fit_are_faults(asked, city_map):
         LodLocV3(QUICK).localize(replace(asked[0], prior=away), city_map, STREAMS)
 
 
+def test_the_grid_is_ranked_by_silhouettes_or_instances(asked, city_map):
+    coarse = {"coarse_size": (80, 60), "variant": "no_refine"}
+    city_map.usage.take()
+    for select, kind in (("silhouette", "fit"), ("instances", "buildings")):
+        found = LodLocV3(replace(QUICK, select=select, **coarse)).localize(asked[0], city_map, STREAMS)
+        assert city_map.usage.take() == {kind: 504}
+        assert 0 < found.score <= 1
+
+
 def test_settings():
     with pytest.raises(ConfigError, match=r"method\.weights=boxes") as caught:
         LodLocV3Params(weights="boxes")
