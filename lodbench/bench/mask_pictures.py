@@ -1,7 +1,8 @@
-"""A sheet of masks beside their photos: the worst, the middling and the best views."""
+"""Sheets of masks on their photos: the worst, the middling and the best views, or all of a few."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Picture = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 SHEET_FILE = "masks.png"
 _PER_GROUP, _TILE = 4, 448
 # BGR: told apart with any colour vision, on roofs and on green.
@@ -42,6 +44,21 @@ def draw_sheet(views: pd.DataFrame, title: str) -> dict[str, bytes]:
     return {SHEET_FILE: png_bytes(np.vstack([_legend(title, rows[0].shape[1]), *rows]))}
 
 
+def draw_all(views: Sequence[tuple[str, Picture, Mask, Mask]], title: str) -> bytes:
+    """Returns a sheet of all views as PNG, in their order; colours as in ``draw_sheet``.
+
+    Args:
+        views: Caption, (H, W, 3) BGR photo, and (H, W) found and true mask of each.
+        title: Whose masks of what.
+    """
+    tiles = [_captioned(caption, tinted(photo, found, truth, 3)) for caption, photo, found, truth in views]
+    blank = np.full_like(tiles[0], _PAPER)
+    columns = min(_PER_GROUP, len(tiles))
+    tiles += [blank] * (-len(tiles) % columns)
+    rows = [np.hstack(tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
+    return png_bytes(np.vstack([_legend(title, rows[0].shape[1]), *rows]))
+
+
 def tinted(photo: Picture, found: NDArray[np.bool_], truth: NDArray[np.bool_], thickness: int) -> Picture:
     """Returns an (H, W, 3) BGR photo with its true outline, and what is wrongly found or missed tinted."""
     canvas = np.ascontiguousarray(photo)
@@ -56,9 +73,14 @@ def _tile(group: str, view: pd.Series[Any]) -> Picture:
     truth = read_mask(view["mask"]) >= 0.5
     height, width = truth.shape
     photo = cv2.resize(read_photo(view["photo"])[..., ::-1], (width, height), interpolation=cv2.INTER_AREA)
-    framed = _framed(tinted(np.asarray(photo, np.uint8), view["found"], truth, 1), _TILE, _TILE * 3 // 4)
-    strip = np.full((24, _TILE, 3), _PAPER, np.uint8)
     caption = f"{group}: IoU {view['iou']:.3f}  {view['key']}"
+    return _captioned(caption, tinted(np.asarray(photo, np.uint8), view["found"], truth, 1))
+
+
+def _captioned(caption: str, picture: Picture) -> Picture:
+    """Returns a picture framed, with a line of text below; all of one size."""
+    framed = _framed(picture, _TILE, _TILE * 3 // 4)
+    strip = np.full((24, _TILE, 3), _PAPER, np.uint8)
     cv2.putText(strip, caption, (6, 17), _FONT, 0.42, _INK, 1, cv2.LINE_AA)
     return np.pad(np.vstack([framed, strip]), ((2, 2), (2, 2), (0, 0)))
 

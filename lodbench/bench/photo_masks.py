@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure, Progress, no_progress
+from lodbench.bench.mask_pictures import SHEET_FILE, draw_all
 from lodbench.bench.mask_quality import found_mask, one_core
 from lodbench.errors import DatasetError
 from lodbench.evaluation.statistics import Interval, bootstrap_means
@@ -19,6 +20,7 @@ from lodbench.reporting.overlays import draw_outline, write_picture
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.photos import read_photo
+from lodbench.storage import write_bytes
 
 Mask = NDArray[np.bool_]
 _ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -129,9 +131,14 @@ class PhotoMaskReport:
         )
 
     def write_pictures(self, folder: Path) -> None:
-        """Writes an overlay per photo; see ``write_overlay``."""
+        """Writes an overlay per photo, see ``write_overlay``, and a sheet of all: ``masks.png``."""
+        views = []
         for photo in self.photos:
             write_overlay(photo, folder)
+            measured = f"{100 * photo.share_found:.1f} % found" if photo.is_empty else f"IoU {photo.iou:.3f}"
+            picture = np.ascontiguousarray(read_photo(photo.photo)[..., ::-1])
+            views.append((f"{measured}  {photo.place}/{photo.photo.stem}", picture, photo.found, photo.truth))
+        write_bytes(folder / SHEET_FILE, draw_all(views, self.segmenter))
 
 
 def write_overlay(photo: PhotoMask, folder: Path) -> None:

@@ -16,6 +16,7 @@ from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
+from lodbench.segmentation.choice import FOR_PHOTOS
 from lodbench.segmentation.map_guided import MapGuided
 from lodbench.synthesis.views_dataset import ViewsParams
 
@@ -40,7 +41,7 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--segmenter", default="compact", metavar="NAME", help="that looks at photos (compact)"
+        "--segmenter", metavar="NAME", help="that looks at photos (compact; of --photos efficient_unet)"
     )
     parser.add_argument(
         "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
@@ -98,8 +99,9 @@ def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -
 
 
 def _photos(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    segmenter = segmenter_of(options.segmenter, options.segmenter_option)
-    report = measure_photo_masks(require_photo_segmenter(segmenter, options.segmenter), options.photos, steps)
+    name = options.segmenter or FOR_PHOTOS
+    segmenter = segmenter_of(name, options.segmenter_option)
+    report = measure_photo_masks(require_photo_segmenter(segmenter, name), options.photos, steps)
     if options.pictures is not None:
         report.write_pictures(options.pictures)
     return Report(report.to_text(), report.figures())
@@ -110,7 +112,7 @@ def _guided(options: argparse.Namespace, steps: ProgressCallback) -> Report:
         raise ConfigError(
             "--guided-by moves the traced masks of real photos.", "Name their folder: --photos DIR."
         )
-    name = "map_guided" if options.segmenter == "compact" else options.segmenter
+    name = options.segmenter or "map_guided"
     segmenter = segmenter_of(name, options.segmenter_option)
     if not isinstance(segmenter, MapGuided):
         raise ConfigError(f"segmenter {name} is not guided by silhouettes.", "--segmenter map_guided is.")
@@ -141,9 +143,8 @@ def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:
 def _masks(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     from lodbench.bench.mask_town import town_sets
 
-    segmenter = require_photo_segmenter(
-        segmenter_of(options.segmenter, options.segmenter_option), options.segmenter
-    )
+    name = options.segmenter or "compact"
+    segmenter = require_photo_segmenter(segmenter_of(name, options.segmenter_option), name)
     data, visible = options.data, options.visible
     if data is None:
         data, visible = town_sets(options.town, _VIEWS_OF_TOWN if options.views is None else options.views)

@@ -15,6 +15,7 @@ from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.source_profiles import load_profile
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.safe_text import plain_text
+from lodbench.segmentation.choice import FOR_PHOTOS
 
 if TYPE_CHECKING:
     from lodbench.harness.georeference.request import Georeferenced
@@ -67,7 +68,7 @@ def main(argv: Sequence[str]) -> int:
         method=method,
         images=asked.images,
         masks=asked.masks,
-        segmenter=None if asked.masks is not None else segmenter_of(asked.segmenter or "compact"),
+        segmenter=None if asked.masks is not None else segmenter_of(asked.segmenter or FOR_PHOTOS),
         start=asked.start,
         heights=height_options(asked),
         lod=asked.lod or profile.lod,
@@ -132,7 +133,7 @@ def _parser() -> argparse.ArgumentParser:
         "--images", type=Path, metavar="DIR", help="the model's photos, as the drone stored them"
     )
     parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of the photos, named as these")
-    parser.add_argument("--segmenter", metavar="NAME", help="makes masks of the photos instead (compact)")
+    parser.add_argument("--segmenter", metavar="NAME", help=f"makes masks instead ({FOR_PHOTOS})")
     parser.add_argument("--start", type=Path, metavar="FILE", help="rough poses, or similarity.json")
     add_height_options(parser)
     parser.add_argument("--method", default="flight", metavar="NAME", help="solves flights (flight)")

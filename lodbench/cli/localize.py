@@ -21,6 +21,7 @@ from lodbench.cli.place_options import (
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.source_profiles import load_profile
 from lodbench.errors import ConfigError
+from lodbench.segmentation.choice import FOR_PHOTOS
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.many import Answers
@@ -129,7 +130,7 @@ def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path
 
     segmenter = None
     if asked.mask is None and masks is None and "mask" in method.requires:
-        segmenter = segmenter_of(asked.segmenter or "compact", asked.segmenter_option)
+        segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
     profile = load_profile(asked.source, asked.option, asked.crs)
     return PhotoRequest(
         photo=photo,
@@ -211,7 +212,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--mask", type=Path, metavar="FILE", help="the photo's buildings in white")
     parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of many photos, named as these")
     parser.add_argument(
-        "--segmenter", metavar="NAME", help="makes the mask, for methods that want one (compact)"
+        "--segmenter", metavar="NAME", help=f"makes the mask, for methods that want one ({FOR_PHOTOS})"
     )
     parser.add_argument(
         "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"

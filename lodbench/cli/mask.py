@@ -37,12 +37,12 @@ def main(argv: Sequence[str]) -> int:
     segmenter: PhotoSegmenter | None = None
     if asked.mask is None and asked.polygons is None:
         from lodbench.cli.segmenters import segmenter_of
+        from lodbench.segmentation.choice import FOR_PHOTOS
 
-        made = segmenter_of(asked.segmenter, asked.segmenter_option)
+        name = asked.segmenter or FOR_PHOTOS
+        made = segmenter_of(name, asked.segmenter_option)
         if not isinstance(made, PhotoSegmenter):
-            raise ConfigError(
-                f"segmenter {asked.segmenter} looks at no photo alone.", "--segmenter compact does."
-            )
+            raise ConfigError(f"segmenter {name} looks at no photo alone.", f"--segmenter {FOR_PHOTOS} does.")
         segmenter = made
     out = asked.out or asked.photo.with_name(f"{asked.photo.stem}_mask.png")
     session = opened_session(asked.photo, asked.mask, asked.polygons, segmenter)
@@ -85,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     start.add_argument(
         "--import", dest="polygons", type=Path, metavar="FILE", help="start from polygons of LabelMe or COCO"
     )
-    start.add_argument("--segmenter", default="compact", metavar="NAME", help="else from its mask (compact)")
+    start.add_argument("--segmenter", metavar="NAME", help="else from its mask (efficient_unet)")
     parser.add_argument(
         "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
     )

@@ -21,6 +21,7 @@ from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.source_profiles import load_profile
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.safe_text import plain_text
+from lodbench.segmentation.choice import FOR_PHOTOS
 
 if TYPE_CHECKING:
     from lodbench.harness.track.track import Track
@@ -56,9 +57,9 @@ def main(argv: Sequence[str]) -> int:
         raise ConfigError("--every is at least 1, --fps above 0.")
     segmenter = None
     if asked.masks is None:
-        segmenter = segmenter_of(asked.segmenter or "compact", asked.segmenter_option)
+        segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
         if not hasattr(segmenter, "probability"):
-            raise ConfigError(f"--segmenter {asked.segmenter} looks at no frames.", "compact does.")
+            raise ConfigError(f"--segmenter {asked.segmenter} looks at no frames.", f"{FOR_PHOTOS} does.")
     profile = load_profile(asked.source, asked.option, asked.crs)
     done = track(
         TrackRequest(
@@ -134,7 +135,7 @@ def _parser() -> argparse.ArgumentParser:
         "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
     )
     parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of the frames, named as these")
-    parser.add_argument("--segmenter", metavar="NAME", help="makes masks instead (compact)")
+    parser.add_argument("--segmenter", metavar="NAME", help=f"makes masks instead ({FOR_PHOTOS})")
     parser.add_argument(
         "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
     )

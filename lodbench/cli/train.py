@@ -56,7 +56,7 @@ def task(config: DictConfig) -> None:
     if not hasattr(part, "build"):
         raise ConfigError(
             f"segmenter={settings['name']} has no network to train.",
-            "Trainable: compact, sam2_unet, sam1_adapter.",
+            "Trainable: compact, efficient_unet, sam2_unet, sam1_adapter.",
         )
     # Loading torch and the first step take a while: what is going on is said before.
     _tell(f"training {settings['name']} on {params.data} into {params.out}")

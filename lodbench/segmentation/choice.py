@@ -9,6 +9,8 @@ from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
 
 AUTO = "auto"
+# Looks at photos that nobody has drawn, where no other segmenter is named.
+FOR_PHOTOS = "efficient_unet"
 
 
 def chosen_segmenter(
@@ -16,8 +18,8 @@ def chosen_segmenter(
 ) -> tuple[str, str]:
     """Returns the name of the segmenter for a dataset, and the reason in words.
 
-    Masks lie in a dataset because somebody made them for these photos, so they go before a network that has
-    seen rendered views only; unless the dataset says otherwise, as the demo does, whose masks are drawn.
+    Masks lie in a dataset because somebody made them for these photos, so they go before a network; unless
+    the dataset says otherwise, as the demo does, whose masks are drawn.
 
     Args:
         dataset: What is to be segmented.
@@ -41,7 +43,7 @@ def chosen_segmenter(
     if not wanted:
         return "none", "the dataset has no masks, and the method needs none"
     if any(entry.image is not None for entry in dataset.entries):
-        return "compact", "the dataset has photos and no masks"
+        return FOR_PHOTOS, "the dataset has photos and no masks"
     raise DatasetError(
         f"None of the {total} queries of {dataset.name} has a mask or a photo.",
         "Put building masks (255 = building) in masks, or photos in Query_image, named as in the poses.",

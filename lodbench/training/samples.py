@@ -17,7 +17,7 @@ from lodbench.storage import digest_of
 
 Photo = NDArray[np.uint8]
 _HELD_OUT = 20
-_ENDINGS = (".jpg", ".jpeg", ".png")
+ENDINGS = (".jpg", ".jpeg", ".png")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +28,13 @@ class Sample:
         key: Set, split and name: unique.
         photo: The picture's file.
         mask: The mask's file.
+        is_ground: Whether it is a photo without buildings, whose ground may lie elsewhere as well.
     """
 
     key: str
     photo: Path
     mask: Path
+    is_ground: bool = False
 
     def read(self, size: int, square: bool) -> tuple[Photo, NDArray[np.float32]]:
         """Returns the picture (H, W, 3) RGB uint8 and the mask (H, W) float32 in [0, 1].
@@ -75,7 +77,7 @@ def find_samples(folder: Path, split: str) -> list[Sample]:
         raise DatasetError(f"There is no folder {folder}.", "lodbench generate-training-data makes one.")
     samples, without = [], []
     for images in sorted(path for path in folder.rglob("images") if path.parent.name == split):
-        for photo in sorted(path for path in images.iterdir() if path.suffix.lower() in _ENDINGS):
+        for photo in sorted(path for path in images.iterdir() if path.suffix.lower() in ENDINGS):
             mask = images.parent / "masks" / f"{photo.stem}.png"
             if mask.exists():
                 key = (images.parent.relative_to(folder) / photo.stem).as_posix()
@@ -90,25 +92,30 @@ def find_samples(folder: Path, split: str) -> list[Sample]:
     return samples
 
 
-def split_samples(data: Path, val_data: Path | None) -> tuple[list[Sample], list[Sample], str]:
+def split_samples(
+    train: list[Sample], val: list[Sample], val_data: Path | None
+) -> tuple[list[Sample], list[Sample], str]:
     """Returns the views to train on, those to validate on, and what the latter are.
+
+    Args:
+        train: Views to train on.
+        val: Views of the same data that are held out; where there are none, every 20th of ``train`` is.
+        val_data: A set whose views validate instead.
 
     Raises:
         DatasetError: There are none of one kind.
     """
-    train = find_samples(data, "train")
     if val_data is not None:
         val = [s for split in ("train", "val", "test") for s in find_samples(val_data, split)]
         source = f"views of {val_data.name}"
     else:
-        val = find_samples(data, "val")
         source = "val views, of regions of their own"
         if not val:
             val, train = train[::_HELD_OUT], [s for k, s in enumerate(train) if k % _HELD_OUT]
             source = f"every {_HELD_OUT}th training view, held out: of the same regions"
     if not train or not val:
         kind = "train on" if not train else "validate on"
-        raise DatasetError(f"{data} has no views to {kind}.", "lodbench generate-training-data makes some.")
+        raise DatasetError(f"There are no views to {kind}.", "lodbench generate-training-data makes some.")
     return train, val, source
 
 

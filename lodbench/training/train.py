@@ -13,14 +13,22 @@ from typing import Any
 from lodbench import __version__
 from lodbench.errors import ConfigError
 from lodbench.segmentation.extras import require
+from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, make_folder, write_text
 from lodbench.training.learning_curves import write_curves
-from lodbench.training.samples import Sample, samples_digest, split_samples
+from lodbench.training.posed_photos import is_posed, posed_samples
+from lodbench.training.samples import Sample, find_samples, samples_digest, split_samples
 from lodbench.training.train_params import TrainParams
+from lodbench.training.unlabelled import ground_samples, pseudo_samples
 
 MANIFEST_FILE = "training.json"
 CURVES_FILE = "curves.png"
+# Where the labels of posed photos are kept.
+SILHOUETTES = "silhouettes"
+# And those of photos that a network labelled.
+PSEUDO_LABELS = "pseudo-labels"
+NEGATIVES = "negatives"
 # What init says for the weights that come with lodbench.
 PACKAGE = "package"
 
@@ -65,10 +73,19 @@ def train_network(
 
     params = replace(params, init=_start(segmenter, params.init))
     data, val_data = Path(params.data).expanduser(), params.val_data
-    train, val, source = split_samples(data, Path(val_data).expanduser() if val_data else None)
-    tell(f"{len(train)} views to train on, {len(val)} to validate on: {source}")
     out = Path(params.out).expanduser()
     make_folder(out)
+    if is_posed(data):
+        learnt, held_out = posed_samples(data, out / SILHOUETTES), []
+    else:
+        learnt, held_out = find_samples(data, "train"), find_samples(data, "val")
+    train, val, source = split_samples(learnt, held_out, Path(val_data).expanduser() if val_data else None)
+    if params.unlabelled:
+        train = train + _pseudo_labelled(segmenter, params, out)
+    if params.negatives:
+        folders = [Path(folder).expanduser() for folder in params.negatives]
+        train = train + ground_samples(segmenter.params.size, folders, out / NEGATIVES)
+    tell(f"{len(train)} views to train on, {len(val)} to validate on: {source}")
     record = _record(segmenter, params, data, train, val, source)
     started_at: list[int] = []
 
@@ -85,6 +102,19 @@ def train_network(
     finished = record | {"history": history, "weights": {weights.name: file_digest(weights)}}
     write_text(out / MANIFEST_FILE, _json(finished))
     return Trained(weights, history, source, len(train), started_at[0])
+
+
+def _pseudo_labelled(segmenter: TrainableSegmenter, params: TrainParams, out: Path) -> list[Sample]:
+    """Returns the photos of ``unlabelled`` as views, labelled by the weights of ``init``.
+
+    Raises:
+        LodbenchError: This segmenter is no teacher, or its weights or the photos are missing.
+    """
+    settings = segmenter.params
+    if not isinstance(segmenter, PhotoSegmenter) or not str(params.init).endswith(".onnx"):
+        raise ConfigError("Only networks in ONNX files label photos.", "init=FILE.onnx, or init=package.")
+    teacher = type(segmenter)(replace(settings, weights=params.init))
+    return pseudo_samples(teacher, [Path(f).expanduser() for f in params.unlabelled], out / PSEUDO_LABELS)
 
 
 def _epoch_line(row: dict[str, float], epochs: int) -> str:
@@ -117,7 +147,7 @@ def _record(
     source: str,
 ) -> dict[str, Any]:
     """Returns what the training follows from; its digest names it."""
-    idle = ("data", "val_data", "out", "resume", "tensorboard", "device", "init")
+    idle = ("data", "val_data", "unlabelled", "negatives", "out", "resume", "tensorboard", "device", "init")
     settings = {key: value for key, value in asdict(params).items() if key not in idle}
     init = file_digest(Path(params.init).expanduser()) if params.init else None
     identity = {

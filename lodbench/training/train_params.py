@@ -9,13 +9,14 @@ from lodbench.errors import ConfigError, require_choice, require_within
 _CHOICES = {
     "weighting": ("paper", "released"),
     "precision": ("auto", "float32", "bfloat16"),
-    "augment": ("full", "flips"),
+    "augment": ("full", "flips", "strong"),
     "optimizer": ("adamw", "muon"),
 }
 _BOUNDS = {
     "epochs": (1, 100_000),
     "lr": (1e-12, 10.0),
     "muon_lr": (1e-12, 10.0),
+    "encoder_rate": (0.0, 10.0),
     "lr_end": (0.0, 10.0),
     "warmup": (0.0, 0.9),
     "weight_decay": (0.0, 10.0),
@@ -37,12 +38,17 @@ class TrainParams:
         data: Training set of ``lodbench generate-training-data``, or a folder of such sets.
         val_data: Set whose views validate; None for the ``val`` views of ``data``, and where it has none,
             every twentieth of its training views, held out.
+        unlabelled: Folders of photos to learn from besides, labelled by the weights of ``init``.
+        negatives: Folders of photos without buildings: learnt as they are, and, with ``augment=strong``, as
+            ground and roofs of drawn views.
         out: Folder of checkpoints, curves and weights.
         epochs: Passes over the training views.
         optimizer: ``adamw``, the paper's; or ``muon`` for the kernels of convolutions and AdamW for the rest:
             a small network from scratch learns several times faster.
         lr: Highest learning rate; it falls to ``lr_end`` along half a cosine.
         muon_lr: Highest learning rate of Muon; it falls as ``lr`` does.
+        encoder_rate: Share of the learning rates at which an encoder learns that had weights before; 0
+            leaves it as it is.
         lr_end: Learning rate at the end.
         warmup: Share of the steps in which it rises to ``lr``.
         weight_decay: Of AdamW.
@@ -51,7 +57,8 @@ class TrainParams:
         crop: Side of the random square that a step sees; 0 for the whole view, brought to
             ``size`` x ``size`` as the paper does.
         scale: Range of the random scale of a crop.
-        augment: ``full`` (light, colour, blur, noise, turns, left for right) or ``flips`` (SAM2-UNet's own).
+        augment: ``full`` (light, colour, blur, noise, turns, left for right), ``strong`` (other paints and
+            sensors besides, see ``other_appearance``) or ``flips`` (SAM2-UNet's own).
         one_band: Share of pictures that ``full`` turns into those of one band, tones bent or inverted.
         weighting: ``paper``: pixels near outlines weigh up to six times in both losses; ``released``: in
             the IoU loss only, which is what the published code computes.
@@ -70,11 +77,14 @@ class TrainParams:
 
     data: str
     val_data: str | None = None
+    unlabelled: tuple[str, ...] = ()
+    negatives: tuple[str, ...] = ()
     out: str = "training"
     epochs: int = 20
     optimizer: str = "adamw"
     lr: float = 1e-3
     muon_lr: float = 0.02
+    encoder_rate: float = 1.0
     lr_end: float = 1e-7
     warmup: float = 0.0
     weight_decay: float = 5e-4
@@ -99,5 +109,9 @@ class TrainParams:
             require_choice(name, getattr(self, name), choices)
         for name, (low, high) in _BOUNDS.items():
             require_within(name, getattr(self, name), low, high)
+        if self.unlabelled and self.init is None:
+            raise ConfigError(
+                "unlabelled photos need a network that labels them.", "init=FILE.onnx, or package."
+            )
         if self.size == self.crop == 0:
             raise ConfigError("size and crop are both 0.", "Views differ in size: set one of them.")

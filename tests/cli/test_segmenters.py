@@ -134,11 +134,11 @@ class TestNoneNamed:
         (root / "masks").rename(root / "Query_image")
         assert run(with_masks, tmp_path / "runs") == 0
         printed = capsys.readouterr()
-        assert "segmenter=compact: the dataset has photos and no masks" in printed.out
+        assert "segmenter=efficient_unet: the dataset has photos and no masks" in printed.out
         assert "domain: synthetic" in printed.out
-        assert self.config_of(tmp_path / "runs").segmenter.name == "compact"
+        assert self.config_of(tmp_path / "runs").segmenter.name == "efficient_unet"
         # The same as naming it: the same folder, nothing done twice.
-        assert run(with_masks, tmp_path / "runs", "segmenter=compact") == 0
+        assert run(with_masks, tmp_path / "runs", "segmenter=efficient_unet") == 0
         assert "2 queries were there already" in capsys.readouterr().out
 
     def test_a_dataset_may_say_which(self, with_masks):

@@ -156,10 +156,10 @@ class TestAdapter:
         assert "whatever it is" in self.segmenter(weights).notes()[0]
 
     def test_another_network_or_size_is_told(self, weights, tmp_path):
-        from lodbench.segmentation.compact import packaged_weights
+        from lodbench.segmentation.packaged_network import packaged_file
 
         with pytest.raises(ConfigError, match=r"answers \[\(1, 1, 64, 64\)\], not the rows"):
-            self.segmenter(packaged_weights()).probability(self.photo())
+            self.segmenter(packaged_file("compact.onnx")).probability(self.photo())
         with pytest.raises(ConfigError, match="does not take a photo of"):
             self.segmenter(weights, size=96).probability(self.photo())
         (tmp_path / "text.onnx").write_text("hello")

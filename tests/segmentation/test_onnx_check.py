@@ -11,9 +11,9 @@ from onnx import TensorProto, helper, numpy_helper
 
 from lodbench.errors import ConfigError
 from lodbench.segmentation import onnx_file
-from lodbench.segmentation.compact import packaged_weights
 from lodbench.segmentation.onnx_check import onnx_fault
 from lodbench.segmentation.onnx_file import read_onnx
+from lodbench.segmentation.packaged_network import packaged_file
 
 
 def small_network() -> onnx.ModelProto:
@@ -30,7 +30,7 @@ def fault_of(model: onnx.ModelProto) -> str:
 
 
 def test_sound_networks_pass() -> None:
-    assert onnx_fault(packaged_weights().read_bytes()) == ""
+    assert onnx_fault(packaged_file("compact.onnx").read_bytes()) == ""
     assert fault_of(small_network()) == ""
 
 

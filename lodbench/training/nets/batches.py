@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lodbench.storage import random_stream
+from lodbench.training.appearance import covered, other_appearance
 from lodbench.training.augment import flipped, random_crop, relit
 from lodbench.training.samples import Sample
 from lodbench.training.train_params import TrainParams
@@ -18,6 +19,9 @@ from lodbench.training.train_params import TrainParams
 Floats = NDArray[np.float32]
 # Batches made ahead of the one in use.
 _AHEAD = 3
+# Share of drawn views that get the ground of photos, and how much that is enlarged.
+_COVERED = 0.35
+_GROUND_SCALE = (0.7, 2.0)
 
 
 def steps_per_epoch(count: int, batch: int) -> int:
@@ -42,10 +46,12 @@ def batches(
     size = min(params.batch, len(samples))
     steps = range(first_step, steps_per_epoch(len(samples), params.batch))
     chosen = [order[step * size : (step + 1) * size][rank::ranks] for step in steps]
+    grounds = [sample for sample in samples if sample.is_ground]
     with ThreadPoolExecutor(1) as pool:
         waiting = []
         for indices in chosen:
-            waiting.append(pool.submit(_batch, samples, params, epoch, indices))
+            mine = [samples[int(index)] for index in indices]
+            waiting.append(pool.submit(_batch, mine, params, epoch, grounds))
             if len(waiting) > _AHEAD:
                 yield waiting.pop(0).result()
         for made in waiting:
@@ -54,28 +60,45 @@ def batches(
 
 def batch_shape(samples: list[Sample], params: TrainParams) -> tuple[int, int, int, int]:
     """Returns (B, 3, H, W) of the pictures of a batch, by the first sample."""
-    height, width = _changed(samples[0], params, 0)[0].shape[:2]
+    height, width = _changed(samples[0], params, 0, [])[0].shape[:2]
     return min(params.batch, len(samples)), 3, height, width
 
 
 def _batch(
-    samples: list[Sample], params: TrainParams, epoch: int, indices: NDArray[np.int64]
+    samples: list[Sample], params: TrainParams, epoch: int, grounds: list[Sample]
 ) -> tuple[Tensor, Tensor]:
-    pairs = [_changed(samples[int(index)], params, epoch) for index in indices]
+    pairs = [_changed(sample, params, epoch, grounds) for sample in samples]
     return as_tensors([photo for photo, _ in pairs], [mask for _, mask in pairs])
 
 
-def _changed(sample: Sample, params: TrainParams, epoch: int) -> tuple[Floats, Floats]:
+def _changed(sample: Sample, params: TrainParams, epoch: int, grounds: list[Sample]) -> tuple[Floats, Floats]:
     generator = random_stream(params.seed, "train", sample.key, epoch)
     photo, mask = sample.read(params.size, square=not params.crop)
     # Upside down, walls hang above their roofs: no camera sees that, and a small network has better to learn.
-    axes = (1,) if params.augment == "full" else (1, 0)
+    axes = (1, 0) if params.augment == "flips" else (1,)
     photo, mask = flipped(photo, mask, generator, axes)
     if params.crop:
         photo, mask = random_crop(photo, mask, params.crop, params.scale, generator)
+    if params.augment == "strong":
+        if grounds and not sample.is_ground and generator.random() < _COVERED:
+            photo = covered(photo, mask, _ground(grounds, photo.shape, generator), generator)
+        return other_appearance(photo, mask, generator), mask
     if params.augment == "full":
         return relit(photo, generator, params.one_band), mask
     return as_floats(photo), mask
+
+
+def _ground(
+    grounds: list[Sample], shape: tuple[int, ...], generator: np.random.Generator
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Returns pieces of two photos without buildings, of a view's shape: for the ground and for roofs."""
+    found = []
+    for _ in range(2):
+        photo, mask = grounds[int(generator.integers(len(grounds)))].read(0, square=False)
+        photo, mask = flipped(photo, mask, generator, (1, 0))
+        square, _ = random_crop(photo, mask, max(shape[:2]), _GROUND_SCALE, generator)
+        found.append(square[: shape[0], : shape[1]])
+    return found[0], found[1]
 
 
 def as_floats(photo: NDArray[np.uint8]) -> Floats:

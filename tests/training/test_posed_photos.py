@@ -1,0 +1,63 @@
+"""Posed photos over a map as a training set: labels are silhouettes, the rest is as for any set."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.citymodel import open_scene
+from lodbench.cli import main
+from lodbench.datasets.pose_text import read_cameras, read_poses
+from lodbench.errors import DatasetError
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.segmentation.masks import read_mask
+from lodbench.training.posed_photos import is_posed, posed_samples
+from tests.town import write_dataset
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """Three photos of a town of boxes, red roofs on green ground, with poses and a map; no masks."""
+    root, city = write_dataset(tmp_path_factory.mktemp("town"))
+    (root / "Query_image").mkdir(exist_ok=True)
+    for path in (root / "masks").iterdir():
+        mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 0
+        photo = np.where(mask[..., None], (40, 40, 200), (60, 150, 60)).astype(np.uint8)
+        cv2.imwrite(str(root / "Query_image" / path.name), photo)
+        path.unlink()
+    about = {"city_model": str(city)}
+    (root / "dataset.json").write_text(json.dumps(about))
+    return root, city
+
+
+def test_labels_are_what_the_map_shows_from_the_true_poses(flight, tmp_path):
+    root, city = flight
+    assert is_posed(root)
+    assert not is_posed(tmp_path)
+    samples = posed_samples(root, tmp_path / "silhouettes")
+    assert len(samples) == 3
+    scene, cameras = open_scene(city), read_cameras(root / "intrinsic.txt")
+    truth = read_poses(root / "GT_pose.txt")
+    for sample in samples:
+        name = sample.photo.name
+        expected = RasterRenderer(scene, 1).draw(cameras[name], truth[name].shifted(-scene.origin)).mask
+        # Another way to draw may decide otherwise where an outline cuts a pixel.
+        assert ((read_mask(sample.mask) >= 0.5) != expected).mean() < 0.01
+        assert expected.mean() > 0.02
+
+
+def test_a_network_is_trained_on_them(flight, tmp_path, capsys):
+    pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
+    pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")
+    words = ["schedule.epochs=1", "schedule.batch=2", "schedule.crop=64", "threads=1"]
+    assert main(["train", f"data={flight[0]}", f"out={tmp_path / 'net'}", *words]) == 0
+    told = capsys.readouterr()
+    assert "2 views to train on, 1 to validate on" in told.err
+    assert (tmp_path / "net" / "compact.onnx").is_file()
+
+
+def test_without_a_map_there_is_nothing_to_learn(flight, tmp_path):
+    root, _ = write_dataset(tmp_path / "bare")
+    with pytest.raises(DatasetError, match="names no city model"):
+        posed_samples(root, tmp_path / "silhouettes")
