@@ -158,13 +158,15 @@ def labelled_photos(folder: Path) -> list[tuple[Path, Mask]]:
     """Returns the photos of a folder with their traced masks, (H, W) bool of the photo's size.
 
     Args:
-        folder: Holds a folder per place with ``photos``, and ``masks`` (PNG, 255 = building) of their names.
+        folder: Holds a folder per place with ``photos``, and ``masks`` (PNG, 255 = building) of their names;
+            or a folder ``labelled`` of these.
 
     Raises:
         DatasetError: There are no photos, or one has no mask or one of another size.
         QueryFault: A photo or a mask cannot be read.
     """
-    files = sorted(p for p in folder.glob("*/photos/*") if p.suffix.lower() in _ENDINGS)
+    root = folder / "labelled" if (folder / "labelled").is_dir() else folder
+    files = sorted(p for p in root.glob("*/photos/*") if p.suffix.lower() in _ENDINGS)
     if not files:
         raise DatasetError(
             f"{folder} holds no photos.", "Put them in PLACE/photos, and their masks in PLACE/masks."

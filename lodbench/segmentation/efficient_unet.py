@@ -63,7 +63,14 @@ class EfficientUnet(PackagedNetwork):
 
     params_type = EfficientUnetParams
     weights_name = "efficient_unet"
-    domain = "synthetic"
+    domain = "synthetic and open ground"
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns what the network has seen of buildings: drawn ones."""
+        return (
+            f"segmenter efficient_unet, domain: {self.domain}: buildings learnt from rendered views, ground "
+            "from photos too; real photos may look different",
+        )
 
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Returns (h, w) logits of a (H, W, 3) RGB photo, their mean over all looks; (h, w) as of ``size``.

@@ -24,6 +24,21 @@ from lodbench.training.unlabelled import ground_samples, pseudo_samples
 
 MANIFEST_FILE = "training.json"
 CURVES_FILE = "curves.png"
+# Settings that name files and places: what these hold counts, not what they are called.
+_IDLE = frozenset(
+    (
+        "data",
+        "val_data",
+        "unlabelled",
+        "negatives",
+        "out",
+        "resume",
+        "tensorboard",
+        "device",
+        "init",
+        "average",
+    )
+)
 # Where the labels of posed photos are kept.
 SILHOUETTES = "silhouettes"
 # And those of photos that a network labelled.
@@ -72,6 +87,9 @@ def train_network(
     from lodbench.training.nets.run import run_training
 
     params = replace(params, init=_start(segmenter, params.init))
+    for path in params.average:
+        if not Path(path).expanduser().is_file():
+            raise ConfigError(f"There are no weights {path}.", "average=[OUT/checkpoint.pt,...].")
     data, val_data = Path(params.data).expanduser(), params.val_data
     out = Path(params.out).expanduser()
     make_folder(out)
@@ -147,13 +165,13 @@ def _record(
     source: str,
 ) -> dict[str, Any]:
     """Returns what the training follows from; its digest names it."""
-    idle = ("data", "val_data", "unlabelled", "negatives", "out", "resume", "tensorboard", "device", "init")
-    settings = {key: value for key, value in asdict(params).items() if key not in idle}
+    settings = {key: value for key, value in asdict(params).items() if key not in _IDLE}
     init = file_digest(Path(params.init).expanduser()) if params.init else None
     identity = {
         "segmenter": asdict(segmenter.params),
         "settings": settings | {"scale": list(params.scale)},
         "init": init,
+        "average": [file_digest(Path(path).expanduser()) for path in params.average],
         "train": samples_digest(train),
         "val": samples_digest(val),
     }

@@ -69,6 +69,8 @@ class TrainParams:
         val_every: Epochs between validations and checkpoints.
         resume: Whether to go on from the checkpoint in ``out``.
         init: Weights to start from: a file, ``package`` for those in the package, or None for random ones.
+        average: Checkpoints of trainings that went out from the same weights: the mean of theirs and this
+            one's is what is stored at the end.
         tensorboard: Whether to log for TensorBoard as well.
 
     Raises:
@@ -102,6 +104,7 @@ class TrainParams:
     val_every: int = 1
     resume: bool = True
     init: str | None = None
+    average: tuple[str, ...] = ()
     tensorboard: bool = False
 
     def __post_init__(self) -> None:

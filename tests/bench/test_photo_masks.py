@@ -58,6 +58,15 @@ def test_ious_and_shares_are_those_counted_by_hand(folder):
     # Right of the true box what was found is orange, in it what was missed violet.
     assert picture[15, 27, 2] > picture[15, 27, 0]
     assert picture[15, 5, 0] > picture[15, 5, 1]
+    sheet = cv2.imread(str(folder / "out" / "masks.png"))
+    # A strip above, and two rows of four.
+    assert sheet.shape == (34 + 2 * (448 * 3 // 4 + 24 + 4), 4 * (448 + 4), 3)
+
+
+def test_the_folder_of_all_photos_will_do_as_well(tmp_path):
+    place(tmp_path / "all" / "labelled", "town", [((0, 20), (0, 20))])
+    report = measure_photo_masks(Reddish(CompactParams(name="reddish")), tmp_path / "all")
+    assert report.by_place() == {"town": [1.0]}
 
 
 def test_what_is_refused(folder, capsys):

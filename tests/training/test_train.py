@@ -249,6 +249,42 @@ def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
     assert "There are no weights none.onnx" in capsys.readouterr().err
 
 
+def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
+    from lodbench.segmentation.nets.compact import CompactNet
+    from lodbench.segmentation.nets.weights import load_own
+    from lodbench.training.nets.average import average_into
+
+    assert train(views, tmp_path / "a", "schedule.epochs=1") == 0
+    assert train(views, tmp_path / "b", "schedule.epochs=1", "seed=1") == 0
+    files = [str(tmp_path / name / "checkpoint.pt") for name in "ab"]
+    first, second = (load_own(CompactNet(), file) for file in files)
+    mean = load_own(CompactNet(), files[0])
+    average_into(mean, [tmp_path / "b" / "checkpoint.pt"])
+    for name, value in mean.named_parameters():
+        expected = (first.get_parameter(name) + second.get_parameter(name)) / 2
+        torch.testing.assert_close(value, expected)
+    words = ["schedule.epochs=1", f"average=[{files[1]}]"]
+    assert train(views, tmp_path / "c", *words) == 0
+    alone, both = ((tmp_path / name / "compact.onnx").read_bytes() for name in "ac")
+    assert alone != both
+    assert train(views, tmp_path / "d", "average=[none.pt]") == 2
+    assert "There are no weights none.pt" in capsys.readouterr().err
+
+
+def test_a_frozen_encoder_stays_and_a_slow_one_moves_less():
+    from lodbench.segmentation.nets.efficient_unet import EfficientUnetNet
+    from lodbench.training.nets.optimizers import make_optimizers, set_rate
+
+    net = EfficientUnetNet()
+    (alone,) = make_optimizers(net, TrainParams("d", encoder_rate=0.0))
+    assert not any(weight.requires_grad for weight in net.encoder.parameters())
+    decoder = sum(weight.numel() for name, weight in net.named_parameters() if not name.startswith("encoder"))
+    assert sum(w.numel() for group in alone.param_groups for w in group["params"]) == decoder
+    (slow,) = make_optimizers(EfficientUnetNet(), TrainParams("d", lr=0.01, encoder_rate=0.1))
+    set_rate([slow], 0.5)
+    assert [group["lr"] for group in slow.param_groups] == pytest.approx([0.005, 0.0005])
+
+
 def test_every_weight_has_one_optimizer_and_the_paper_has_adamw_alone():
     from lodbench.segmentation.nets.compact import CompactNet
     from lodbench.training.nets.optimizers import make_optimizers

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from lodbench.segmentation.trainable import TrainableSegmenter
+from lodbench.training.nets.average import average_into
 from lodbench.training.nets.batches import batch_shape, batches
 from lodbench.training.nets.checkpoints import load_checkpoint
 from lodbench.training.nets.distributed import joined
@@ -69,6 +70,8 @@ def run_training(
                     board(name, value, int(row["epoch"]))
 
         fit(state, params, train, val, segmenter.stride, place, identity, after_epoch)
+        if params.average:
+            average_into(net, [Path(path).expanduser() for path in params.average])
         weights = segmenter.store(net.cpu().eval(), out) if place.rank == 0 else out
     return state.history, weights
 
