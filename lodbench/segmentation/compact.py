@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from lodbench.errors import ConfigError
-from lodbench.segmentation.packaged_network import PackagedNetwork
+from lodbench.segmentation.packaged_network import PackagedNetwork, packaged_file
 from lodbench.segmentation.probability import check_normalise
 
 
@@ -62,3 +63,8 @@ class Compact(PackagedNetwork):
         from lodbench.segmentation.nets.compact import CompactNet
 
         return CompactNet()
+
+
+def packaged_weights() -> Path:
+    """Returns the weights of ``compact`` that come with the package."""
+    return packaged_file("compact.onnx")

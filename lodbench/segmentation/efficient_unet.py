@@ -64,6 +64,7 @@ class EfficientUnet(PackagedNetwork):
     params_type = EfficientUnetParams
     weights_name = "efficient_unet"
     domain = "synthetic and open ground"
+    padding = "symmetric"
 
     def notes(self) -> tuple[str, ...]:
         """Returns what the network has seen of buildings: drawn ones."""

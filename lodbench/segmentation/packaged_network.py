@@ -7,7 +7,7 @@ from abc import abstractmethod
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ class PackagedNetwork(PhotoSegmenter):
     domain: str
     # ``sure`` of the package's weights, where no setting says otherwise.
     packaged_sure = 0.0
+    # How photos are padded: rows that repeat may look like a wall.
+    padding: Literal["edge", "symmetric"] = "edge"
     # Sides of what the network sees are multiples of this.
     stride = 32
 
@@ -94,7 +96,7 @@ class PackagedNetwork(PhotoSegmenter):
         """
         height, width = photo.shape[:2]
         width, height = working_size(width, height, size)
-        image = padded_photo(resized_photo(photo, width, height), self.stride)
+        image = padded_photo(resized_photo(photo, width, height), self.stride, self.padding)
         return self._memory.run(image, self._run)[:height, :width]
 
     def _run(self, tile: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,9 @@ def resized_photo(photo: NDArray[np.uint8], width: int, height: int) -> NDArray[
     )
 
 
-def padded_photo(photo: NDArray[np.uint8], stride: int) -> NDArray[np.uint8]:
-    """Returns a photo with its last row and column repeated up to multiples of a stride."""
+def padded_photo(
+    photo: NDArray[np.uint8], stride: int, mode: Literal["edge", "symmetric"] = "edge"
+) -> NDArray[np.uint8]:
+    """Returns a photo with its last row and column repeated, or mirrored, up to multiples of a stride."""
     height, width = photo.shape[:2]
-    return np.pad(photo, ((0, -height % stride), (0, -width % stride), (0, 0)), mode="edge")
+    return np.pad(photo, ((0, -height % stride), (0, -width % stride), (0, 0)), mode=mode)
