@@ -39,25 +39,26 @@ def is_posed(folder: Path) -> bool:
     )
 
 
-def posed_samples(folder: Path, out: Path) -> list[Sample]:
+def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Sample]:
     """Returns the photos of a dataset that have a truth, each with the map's silhouette there as its mask.
 
     The map is taken at its finest level. A mask is as good as the photo's pose and as the map: what was built
     or torn down since is learnt wrong.
 
     Args:
-        folder: As for ``open_folder``; ``dataset.json`` names the city model.
+        folder: As for ``open_folder``.
         out: Folder for the silhouettes, one PNG a photo.
+        city: City model; None for the one that ``dataset.json`` names.
 
     Raises:
         LodbenchError: The dataset is missing or broken, has no city model, no photo with camera and true
             pose, or a camera with lens distortion.
     """
-    dataset = open_folder(FolderParams(root=str(folder), lod="finest"))
+    dataset = open_folder(FolderParams(root=str(folder), city_model=city, lod="finest"))
     if dataset.city_model is None:
         raise DatasetError(
-            f"{folder} names no city model: there is nothing to make labels of.",
-            f'{{"city_model": "FILE"}} in its {ABOUT_FILE}.',
+            f"{folder} has no city model: there is nothing to make labels of.",
+            dataset.city_hint.replace("Set city=FILE.", "city=FILE names one."),
         )
     posed = _posed(dataset)
     if not posed:

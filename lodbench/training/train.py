@@ -29,6 +29,7 @@ _IDLE = frozenset(
     (
         "data",
         "val_data",
+        "city",
         "unlabelled",
         "negatives",
         "out",
@@ -94,7 +95,7 @@ def train_network(
     out = Path(params.out).expanduser()
     make_folder(out)
     if is_posed(data):
-        learnt, held_out = posed_samples(data, out / SILHOUETTES), []
+        learnt, held_out = posed_samples(data, out / SILHOUETTES, params.city), []
     else:
         learnt, held_out = find_samples(data, "train"), find_samples(data, "val")
     train, val, source = split_samples(learnt, held_out, Path(val_data).expanduser() if val_data else None)

@@ -38,6 +38,7 @@ class TrainParams:
         data: Training set of ``lodbench generate-training-data``, or a folder of such sets.
         val_data: Set whose views validate; None for the ``val`` views of ``data``, and where it has none,
             every twentieth of its training views, held out.
+        city: City model of a dataset of posed photos, where its own ``dataset.json`` names none.
         unlabelled: Folders of photos to learn from besides, labelled by the weights of ``init``.
         negatives: Folders of photos without buildings: learnt as they are, and, with ``augment=strong``, as
             ground and roofs of drawn views.
@@ -79,6 +80,7 @@ class TrainParams:
 
     data: str
     val_data: str | None = None
+    city: str | None = None
     unlabelled: tuple[str, ...] = ()
     negatives: tuple[str, ...] = ()
     out: str = "training"

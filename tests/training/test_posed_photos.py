@@ -1,6 +1,7 @@
 """Posed photos over a map as a training set: labels are silhouettes, the rest is as for any set."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -26,8 +27,8 @@ def flight(tmp_path_factory):
         photo = np.where(mask[..., None], (40, 40, 200), (60, 150, 60)).astype(np.uint8)
         cv2.imwrite(str(root / "Query_image" / path.name), photo)
         path.unlink()
-    about = {"city_model": str(city)}
-    (root / "dataset.json").write_text(json.dumps(about))
+    shutil.copy(city, root / "map.obj")
+    (root / "dataset.json").write_text(json.dumps({"city_model": "map.obj"}))
     return root, city
 
 
@@ -57,7 +58,9 @@ def test_a_network_is_trained_on_them(flight, tmp_path, capsys):
     assert (tmp_path / "net" / "compact.onnx").is_file()
 
 
-def test_without_a_map_there_is_nothing_to_learn(flight, tmp_path):
-    root, _ = write_dataset(tmp_path / "bare")
-    with pytest.raises(DatasetError, match="names no city model"):
+def test_without_a_map_or_photos_there_is_nothing_to_learn(tmp_path):
+    root, city = write_dataset(tmp_path / "bare")
+    with pytest.raises(DatasetError, match="has no city model"):
         posed_samples(root, tmp_path / "silhouettes")
+    with pytest.raises(DatasetError, match="no photo with a camera and a true pose"):
+        posed_samples(root, tmp_path / "silhouettes", str(city))
