@@ -44,6 +44,7 @@ def train(views, out, *words):
     return main(["train", "method=lodloc", f"data={views}", f"out={out}", *SCHEDULE, *words])
 
 
+@pytest.mark.slow
 def test_stopped_and_taken_up_it_ends_with_the_same_bytes(views, tmp_path, monkeypatch, capsys):
     from lodbench.baselines.lodloc.nets import loop
 
