@@ -18,7 +18,7 @@ def test_settings_go_before_defaults():
 @pytest.mark.parametrize(
     ("settings", "word"),
     [
-        ({"name": "lodloc"}, "There is no method 'lodloc'"),
+        ({"name": "lodlok"}, "There is no method 'lodlok'"),
         ({}, "There is no method ''"),
         ({"name": "lodlocv2", "stepps": 3}, "method.stepps is not a setting"),
         ({"name": "lodlocv2", "steps": "many"}, "method.steps: "),
