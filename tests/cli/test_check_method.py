@@ -149,7 +149,6 @@ NEEDS = {"requires": frozenset({"image", "references"}), "localize": retrieving}
 Retrieving = variant("retrieving", prepare=prepare, **NEEDS)
 Forgetful = variant("forgetful", prepare=forgetful, **NEEDS)
 Restless = variant("restless", prepare=restless, **NEEDS)
-Textured = variant("textured", requires=frozenset({"true_pixels"}), localize=lambda *_: None)
 Batched = variant(
     "batched",
     batch_size=2,
@@ -179,7 +178,7 @@ CONFIGS = {
     "other": "name: other\nsteps: 4\n",
     "torn": "name: [torn\n",
 }
-SOUND = ["sound", "retrieving", "textured", "batched"]
+SOUND = ["sound", "retrieving", "batched"]
 # Method, the check that finds the fault, a word of what is said.
 BROKEN = [
     ("stateful", "any order", "other queries came before"),
@@ -272,7 +271,6 @@ def test_each_violation_is_told_and_no_other(capsys, monkeypatch, plug_in, name,
     [
         ("retrieving", "preparation", "3 parts, found again after a kill"),
         ("batched", "batches", "up to 2 at a time, the same answers"),
-        ("textured", "answers", "not tried: the trial has no true_pixels"),
     ],
 )
 def test_what_is_offered_is_tried(capsys, monkeypatch, plug_in, name, check, word):

@@ -52,20 +52,6 @@ _REFERENCES = (
 )
 _PRIOR_OFF = (5.0, -4.0, 6.0)
 _PRIOR_OFF_YAW_DEG = 3.0
-# What the queries and the place have.
-GIVEN = frozenset(
-    {
-        Input.MASK,
-        Input.INSTANCES,
-        Input.IMAGE,
-        Input.REFERENCES,
-        Input.TEXTURED_MAP,
-        Input.TILT,
-        Input.HEIGHT,
-        Input.TRUE_PIXELS,
-        Input.MAP,
-    }
-)
 # Of the textured map: side of a speckled square, metres, and how far the ground reaches.
 _SPECKLES_M, _GROUND_M = 25.0, 160.0
 
