@@ -230,7 +230,7 @@ def _page_table(block: Block) -> RecallTable:
     )
     if all(entry["source"] == "reported" for entry in block.entries):
         return RecallTable(table.title, lines, table.columns)
-    recalls, others = interval_columns(LABELS), paper_columns(LABELS)[len(LABELS) :]
+    recalls, others = interval_columns(LABELS)[: len(LABELS)], paper_columns(LABELS)[len(LABELS) :]
     cost = (Column("IoU", ("mask_iou",), better=1), Column("s/query", ("seconds_per_query",), better=-1))
     return RecallTable(table.title, lines, (*recalls, *others, *cost))
 

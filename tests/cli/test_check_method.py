@@ -306,5 +306,5 @@ def test_a_violation_as_people_read_it(capsys, monkeypatch, plug_in):
 
 
 def test_an_unknown_name(capsys):
-    assert main(["check-method", "lodlocv3"]) == 2
+    assert main(["check-method", "lodlocv9"]) == 2
     assert "lodlocv2" in capsys.readouterr().err

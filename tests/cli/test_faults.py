@@ -25,7 +25,7 @@ def is_clear(done, *words: str) -> None:
         (["rum"], ["'rum'", "run"]),
         (["run", "datset=demo"], ["datset", "dataset"]),
         (["run", "dataset=dmo"], ["dmo", "demo"]),
-        (["run", "method=lodlocv3"], ["lodlocv3", "lodlocv2"]),
+        (["run", "method=lodlocv4"], ["lodlocv4", "lodlocv3"]),
         (["run", "method.bems=3"], ["method.bems", "beams"]),
         (["run", "method.beams=abc"], ["method.beams", "abc"]),
         (["run", "method.variant=ful"], ["ful", "full"]),

@@ -109,7 +109,7 @@ def title_of(verdict: Verdict) -> str:
 def _tables(summary: dict[str, Any]) -> str:
     (table,) = tables_of([summary])
     more = {
-        "intervals": "Recall with 95 % intervals",
+        "intervals": "Recall, areas and medians with 95 % intervals",
         "details": "Areas under recall, parts of the error, cost",
         "calibration": "Probability of being within (2 m, 2 deg): its mean, ECE and AURC, percent",
     }
