@@ -12,7 +12,7 @@ from lodbench.geometry import AxisRange, PoseGrid
 _BOUNDS = {
     "size": (64, 4096),
     "spacing_m": (0.01, 1000.0),
-    "points": (16, 1_000_000),
+    "points": (60, 1_000_000),
     "range_x_m": (0.0, 1e4),
     "range_y_m": (0.0, 1e4),
     "range_z_m": (0.0, 1e4),

@@ -83,6 +83,7 @@ def measure_tracking(
     def each_ms(name: str) -> float:
         return 1000.0 * sum(found.seconds[name] for found in tracks) / count
 
+    sigma_m = float(np.nanmedian(sigmas_m)) if np.isfinite(sigmas_m).any() else np.inf
     figures = [
         Figure("photos per second from pixels to pose", 1000.0 / each_ms("total"), "1/s"),
         Figure("processors' time of a frame", 1000.0 * sum(found.cpu_s for found in tracks) / count, "ms"),
@@ -92,7 +93,7 @@ def measure_tracking(
         Figure("frames lost", lost, "", f"of {len(metres)}"),
         Figure("median error", float(np.median(metres)), "m"),
         Figure("median error", float(np.median(degrees)), "deg"),
-        Figure("median sigma of a place", float(np.nanmedian([*sigmas_m, np.inf])), "m"),
+        Figure("median sigma of a place", sigma_m, "m"),
     ]  # fmt: skip
     size = f"{options.size[0]} x {options.size[1]}"
     return plain_report(f"{city.name}, {size}", figures, f"Measured under {load_in_words()}.")

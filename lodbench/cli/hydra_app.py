@@ -131,7 +131,7 @@ def quote_path(word: str) -> str:
     """Returns an override with the value of a path key quoted, so that Hydra takes it as it stands."""
     key, equals, value = word.partition("=")
     is_quoted = len(value) >= 2 and value[0] in "'\"" and value[0] == value[-1]
-    if not equals or not value or key.lstrip("+") not in PATH_KEYS or is_quoted:
+    if not equals or value in ("", "null") or key.lstrip("+") not in PATH_KEYS or is_quoted:
         return word
     # Hydra takes a backslash as it stands, but for those before a quote or the end.
     escaped = re.sub(r'(\\*)(?="|$)', r"\1\1", value).replace('"', '\\"').replace("${", "\\${")

@@ -102,8 +102,9 @@ def open_folder(params: FolderParams) -> Dataset:
     if folders != [root]:
         _require_words(root, names)
     about = read_about(folders[0])
-    city, city_notes = _stated_city(root, folders[0], about)
-    if params.city_model is not None:
+    if params.city_model is None:
+        city, city_notes = _stated_city(root, folders[0], about)
+    else:
         city, city_notes = Path(params.city_model).expanduser(), ()
     if city is not None and not city.exists():
         raise DatasetError(f"The city model {city} does not exist.", "Set city=FILE.")

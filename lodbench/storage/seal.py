@@ -24,7 +24,12 @@ def seal_of(value: object) -> str | None:
 def is_sealed(value: object, seal: object) -> bool:
     """Tells whether a seal of a JSON value was made with this user's key."""
     key = _key()
-    return key is not None and isinstance(seal, str) and hmac.compare_digest(_sealed(value, key), seal)
+    return (
+        key is not None
+        and isinstance(seal, str)
+        and seal.isascii()
+        and hmac.compare_digest(_sealed(value, key), seal)
+    )
 
 
 def _sealed(value: object, key: bytes) -> str:

@@ -51,6 +51,8 @@ class Shake:
         print("what is printed is no message")
         if self.params.mood == "dies" and query.name.endswith("0.png"):
             raise RuntimeError("no more")
+        if not binary_mask(query.mask, 64, 48).any():
+            raise QueryFault("the mask holds no building")
         camera = query.camera.scaled(64, 48)
         moves = streams("moves", 0).normal(scale=3.0, size=(self.params.tries, 3))
         rotations = np.repeat(query.prior.rotation[None], len(moves), axis=0)

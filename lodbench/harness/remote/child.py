@@ -143,6 +143,8 @@ def main() -> None:
     pipe = Pipe(os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb"))
     # What is printed, by C code too, would be taken for messages.
     os.dup2(2, 1)
+    # As it comes: what is said last must be why the process died.
+    sys.stdout = sys.stderr
     served = Served(pipe)
     offered = {name: getattr(served, name) for name in ("make", "open_map", "prepare", "localize")}
     while True:

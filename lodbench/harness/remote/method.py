@@ -62,7 +62,7 @@ class RunnerParams:
             )
         if self.name == SUBPROCESS and not self.python:
             raise ConfigError("runner=subprocess needs a Python.", "Set runner.python=PATH.")
-        if not self.timeout_s > 0:
+        if not 0 < self.timeout_s <= 1e6:
             raise ConfigError(f"runner.timeout_s={self.timeout_s:g} is no time to wait.")
 
 

@@ -72,9 +72,9 @@ def unpacked(read: Read) -> Any:
         tree, told = json.loads(read(length))
         arrays = [_array(read, np.dtype(kind), [int(side) for side in shape]) for kind, shape in told]
         return _whole(tree, arrays)
-    except MalformedMessage:
+    except (MalformedMessage, OSError, EOFError):
         raise
-    except (LodbenchError, ValueError, TypeError, KeyError, IndexError, RecursionError) as error:
+    except Exception as error:  # whatever the other side wrote, it is no message
         raise MalformedMessage(f"a message cannot be read: {type(error).__name__}") from error
 
 

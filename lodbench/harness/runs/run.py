@@ -108,6 +108,8 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     load_plugin("renderers", settings.renderer)
     require_run_inputs(method, segmenter, dataset, entries)
     dataset = with_inputs(dataset, required_inputs(method, segmenter))
+    # Once more: what was made for single queries is theirs.
+    entries = chosen_entries(dataset, splits, settings.limit)
     require_pictures(dataset, entries, method, segmenter)
     scene, dataset = _open_city(dataset)
     require_same_place(dataset, entries, scene)
