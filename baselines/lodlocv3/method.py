@@ -76,11 +76,10 @@ class LodLocV3:
 
         params = self.params
         whole = replace(query, building_probability=np.asarray(masks.any(axis=0), np.float32))
-        by_silhouette = params.select == "silhouette" and params.coarse_size != params.fine_size
 
         def scorer_at(size: tuple[int, int]) -> Scoring:
-            if by_silhouette and size == params.coarse_size:
-                return PoseScorer(whole, city_map, size)
+            if params.by_silhouette and size == params.coarse_size:
+                return PoseScorer(whole, city_map, size, params.fit)
             return InstanceScorer(query, city_map, size, params.weights, masks)
 
         found = search(scorer_at, query.prior, params, streams)

@@ -19,7 +19,8 @@ class LodLocV3Params(Params):
         weights: How much each building of the photo counts: by its bounding ``box``, the paper's, by its
             ``area`` in pixels, or all ``equal``.
         select: What the grid is ranked by: ``silhouette``, of all buildings, whose fit reaches as far as
-            the grid's steps; or ``instances``, as the filter always is, and both where they have one size.
+            the grid's steps, by ``fit``; or ``instances``, as the filter always is, and both where they
+            have one size. Where silhouettes are not compared, ``fit`` is not to be set.
 
     Raises:
         ConfigError: A value is unknown or out of range.
@@ -34,3 +35,13 @@ class LodLocV3Params(Params):
         for name, value, known in (("weights", self.weights, WEIGHTS), ("select", self.select, SELECTS)):
             if value not in known:
                 raise ConfigError(f"method.{name}={value} is not known.", nearest_names(value, known))
+        if self.fit != "iou" and not self.by_silhouette:
+            raise ConfigError(
+                f"method.fit={self.fit} compares silhouettes, which nothing does here.",
+                "Set method.select=silhouette, and two sizes.",
+            )
+
+    @property
+    def by_silhouette(self) -> bool:
+        """Returns whether the grid is ranked by the silhouette of all buildings."""
+        return self.select == "silhouette" and self.coarse_size != self.fine_size

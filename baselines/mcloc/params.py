@@ -37,3 +37,8 @@ class McLocParams(Params):
         for setting, value, known in (("features", self.features, FEATURES), ("map", self.map, MAPS)):
             if value not in known:
                 raise ConfigError(f"method.{setting}={value} is not known.", nearest_names(value, known))
+        if self.fit != "iou":
+            raise ConfigError(
+                f"method.fit={self.fit} compares silhouettes; mcloc compares features.",
+                "method.features=NAME chooses what is compared.",
+            )

@@ -13,7 +13,7 @@ from lodbench.cli.source_profiles import option_pairs
 from lodbench.errors import LodbenchError
 from lodbench.harness.remote.method import HERE, SUBPROCESS, RemoteMethod, RunnerParams
 from lodbench.methods import Method
-from lodbench.methods.conformance import check_answers
+from lodbench.methods.conformance import check_answers, trial_settings
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
 
@@ -82,4 +82,7 @@ def remote_checks(name: str, words: Sequence[str]) -> Iterator[Check]:
     method.close()
     yield Check("plug-in", "entry point", OK, f"{name}, in {runner.python}")
     yield Check("plug-in", "inputs", OK, ", ".join(sorted(method.requires)) or "none")
+    if method.trial_params is not None:
+        settings |= method.trial_params
+        yield trial_settings(method.params, method.trial_params)
     yield from check_answers(make)

@@ -205,7 +205,12 @@ class SupportsTrial(Protocol):
     """A method that has no answer about the trial of ``check-method`` but under settings of its own.
 
     The trial has a few blocks of plain colours: nothing that a picture of another kind could be matched with.
+
+    Attributes:
+        params: Its parameters, a dataclass; what the trial changes of them is told.
     """
+
+    params: Any
 
     def params_for_trial(self) -> Any:
         """Returns the method's parameters for the trial."""

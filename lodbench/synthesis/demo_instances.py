@@ -13,7 +13,7 @@ from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, random_stream, write_bytes
-from lodbench.synthesis import instance_degradation, mask_error_fields
+from lodbench.synthesis import instance_degradation, mask_degradation, mask_error_fields
 from lodbench.synthesis.instance_degradation import degraded_instances
 
 
@@ -55,6 +55,6 @@ def _digest() -> str:
     """Returns a digest of the code that makes them; that of the town is in the demo's own name."""
     sources = [
         Path(__file__),
-        *(Path(str(each.__file__)) for each in (instance_degradation, mask_error_fields)),
+        *(Path(str(each.__file__)) for each in (instance_degradation, mask_degradation, mask_error_fields)),
     ]
     return digest_of([file_digest(file) for file in sources], length=8)

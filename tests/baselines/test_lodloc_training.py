@@ -74,6 +74,21 @@ def test_stopped_and_taken_up_it_ends_with_the_same_bytes(views, tmp_path, monke
     assert "other settings" in capsys.readouterr().err
 
 
+def test_stopped_at_the_end_of_the_last_epoch_its_weights_are_there(views, tmp_path, monkeypatch, capsys):
+    from lodbench.baselines.lodloc.nets import loop
+
+    def stops(state, folder):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "save_checkpoint", stops)
+        assert train(views, tmp_path / "out", "schedule.epochs=1") != 0
+    stored = (tmp_path / "out" / "lodloc.onnx").read_bytes()
+    assert train(views, tmp_path / "out", "schedule.epochs=1") == 0
+    assert (tmp_path / "out" / "lodloc.onnx").read_bytes() == stored
+    assert "epoch 1 of 1" in capsys.readouterr().err
+
+
 def test_the_file_is_the_network_to_three_digits_and_half_as_large(tmp_path):
     from lodbench.baselines.lodloc.likelihood import maps_of
     from lodbench.baselines.lodloc.nets.net import start_from, unpacked

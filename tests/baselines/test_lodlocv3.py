@@ -101,6 +101,21 @@ def test_the_grid_is_ranked_by_silhouettes_or_instances(asked, city_map):
         assert 0 < found.score <= 1
 
 
+def test_the_grid_compares_silhouettes_by_the_fit_that_is_asked_for(asked, city_map):
+    coarse = {"coarse_size": (80, 60), "variant": "no_refine"}
+    scores = [
+        LodLocV3(replace(QUICK, fit=fit, **coarse)).localize(asked[0], city_map, STREAMS).score
+        for fit in ("iou", "boundary")
+    ]
+    assert scores[0] != scores[1]
+
+
+@pytest.mark.parametrize("unused", [{"select": "instances"}, {"fine_size": (301, 224)}])
+def test_a_fit_that_nothing_would_use_is_refused(unused):
+    with pytest.raises(ConfigError, match=r"method\.fit=boundary compares silhouettes"):
+        LodLocV3Params(fit="boundary", **unused)
+
+
 def test_settings():
     with pytest.raises(ConfigError, match=r"method\.weights=boxes") as caught:
         LodLocV3Params(weights="boxes")

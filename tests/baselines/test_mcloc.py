@@ -106,7 +106,9 @@ def test_a_prior_far_from_the_map_is_a_failure(queries, city_map, variant):
         method.localize(elsewhere, city_map, STREAMS)
 
 
-@pytest.mark.parametrize("wrong", [{"features": "hgo"}, {"map": "texture"}, {"steps": 0}])
+@pytest.mark.parametrize(
+    "wrong", [{"features": "hgo"}, {"map": "texture"}, {"steps": 0}, {"fit": "boundary"}]
+)
 def test_wrong_settings_end_before_any_work(wrong):
     with pytest.raises(ConfigError):
         McLocParams(**wrong)

@@ -10,6 +10,7 @@ from lodbench.bench.reconstructions import Noise, measure_reconstructions
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
 from lodbench.errors import ConfigError
 from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.protocol import FlightEstimate
 from lodbench.synthesis.flights.dataset import FlightsParams
 from tests.town import box_obj
 
@@ -44,6 +45,19 @@ def test_frames_are_counted_whether_found_or_lost(city):
     assert values["frames lost", ""] == 3
     assert values["frames within 2 m and 2 deg", "%"] == 0.0
     assert values["photos per second from pixels to pose", "1/s"] > 0
+
+
+def test_joint_solves_have_one_thread_for_linear_algebra_as_runs_have(city):
+    from threadpoolctl import threadpool_info
+
+    class Asked:
+        def solve_jointly(self, queries, alone, city_map):
+            pools = [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+            assert set(pools) == {1}
+            return FlightEstimate(list(alone))
+
+    flights = FlightsParams(str(city), num_photos=3, path="orbit", mask_iou=0.97)
+    measure_joint_solves(flights, [3], Asked(), traces_memory=False)
 
 
 def test_joint_solves_are_timed_by_their_number_of_photos(city):

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
+import time
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +18,9 @@ from lodbench.cli import main
 from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote import RemoteMethod, RunnerParams
+from lodbench.harness.remote import child as child_module
+from lodbench.harness.remote.child import RemoteMap
+from lodbench.harness.remote.drawn import KINDS
 from lodbench.harness.remote.method import answered
 from lodbench.harness.remote.process import Child, ProcessFault
 from lodbench.harness.remote.wire import MalformedMessage, packed, unpacked
@@ -22,6 +28,8 @@ from lodbench.methods import Estimate
 from lodbench.methods.conformance.trial import make_trial, streams_of
 from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.registry import make_method
+from lodbench.methods.workspace import Workspace
+from lodbench.rendering import IouFit
 from tests.town import write_dataset
 
 # A method whose package only the other Python finds: it asks for a little of everything.
@@ -32,6 +40,11 @@ from lodbench.errors import QueryFault
 from lodbench.methods import Estimate
 from lodbench.rendering import IouFit
 from lodbench.segmentation import binary_mask
+import time
+from threadpoolctl import threadpool_info
+
+def blas_threads():
+    return max(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
 
 @dataclass(frozen=True)
 class ShakeParams:
@@ -47,6 +60,13 @@ class Shake:
     def __init__(self, params):
         self.params = params
 
+    def prepare(self, city_map, references, workspace):
+        (workspace.folder / "blas").write_text(str(blas_threads()))
+        if self.params.mood == "slow":
+            time.sleep(1.0)
+        if self.params.mood == "unready" and not (workspace.folder / "ready").exists():
+            raise QueryFault("not yet")
+
     def localize(self, query, city_map, streams):
         print("what is printed is no message")
         if self.params.mood == "dies" and query.name.endswith("0.png"):
@@ -61,6 +81,7 @@ class Shake:
         best = int(np.argmax(scores))
         seen = city_map.edges(camera, rotations[:1], query.prior.center[None], crease_deg=20.0)
         told = {"edges": (float(len(seen[0].points)), float(city_map.scene.num_buildings))}
+        told["blas"] = (float(blas_threads()),)
         return Estimate(query.prior.shifted(moves[best]), float(scores[best]), trace=told)
 """
 
@@ -135,13 +156,102 @@ def test_a_method_that_only_the_other_python_has_draws_here(elsewhere, trial):
         method.localize(nowhere, trial.city_map, streams_of(query))
 
 
+def test_linear_algebra_has_one_thread_there_too(elsewhere, trial, tmp_path):
+    method, query = remote(elsewhere), trial.queries[0]
+    method.prepare(trial.city_map, (), Workspace(tmp_path))
+    assert method.localize(query, trial.city_map, streams_of(query)).trace["blas"] == (1.0,)
+    assert (tmp_path / "blas").read_text() == "1"
+
+
+def test_the_folder_it_is_started_in_is_no_place_to_import_from(elsewhere, tmp_path, monkeypatch):
+    (tmp_path / "numpy.py").write_text("raise SystemExit('a stranger')")
+    monkeypatch.chdir(tmp_path)
+    assert remote(elsewhere).name == "shake"
+
+
+def test_a_process_that_could_not_prepare_is_asked_to_again(elsewhere, trial, tmp_path):
+    method, query = remote(elsewhere, mood="unready"), trial.queries[0]
+    with pytest.raises(QueryFault, match="not yet"):
+        method.prepare(trial.city_map, (), Workspace(tmp_path))
+    with pytest.raises(QueryFault, match="not yet"):
+        method.localize(query, trial.city_map, streams_of(query))
+    (tmp_path / "ready").touch()
+    assert isinstance(method.localize(query, trial.city_map, streams_of(query)), Estimate)
+
+
+def test_preparing_has_a_time_of_its_own(elsewhere, trial, tmp_path):
+    settings = {"name": "shake", "mood": "slow"}
+    patient = RemoteMethod(settings, RunnerParams("subprocess", elsewhere, timeout_s=0.8))
+    patient.prepare(trial.city_map, (), Workspace(tmp_path))
+    hasty = RemoteMethod(settings, RunnerParams("subprocess", elsewhere, prepare_timeout_s=0.5))
+    with pytest.raises(ConfigError, match=r"shake cannot prepare: .* no answer in 0\.5 s"):
+        hasty.prepare(trial.city_map, (), Workspace(tmp_path))
+
+
+class Here:
+    """Stands for the pipe: what is asked is answered in this process, and noted."""
+
+    def __init__(self, city_map) -> None:
+        self.city_map, self.asked = city_map, []
+
+    def ask(self, *words):
+        self.asked.append(words)
+        return answered(list(words), None, self.city_map, None)
+
+
+@pytest.mark.parametrize("kind", [*sorted(KINDS - {"render"}), "fit"])
+def test_many_poses_are_asked_for_some_at_a_time(kind, trial, monkeypatch):
+    camera, city_map = trial.queries[0].camera.scaled(80, 60), trial.city_map
+    poses = [query.prior for query in trial.queries] * 2
+    asked = np.stack([p.rotation for p in poses]), np.stack([p.center for p in poses])
+    mask = np.zeros((60, 80), bool)
+    mask[20:40, 30:60] = True
+    more = {"counts": [mask], "fit": [IouFit(mask)]}.get(kind, [])
+    about = {"name": "", "threads": 1, "is_textured": False}
+    city_map.usage.take()
+    monkeypatch.setattr(child_module, "_PORTION_BYTES", 40 if kind == "counts" else 1)
+    pipe = Here(city_map)
+    found = getattr(RemoteMap(pipe, about), kind)(camera, *asked, *more)
+    assert len(pipe.asked) == (3 if kind == "counts" else 6)
+    assert city_map.usage.total == 6
+    assert packed(found) == packed(getattr(city_map, kind)(camera, *asked, *more))
+    nothing = getattr(RemoteMap(pipe, about), kind)(camera, asked[0][:0], asked[1][:0], *more)
+    assert packed(nothing) == packed(getattr(city_map, kind)(camera, asked[0][:0], asked[1][:0], *more))
+
+
+def test_a_grid_of_any_size_is_drawn(trial, monkeypatch):
+    """200,000 poses, 6.9 GB of silhouettes: more than goes over the pipe at a time."""
+    largest = 0
+
+    def silhouettes(camera, rotations, centers):
+        nonlocal largest
+        largest = max(largest, len(centers))
+        return np.zeros((len(centers), 1, 1), np.uint64)
+
+    monkeypatch.setattr(trial.city_map.scorer, "silhouettes", silhouettes)
+    method_map = RemoteMap(Here(trial.city_map), {"name": "", "threads": 1, "is_textured": False})
+    count, camera = 200_000, trial.queries[0].camera.scaled(602, 448)
+    rotations = np.broadcast_to(np.eye(3), (count, 3, 3))
+    scores = method_map.fit(camera, rotations, np.zeros((count, 3)), lambda words: np.zeros(len(words)))
+    assert len(scores) == count
+    assert 0 < largest * 448 * 80 <= 1 << 26
+
+
+def test_what_a_method_counts_itself_is_counted_here(trial):
+    trial.city_map.usage.take()
+    RemoteMap(Here(trial.city_map), {"name": "", "threads": 1, "is_textured": False}).usage.add("wires", 7)
+    assert trial.city_map.usage.take() == {"wires": 7}
+    with pytest.raises(LodbenchError):
+        answered(["count", "wires", -7], None, trial.city_map, None)
+
+
 # What a child may do in place of an answer; it has read the question.
 READ = "import os, sys, time; n = int.from_bytes(os.read(0, 8), 'little'); os.read(0, n); "
 HEAD = "h = {head!r}.encode(); os.write(1, len(h).to_bytes(8, 'little') + h); "
 
 
-def child_that(code: str, timeout_s: float = 20.0) -> Child:
-    return Child([sys.executable, "-S", "-c", READ + code], timeout_s, {})
+def child_that(code: str) -> Child:
+    return Child([sys.executable, "-S", "-c", READ + code], {})
 
 
 @pytest.mark.parametrize(
@@ -162,18 +272,47 @@ def child_that(code: str, timeout_s: float = 20.0) -> Child:
     ],
 )
 def test_a_child_that_fails_is_stopped_and_says_why(code, timeout_s, reason):
-    child = child_that(code, timeout_s)
+    child = child_that(code)
     with pytest.raises(ProcessFault, match=reason) as caught:
-        child.call({"do": []}, lambda words: None)
+        child.call({"do": []}, lambda words: None, timeout_s)
     if "ZeroDivisionError" in reason:
         assert "Traceback" in caught.value.__notes__[0]
     child.close()
 
 
 def test_a_child_that_does_not_read_is_stopped():
-    child = Child([sys.executable, "-S", "-c", "import time; time.sleep(60)"], 0.5, {})
+    child = Child([sys.executable, "-S", "-c", "import time; time.sleep(60)"], {})
     with pytest.raises(ProcessFault, match="gave no answer"):
-        child.call({"do": [np.zeros(1 << 20)]}, lambda words: None)
+        child.call({"do": [np.zeros(1 << 20)]}, lambda words: None, 0.5)
+
+
+@pytest.mark.parametrize("ending", ["os._exit(4)", "time.sleep(60)"])
+def test_what_a_child_started_ends_with_it(ending):
+    """Both where it is stopped and where it died by itself."""
+    started = "import subprocess; p = subprocess.Popen(['sleep', '60']); "
+    started += "print(p.pid, file=sys.stderr, flush=True); "
+    with pytest.raises(ProcessFault) as caught:
+        child_that(started + ending).call({"do": []}, lambda words: None, 1.0)
+    (pid,) = [int(word) for word in re.findall(r"\d+", caught.value.__notes__[0])]
+    for _ in range(200):
+        # An orphan that has ended may wait for a moment to be taken off the list.
+        state = Path(f"/proc/{pid}/stat")
+        if not state.exists() or state.read_text().split()[2] == "Z":
+            return
+        time.sleep(0.02)
+    raise AssertionError(f"process {pid} still runs")
+
+
+def test_room_is_made_for_what_came_not_for_what_is_said_to_come():
+    """A head that announces an array of 7 GB, and no such bytes."""
+    head = json.dumps([{"dict": [["done", {"array": 0}]]}, [["|u1", [7 << 30]]]])
+    child = child_that(HEAD.format(head=head) + "time.sleep(60)")
+    tracemalloc.start()
+    with pytest.raises(ProcessFault, match="gave no answer"):
+        child.call({"do": []}, lambda words: None, 0.5)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 24
 
 
 def test_what_goes_wrong_with_a_question_is_told_to_who_asked():
@@ -184,7 +323,7 @@ def test_what_goes_wrong_with_a_question_is_told_to_who_asked():
         raise ValueError(words[1])
 
     with pytest.raises(ProcessFault, match=r"exit code 3: .*\[\"fault\", \"ValueError: 3\"\]"):
-        child_that(ask + again).call({"do": []}, answer)
+        child_that(ask + again).call({"do": []}, answer, 20.0)
 
 
 def test_only_what_is_offered_is_drawn_and_never_too_much(trial):
@@ -324,3 +463,17 @@ def test_nothing_of_this_pythons_environment_goes_along(elsewhere, monkeypatch):
     method.close()
     with pytest.raises(ConfigError, match="tires"):
         remote(elsewhere, tires=3)
+
+
+@pytest.mark.slow
+def test_check_method_there_takes_the_settings_that_a_method_has_for_the_trial(capsys):
+    """Of a matcher that finds nothing on plain blocks all but the matcher is judged, and that is said."""
+    assert main(["check-method", "cadloc", f"runner.python={sys.executable}"]) == 0
+    printed = capsys.readouterr().out
+    assert "matcher=oracle instead of sift_nn" in printed
+    assert "cadloc keeps to the protocol" in printed
+
+
+@pytest.mark.slow
+def test_a_method_that_counts_poses_itself_answers_there_too():
+    assert main(["check-method", "lodloc", f"runner.python={sys.executable}"]) == 0

@@ -88,9 +88,10 @@ def train(
         row |= _epoch(net, optimizer, features, settings, views, epoch)
         row |= {f"val {name}": value for name, value in _validated(net, features, settings, held_out).items()}
         history.append(row)
+        # Before the checkpoint: an epoch that the next start takes as done has left its weights.
+        keep(net, history)
         made = {"identity": identity, "history": history, "net": net.state_dict()}
         save_checkpoint(made | {"optimizer": optimizer.state_dict()}, out)
-        keep(net, history)
     return history
 
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from functools import cached_property, partial
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -21,16 +22,20 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import LodbenchError
-from lodbench.geometry import Camera
+from lodbench.execution.one_blas_thread import on_one_blas_thread
+from lodbench.geometry import Camera, Pose
+from lodbench.harness.remote.drawn import drawn_bytes
 from lodbench.harness.remote.wire import FAULTS, packed, unpacked
 from lodbench.harness.runs.code_digest import code_digest
 from lodbench.methods.measured_calls import weight_files
-from lodbench.methods.protocol import Estimate, Method, SupportsFlights, SupportsPrepare
+from lodbench.methods.protocol import Estimate, Method, SupportsFlights, SupportsPrepare, SupportsTrial
 from lodbench.methods.registry import configure_method
 from lodbench.methods.workspace import Workspace
-from lodbench.rendering import Fit
+from lodbench.rendering import Fit, IouCounts
 
 Floats = NDArray[np.float64]
+# What is asked for at a time.
+_PORTION_BYTES = 1 << 26
 
 
 class Pipe:
@@ -64,11 +69,23 @@ class Pipe:
         return answer["answer"]
 
 
+class RemoteUsage:
+    """Counts, at the other end, the poses that a method says it laid out without drawing."""
+
+    def __init__(self, pipe: Pipe) -> None:
+        self._pipe = pipe
+
+    def add(self, kind: str, poses: int) -> None:
+        """Counts so many poses."""
+        self._pipe.ask("count", kind, poses)
+
+
 class RemoteMap:
     """The map as a method sees it: drawn, and counted, at the other end."""
 
     def __init__(self, pipe: Pipe, about: dict[str, Any]) -> None:
         self._pipe = pipe
+        self.usage = RemoteUsage(pipe)
         self.name, self.threads, self.is_textured = about["name"], about["threads"], about["is_textured"]
 
     @cached_property
@@ -76,15 +93,51 @@ class RemoteMap:
         """Returns the city, sent over when it is first asked for."""
         return cast(Scene, self._pipe.ask("scene"))
 
+    def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
+        """Returns the silhouette from one pose."""
+        return cast(NDArray[np.bool_], self._pipe.ask("draw", "render", {}, camera, pose))
+
     def __getattr__(self, kind: str) -> Callable[..., Any]:
         """Returns what draws a kind of view: ``silhouettes``, ``depth`` and so on."""
         if kind.startswith("_"):
             raise AttributeError(kind)
-        return lambda *arguments, **named: self._pipe.ask("draw", kind, named, *arguments)
+
+        def draw(camera: Camera, rotations: Floats, centers: Floats, *more: Any, **named: Any) -> Any:
+            return joined(
+                [
+                    self._pipe.ask("draw", kind, named, camera, rotations[part], centers[part], *more)
+                    for part in portions(camera, kind, len(centers))
+                ]
+            )
+
+        return draw
 
     def fit(self, camera: Camera, rotations: Floats, centers: Floats, fit: Fit) -> Floats:
-        """Returns the similarity of N silhouettes to a query: drawn there, compared here."""
-        return fit(self._pipe.ask("draw", "silhouettes", {}, camera, rotations, centers))
+        """Returns the similarity of N silhouettes to a query: drawn there, compared here, some at a time."""
+        found = [
+            fit(self._pipe.ask("draw", "silhouettes", {}, camera, rotations[part], centers[part]))
+            for part in portions(camera, "silhouettes", len(centers))
+        ]
+        return np.concatenate(found)
+
+
+def portions(camera: Camera, kind: str, count: int) -> list[slice]:
+    """Returns poses in their order, as many together as one answer may hold; one empty part for none."""
+    size = max(1, _PORTION_BYTES // max(1, drawn_bytes(kind, camera, 1)))
+    return [slice(start, start + size) for start in range(0, max(1, count), size)]
+
+
+def joined(parts: list[Any]) -> Any:
+    """Returns answers to parts of the poses as one."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    if isinstance(first, np.ndarray):
+        return np.concatenate(parts)
+    if isinstance(first, IouCounts):
+        columns = (np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(first))
+        return IouCounts(*columns)
+    return tuple(chain.from_iterable(parts))
 
 
 def streams_of(pipe: Pipe) -> Callable[[str, int], np.random.Generator]:
@@ -114,6 +167,7 @@ class Served:
             "name": method.name,
             "requires": sorted(str(word) for word in method.requires),
             "params": asdict(configured.params),
+            "trial_params": asdict(method.params_for_trial()) if isinstance(method, SupportsTrial) else None,
             "answers_flights": isinstance(method, SupportsFlights),
             "prepares": isinstance(method, SupportsPrepare),
             "weights": list(weight_files(method)),
@@ -124,11 +178,13 @@ class Served:
         """Tells of the map that is then asked about."""
         self._map = RemoteMap(self._pipe, about)
 
+    @on_one_blas_thread
     def prepare(self, references: Sequence[Reference], folder: Path) -> None:
         """Lets the method prepare."""
         assert isinstance(self._method, SupportsPrepare)  # noqa: S101
         self._method.prepare(cast(CityMap, self._map), references, Workspace(folder))
 
+    @on_one_blas_thread
     def localize(self, query: Query, offers: dict[str, bool]) -> Estimate:
         """Returns the method's estimate."""
         segment = partial(self._pipe.ask, "segment") if offers["segment"] else None

@@ -15,6 +15,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query, Reference
 from lodbench.errors import ConfigError, LodbenchError, QueryFault, RenderingError, nearest_names
 from lodbench.geometry import Camera, Pose
+from lodbench.harness.remote.drawn import KINDS, drawn_bytes
 from lodbench.harness.remote.process import Child, ProcessFault
 from lodbench.harness.remote.wire import FAULTS
 from lodbench.methods.protocol import Estimate, Streams
@@ -22,20 +23,9 @@ from lodbench.methods.workspace import Workspace
 
 HERE, SUBPROCESS = "here", "subprocess"
 _MODULE = "lodbench.harness.remote.child"
-# What may be drawn for a child, and the bytes of one pixel of it.
-_DRAWN = {
-    "render": 1,
-    "silhouettes": 1,
-    "counts": 1,
-    "instances": 1,
-    "buildings": 4,
-    "depth": 4,
-    "surface_depth": 4,
-    "normals": 12,
-    "colour": 3,
-    "edges": 4,
-}
 _MOST_BYTES = 1 << 32
+# A Python that imports torch takes longer than some queries: it has at least so many seconds to start.
+_START_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +36,7 @@ class RunnerParams:
         name: ``here``, in this process, or ``subprocess``.
         python: Of a subprocess: its Python, which has lodbench and the method's package installed.
         timeout_s: Of a subprocess: longest time for one query, seconds; then it is stopped and started anew.
+        prepare_timeout_s: Of a subprocess: longest time to prepare, once per dataset, seconds.
 
     Raises:
         ConfigError: A value is unknown, missing or out of range.
@@ -54,6 +45,7 @@ class RunnerParams:
     name: str = HERE
     python: str | None = None
     timeout_s: float = 600.0
+    prepare_timeout_s: float = 86400.0
 
     def __post_init__(self) -> None:
         if self.name not in (HERE, SUBPROCESS):
@@ -62,8 +54,9 @@ class RunnerParams:
             )
         if self.name == SUBPROCESS and not self.python:
             raise ConfigError("runner=subprocess needs a Python.", "Set runner.python=PATH.")
-        if not 0 < self.timeout_s <= 1e6:
-            raise ConfigError(f"runner.timeout_s={self.timeout_s:g} is no time to wait.")
+        for name in ("timeout_s", "prepare_timeout_s"):
+            if not 0 < getattr(self, name) <= 1e6:
+                raise ConfigError(f"runner.{name}={getattr(self, name):g} is no time to wait.")
 
 
 class RemoteMethod:
@@ -81,6 +74,7 @@ class RemoteMethod:
         requires: What it needs.
         params: Its parameters, as plain values.
         remote_code: What its answers depend on there: a digest of the code, and versions.
+        trial_params: Parameters that it has for the trial of ``lodbench check-method``, if it has.
 
     Raises:
         ConfigError: The Python cannot be started or has no lodbench, the method is unknown there, a setting
@@ -99,6 +93,7 @@ class RemoteMethod:
         self.remote_code: list[str] = about["code"]
         self._weights = [Path(file) for file in about["weights"]]
         self._prepares = bool(about["prepares"])
+        self.trial_params: dict[str, Any] | None = about["trial_params"]
         if about["answers_flights"]:
             raise ConfigError(
                 f"method={self.name} answers whole flights, which go over no pipe.", "Leave out runner=."
@@ -138,7 +133,7 @@ class RemoteMethod:
         def answer(words: list[Any]) -> Any:
             return answered(words, query, city_map, streams)
 
-        found = self._call(["localize", query, offers], answer)
+        found = self._call(["localize", query, offers], answer, self._runner.timeout_s)
         if not isinstance(found, Estimate):
             raise TypeError(f"localize returned {type(found).__name__} instead of an Estimate")
         return found
@@ -153,13 +148,15 @@ class RemoteMethod:
         """Starts a process and makes the method there; returns what there is to know of it."""
         # What this environment tells its Python is no matter of the other's.
         kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-        child = self._child = Child(
-            [cast(str, self._runner.python), "-m", _MODULE], self._runner.timeout_s, kept
-        )
+        # -P: nothing is imported from the folder that this was started in; plug-ins are installed there.
+        child = self._child = Child([cast(str, self._runner.python), "-P", "-m", _MODULE], kept)
         weakref.finalize(self, child.close)
         self._told = None
         try:
-            return cast(dict[str, Any], self._call(["make", self._settings, self._tilt], _nothing))
+            made = self._call(
+                ["make", self._settings, self._tilt], _nothing, max(_START_S, self._runner.timeout_s)
+            )
+            return cast(dict[str, Any], made)
         except ProcessFault as fault:
             raise ConfigError(
                 f"runner.python={self._runner.python}: {fault}.",
@@ -173,18 +170,20 @@ class RemoteMethod:
         if self._told is city_map:
             return
         about = {"name": city_map.name, "threads": city_map.threads, "is_textured": city_map.is_textured}
-        self._call(["open_map", about], _nothing)
-        self._told = city_map
+        self._call(["open_map", about], _nothing, self._runner.timeout_s)
         if self._prepares and self._prepared_in is not None:
             self._call(
                 ["prepare", *self._prepared_in],
                 lambda words: answered(words, None, city_map, _no_streams),
+                self._runner.prepare_timeout_s,
             )
+        # Not before: a process that could not prepare is asked to again.
+        self._told = city_map
 
-    def _call(self, words: list[Any], answer: Callable[[list[Any]], Any]) -> Any:
+    def _call(self, words: list[Any], answer: Callable[[list[Any]], Any], timeout_s: float) -> Any:
         assert self._child is not None  # noqa: S101
         try:
-            said = self._child.call({"do": words}, answer)
+            said = self._child.call({"do": words}, answer, timeout_s)
         except ProcessFault:
             self._child = None
             raise
@@ -215,21 +214,28 @@ def answered(words: list[Any], query: Query | None, city_map: CityMap, streams: 
     if kind == "stream":
         stage, step = values
         return streams(str(stage), int(step)).bit_generator.state
+    if kind == "count":
+        return _counted(city_map, *values)
     if kind == "segment" and query is not None and query.segment is not None:
         return query.segment(_pose(*values))
     if kind == "true_pixels" and query is not None and query.true_pixels is not None:
         return query.true_pixels(np.asarray(values[0], dtype=np.float64))
-    if kind == "draw" and values and values[0] in _DRAWN:
+    if kind == "draw" and values and values[0] in KINDS:
         return _drawn(city_map, *values)
     raise LodbenchError(f"there is no {kind!r} to ask for")
+
+
+def _counted(city_map: CityMap, kind: str, poses: int) -> None:
+    if not isinstance(poses, int) or poses < 0:
+        raise RenderingError(f"{poses!r} poses cannot be counted")
+    city_map.usage.add(str(kind), poses)
 
 
 def _drawn(city_map: CityMap, kind: str, named: dict[str, Any], camera: Any, *arguments: Any) -> Any:
     if not isinstance(camera, Camera) or not arguments:
         raise RenderingError(f"{kind} is asked for with a camera and poses")
     views = 1 if kind == "render" else len(arguments[0])
-    size = views * camera.width * camera.height * _DRAWN[kind]
-    if not 0 <= size <= _MOST_BYTES:
+    if not 0 <= drawn_bytes(kind, camera, views) <= _MOST_BYTES:
         raise RenderingError(f"{views} views of {camera.width} x {camera.height} are too many at a time")
     return getattr(city_map, kind)(camera, *arguments, **named)
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from lodbench.errors import LodbenchError
@@ -17,6 +19,8 @@ from lodbench.harness.remote.wire import MalformedMessage, packed, unpacked
 _TAIL_BYTES = 4000
 # Bytes read and written at a time.
 _CHUNK = 1 << 16
+# How often, and how long each time, to wait for the end of a child that closed its pipe: seconds.
+_LAST_WAITS, _WAIT_S = 250, 0.02
 
 
 class ProcessFault(Exception):
@@ -24,19 +28,17 @@ class ProcessFault(Exception):
 
 
 class Child:
-    """A process of another Python, asked one thing at a time.
+    """A process of another Python, asked one thing at a time; it and all it starts are one process group.
 
     Args:
         command: What starts it.
-        timeout_s: Longest time for an answer, with all that is asked back meanwhile.
         environment: Its environment variables.
 
     Raises:
         LodbenchError: It cannot be started.
     """
 
-    def __init__(self, command: list[str], timeout_s: float, environment: dict[str, str]) -> None:
-        self._timeout_s = timeout_s
+    def __init__(self, command: list[str], environment: dict[str, str]) -> None:
         self._errors = tempfile.TemporaryFile()
         try:
             self._process = subprocess.Popen(  # noqa: S603 - the Python that the user names
@@ -46,6 +48,7 @@ class Child:
                 stderr=self._errors,
                 env=environment,
                 bufsize=0,
+                process_group=0,
             )
         except OSError as error:
             raise LodbenchError(
@@ -57,17 +60,18 @@ class Child:
         os.set_blocking(self._in, False)
         os.set_blocking(self._out, False)
 
-    def call(self, message: Any, answer: Callable[[list[Any]], Any]) -> Any:
+    def call(self, message: Any, answer: Callable[[list[Any]], Any], timeout_s: float) -> Any:
         """Returns the child's last word to a message.
 
         Args:
             message: What it is to do.
             answer: Answers what it asks meanwhile; what it raises goes to the child.
+            timeout_s: Longest time for it, with all that is asked back meanwhile.
 
         Raises:
             ProcessFault: There is no answer; the child has been stopped.
         """
-        deadline = time.monotonic() + self._timeout_s
+        deadline = time.monotonic() + timeout_s
         try:
             self._write(packed(message), deadline)
             while True:
@@ -84,12 +88,14 @@ class Child:
                     told = {"fault": f"{type(error).__name__}: {error}", "kind": "RenderingError"}
                 self._write(packed(told), deadline)
         except (TimeoutError, EOFError, OSError, MalformedMessage) as error:
-            raise self._fault(error) from None
+            raise self._fault(error, timeout_s) from None
 
     def close(self) -> None:
-        """Ends the process."""
-        if self._process.poll() is None:
-            self._process.kill()
+        """Ends the process and whatever it started."""
+        # Before it is waited for: until then nobody else can have its number.
+        if self._process.returncode is None:
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout, self._errors):
             if stream is not None:
@@ -99,7 +105,8 @@ class Child:
         parts, missing = [], count
         while missing:
             self._wait([self._out], [], deadline)
-            part = os.read(self._out, min(missing, max(_CHUNK, missing)))
+            # Room is made for what came, not for what is said to come.
+            part = os.read(self._out, min(missing, _CHUNK))
             if not part:
                 raise EOFError
             parts.append(part)
@@ -118,21 +125,14 @@ class Child:
         if left <= 0 or not any(select.select(reading, writing, [], left)):
             raise TimeoutError
 
-    def _fault(self, error: Exception) -> ProcessFault:
+    def _fault(self, error: Exception, timeout_s: float) -> ProcessFault:
         """Stops the child; returns why it gave no answer."""
         if isinstance(error, TimeoutError):
-            reason = f"the method's process gave no answer in {self._timeout_s:g} s and was stopped"
+            reason = f"the method's process gave no answer in {timeout_s:g} s and was stopped"
         elif isinstance(error, MalformedMessage):
             reason = f"the method's process was stopped, for {error.message}"
         else:
-            try:
-                code = self._process.wait(5)
-            except subprocess.TimeoutExpired:
-                code = None
-            reason = f"the method's process ended with exit code {code}"
-        if self._process.poll() is None:
-            self._process.kill()
-            self._process.wait()
+            reason = f"the method's process ended with exit code {self._exit_code()}"
         self._errors.seek(0, os.SEEK_END)
         self._errors.seek(max(0, self._errors.tell() - _TAIL_BYTES))
         errors = self._errors.read().decode(errors="replace").strip()
@@ -142,3 +142,12 @@ class Child:
         if errors:
             fault.add_note(f"Its standard error:\n{errors}")
         return fault
+
+    def _exit_code(self) -> int | None:
+        """Returns the code of a process that closed its pipe, without taking it off the list of processes."""
+        options = os.WEXITED | os.WNOWAIT | os.WNOHANG
+        for _ in range(_LAST_WAITS):
+            if (ended := os.waitid(os.P_PID, self._process.pid, options)) is not None:
+                return ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
+            time.sleep(_WAIT_S)
+        return None

@@ -6,6 +6,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -66,9 +67,10 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
             method = make()
             if isinstance(method, SupportsTrial):
                 kind: Any = type(method)
-                make = partial(kind, method.params_for_trial())
+                params = method.params_for_trial()
+                make = partial(kind, params)
+                yield trial_settings(asdict(method.params), asdict(params))
                 method = make()
-                yield Check("answers", "settings", OK, "those that the method has for the trial")
             trial = make_trial(Path(folder), method)
             answers = _collect(make, trial)
         except Exception as error:  # a method may raise anything: that is what is told
@@ -79,6 +81,14 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
         yield first
         if first.status == OK:
             yield from _look_closer(make, answers)
+
+
+def trial_settings(own: Mapping[str, Any], tried: Mapping[str, Any]) -> Check:
+    """Returns what is tried in place of a method's own settings, which is all that is judged."""
+    changes = [
+        f"{name}={value} instead of {own[name]}" for name, value in tried.items() if value != own[name]
+    ]
+    return Check("answers", "settings", OK, "; ".join(changes) or "the method's own")
 
 
 def _look_closer(make: Callable[[], Method], answers: TrialAnswers) -> Iterator[Check]:
