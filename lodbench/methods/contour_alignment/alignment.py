@@ -113,10 +113,15 @@ def shortened(step: Floats) -> Floats:
 
 
 class Aligner:
-    """Aligns poses of one query."""
+    """Aligns poses of one query.
+
+    Attributes:
+        city_map: What is drawn.
+        edges: Edges of the city that poses near the prior may show.
+    """
 
     def __init__(self, query: Query, city_map: CityMap, params: Params, levels: Levels | None = None) -> None:
-        self._city_map, self._query, self._params = city_map, query, params
+        self.city_map, self._query, self._params = city_map, query, params
         self._prior = np.append(vector_from_pose(query.prior), 0.0)
         self._precision = np.array(params.start_sigmas()) ** -2.0
         # Full widths, where half would do: steps may lead out of the range, though the prior calls back.
@@ -164,7 +169,7 @@ class Aligner:
         level, pose = self.level(size), pose_from_vector(vector)
         stretch = 1.0 + 0.01 * vector[6]
         camera = replace(level.camera, fx=level.camera.fx * stretch, fy=level.camera.fy * stretch)
-        silhouette = self._city_map.render(camera, pose)
+        silhouette = self.city_map.render(camera, pose)
         union = int(np.count_nonzero(silhouette | level.mask))
         iou = int(np.count_nonzero(silhouette & level.mask)) / union if union else 0.0
         derivatives, spacing = rotation_derivatives(vector), self._params.spacing_px

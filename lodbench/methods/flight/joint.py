@@ -90,9 +90,7 @@ class State:
                 for tie in self.ties
                 if tie.first in number and tie.second in number
             ],
-            reconstruction=None
-            if self.reconstruction is None
-            else self.reconstruction.part(number).placed_at(vectors),
+            reconstruction=None if self.reconstruction is None else self.reconstruction.part(number, vectors),
         )
 
     def shift(self, poses: Floats, constants: Floats) -> None:

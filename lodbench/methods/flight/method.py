@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -186,7 +187,9 @@ class FlightMethod:
         aligners = [Aligner(query, city_map, photo) for query in queries]
         steps = self.params.steps
         reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
-        with ThreadPoolExecutor(city_map.threads) as threads:
+        # As the map has them: of roofs that earlier steps drew higher, none is drawn so here.
+        state.roofs.drawn_m = np.zeros_like(state.roofs.drawn_m)
+        with _side_by_side(city_map.threads) as threads:
             asked = photo, self.params.trust(), threads
             for number, reach_px in enumerate(reaches):
                 if number in (steps // 2, steps):
@@ -228,6 +231,11 @@ class FlightMethod:
             covariance=spread,
             probability=probability_within(spread, vector),
         )
+
+
+def _side_by_side(threads: int) -> AbstractContextManager[Executor | None]:
+    """Returns who looks at photos; None for one thread, the caller's: contexts of OpenGL belong to one."""
+    return ThreadPoolExecutor(threads) if threads > 1 else nullcontext()
 
 
 def _mean_iou(terms: Sequence[PhotoTerms | None]) -> float:

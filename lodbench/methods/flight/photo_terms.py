@@ -18,7 +18,8 @@ from lodbench.methods.flight.roof_parts import RoofParts
 
 Floats = NDArray[np.float64]
 
-# Points of one matrix, which costs their number cubed, and matrices of a photo; see contour_alignment.
+# Points of one matrix, which costs their number cubed, and matrices of a photo in the last steps; see
+# contour_alignment. One leads there.
 _MOST_POINTS, _MOST_SUBSETS = 250, 4
 _FEWEST_POINTS, _BORDER_PX = 12, 2.0
 # The outline's noise is never less or more, and is looked for among points nearer than this, pixels.
@@ -83,7 +84,7 @@ def flight_terms(
     reach_px: float | None,
     params: PhotoParams,
     trust: tuple[float, float],
-    threads: Executor,
+    threads: Executor | None,
 ) -> list[PhotoTerms | None]:
     """Returns what photos say at their poses; None for one that too little outline is seen in.
 
@@ -96,9 +97,11 @@ def flight_terms(
         params: Of the alignment of photos.
         trust: Standard deviation of a roof's height as one view sees it, metres; and by how much less
             outlines say than their covariance has it.
-        threads: Photos are looked at side by side; what they say does not depend on how many there are.
+        threads: Photos are looked at side by side, None for one after the other; what they say does not
+            depend on it.
     """
-    seen = list(threads.map(lambda k: _look(aligners[k], vectors[k], lens, params), range(len(aligners))))
+    spread = map if threads is None else threads.map
+    seen = list(spread(lambda k: _look(aligners[k], vectors[k], lens, params), range(len(aligners))))
     # Where walls end has heights of its own, numbered apart from roofs; in the order of photos.
     parts = [
         None if one is None else (roofs.numbers_of(rows, one.places), roofs.numbers_of(-1 - rows, one.places))
@@ -111,7 +114,7 @@ def flight_terms(
             return None
         return _terms(one, iou, rows, numbers, roofs, reach_px, params, trust)
 
-    return list(threads.map(terms, range(len(aligners))))
+    return list(spread(terms, range(len(aligners))))
 
 
 def _look(
@@ -148,7 +151,7 @@ def _terms(
     size = 6 + LENS + len(parts)
     products = np.zeros((size + 1, size + 1))
     subsets = -(-len(rows) // _MOST_POINTS)
-    used = min(subsets, _MOST_SUBSETS)
+    used = min(subsets, _MOST_SUBSETS if reach_px is None else 1)
     for k in range(used):
         chosen = slice(k * subsets // used, None, subsets)
         jacobian = np.zeros((len(rows[chosen]), size + 1))
@@ -160,6 +163,7 @@ def _terms(
         jacobian[:, -1] = seen.distances[chosen]
         whiten(_covariance(seen, chosen, noise_px, weights[chosen], params, trust[0]), jacobian)
         add_products(jacobian, 1.0 / (used * trust[1]), products)
+    products += np.triu(products, 1).T
     return PhotoTerms(products[:-1, :-1], products[:-1, -1], parts, iou, noise_px, len(rows))
 
 

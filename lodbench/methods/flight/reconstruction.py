@@ -46,15 +46,11 @@ class Reconstruction:
         """Returns the numbers of its photos."""
         return list(self.poses)
 
-    def part(self, numbers: Mapping[int, int]) -> Reconstruction:
-        """Returns it of some photos, by their new numbers."""
+    def part(self, numbers: Mapping[int, int], vectors: Floats) -> Reconstruction | None:
+        """Returns it of some photos, by new numbers, at their poses, (P, 6); None of too few of them."""
         poses = {numbers[photo]: pose for photo, pose in self.poses.items() if photo in numbers}
-        return replace(self, poses=poses)
-
-    def placed_at(self, vectors: Floats) -> Reconstruction:
-        """Returns it as near to poses, (P, 6), as a similarity brings it."""
-        found = placed(self.poses, vectors, self.information)
-        return self if found is None else replace(found, mount=self.mount)
+        found = placed(poses, vectors, self.information)
+        return None if found is None else replace(found, mount=self.mount)
 
     def moved(self, step: Floats) -> Reconstruction:
         """Returns it after a step of its (10,) unknowns."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,10 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.flight import Params
+from lodbench.methods.flight import Params, method
 from lodbench.methods.flight.corrected_map import corrected_map
+from lodbench.methods.flight.photo_terms import flight_terms
+from lodbench.synthesis.flights.map_changes import MapErrors, change_map
 from tests.methods.flight.test_method import flight, localize
 from tests.town import CAMERA
 
@@ -99,3 +102,36 @@ def test_what_photos_share_may_be_held(city_map):
     queries, _ = flight(city_map, focal=1.0)
     held = localize(queries, city_map, Params(focal=0.0, distortion=0.0, mask_px=0.0)).findings["constants"]
     assert not {"focal length", "radial distortion k1", "masks too large by"} & set(held)
+
+
+def test_one_thread_draws_where_it_is_asked_to(city_map, monkeypatch):
+    # A context of OpenGL belongs to the thread that opened it.
+    alone, drawn_by = CityMap(city_map.scene, threads=1), set()
+    render = alone.scorer.render
+
+    def noting(camera, pose):
+        drawn_by.add(threading.get_ident())
+        return render(camera, pose)
+
+    monkeypatch.setattr(alone.scorer, "render", noting)
+    queries, _ = flight(city_map, count=3, focal=1.0)
+    localize(queries, alone, Params(restarts=0))
+    assert drawn_by == {threading.get_ident()}
+
+
+def test_roofs_that_were_drawn_higher_are_measured_from_where_they_are_drawn(scene, monkeypatch):
+    # A focal length that is held has all photos aligned once more, from the first heights on.
+    low, _ = change_map(scene, MapErrors(heights=0.4), np.random.default_rng(0))
+    queries, _ = straight_down(CityMap(scene), 0.0)
+    seen = []
+
+    def noting(aligners, vectors, lens, roofs, *rest):
+        drawn = aligners[0].city_map.scene.vertices
+        seen.append((bool((drawn != low.vertices).any()), bool(roofs.drawn_m.any())))
+        return flight_terms(aligners, vectors, lens, roofs, *rest)
+
+    monkeypatch.setattr(method, "flight_terms", noting)
+    answer = localize(queries, CityMap(low), Params(restarts=0))
+    assert "cannot be told apart" in answer.findings["notes"][0]
+    assert (True, True) in seen
+    assert all(changed == told for changed, told in seen)

@@ -17,8 +17,10 @@ from lodbench.methods.contour_alignment.pose_vector import (
     rotation_derivatives,
 )
 from lodbench.methods.flight import FlightMethod, Params
+from lodbench.methods.flight.joint import State, solve
 from lodbench.methods.flight.reconstruction import placed
 from lodbench.methods.flight.relative_poses import RelativePose, rotation_vector, tangents
+from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.tracks import two_view
 from lodbench.storage import random_stream
 from tests.methods.flight.test_method import flight
@@ -97,6 +99,18 @@ def test_a_reconstruction_is_placed_where_photos_are_but_for_one_that_is_not():
         assert error.translation_m < 1e-6
         assert error.rotation_deg < 1e-6
     assert placed({0: poses[0], 1: poses[1]}, VECTORS, np.eye(6)) is None
+
+
+@pytest.mark.parametrize("known", [0, 2])
+def test_photos_of_which_a_reconstruction_has_too_few_are_solved_without_it(known):
+    # Of a long flight those in its middle start again: the reconstruction may end before them.
+    poses = {k: similar(pose_from_vector(v)) for k, v in enumerate(VECTORS)}
+    vectors = np.concatenate([VECTORS, VECTORS + 50.0])
+    state = State(vectors, vectors, RoofParts(20.0, 1), np.zeros(1), np.ones(6))
+    state.reconstruction = placed(poses, vectors, np.eye(6))
+    part = state.begun(np.arange(3 - known, 6 - known), np.ones(6))
+    assert part.reconstruction is None
+    assert np.isfinite(solve(part, [None] * 3, Params()).photo_steps).all()
 
 
 def test_two_views_are_what_their_points_say():
