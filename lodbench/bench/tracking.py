@@ -61,12 +61,13 @@ def measure_tracking(
         progress: Called after each flight.
     """
     scene = open_cached_city(city, lod="finest").scene
-    tracks, errors, sigmas_m, lost = [], [], [], 0
+    tracks, errors, sigmas_m, probabilities, lost = [], [], [], [], 0
     for number, seed in enumerate(seeds):
         drawn = _drawn(scene, seed, options)
         found = _tracked(city, scene, drawn, segmenter, options)
         tracks.append(found)
         for frame, query in zip(found.frames, drawn, strict=True):
+            probabilities.append(frame.probability)
             if frame.pose is None:
                 lost += 1
             else:
@@ -90,6 +91,7 @@ def measure_tracking(
         Figure("masks, beside poses", each_ms("masks"), "ms"),
         Figure("poses", each_ms("poses"), "ms"),
         Figure("frames within 2 m and 2 deg", 100.0 * near / len(metres), "%"),
+        Figure("mean probability of being within", 100.0 * float(np.mean(probabilities)), "%"),
         Figure("frames lost", lost, "", f"of {len(metres)}"),
         Figure("median error", float(np.median(metres)), "m"),
         Figure("median error", float(np.median(degrees)), "deg"),

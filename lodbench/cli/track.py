@@ -112,6 +112,9 @@ def _as_json(done: Track) -> str:
             "reason": frame.reason,
             "center_m": None if frame.pose is None else frame.pose.center.tolist(),
             "quat_wxyz": None if frame.pose is None else list(frame.pose.quat_wxyz),
+            "sigma_m": None if frame.sigmas is None else frame.sigmas[0],
+            "sigma_deg": None if frame.sigmas is None else frame.sigmas[1],
+            "probability": frame.probability,
         }
         for frame in done.frames
     ]

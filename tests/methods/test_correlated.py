@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lodbench.methods.contour_alignment.correlated import error_covariance, whiten
+from lodbench.methods.contour_alignment.correlated import add_products, error_covariance, whiten
 
 
 @pytest.fixture(scope="module")
@@ -41,3 +41,12 @@ def test_whitened_products_are_those_of_the_inverse(seed, count):
         whitened.T @ whitened, columns.T @ np.linalg.solve(matrix, columns), rtol=1e-6, atol=1e-9
     )
     assert log_determinant == pytest.approx(np.linalg.slogdet(matrix)[1], abs=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 9, 30])
+def test_products_of_columns_are_added_to_the_upper_half(count):
+    generator = np.random.default_rng(count)
+    columns, before = generator.normal(size=(count, 6)), generator.normal(size=(6, 6))
+    products = before.copy()
+    add_products(columns, 0.25, products)
+    np.testing.assert_allclose(np.triu(products), np.triu(before + 0.25 * columns.T @ columns), atol=1e-12)

@@ -48,6 +48,7 @@ def test_each_frame_is_found_from_the_last(city_map):
         assert error.rotation_deg < 0.3
         # As sure as one frame is: not of centimetres, and not of metres.
         assert 0.02 < np.sqrt(np.trace(found.covariance[:3, :3])) < 2.0
+        assert 0.9 < found.probability <= 1.0
 
 
 def test_motion_carries_over_frames_that_are_gone(city_map):
@@ -79,6 +80,7 @@ def test_a_lost_camera_says_so_and_is_found_again(city_map):
     states = [each.state for each in found]
     assert states[:5] == ["tracked"] * 3 + ["lost"] * 2
     assert [each.covariance is None for each in found] == [state == "lost" for state in states]
+    assert [each.probability == 0.0 for each in found] == [state == "lost" for state in states]
     assert "found again" in states[5:8]
     again = states.index("found again")
     assert states[again + 1 :] == ["tracked"] * (8 - again)

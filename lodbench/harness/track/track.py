@@ -82,6 +82,7 @@ class TrackedFrame:
         score: IoU of silhouette and mask.
         reason: Why there is no mask, or "".
         sigmas: Standard deviations of its place, over all three axes (metres), and of its angles (degrees).
+        probability: Of being within (2 m, 2 deg), as far as one frame tells; 0 where it was lost.
     """
 
     name: str
@@ -91,6 +92,7 @@ class TrackedFrame:
     score: float
     reason: str
     sigmas: tuple[float, float] | None = None
+    probability: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +154,7 @@ def track(request: TrackRequest) -> Track:
                 found = tracker.track(Frame(shot.name, shot.time_s, mask))
                 pose = None if found.state == LOST else found.pose.shifted(scene.origin)
                 sigmas = None if found.covariance is None else _sigmas(found.covariance)
-                told = found.state, pose, found.score, "", sigmas
+                told = found.state, pose, found.score, "", sigmas, found.probability
                 frames.append(TrackedFrame(shot.name, shot.time_s, *told))
             poses_s += time.perf_counter() - began
             if len(frames) == 1:
@@ -218,6 +220,7 @@ def _feature(each: TrackedFrame, frame: MapFrame) -> dict[str, Any]:
     }  # fmt: skip
     if each.sigmas is not None:
         stated |= {"sigma_m": round(each.sigmas[0], 3), "sigma_deg": round(each.sigmas[1], 3)}
+        stated["probability"] = round(each.probability, 3)
     return nowhere_feature(stated) if each.pose is None else camera_feature(frame, each.pose, stated)
 
 
@@ -232,6 +235,7 @@ def _table(frames: Sequence[TrackedFrame], frame: MapFrame | None) -> str:
         }  # fmt: skip
         if each.sigmas is not None:
             row |= dict(zip(("sigma_m", "sigma_deg"), each.sigmas, strict=True))
+            row["probability"] = each.probability
         if each.pose is not None:
             row |= {} if frame is None else frame.place_of(each.pose)._asdict()
             row |= dict(zip(("east", "north", "up"), map(float, each.pose.center), strict=True))

@@ -79,10 +79,11 @@ def _built_cells(
 ) -> tuple[Cells, Floats]:
     """Returns the cells of the ground that photos call a building, (N, 2), and by how many of them, (H, N).
 
-    Square by square, so that a long flight needs no more room than a short one.
+    Square by square, so that a long flight needs no more room than a short one, and those only that a photo
+    may see, so that one taken elsewhere costs no more than any other.
     """
     cells, shares = [np.zeros((0, 2), dtype=np.int64)], [np.zeros((len(_HEIGHTS_M), 0))]
-    for first in product(*(range(0, count, _SQUARE) for count in counts)):
+    for first in _squares(views, corner, counts):
         sides = [np.arange(k, min(k + _SQUARE, count)) for k, count in zip(first, counts, strict=True)]
         square = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
         of_square = _shares(corner + _CELL_M * (square + 0.5), ground, views, known)
@@ -90,6 +91,19 @@ def _built_cells(
         cells.append(square[is_built])
         shares.append(of_square[:, is_built])
     return np.concatenate(cells), np.concatenate(shares, axis=1)
+
+
+def _squares(views: Sequence[View], corner: Floats, counts: tuple[int, int]) -> list[tuple[int, int]]:
+    """Returns the first cells of the squares near enough to some view, ascending."""
+    last = (np.array(counts) - 1) // _SQUARE
+    near: set[tuple[int, int]] = set()
+    for view in views:
+        middle = (view.pose.center[:2] - corner) / (_SQUARE * _CELL_M)
+        reach = _FURTHEST_M / (_SQUARE * _CELL_M)
+        low = np.maximum(np.floor(middle - reach), 0).astype(int)
+        high = np.minimum(np.floor(middle + reach), last).astype(int)
+        near.update(product(range(low[0], high[0] + 1), range(low[1], high[1] + 1)))
+    return [(_SQUARE * east, _SQUARE * north) for east, north in sorted(near)]
 
 
 def _shares(places: Floats, ground: _Ground, views: Sequence[View], known: Sequence[Mask]) -> Floats:

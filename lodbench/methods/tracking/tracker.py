@@ -17,6 +17,7 @@ from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.contour_alignment.params import Params as PhotoParams
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
+from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.tracking.params import Params, half_size
 from lodbench.storage import random_stream
 
@@ -56,21 +57,24 @@ class Tracked:
         state: ``tracked``, ``found again`` or ``lost``.
         score: IoU of silhouette and mask.
         covariance: (6, 6) of centre (metres) and angles (degrees); None for a camera that is lost.
+        probability: Of being within (2 m, 2 deg), as far as one frame tells; 0 for a camera that is lost.
     """
 
     pose: Pose
     state: str
     score: float
     covariance: Floats | None = None
+    probability: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Place:
-    """Where a frame may have been taken: (6,) its pose, the IoU there, and the pose's covariance."""
+    """Where a frame may have been taken: (6,) its pose, the IoU there, the covariance, and how likely."""
 
     vector: Floats
     iou: float
     covariance: Floats | None = None
+    probability: float = 0.0
 
 
 class Tracker:
@@ -148,7 +152,8 @@ class Tracker:
         here = aligner.linearize(vector, _NEAR_PX, size)
         if here is None:
             return _Place(vector[:6], 0.0)
-        return _Place(vector[:6], here.iou, np.asarray(np.linalg.inv(here.information))[:6, :6])
+        covariance = np.asarray(np.linalg.inv(here.information))[:6, :6]
+        return _Place(vector[:6], here.iou, covariance, probability_within(covariance, vector[:6]))
 
     def _searched(self, frame: Frame, around: Floats, params: PhotoParams) -> _Place:
         """Returns the best place within a search; its IoU is 0 where none fits."""
@@ -157,7 +162,8 @@ class Tracker:
             found = ContourAlignment(params).localize(self._query(frame, around), self._map, streams)
         except QueryFault:
             return _Place(around, 0.0)
-        return _Place(vector_from_pose(found.pose), float(found.score), found.covariance)
+        vector, probability = vector_from_pose(found.pose), found.probability or 0.0
+        return _Place(vector, float(found.score), found.covariance, probability)
 
     def _query(self, frame: Frame, around: Floats) -> Query:
         return Query(frame.name, "", self._camera, pose_from_vector(around), frame.mask)
@@ -172,8 +178,10 @@ class Tracker:
             self._ious.append(found.iou)
             self._vector = found.vector
             self._time_s = frame.time_s
-        covariance = None if state == LOST else found.covariance
-        return Tracked(pose_from_vector(found.vector), state, found.iou, covariance)
+        pose = pose_from_vector(found.vector)
+        if state == LOST:
+            return Tracked(pose, state, found.iou)
+        return Tracked(pose, state, found.iou, found.covariance, found.probability)
 
     def _motion_to(self, frame: Frame, vector: Floats) -> Floats:
         """Returns the motion per second, (6,), after a frame was tracked."""

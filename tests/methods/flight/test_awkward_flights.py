@@ -10,6 +10,7 @@ import pytest
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
+from lodbench.errors import RenderingError
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import Params, method
@@ -135,3 +136,14 @@ def test_roofs_that_were_drawn_higher_are_measured_from_where_they_are_drawn(sce
     assert "cannot be told apart" in answer.findings["notes"][0]
     assert (True, True) in seen
     assert all(changed == told for changed, told in seen)
+
+
+def test_a_flight_is_drawn_by_opengl(city_map):
+    try:
+        drawn = CityMap(city_map.scene, "pyrender")
+        drawn.render(CAMERA, pose_from_vector(np.array([0.0, 0.0, 90.0, 0.0, 0.0, 0.0])))
+    except RenderingError as error:
+        pytest.skip(f"no pyrender here: {error}")
+    queries, poses = flight(city_map, count=3, focal=1.0)
+    answer = localize(queries, drawn, Params(restarts=0, steps=4))
+    assert max(errors_m(answer, poses)) < 1.5

@@ -13,7 +13,7 @@ from lodbench.datasets.query import Query
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.flight.gone_buildings import gone_buildings
 from lodbench.methods.flight.map_views import views_of
-from lodbench.methods.flight.missing_buildings import _grid, missing_buildings
+from lodbench.methods.flight.missing_buildings import _grid, _shares, missing_buildings
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map
 from lodbench.synthesis.flights.paths import PATHS
 from lodbench.synthesis.mask_degradation import degrade_mask
@@ -79,6 +79,22 @@ def test_it_does_not_matter_in_which_squares_the_ground_is_looked_at(world, monk
     assert len(whole) > 0
     assert [change["outline"] for change in in_squares] == [change["outline"] for change in whole]
     assert [change["share"] for change in in_squares] == pytest.approx([c["share"] for c in whole])
+
+
+def test_a_photo_far_away_costs_no_more_than_another(world, monkeypatch):
+    wrong, _ = change_map(world, MapErrors(missing=0.1), np.random.default_rng(1))
+    shown, there, looked = views(world, 6), CityMap(wrong, threads=1), []
+    far = replace(shown[0], name="far", pose=shown[0].pose.shifted([2e6, -3e6, 0.0]))
+
+    def noting(places, *rest):
+        looked.append(places)
+        return _shares(places, *rest)
+
+    monkeypatch.setattr("lodbench.methods.flight.missing_buildings._shares", noting)
+    found = missing_buildings([*shown, far], there)
+    # The ground between them is twelve million squares.
+    assert len(looked) < 60
+    assert len(found) == len(missing_buildings(shown, there)) > 0
 
 
 def test_two_photos_are_too_few(world):
