@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.bench.mask_pictures import SHEET_FILE, draw_all
 from lodbench.bench.mask_quality import found_mask, one_core
+from lodbench.datasets.traced_photos import traced_photos
 from lodbench.errors import DatasetError
 from lodbench.evaluation.statistics import Interval, bootstrap_means
 from lodbench.reporting.aligned_text import format_columns
@@ -23,7 +24,6 @@ from lodbench.segmentation.photos import read_photo
 from lodbench.storage import write_bytes
 
 Mask = NDArray[np.bool_]
-_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _WIDTH = 900
 # BGR: told apart with any colour vision.
 _EXTRA, _MISSED, _OUTLINE = (30, 120, 255), (255, 60, 190), (255, 255, 255)
@@ -158,24 +158,14 @@ def labelled_photos(folder: Path) -> list[tuple[Path, Mask]]:
     """Returns the photos of a folder with their traced masks, (H, W) bool of the photo's size.
 
     Args:
-        folder: Holds a folder per place with ``photos``, and ``masks`` (PNG, 255 = building) of their names;
-            or a folder ``labelled`` of these.
+        folder: As of ``traced_photos``.
 
     Raises:
         DatasetError: There are no photos, or one has no mask or one of another size.
         QueryFault: A photo or a mask cannot be read.
     """
-    root = folder / "labelled" if (folder / "labelled").is_dir() else folder
-    files = sorted(p for p in root.glob("*/photos/*") if p.suffix.lower() in _ENDINGS)
-    if not files:
-        raise DatasetError(
-            f"{folder} holds no photos.", "Put them in PLACE/photos, and their masks in PLACE/masks."
-        )
     found = []
-    for photo in files:
-        path = photo.parent.parent / "masks" / f"{photo.stem}.png"
-        if not path.is_file():
-            raise DatasetError(f"{photo} has no mask.", f"Trace one as {path}: 255 = building.")
+    for photo, path in traced_photos(folder):
         truth = np.asarray(read_mask(path) >= 0.5)
         if truth.shape != read_photo(photo).shape[:2]:
             raise DatasetError(f"{path} is not of its photo's size.")

@@ -65,6 +65,7 @@ class EfficientUnet(PackagedNetwork):
     weights_name = "efficient_unet"
     domain = "synthetic and open ground"
     padding = "symmetric"
+    stores_half = True
 
     def notes(self) -> tuple[str, ...]:
         """Returns what the network has seen of buildings: drawn ones."""

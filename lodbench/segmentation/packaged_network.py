@@ -38,6 +38,8 @@ class PackagedNetwork(PhotoSegmenter):
     packaged_sure = 0.0
     # How photos are padded: rows that repeat may look like a wall.
     padding: Literal["edge", "symmetric"] = "edge"
+    # Whether weights are stored in 16 bits: a large network shall not make the package large.
+    stores_half = False
     # Sides of what the network sees are multiples of this.
     stride = 32
 
@@ -138,7 +140,7 @@ class PackagedNetwork(PhotoSegmenter):
         from lodbench.segmentation.nets.onnx_export import write_onnx
 
         path = folder / f"{self.weights_name}.onnx"
-        write_onnx(net, path, self.stride)
+        write_onnx(net, path, self.stride, half=self.stores_half)
         return path
 
 

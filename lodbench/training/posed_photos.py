@@ -67,7 +67,7 @@ def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Samp
     renderer, samples = SilhouetteRenderer(scene, threads=1), []
     with Progress("silhouettes", len(posed)) as progress:
         for known in posed:
-            mask = (out / known.entry.key).with_suffix(".png")
+            mask = out / f"{known.entry.key}.png"
             size = min(_WIDTH, known.camera.width)
             camera = known.camera.scaled(size, max(1, round(size * known.camera.height / known.camera.width)))
             try:

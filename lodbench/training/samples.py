@@ -29,12 +29,15 @@ class Sample:
         photo: The picture's file.
         mask: The mask's file.
         is_ground: Whether it is a photo without buildings, whose ground may lie elsewhere as well.
+        working_scale: Of a photo with a mask traced by hand: what brings it to the size a network works at.
+            Crops are cut from all of its pixels, at this times their own scale.
     """
 
     key: str
     photo: Path
     mask: Path
     is_ground: bool = False
+    working_scale: float | None = None
 
     def read(self, size: int, square: bool) -> tuple[Photo, NDArray[np.float32]]:
         """Returns the picture (H, W, 3) RGB uint8 and the mask (H, W) float32 in [0, 1].

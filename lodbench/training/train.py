@@ -19,6 +19,7 @@ from lodbench.storage import digest_of, file_digest, make_folder, write_text
 from lodbench.training.learning_curves import write_curves
 from lodbench.training.posed_photos import is_posed, posed_samples
 from lodbench.training.samples import Sample, find_samples, samples_digest, split_samples
+from lodbench.training.traced import repeated, traced_samples
 from lodbench.training.train_params import TrainParams
 from lodbench.training.unlabelled import ground_samples, pseudo_samples
 
@@ -32,6 +33,7 @@ _IDLE = frozenset(
         "city",
         "unlabelled",
         "negatives",
+        "traced",
         "out",
         "resume",
         "tensorboard",
@@ -104,6 +106,11 @@ def train_network(
     if params.negatives:
         folders = [Path(folder).expanduser() for folder in params.negatives]
         train = train + ground_samples(segmenter.params.size, folders, out / NEGATIVES)
+    if params.traced:
+        photos = traced_samples(
+            segmenter.params.size, [Path(folder).expanduser() for folder in params.traced]
+        )
+        train = train + repeated(photos, params.traced_share, len(train))
     tell(f"{len(train)} views to train on, {len(val)} to validate on: {source}")
     record = _record(segmenter, params, data, train, val, source)
     started_at: list[int] = []

@@ -22,6 +22,7 @@ _BOUNDS = {
     "weight_decay": (0.0, 10.0),
     "batch": (1, 4096),
     "one_band": (0.0, 1.0),
+    "traced_share": (0.0, 0.95),
     "size": (0, 8192),
     "crop": (0, 8192),
     "scale": (0.1, 10.0),
@@ -42,6 +43,9 @@ class TrainParams:
         unlabelled: Folders of photos to learn from besides, labelled by the weights of ``init``.
         negatives: Folders of photos without buildings: learnt as they are, and, with ``augment=strong``, as
             ground and roofs of drawn views.
+        traced: Folders of photos with masks traced by hand (``PLACE/photos``, ``PLACE/masks``), to learn
+            from besides.
+        traced_share: Share of the views of an epoch that they are repeated to.
         out: Folder of checkpoints, curves and weights.
         epochs: Passes over the training views.
         optimizer: ``adamw``, the paper's; or ``muon`` for the kernels of convolutions and AdamW for the rest:
@@ -83,6 +87,8 @@ class TrainParams:
     city: str | None = None
     unlabelled: tuple[str, ...] = ()
     negatives: tuple[str, ...] = ()
+    traced: tuple[str, ...] = ()
+    traced_share: float = 0.3
     out: str = "training"
     epochs: int = 20
     optimizer: str = "adamw"

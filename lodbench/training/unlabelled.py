@@ -70,6 +70,12 @@ def _reduced(photo: Photo, size: int) -> Photo:
     return resized_photo(photo, *working_size(photo.shape[1], photo.shape[0], size))
 
 
+def _names(folders: Sequence[Path]) -> list[str]:
+    """Returns a name of its own for each folder."""
+    names = [folder.resolve().name for folder in folders]
+    return [name if names.count(name) == 1 else f"{name}~{k}" for k, name in enumerate(names)]
+
+
 def _written(
     folders: Sequence[Path],
     out: Path,
@@ -78,14 +84,14 @@ def _written(
 ) -> list[Sample]:
     """Returns the views made of each photo below some folders, their pictures and masks written."""
     samples = []
-    for folder in folders:
+    for folder, name in zip(folders, _names(folders), strict=True):
         photos = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
         if not photos:
             raise DatasetError(f"{folder} holds no photos to learn from.", "Name a folder of photos.")
         with Progress(f"photos of {folder.name}", len(photos)) as progress:
             for path in photos:
                 for number, scale in enumerate(scales):
-                    key = f"{folder.name}/{path.relative_to(folder).with_suffix('')}_{number}"
+                    key = f"{name}/{path.relative_to(folder)}_{number}"
                     picture, mask = view(read_photo(path), scale)
                     files = [out / kind / f"{key}.png" for kind in ("images", "masks")]
                     for file, image in zip(files, (picture[..., ::-1], mask), strict=True):

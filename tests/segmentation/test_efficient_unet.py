@@ -69,6 +69,16 @@ def test_opencv_answers_as_torch_does_and_the_file_comes_back(tmp_path):
     np.testing.assert_allclose(returned, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
 
 
+def test_a_training_may_start_from_the_packages_weights_which_are_stored_in_16_bits():
+    packaged = EfficientUnet(EfficientUnetParams(size=96, scales=(1.0,), mirrored=False))
+    assert packaged.packaged_weights().stat().st_size < 8e6
+    photo = np.random.default_rng(3).integers(0, 256, (96, 96, 3), dtype=np.uint8)
+    net = packaged.build(str(packaged.packaged_weights())).eval()
+    with torch.no_grad():
+        found = net(torch.from_numpy(photo.transpose(2, 0, 1)[None].astype(np.float32) / 255))[0]
+    np.testing.assert_allclose(found[0, 0].numpy(), packaged.logits(photo), atol=0.02)
+
+
 def test_a_photo_and_its_mirror_image_get_the_same_mask(tmp_path):
     path = EfficientUnet(EfficientUnetParams()).store(random_net(), tmp_path)
     segmenter = EfficientUnet(EfficientUnetParams(weights=str(path), size=64))

@@ -23,7 +23,7 @@ def photos(tmp_path):
 def test_labels_of_the_shipped_network_are_written_as_grey_masks(photos, tmp_path):
     teacher = Compact(CompactParams(size=64))
     samples = pseudo_samples(teacher, [photos], tmp_path / "out")
-    assert [sample.key for sample in samples] == ["out/place/a_0", "out/place/deeper/b_0"]
+    assert [sample.key for sample in samples] == ["out/place/a.jpg_0", "out/place/deeper/b.png_0"]
     photo, mask = samples[1].read(0, square=False)
     assert photo.shape == (43, 64, 3)
     full = cv2.imread(str(photos / "deeper" / "b.png"))[..., ::-1]
@@ -36,6 +36,16 @@ def test_ground_has_no_building_at_either_size(photos, tmp_path):
     assert len(samples) == 4
     assert all(sample.is_ground and read_mask(sample.mask).max() == 0 for sample in samples)
     assert [sample.read(0, square=False)[0].shape for sample in samples[:2]] == [(43, 64, 3), (64, 96, 3)]
+
+
+def test_photos_of_one_name_in_folders_of_one_name_stay_apart(photos, tmp_path):
+    other = tmp_path / "elsewhere" / "place"
+    other.mkdir(parents=True)
+    for name in ("a.jpg", "a.png"):
+        cv2.imwrite(str(other / name), np.zeros((40, 60, 3), np.uint8))
+    samples = ground_samples(64, [photos, other], tmp_path / "out")
+    assert len({sample.photo for sample in samples}) == len({sample.key for sample in samples}) == 8
+    assert [sample.read(0, square=False)[0].any() for sample in samples] == [True] * 4 + [False] * 4
 
 
 def test_a_folder_without_photos_is_named(tmp_path):

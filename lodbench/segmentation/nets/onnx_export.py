@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import warnings
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -25,8 +27,14 @@ class _FirstOutput(nn.Module):
         return first
 
 
-def write_onnx(net: nn.Module, path: Path, stride: int) -> None:
+def write_onnx(net: nn.Module, path: Path, stride: int, half: bool = False) -> None:
     """Writes a network that takes ``photo`` (1, 3, H, W), H and W free multiples of ``stride``.
+
+    Args:
+        net: The network; its first output is what is written.
+        path: The file.
+        stride: Least side of what the network takes, pixels.
+        half: Whether weights are stored as 16 bit floats, half the bytes; it still works with 32.
 
     Raises:
         ConfigError: The package onnx is not installed.
@@ -47,4 +55,26 @@ def write_onnx(net: nn.Module, path: Path, stride: int) -> None:
             opset_version=_OPSET,
             dynamo=False,
         )
-    write_bytes(path, content.getvalue())
+    write_bytes(path, _halved(content.getvalue()) if half else content.getvalue())
+
+
+def _halved(content: bytes) -> bytes:
+    """Returns a model whose 32 bit weights are stored in 16 bits, each brought back before its first use."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    model: Any = onnx.load_from_string(content)
+    graph = model.graph
+    casts, kept = [], []
+    for tensor in graph.initializer:
+        if tensor.data_type == TensorProto.FLOAT:
+            stored = f"{tensor.name}_half"
+            casts.append(helper.make_node("Cast", [stored], [tensor.name], to=TensorProto.FLOAT))
+            tensor = numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float16), stored)
+        kept.append(tensor)
+    nodes = [*casts, *graph.node]
+    for field, values in ((graph.initializer, kept), (graph.node, nodes)):
+        del field[:]
+        field.extend(values)
+    whole: bytes = model.SerializeToString(deterministic=True)
+    return whole

@@ -84,6 +84,9 @@ def _stored(path: Path) -> Iterator[tuple[str, list[Tensor]]]:
     try:
         graph: Any = onnx.load(str(path), load_external_data=False).graph
         tensors = {t.name: torch.from_numpy(numpy_helper.to_array(t).copy()) for t in graph.initializer}
+        for node in graph.node:  # weights stored in 16 bits
+            if node.op_type == "Cast" and node.input[0] in tensors:
+                tensors[node.output[0]] = tensors[node.input[0]].float()
     except Exception as error:
         raise ConfigError(f"{path} cannot be read as ONNX ({type(error).__name__}).") from error
     for node in graph.node:

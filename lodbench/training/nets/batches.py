@@ -73,14 +73,16 @@ def _batch(
 
 def _changed(sample: Sample, params: TrainParams, epoch: int, grounds: list[Sample]) -> tuple[Floats, Floats]:
     generator = random_stream(params.seed, "train", sample.key, epoch)
-    photo, mask = sample.read(params.size, square=not params.crop)
+    traced = sample.working_scale is not None and bool(params.crop)
+    photo, mask = sample.read(0 if traced else params.size, square=not params.crop)
     # Upside down, walls hang above their roofs: no camera sees that, and a small network has better to learn.
     axes = (1, 0) if params.augment == "flips" else (1,)
     photo, mask = flipped(photo, mask, generator, axes)
     if params.crop:
-        photo, mask = random_crop(photo, mask, params.crop, params.scale, generator)
+        low, high = ((sample.working_scale or 1.0) * end for end in params.scale)
+        photo, mask = random_crop(photo, mask, params.crop, (low, high), generator)
     if params.augment == "strong":
-        if grounds and not sample.is_ground and generator.random() < _COVERED:
+        if grounds and not (sample.is_ground or traced) and generator.random() < _COVERED:
             photo = covered(photo, mask, _ground(grounds, photo.shape, generator), generator)
         return other_appearance(photo, mask, generator), mask
     if params.augment == "full":

@@ -1,0 +1,32 @@
+"""Photos with masks traced by hand: a folder per place, ``photos`` and ``masks`` in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lodbench.errors import DatasetError
+
+_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+
+
+def traced_photos(folder: Path) -> list[tuple[Path, Path]]:
+    """Returns the photos of a folder and their masks, by place and name.
+
+    Args:
+        folder: Holds a folder per place with ``photos``, and ``masks`` (PNG, 255 = building, grey = not
+            known) of their names; or a folder ``labelled`` of these.
+
+    Raises:
+        DatasetError: There are no photos, or one has no mask.
+    """
+    root = folder / "labelled" if (folder / "labelled").is_dir() else folder
+    photos = sorted(path for path in root.glob("*/photos/*") if path.suffix.lower() in _ENDINGS)
+    if not photos:
+        raise DatasetError(
+            f"{folder} holds no photos.", "Put them in PLACE/photos, and their masks in PLACE/masks."
+        )
+    pairs = [(photo, photo.parent.parent / "masks" / f"{photo.stem}.png") for photo in photos]
+    for photo, mask in pairs:
+        if not mask.is_file():
+            raise DatasetError(f"{photo} has no mask.", f"Trace one as {mask}: 255 = building.")
+    return pairs
