@@ -1,22 +1,27 @@
-"""The fits a method can be told to use, by name: made from a query's building probabilities.
+"""The fits a method can be told to use, by name: made from a query's building probabilities or its photo.
 
 iou: the paper's. soft_iou: with the probabilities as they are. confident_iou: the mask, each pixel weighted
-by how sure the network is. boundary: chamfer distance of outlines.
+by how sure the network is. boundary: chamfer distance of outlines. region: no mask, what the photo looks like
+inside and outside (``method=region``).
 """
 
 from __future__ import annotations
 
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import QueryFault
+from lodbench.datasets.inputs import Input
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.query import Query
+from lodbench.errors import ConfigError, QueryFault
 from lodbench.plugins import load_plugin
 from lodbench.rendering import BoundaryFit, Fit, IouFit, SoftIouFit
 from lodbench.segmentation import BUILDING_THRESHOLD, resized
 
 Probability = NDArray[np.float32]
+Photo = NDArray[Any]
 
 
 def iou(probability: Probability) -> Fit:
@@ -42,21 +47,67 @@ def boundary(probability: Probability) -> Fit:
     return BoundaryFit(probability >= BUILDING_THRESHOLD)
 
 
-def make_fit(name: str, probability: Probability, size: tuple[int, int]) -> Fit:
+def region(photo: Photo, size: tuple[int, int]) -> Fit:
+    """Returns the code length that a silhouette saves of the photo's regions and edges, nats per pixel.
+
+    Args:
+        photo: As of ``read_picture``.
+        size: Width and height of the silhouettes to compare.
+    """
+    from lodbench.methods.region import Params
+    from lodbench.methods.region.evidence import PhotoFit
+
+    return PhotoFit(photo, size, Params(), is_coarse=True)
+
+
+# What a fit is made of; where nothing is said, a probability.
+region.input = Input.IMAGE  # type: ignore[attr-defined]
+
+
+def fit_input(name: str) -> Input:
+    """Returns what the fit of a name looks at: the mask, or the photo.
+
+    Raises:
+        ConfigError: There is no such fit, or it is broken or looks at something else.
+    """
+    wanted = getattr(load_plugin("fits", name), "input", Input.MASK)
+    if wanted not in (Input.MASK, Input.IMAGE):
+        raise ConfigError(f"The fit {name} looks at {wanted!r}, neither mask nor image.")
+    return Input(wanted)
+
+
+def make_fit(name: str, query: Query, size: tuple[int, int]) -> Fit:
     """Returns the fit of a name for a query, at a working size (width, height) in pixels.
 
     Args:
-        name: An entry point under ``lodbench.fits``, which makes a fit of a probability.
-        probability: (H, W) probability of building, any size of the photo's aspect.
+        name: An entry point under ``lodbench.fits``: makes a fit of a (height, width) probability, or, where
+            it says ``input = "image"``, of a photo as of ``read_picture`` and the size.
+        query: Has a mask, or a photo.
         size: Width and height of the silhouettes to compare.
 
     Raises:
         ConfigError: There is no such fit, or it is broken.
-        QueryFault: No pixel is more likely building than not.
+        QueryFault: No pixel is more likely building than not, or the photo cannot be read.
     """
     make = load_plugin("fits", name)
+    if fit_input(name) == Input.IMAGE:
+        return cast(Fit, make(query_photo(query), size))
     # Averaging in float32 may step out of [0, 1] by rounding.
-    small = np.clip(resized(probability, *size), np.float32(0), np.float32(1))
+    small = np.clip(resized(query.mask, *size), np.float32(0), np.float32(1))
     if not (small >= BUILDING_THRESHOLD).any():
         raise QueryFault("the mask holds no building")
     return cast(Fit, make(small))
+
+
+def query_photo(query: Query) -> Photo:
+    """Returns a query's photo, (H, W, 3) BGR of 8 bits.
+
+    Raises:
+        QueryFault: There is none, or it cannot be decoded.
+    """
+    if query.image is None:
+        raise QueryFault("there is no photo")
+    photo = read_picture(query.image)
+    if photo is None:
+        raise QueryFault(f"the photo {query.image.name} cannot be decoded")
+    return photo

@@ -166,6 +166,21 @@ class TestFits:
         assert after.rotation_deg < 0.5
         assert 0.7 < estimate.score <= 1.0
 
+    def test_the_photos_own_statistics_need_no_mask(self, queries, city_map, truths, tmp_path):
+        method = LodLocV2(Params(fit="region", **SMALL))
+        assert method.requires == {Input.IMAGE}
+        assert LodLocV2().requires == {Input.MASK}
+        truth = queries[0].mask >= 0.5
+        photo = np.random.default_rng(0).integers(40, 120, (*truth.shape, 3)).astype(np.uint8)
+        photo[truth] += 80
+        cv2.imwrite(str(tmp_path / "photo.png"), photo)
+        query = replace(queries[0], building_probability=None, image=tmp_path / "photo.png")
+        after = pose_error(method.localize(query, city_map, streams_of(0)).pose, truths[0])
+        assert after.translation_m < 1.0
+        assert after.rotation_deg < 0.5
+        with pytest.raises(QueryFault, match="there is no photo"):
+            method.localize(replace(query, image=None), city_map, streams_of(0))
+
     def test_an_unknown_one_names_the_nearest(self):
         with pytest.raises(ConfigError, match="bondary") as caught:
             Params(fit="bondary")

@@ -13,6 +13,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.source import Source, open_sources
+from lodbench.datasets.inputs import Input
 from lodbench.geometry import Pose
 from lodbench.harness.conformance.trial import CAMERA, Rules, Tried, refuses, require
 from lodbench.rendering import DEPTH, open_renderer
@@ -126,10 +127,16 @@ def fit_rules(tried: Tried) -> Rules:
     moved = [tried.truths[0].shifted([step, -step, 0.0]) for step in (0.0, 3.0, 15.0, 60.0, 9e4)]
     words = np.stack([pack_mask(engine.render(CAMERA, pose)) for pose in moved])
     probability = mask.astype(np.float32)
+    size = (CAMERA.width, CAMERA.height)
+    # A fit of photos gets one in which buildings are lighter than the ground.
+    photo = np.random.default_rng(0).integers(40, 120, (*mask.shape, 3)).astype(np.uint8)
+    photo[mask] += 100
+    given = (photo, size) if getattr(tried.part, "input", Input.MASK) == Input.IMAGE else (probability,)
+    before_given = given[0].copy()
 
     def values() -> str:
-        fit = tried.part(probability)
-        require(tuple(fit.size) == (CAMERA.width, CAMERA.height), f"size is {fit.size}: width, then height")
+        fit = tried.part(*given)
+        require(tuple(fit.size) == size, f"size is {fit.size}: width, then height")
         found = np.asarray(fit(words))
         require(
             found.shape == (5,) and found.dtype == np.float64, f"{found.shape} {found.dtype}", "(N,) float64"
@@ -144,12 +151,12 @@ def fit_rules(tried: Tried) -> Rules:
         )
 
     def alone() -> str:
-        fit, before = tried.part(probability), words.copy()
+        fit, before = tried.part(*given), words.copy()
         batch, single = fit(words), [fit(words[k : k + 1])[0] for k in range(5)]
         require(np.array_equal(batch, single), "other values one by one than together", "Count in integers.")
-        require(np.array_equal(batch, tried.part(probability)(words)), "other values when made anew")
+        require(np.array_equal(batch, tried.part(*given)(words)), "other values when made anew")
         require(np.array_equal(before, words), "the words were written to", "Work on a copy.")
-        require(np.array_equal(probability, mask), "the probability was written to", "Work on a copy.")
+        require(np.array_equal(given[0], before_given), "its query was written to", "Work on a copy.")
         return "one by one, together and made anew, the same to the bit; what it is given is only read"
 
     return [("values", values), ("same again", alone)]

@@ -15,7 +15,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
-from lodbench.methods.fits import make_fit
+from lodbench.methods.fits import fit_input, make_fit
 from lodbench.methods.lodlocv2.params import Params
 from lodbench.methods.protocol import Estimate, Streams
 
@@ -45,7 +45,7 @@ class PoseScorer:
 
     def __init__(self, query: Query, city_map: CityMap, size: tuple[int, int], fit: str = "iou") -> None:
         self.camera: Camera = query.camera.scaled(*size)
-        self.fit = make_fit(fit, query.mask, size)
+        self.fit = make_fit(fit, query, size)
         self.pitch_deg, self.roll_deg, _ = query.prior.euler
         self._city_map = city_map
 
@@ -57,7 +57,11 @@ class PoseScorer:
 
 
 class LodLocV2:
-    """The paper's method. Pitch and roll stay the prior's throughout."""
+    """The paper's method. Pitch and roll stay the prior's throughout.
+
+    Args:
+        params: The search's; their fit decides whether queries need a mask or a photo.
+    """
 
     params_type = Params
     name = "lodlocv2"
@@ -65,6 +69,7 @@ class LodLocV2:
 
     def __init__(self, params: Params | None = None) -> None:
         self.params = params or Params()
+        self.requires = frozenset({fit_input(self.params.fit)})
 
     def params_for_prior(self, prior: UniformPrior) -> Params:
         """Returns the parameters whose grid covers such a prior's error."""
@@ -74,7 +79,7 @@ class LodLocV2:
         """Returns the pose whose silhouette fits the query mask best.
 
         Raises:
-            QueryFault: The mask is empty, or no hypothesis overlaps it.
+            QueryFault: The mask is empty, the photo cannot be read, or no hypothesis fits.
         """
 
         def scorer_at(size: tuple[int, int]) -> Scoring:
@@ -82,7 +87,7 @@ class LodLocV2:
 
         found = search(scorer_at, query.prior, self.params, streams)
         if found.score <= 0:
-            raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
+            raise QueryFault("no hypothesis fits the query: the prior may be far from the city")
         return found
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
@@ -20,6 +19,7 @@ from lodbench.geometry import Camera
 from lodbench.methods.contour_alignment.outline import edges_in_reach
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
+from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.lines import aligned_by_lines
@@ -56,7 +56,7 @@ class Region:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
         """
         started = time.perf_counter()
-        photo = _photo(query)
+        photo = query_photo(query)
         params = self.params
         reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
         turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
@@ -121,12 +121,3 @@ def _size(camera: Camera, width: int) -> tuple[int, int]:
     """Returns a width and the height that keeps the photo's aspect; never more than the photo has."""
     width = min(width, camera.width)
     return width, max(1, round(width * camera.height / camera.width))
-
-
-def _photo(query: Query) -> NDArray[np.uint8]:
-    if query.image is None:
-        raise QueryFault("there is no photo")
-    photo = read_picture(query.image)
-    if photo is None:
-        raise QueryFault(f"the photo {query.image.name} cannot be decoded")
-    return photo
