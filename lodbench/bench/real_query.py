@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,6 +28,8 @@ from lodbench.harness.runs.requirements import segmented_inputs
 from lodbench.methods import Method
 from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.protocol import Streams
+from lodbench.rendering.silhouette import SilhouetteRenderer
+from lodbench.reporting.overlays import OverlayInput, draw_overlay, png_bytes
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream
 
@@ -63,7 +66,8 @@ def measure_real(
     """Returns where methods end from redrawn priors of photos whose pose is known.
 
     All methods start from the same priors. The truth draws them and scores the answers; no method sees it.
-    ``data`` has the columns of ``report_real``.
+    ``data`` has the columns of ``report_real``; pictures are of basins, and of the median answer of each
+    method to each photo.
 
     Args:
         dataset: Photos with poses.
@@ -83,6 +87,7 @@ def measure_real(
     if not known:
         raise DatasetError(f"None of the {len(dataset.entries)} photos of {dataset.name} has a true pose.")
     rows: list[dict[str, Any]] = []
+    answers: dict[str, list[OverlayInput]] = {}
     total = len(methods) * len(known) * (options.priors + options.is_published_too)
     for method in methods:
         preparation = Preparation(dataset, scene, segmenter, "prior", segmented_inputs(method), city_map)
@@ -94,9 +99,30 @@ def measure_real(
                 streams = partial(random_stream, options.seed, "bench real", query.name, number, "search")
                 found = {"method": method.name, "photo": query.name}
                 found["prior"] = str(number) if number < options.priors else "published"
-                rows.append(found | _tried(method, asked, truth, city_map, streams))
+                row, pose = _tried(method, asked, truth, city_map, streams)
+                rows.append(found | row)
+                if pose is not None:
+                    picture = f"{method.name}/{re.sub(r'[^A-Za-z0-9._-]', '_', query.name)}"
+                    answers.setdefault(picture, []).append(_overlay(asked, truth, pose, row))
                 progress(len(rows), total)
-    return report_real(pd.DataFrame(rows), f"{dataset.name}: priors {options.prior.describe()}")
+    report = report_real(pd.DataFrame(rows), f"{dataset.name}: priors {options.prior.describe()}")
+    return replace(report, draw=lambda: report.draw() | _overlays(answers, scene))
+
+
+def _overlay(query: Query, truth: Pose, pose: Pose, row: dict[str, Any]) -> OverlayInput:
+    moved, turned = (f"{row[name]:.1f}" for name in ERROR)
+    caption = f"{query.name}: off by {row[PRIOR_ERROR[0]]:.1f} m before, {moved} m and {turned} deg after"
+    return OverlayInput(query.camera, None, query.image, query.prior, pose, truth, caption)
+
+
+def _overlays(answers: dict[str, list[OverlayInput]], scene: Scene) -> dict[str, bytes]:
+    """Returns for each method and photo the picture of the answer of median error."""
+    renderer, drawn = SilhouetteRenderer(scene, threads=1), {}
+    for name, shown in answers.items():
+        errors = [np.linalg.norm(each.estimate.center - each.truth.center) for each in shown]  # type: ignore[union-attr]
+        median = shown[int(np.argsort(errors, kind="stable")[len(errors) // 2])]
+        drawn[f"{name}.png"] = png_bytes(draw_overlay(median, renderer))
+    return drawn
 
 
 def _priors(query: Query, truth: Pose, options: RealOptions) -> list[Pose]:
@@ -107,7 +133,10 @@ def _priors(query: Query, truth: Pose, options: RealOptions) -> list[Pose]:
     return [*drawn, query.prior] if options.is_published_too else drawn
 
 
-def _tried(method: Method, query: Query, truth: Pose, city_map: CityMap, streams: Streams) -> dict[str, Any]:
+def _tried(
+    method: Method, query: Query, truth: Pose, city_map: CityMap, streams: Streams
+) -> tuple[dict[str, Any], Pose | None]:
+    """Returns a row of measurements, and the answer if there is one."""
     wall, cpu = time.perf_counter(), time.process_time()
     pose: Pose | None = None
     # No answer is an answer that nobody will trust.
@@ -123,10 +152,11 @@ def _tried(method: Method, query: Query, truth: Pose, city_map: CityMap, streams
     seconds = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
     errors = (*pose_error(query.prior, truth), *(FAILED if pose is None else pose_error(pose, truth)))
     starts, ends = query.prior.center, np.full(3, np.nan) if pose is None else pose.center
-    return {
+    row = {
         **dict(zip((*PRIOR_ERROR, *ERROR), errors, strict=True)),
         **dict(zip(("prior_east_m", "prior_north_m"), starts - truth.center, strict=False)),
         **dict(zip(("east_m", "north_m"), ends - truth.center, strict=False)),
         **answer,
         **seconds,
     }
+    return row, pose
