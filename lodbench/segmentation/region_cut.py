@@ -28,7 +28,7 @@ _SURE_PX, _LEAST_WEIGHT = 2.0, 0.1
 _ITERATIONS = 150
 
 
-def cut(photo: NDArray[np.uint8], silhouette: Mask) -> Floats:
+def cut(photo: NDArray[np.uint8], silhouette: Mask, looks: NDArray[np.floating] | None = None) -> Floats:
     """Returns the (H, W) probability of building: 0 or 1 nearly everywhere.
 
     The global minimum of: nats of each pixel's colour and texture against the silhouette's two histograms,
@@ -40,8 +40,10 @@ def cut(photo: NDArray[np.uint8], silhouette: Mask) -> Floats:
     Args:
         photo: (H, W, 3) BGR, at the size to work at.
         silhouette: (H, W).
+        looks: (H, W) nats by which each pixel looks like the inside, where more than this photo tells them.
     """
-    colours = np.clip(cross_fitted(photo, silhouette), -_COLOUR_LIMIT, _COLOUR_LIMIT)
+    told = cross_fitted(photo, silhouette) if looks is None else looks
+    colours = np.clip(told, -_COLOUR_LIMIT, _COLOUR_LIMIT)
     reach_px = float(np.interp(exactness(photo, silhouette), _EXACTNESS, _SHAPE_PX))
     shape = np.clip(signed_distance(silhouette) / reach_px, -1.0, 1.0)
     against = -(_COLOUR_WEIGHT * colours + _SHAPE_NATS * shape)

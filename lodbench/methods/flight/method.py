@@ -35,8 +35,10 @@ from lodbench.methods.flight.photo_terms import LENS, PhotoTerms, flight_terms
 from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, placed
 from lodbench.methods.flight.restarts import STARTS_M, Ends, ends_of, restarted
 from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.methods.flight.shared_looks import agreed_places, with_masks_by_looks
 from lodbench.methods.flight.tracks import relative_poses
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
+from lodbench.methods.region import Region
 
 Floats = NDArray[np.float64]
 
@@ -47,6 +49,7 @@ _TIE_STEPS = 6
 _SAME_SCALE = (
     "focal length and height cannot be told apart by these photos: the focal length is left as stated"
 )
+_MASKS_BY_MAP = "masks made with the map agree with it: how sure the poses are is too sure"
 # What photos have in common is this many sigmas from what was expected before all is believed less.
 _EXPECTED_SIGMAS = 2.0
 
@@ -71,10 +74,12 @@ class FlightMethod:
 
     params_type = Params
     name = "flight"
-    requires = frozenset({Input.MASK})
+    requires: frozenset[Input] = frozenset({Input.MASK})
 
     def __init__(self, params: Params | None = None) -> None:
         self.params = params or Params()
+        if self.params.single == "region":
+            self.requires = frozenset({Input.IMAGE})
 
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the pose of a flight of one photo.
@@ -99,18 +104,30 @@ class FlightMethod:
             ConfigError: A reconstruction is asked for, and there is none of these photos.
         """
         self._require_reconstruction(queries)
-        single = ContourAlignment(self.params.photo())
+        by_looks = self.params.single == "region"
+        single = Region(self.params.region()) if by_looks else ContourAlignment(self.params.photo())
         alone = [_alone(single, query, city_map, own) for query, own in zip(queries, streams, strict=True)]
-        return self.solve_jointly(queries, alone, city_map)
+        return (self._solve_by_looks if by_looks else self.solve_jointly)(queries, alone, city_map)
 
     def solve_jointly(
-        self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
+        self,
+        queries: Sequence[Query],
+        alone: Sequence[Estimate | QueryFault],
+        city_map: CityMap,
+        start: State | None = None,
     ) -> FlightEstimate:
-        """Returns what ``localize_flight`` does, given what was found of each photo by itself."""
+        """Returns what ``localize_flight`` does, given what was found of each photo by itself.
+
+        Args:
+            queries: The photos.
+            alone: What was found of each.
+            city_map: The map.
+            start: Where sensors and ties have photos, if that is known already.
+        """
         faults = [found for found in alone if isinstance(found, QueryFault)]
         if len(faults) == len(alone):
             return FlightEstimate(faults)
-        start = self._start(queries, city_map)
+        start = self._start(queries, city_map) if start is None else start
         offsets = np.array(
             [
                 differences(vector_from_pose(found.pose)[None], vector[None])[0]
@@ -126,6 +143,20 @@ class FlightMethod:
         aligned.state.constants[FOCAL] = start.constants[FOCAL] = 0.0
         found = held._finished(queries, start, held._align(queries, aligned.state, city_map), city_map)
         found.findings["notes"] = [_SAME_SCALE]
+        return found
+
+    def _solve_by_looks(
+        self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
+    ) -> FlightEstimate:
+        """Returns the same of photos without masks, which are made by what all photos show, twice."""
+        if all(isinstance(found, QueryFault) for found in alone):
+            return FlightEstimate(alone)
+        start, found = self._start(queries, city_map), FlightEstimate(alone)
+        for method in (FlightMethod(replace(self.params, restarts=0)), self):
+            places = agreed_places(start.vectors, found.estimates, self.params)
+            masked = with_masks_by_looks(queries, *places, city_map)
+            found = method.solve_jointly(masked, found.estimates, city_map, start)
+        found.findings["notes"] = [*found.findings.get("notes", ()), _MASKS_BY_MAP]
         return found
 
     def _require_reconstruction(self, queries: Sequence[Query]) -> None:
@@ -251,7 +282,7 @@ def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:
 
 
 def _alone(
-    method: ContourAlignment, query: Query, city_map: CityMap, streams: Streams
+    method: ContourAlignment | Region, query: Query, city_map: CityMap, streams: Streams
 ) -> Estimate | QueryFault:
     try:
         return method.localize(query, city_map, streams)

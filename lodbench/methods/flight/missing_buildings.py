@@ -27,13 +27,13 @@ Cells = NDArray[np.int64]
 
 # Voxels: their width, their heights above ground, metres; and what makes a place of them a building.
 _CELL_M, _HEIGHTS_M = 2.0, (1.0, 3.0, 5.0, 8.0, 12.0, 17.0, 23.0, 30.0)
-_SHARE, _FEWEST_PHOTOS, _LEAST_M2 = 0.8, 3, 24.0
+_SHARE, _FEWEST_PHOTOS, _LEAST_M2 = 0.8, 3, 16.0
 # The ground is as high as where the walls of so many buildings nearby end, the median of them.
 _NEIGHBOURS = 3
 # The ground is looked at in squares of this many cells a side.
 _SQUARE = 256
 # What lies this near to a building's silhouette is its own, badly drawn; what lies further is seen too small.
-_MARGIN_PX, _FURTHEST_M = 4, 400.0
+_MARGIN_PX, _FURTHEST_M = 3, 400.0
 
 
 def missing_buildings(views: Sequence[View], city_map: CityMap) -> list[dict[str, Any]]:

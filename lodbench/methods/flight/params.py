@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.methods.contour_alignment import Params as PhotoParams
+from lodbench.methods.region import Params as RegionParams
 
 Floats = NDArray[np.float64]
 
+SINGLE_METHODS = ("contour_alignment", "region")
 RELATIVE_POSES = ("auto", "reconstruction", "tracks", "none")
 
 
@@ -43,6 +46,8 @@ class Params:
         part_width_m: Width of a part, metres.
         view_roof_m: The same as one view sees it: a ridge from here, eaves from there.
         heat: By how much less outlines say than their covariance has it: the model is not the whole truth.
+        single: How each photo is found by itself: ``contour_alignment``, by its mask; or ``region``, by its
+            pixels: masks are then made of what roofs, walls and ground look like in all photos of a flight.
         relative_poses: What ties photos to each other: ``reconstruction``, a model of the flight (COLMAP) up
             to a similarity; ``tracks``, features of neighbouring photos; ``none``; or ``auto`` for the first
             of them that there is.
@@ -75,6 +80,7 @@ class Params:
     part_width_m: float = 20.0
     view_roof_m: float = 0.5
     heat: float = 1.5
+    single: str = "contour_alignment"
     relative_poses: str = "auto"
     reconstruction_m: float = 0.15
     reconstruction_deg: float = 0.05
@@ -88,9 +94,10 @@ class Params:
         for name in self.__slots__[1:19]:
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
-        if self.relative_poses not in RELATIVE_POSES:
-            near = nearest_names(self.relative_poses, RELATIVE_POSES)
-            raise ConfigError(f"method.relative_poses={self.relative_poses} is not known.", near)
+        for name, known in (("relative_poses", RELATIVE_POSES), ("single", SINGLE_METHODS)):
+            if getattr(self, name) not in known:
+                near = nearest_names(getattr(self, name), known)
+                raise ConfigError(f"method.{name}={getattr(self, name)} is not known.", near)
         if not min(self.reconstruction_m, self.reconstruction_deg, self.reconstruction_mount_deg) > 0:
             raise ConfigError("method.reconstruction_m, _deg and _mount_deg are above 0.")
         if self.steps < 1 or self.votes < 1:
@@ -130,15 +137,21 @@ class Params:
 
     def photo(self) -> PhotoParams:
         """Returns the parameters by which each photo is aligned alone, over all that is left open."""
+        return replace(PhotoParams(), **self._ranges())
+
+    def region(self) -> RegionParams:
+        """Returns the same for photos that are found by their pixels."""
+        return replace(RegionParams(), **self._ranges())
+
+    def _ranges(self) -> dict[str, Any]:
         plane = 2.0 * (self.shared_m + self.own_m)
-        return replace(
-            PhotoParams(),
-            range_x_m=plane,
-            range_y_m=plane,
-            range_z_m=2.0 * (self.shared_height_m + self.own_m),
-            range_yaw_deg=2.0 * (self.shared_yaw_deg + self.own_yaw_deg),
-            range_tilt_deg=2.0 * (self.shared_tilt_deg + self.own_tilt_deg),
-        )
+        return {
+            "range_x_m": plane,
+            "range_y_m": plane,
+            "range_z_m": 2.0 * (self.shared_height_m + self.own_m),
+            "range_yaw_deg": 2.0 * (self.shared_yaw_deg + self.own_yaw_deg),
+            "range_tilt_deg": 2.0 * (self.shared_tilt_deg + self.own_tilt_deg),
+        }
 
 
 def _sigmas(*widths: float) -> Floats:

@@ -67,7 +67,7 @@ def test_a_building_that_the_map_lacks_is_found_where_it_stands(world, seed):
             for p in points
         )
         assert len(change["photos"]) >= 3
-        assert change["area_m2"] >= 24.0
+        assert change["area_m2"] >= 16.0
 
 
 def test_it_does_not_matter_in_which_squares_the_ground_is_looked_at(world, monkeypatch):
