@@ -19,7 +19,7 @@ from lodbench.cli.place_options import (
     height_options,
 )
 from lodbench.cli.segmenters import segmenter_of
-from lodbench.cli.source_profiles import load_profile
+from lodbench.cli.source_profiles import load_profile, option_pairs
 from lodbench.errors import ConfigError
 from lodbench.segmentation.choice import FOR_PHOTOS
 
@@ -36,7 +36,8 @@ The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goe
 a mask or a segmenter is aligned with the map by its own pixels (--method region).
 
 Several photos, or a folder, are flights: told apart by camera and by the clock in EXIF, and each solved as a
-whole (--method flight), with masks from --masks, from the folder's own folder masks, or from a segmenter.
+whole (--method flight), with masks from --masks, from the folder's own folder masks, or from a segmenter;
+without any by their pixels (--method-option single=region).
 flights.json says what the drone and the map are wrong about, map_findings.geojson which buildings;
 localized.csv and localized.geojson have all photos. --each-alone takes each photo by itself.
 
@@ -69,6 +70,7 @@ def main(argv: Sequence[str]) -> int:
     masks = asked.masks or _masks_inside(asked)
     photos = photos_of(asked.photos, masks)
     method = _method(asked, is_one, masks)
+    masks = masks if "mask" in method.requires else None
     request = _request(asked, photos[0], method, masks)
     if asked.sidecars:
         frame_on_earth(open_map(request).scene.crs)
@@ -113,11 +115,12 @@ def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Meth
     Raises:
         ConfigError: It looks at no mask, and one was named.
     """
-    from lodbench.methods.registry import make_method
+    from lodbench.methods.registry import configure_method
 
     named = [f"--{name}" for name in ("mask", "masks", "segmenter") if getattr(asked, name) is not None]
     alone = "contour_alignment" if named or masks is not None else "region"
-    method = make_method(asked.method or (alone if is_one or asked.each_alone else "flight"))
+    name = asked.method or (alone if is_one or asked.each_alone else "flight")
+    method = configure_method({**option_pairs(asked.method_option), "name": name}).make()
     if named and "mask" not in method.requires:
         hint = f"Leave {named[0]} out, or take --method contour_alignment."
         raise ConfigError(f"Method {method.name} looks at no mask.", hint)
@@ -224,6 +227,9 @@ def _parser() -> argparse.ArgumentParser:
         "--method",
         metavar="NAME",
         help="flight; of one photo region, with --mask or --segmenter contour_alignment",
+    )
+    parser.add_argument(
+        "--method-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
     )
     parser.add_argument("--each-alone", action="store_true", help="solve each photo of many by itself")
     parser.add_argument(

@@ -112,6 +112,19 @@ def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
     assert page.count("<img alt") == COUNT + 1  # and the one of the viewer
 
 
+def test_a_flight_is_solved_by_its_pixels(capsys, flight, tmp_path):
+    words = ["--city", flight.city, "--method-option", "single=region", "--out", tmp_path / "out"]
+    code, told = localize(capsys, flight.photos, *words)
+    assert code in (0, 3)
+    assert max(errors_m(tmp_path / "out", flight.truth).values()) < 1.0
+    assert "masks made with the map agree with it" in told
+    for option, said in (("singel=region", "single"), ("single=regoin", "region"), ("name", "no value")):
+        words = ["--city", flight.city, "--method-option", option, "--out", tmp_path / "no"]
+        assert main(["localize", *map(str, (flight.photos, *words))]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+
+
 def test_a_reconstruction_ties_the_photos_and_xmp_is_written_beside_them(capsys, flight, tmp_path):
     photos = tmp_path / "photos"
     shutil.copytree(flight.photos, photos)
