@@ -15,19 +15,21 @@ from lodbench.matching import open_extractor
 from lodbench.matching.weights import Published, fetched_folder
 from lodbench.segmentation.extras import require
 
-Picture = NDArray[np.uint8]
-FeatureMap = NDArray[np.float32]
+Pictures = NDArray[np.uint8]
+FeatureMaps = NDArray[np.float32]
 
 _RANDOM = "random"
 _DINOV2 = Published("facebook/dinov2-small", "Apache-2.0", 88)
 _PATCH = 14
+# Of ImageNet's pictures, red first.
+_MEAN, _SPREAD = (np.array(v, np.float32) for v in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)))
 
 
 class DenseFeatures(Protocol):
-    """Features of a picture."""
+    """Features of pictures of one size."""
 
-    def __call__(self, picture: Picture) -> FeatureMap:
-        """Returns (h, w, C) features of an (H, W, 3) picture, red first."""
+    def __call__(self, pictures: Pictures) -> FeatureMaps:
+        """Returns (N, h, w, C) features of (N, H, W, 3) pictures, red first."""
         ...
 
     def weight_files(self) -> list[Path]:
@@ -51,8 +53,11 @@ class Hog:
         """Returns none."""
         return []
 
-    def __call__(self, picture: Picture) -> FeatureMap:
-        """Returns (H / cell, W / cell, 9) histograms, each pixel shared by the two nearest directions."""
+    def __call__(self, pictures: Pictures) -> FeatureMaps:
+        """Returns (N, H / cell, W / cell, 9) histograms, each pixel shared by the two nearest directions."""
+        return np.stack([self._of(picture) for picture in pictures])
+
+    def _of(self, picture: NDArray[np.uint8]) -> NDArray[np.float32]:
         grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
         across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
         cell = self.cell_px
@@ -83,9 +88,9 @@ class XFeatMap:
         """Returns XFeat's file."""
         return list(self._extractor.weight_files())
 
-    def __call__(self, picture: Picture) -> FeatureMap:
-        """Returns (h, w, 64) descriptors."""
-        return np.asarray(self._extractor.dense(picture), dtype=np.float32)
+    def __call__(self, pictures: Pictures) -> FeatureMaps:
+        """Returns (N, h, w, 64) descriptors."""
+        return np.asarray(self._extractor.dense(pictures), dtype=np.float32)
 
 
 class Dinov2Map:
@@ -113,20 +118,21 @@ class Dinov2Map:
         """Returns the network's."""
         return [] if self._folder is None else sorted(self._folder.glob("*.safetensors"))
 
-    def __call__(self, picture: Picture) -> FeatureMap:
-        """Returns (h, w, 384) patch tokens of the picture cut to whole patches."""
+    def __call__(self, pictures: Pictures) -> FeatureMaps:
+        """Returns (N, h, w, 384) patch tokens of pictures cut to whole patches."""
         import torch
 
-        height, width = (side // _PATCH * _PATCH for side in picture.shape[:2])
+        height, width = (side // _PATCH * _PATCH for side in pictures.shape[1:3])
         if not height or not width:
             raise ConfigError(f"method.fine_size and coarse_size are at least {_PATCH} px for dinov2.")
-        pixels = picture[:height, :width].astype(np.float32) / 255.0
-        pixels = (pixels - (0.485, 0.456, 0.406)) / (0.229, 0.224, 0.225)
-        blob = torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)[None], dtype=np.float32))
+        pixels = pictures[:, :height, :width].astype(np.float32) / np.float32(255)
+        pixels = (pixels - _MEAN) / _SPREAD
+        blob = torch.from_numpy(np.ascontiguousarray(pixels.transpose(0, 3, 1, 2)))
         with torch.inference_mode():
-            tokens = self._net(blob).last_hidden_state[0, 1:].numpy()
-        tokens = tokens / np.maximum(np.linalg.norm(tokens, axis=1, keepdims=True), 1e-12)
-        return np.asarray(tokens.reshape(height // _PATCH, width // _PATCH, -1), dtype=np.float32)
+            tokens = self._net(blob).last_hidden_state[:, 1:].numpy()
+        tokens = tokens / np.maximum(np.linalg.norm(tokens, axis=2, keepdims=True), 1e-12)
+        sides = len(pictures), height // _PATCH, width // _PATCH, -1
+        return np.asarray(tokens.reshape(sides), dtype=np.float32)
 
 
 @lru_cache(maxsize=2)
@@ -137,6 +143,7 @@ def open_features(name: str, weights: str | None) -> DenseFeatures:
     return XFeatMap(weights) if name == "xfeat" else Dinov2Map(weights)
 
 
-def similarity(photo: FeatureMap, render: FeatureMap) -> float:
-    """Returns minus the mean distance of two feature maps of one size: 0 for equal ones, above -2."""
-    return -float(np.linalg.norm(photo - render, axis=2).mean())
+def similarities(photo: FeatureMaps, renders: FeatureMaps) -> NDArray[np.float64]:
+    """Returns minus the mean distance of (h, w, C) features to each of N: 0 for equal ones, above -2."""
+    apart = np.linalg.norm(renders - photo, axis=3).mean(axis=(1, 2), dtype=np.float64)
+    return np.asarray(-apart, dtype=np.float64)

@@ -17,13 +17,13 @@ from lodbench.methods.lodlocv2 import Particles, search
 from lodbench.segmentation.photos import read_photo
 
 from ..render_and_match import resized_photo, shaded_views
-from .features import open_features, similarity
+from .features import open_features, similarities
 from .params import McLocParams
 
 Floats = NDArray[np.float64]
 
-# Views rendered at a time.
-_BATCH = 32
+# Views rendered, and shown to a network, at a time.
+_BATCH = 16
 
 
 class FeatureScorer:
@@ -42,18 +42,18 @@ class FeatureScorer:
         self._city_map, self._is_textured = city_map, params.map == "textured"
         self._features = open_features(params.features, params.weights)
         self.has_seen_map = False
-        self._photo = self._features(resized_photo(photo, self._camera))
+        self._photo = self._features(resized_photo(photo, self._camera)[None])[0]
 
     def __call__(self, centers: Floats, yaws_deg: Floats) -> Particles:
         """Returns the poses with their scores, each below 0."""
         rotations = rotations_at_yaws(self._pitch_deg, self._roll_deg, yaws_deg)
-        scores = []
+        scores = np.empty(len(centers))
         for start in range(0, len(centers), _BATCH):
             batch = slice(start, start + _BATCH)
             pictures = self._pictures(rotations[batch], centers[batch])
             self.has_seen_map = self.has_seen_map or bool(pictures.min() < pictures.max())
-            scores += [similarity(self._photo, self._features(picture)) for picture in pictures]
-        return Particles(centers, yaws_deg, np.array(scores, dtype=np.float64))
+            scores[batch] = similarities(self._photo, self._features(pictures))
+        return Particles(centers, yaws_deg, scores)
 
     def _pictures(self, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
         if self._is_textured:

