@@ -12,8 +12,8 @@ class Check:
     """One thing looked at.
 
     Attributes:
-        section: ``machine``, ``packages``, ``extras``, ``folders``, ``renderers`` or ``traps``; of a
-            method ``plug-in`` or ``answers``.
+        section: ``machine``, ``packages``, ``extras``, ``folders``, ``renderers``, ``networks`` or
+            ``traps``; of a method ``plug-in`` or ``answers``.
         name: What it is.
         status: ``ok``, ``absent`` (optional, not installed) or ``broken``; of a method ``ok`` or ``fault``.
         detail: What was found.

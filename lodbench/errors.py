@@ -44,6 +44,10 @@ class QueryFault(LodbenchError):
     """A fault of one query: recorded as a failed row with this reason; the run goes on."""
 
 
+class WorkersGone(LodbenchError):
+    """Workers cannot begin, keep dying or hang, or the scheduler is gone: the run ends, no query fails."""
+
+
 def nearest_names(wanted: str, known: Iterable[str]) -> str:
     """Returns a hint that lists the known names closest to a misspelt one, or all of them."""
     names = sorted(known)

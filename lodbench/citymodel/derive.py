@@ -14,7 +14,7 @@ from lodbench.citymodel.newell import newell
 from lodbench.citymodel.objects import outer_parts
 from lodbench.citymodel.raw import starts_of
 from lodbench.citymodel.selection import select_polygons
-from lodbench.citymodel.triangulate import triangulate
+from lodbench.citymodel.triangulate import MAX_CORNERS, triangulate
 from lodbench.errors import CityModelError, ConfigError
 from lodbench.findings import Findings
 
@@ -58,6 +58,9 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     plans, owner, bottom, top, building_of = _blocks(model, finer, ROOF_HEIGHTS[roof_height])
     for building in np.setdiff1d(np.arange(len(model.building_ids)), building_of[owner]):
         findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer}")
+    outside = _outside(model, finer)
+    for building in np.unique(outside.building[_point_counts(outside) > MAX_CORNERS]):
+        findings.add(LOD_UNDERIVABLE, model.building_ids[building], "polygons too large to cut are left out")
     if len(owner) == 0:
         raise CityModelError(
             "No building has a footprint and a roof to derive level 1 from.",
@@ -109,7 +112,7 @@ def _blocks(
     np.minimum.at(bottom, np.repeat(block, _point_counts(source)), source.points[:, 2])
     top = _roof_heights(source, block, slope, count, share)
     chosen = _footprints(source, block, slope, areas, count)
-    chosen = chosen[np.isfinite(top)[block[chosen]]]
+    chosen = chosen[np.isfinite(top)[block[chosen]] & (_point_counts(source)[chosen] <= MAX_CORNERS)]
     plans, owner = _dissolve(select_polygons(source, chosen), block[chosen])
     return plans, owner, bottom, top, building_of
 

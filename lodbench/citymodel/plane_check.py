@@ -24,6 +24,7 @@ from lodbench.citymodel.newell import newell
 from lodbench.citymodel.selection import select_polygons
 from lodbench.citymodel.triangulate import (
     CHUNK_POLYGONS,
+    MAX_CORNERS,
     PLANAR_TOLERANCE_M,
     triangulate,
 )
@@ -53,7 +54,10 @@ def check_planes(model: CityModel, findings: Findings) -> None:
     """
     import shapely
 
-    outer = np.flatnonzero(model.polygons.kind != SurfaceKind.INTERIOR)
+    is_outer = model.polygons.kind != SurfaceKind.INTERIOR
+    # Larger ones are told as not cut; crossings of a million edges would take hours.
+    corners = np.diff(model.polygons.ring_starts[model.polygons.polygon_starts])
+    outer = np.flatnonzero(is_outer & (corners <= MAX_CORNERS))
     polygons = select_polygons(model.polygons, outer)
     if len(polygons) == 0:
         return

@@ -27,7 +27,7 @@ AREA_TOLERANCE = 1e-4  # relative
 _MIN_AREA_M2 = 1e-6
 # Cutting ears takes the square of a polygon's corners: 4 s at this many that cross each other, hours at
 # millions. No roof, wall or ground of a building comes near; a larger polygon is not cut, and told as lost.
-_MAX_CORNERS = 10_000
+MAX_CORNERS = 10_000
 # A few megabytes of points at a time: fast in the processor's cache, and no peak on large cities.
 CHUNK_POLYGONS = 16384
 
@@ -163,7 +163,7 @@ def _cut_ears(
     ends = (polygons.ring_starts[rings + 1] - np.repeat(first, np.diff(cuts))).astype(np.uint32)
     uncut = np.zeros(0, np.uint32)
     pieces = [
-        earcut(plane[begin:end], ends[ring:next_ring]) if end - begin <= _MAX_CORNERS else uncut
+        earcut(plane[begin:end], ends[ring:next_ring]) if end - begin <= MAX_CORNERS else uncut
         for begin, end, (ring, next_ring) in zip(
             first.tolist(), last.tolist(), pairwise(cuts.tolist()), strict=True
         )
@@ -203,7 +203,7 @@ def _report(
                 f"polygon {num_before + polygon}: {result.deviation_m[polygon]:.3f} m off its plane, "
                 f"area {result.area_m2[polygon]:.4f} m2, triangles {result.meshed_m2[polygon]:.4f} m2"
             )
-            if counts[polygon] > _MAX_CORNERS:
+            if counts[polygon] > MAX_CORNERS:
                 detail += f", {counts[polygon]:,} corners are not cut"
             corner = polygons.points[polygons.ring_starts[polygons.polygon_starts[polygon]]]
             findings.add(

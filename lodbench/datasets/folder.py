@@ -137,10 +137,25 @@ def _stated_city(root: Path, folder: Path, about: Mapping[str, Any]) -> tuple[Pa
     """Returns the city model that ``dataset.json`` names, relative to its folder, and notes for the reader.
 
     None if it is not there. What a stranger's file names outside the dataset is not so much as looked for.
+
+    Raises:
+        DatasetError: What it names cannot be a file's name.
     """
     stated = about.get("city_model")
     if not isinstance(stated, str):
         return None, ()
+    try:
+        return _found_city(root, folder, stated, about)
+    except (OSError, ValueError, RuntimeError) as error:  # too long, NUL, half a character; links in a circle
+        raise DatasetError(
+            f"{folder / ABOUT_FILE}: city_model {stated!r:.60} is no name of a file.",
+            "Set city=FILE.",
+        ) from error
+
+
+def _found_city(
+    root: Path, folder: Path, stated: str, about: Mapping[str, Any]
+) -> tuple[Path | None, tuple[str, ...]]:
     path = Path(os.path.normpath(folder.absolute() / stated))
     if not is_sealed(_sealed_of(stated), about.get("seal")):
         home = Path(os.path.normpath(root.absolute()))

@@ -14,6 +14,8 @@ from lodbench.errors import QueryFault
 INSTANCES_FOLDER = "instances"
 # More buildings in one photo than this are no buildings.
 _MOST = 2000
+# Values of all masks of a photo together: 1 GB.
+_MOST_VALUES = 2**30
 
 
 def read_labels(path: Path) -> NDArray[np.uint16]:
@@ -34,7 +36,10 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
         raise QueryFault(
             f"instances {path.name} is not a grey image of 8 or 16 bits: 0, then one per building"
         )
-    count = int(np.count_nonzero(np.bincount(labels.ravel(), minlength=1)[1:]))
+    seen = np.zeros(2**16, np.bool_)
+    for row in labels:  # all at once it takes eight times the picture
+        seen[row] = True
+    count = int(seen[1:].sum())
     if count > _MOST:
         raise QueryFault(f"instances {path.name} has {count} labels: is it a photo?")
     return labels.astype(np.uint16)
@@ -46,6 +51,15 @@ def encoded_labels(labels: NDArray[np.uint16]) -> bytes:
 
 
 def masks_of_labels(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Returns (N, H, W) bool, the mask of each label above 0 that occurs, ascending."""
+    """Returns (N, H, W) bool, the mask of each label above 0 that occurs, ascending.
+
+    Raises:
+        QueryFault: They would take more than 1 GB.
+    """
     found = np.unique(labels)
-    return np.asarray(labels[None] == found[found > 0][:, None, None])
+    found = found[found > 0]
+    if len(found) * labels.size > _MOST_VALUES:
+        raise QueryFault(
+            f"instances: {len(found)} masks of {labels.shape[1]} x {labels.shape[0]} are too many"
+        )
+    return np.asarray(labels[None] == found[:, None, None])

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.pictures import decoded, has_too_many_pixels
+from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
 
 
@@ -71,21 +73,39 @@ class Prediction:
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> Prediction:
-        """Returns what ``to_json`` made an object of; what an older one lacks is unknown."""
-        return cls(
-            pose=None if value["pose"] is None else _pose(value["pose"]),
-            failure=value["failure"],
-            score=value["score"],
-            hypotheses=value["hypotheses"],
-            seconds=value["seconds"],
-            trace={stage: tuple(scores) for stage, scores in value.get("trace", {}).items()},
-            probability=value.get("probability"),
-            covariance=tuple(value.get("covariance", ())),
-            alternatives=tuple(_pose(numbers) for numbers in value.get("alternatives", ())),
-            alternative_probabilities=tuple(value.get("alternative_probabilities", ())),
-            notes=tuple(value.get("notes", ())),
-            mask_png=value.get("mask_png", ""),
-        )
+        """Returns what ``to_json`` made an object of; what an older one lacks is unknown.
+
+        Raises:
+            DatasetError: It is of something else.
+        """
+        try:
+            return cls(
+                pose=None if value["pose"] is None else _pose(value["pose"]),
+                failure=_text(value["failure"]),
+                score=_number(value["score"]),
+                hypotheses=None if value["hypotheses"] is None else int(value["hypotheses"]),
+                seconds={str(stage): float(each) for stage, each in value["seconds"].items()},
+                trace={stage: tuple(map(float, scores)) for stage, scores in value.get("trace", {}).items()},
+                probability=_number(value.get("probability")),
+                covariance=tuple(map(float, value.get("covariance", ()))),
+                alternatives=tuple(_pose(numbers) for numbers in value.get("alternatives", ())),
+                alternative_probabilities=tuple(map(float, value.get("alternative_probabilities", ()))),
+                notes=tuple(map(_text, value.get("notes", ()))),
+                mask_png=_text(value.get("mask_png", "")),
+            )
+        except (LookupError, TypeError, ValueError, AttributeError, OverflowError, LodbenchError) as error:
+            reason = f"{type(error).__name__}: {error}"
+            raise DatasetError(f"A stored prediction is none ({reason}).", "Run the query again.") from error
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r:.40} is no text")
+    return value
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)
 
 
 def pose_numbers(pose: Pose | None) -> list[float] | None:
@@ -107,7 +127,11 @@ def encoded_mask(mask: NDArray[np.bool_]) -> str:
 
 
 def _decoded(text: str) -> NDArray[np.bool_]:
-    import cv2
-
-    picture = cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_GRAYSCALE)
-    return np.asarray(picture) > 0
+    try:
+        content = base64.b64decode(text)
+    except ValueError as error:
+        raise DatasetError(f"A stored mask is no picture ({error}).") from error
+    picture = None if has_too_many_pixels(content) else decoded(content, as_stored=True)
+    if picture is None or picture.ndim != 2:
+        raise DatasetError("A stored mask is no picture of a size that is read.")
+    return np.asarray(picture > 0)

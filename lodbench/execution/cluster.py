@@ -11,8 +11,8 @@ from itertools import islice
 from typing import Any, TypeVar
 from uuid import uuid4
 
-from lodbench.errors import ConfigError, LodbenchError
-from lodbench.execution.fan_out import KEEP_DYING, KEEP_DYING_HINT
+from lodbench.errors import ConfigError, WorkersGone
+from lodbench.execution.fan_out import KEEP_DYING, KEEP_DYING_HINT, begin
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -59,7 +59,7 @@ class DaskWorkers:
         """Yields results as ``Processes.map`` does.
 
         Raises:
-            LodbenchError: Workers keep dying or hanging, or the scheduler goes away.
+            WorkersGone: Workers cannot begin, keep dying or hanging, or the scheduler goes away.
             Exception: What the work raised.
         """
         with _one_line_for(self._address):
@@ -82,7 +82,7 @@ class DaskWorkers:
             except TimeoutError as error:
                 hung += 1
                 if hung > _RETRIES:
-                    raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
+                    raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
                 # What they were at is done again.
                 names = [name for name, keys in self._client.processing().items() if keys]
                 self._client.restart_workers(names)
@@ -105,7 +105,7 @@ def dask_workers(
 
     Raises:
         ConfigError: Dask is not installed.
-        LodbenchError: The scheduler is not there.
+        WorkersGone: The scheduler is not there.
     """
     try:
         distributed: Any = import_module("distributed")
@@ -123,7 +123,7 @@ def dask_workers(
         except OSError as error:
             if address is None or error.errno is not None:
                 raise
-            raise LodbenchError(
+            raise WorkersGone(
                 f"Dask's scheduler {address} does not answer.", "dask scheduler starts one."
             ) from error
         with client:
@@ -142,9 +142,9 @@ def _one_line_for(address: str) -> Iterator[None]:
     try:
         yield
     except distributed.KilledWorker as error:
-        raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
-    except CancelledError as error:
-        raise LodbenchError(
+        raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
+    except (CancelledError, distributed.comm.CommClosedError) as error:
+        raise WorkersGone(
             f"Dask's scheduler {address} is gone.",
             "Start it again and give the same command: what was done is kept.",
         ) from error
@@ -163,6 +163,6 @@ def _on_worker(
 ) -> Any:
     token, prepare, prepare_with = common
     if _prepared != [token]:
-        prepare(*prepare_with)
+        begin(prepare, prepare_with)
         _prepared[:] = [token]
     return work(item)

@@ -78,7 +78,7 @@ class Workers(Protocol):
         An item whose worker died is tried again on another one.
 
         Raises:
-            LodbenchError: Workers keep dying, or the scheduler is gone.
+            WorkersGone: Workers cannot begin, keep dying, or the scheduler is gone.
             Exception: What the work raised.
         """
         ...
@@ -96,7 +96,7 @@ def open_workers(
         prepare_with: Its arguments.
 
     Raises:
-        LodbenchError: The scheduler is not there.
+        WorkersGone: The scheduler is not there.
     """
     if executor.name == DASK:
         from lodbench.execution.cluster import dask_workers

@@ -16,7 +16,7 @@ from multiprocessing import forkserver
 from multiprocessing.connection import wait as wait_for
 from typing import Any, TypeVar
 
-from lodbench.errors import LodbenchError
+from lodbench.errors import ConfigError, LodbenchError, WorkersGone
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -92,12 +92,12 @@ class Processes:
             items: What to work on; taken as workers become free.
 
         Raises:
-            LodbenchError: Workers keep dying or hanging.
+            WorkersGone: Workers cannot begin, or keep dying or hanging.
             Exception: What the work raised; items not yet handed out are left.
         """
         if self.count == 1:
             if not self._is_prepared:
-                self._prepare(*self._prepare_with)
+                begin(self._prepare, self._prepare_with)
                 self._is_prepared = True
             yield from map(work, items)
             return
@@ -112,7 +112,7 @@ class Processes:
                 self.close()
                 deaths += 1
                 if deaths > _DEATHS:
-                    raise LodbenchError(KEEP_DYING, KEEP_DYING_HINT) from error
+                    raise WorkersGone(KEEP_DYING, KEEP_DYING_HINT) from error
 
     def close(self) -> None:
         """Ends the workers, when they are done with what they are at."""
@@ -133,7 +133,7 @@ class Processes:
                     if not again:
                         break
                     # In `again` until it is handed out: a pool that is broken takes nothing.
-                    future = pool.submit(work, again[-1])
+                    future = pool.submit(_do, work, again[-1])
                     at_work[future] = again.pop()
                 if not at_work:
                     return
@@ -158,10 +158,37 @@ class Processes:
         if self._pool is None:
             expect_workers((self._prepare.__module__,))
             self._others = set(multiprocessing.active_children())
-            begin = (self._prepare, self._prepare_with, dict(os.environ))
+            begin_with = (self._prepare, self._prepare_with, dict(os.environ))
             context = multiprocessing.get_context(_START)
-            self._pool = ProcessPoolExecutor(self.count, context, _begin, begin)
+            self._pool = ProcessPoolExecutor(self.count, context, _begin, begin_with)
         return self._pool
+
+
+def begin(prepare: Callable[..., None], prepare_with: tuple[Any, ...]) -> None:
+    """Prepares this process for work.
+
+    Raises:
+        ConfigError: A setting is wrong.
+        WorkersGone: It cannot be prepared, whatever item it were for.
+    """
+    try:
+        prepare(*prepare_with)
+    except ConfigError:
+        raise
+    except LodbenchError as error:
+        raise WorkersGone(f"A worker cannot begin: {error.message}", error.hint) from error
+    except Exception as error:
+        raise WorkersGone(f"A worker cannot begin: {type(error).__name__}: {error}") from error
+
+
+# Why this worker cannot work: told with its first item, as a pool whose workers raise at the start is silent.
+_cannot_begin: list[LodbenchError] = []
+
+
+def _do(work: Callable[[Item], Result], item: Item) -> Result:
+    if _cannot_begin:
+        raise _cannot_begin[0]
+    return work(item)
 
 
 def _begin(prepare: Callable[..., None], prepare_with: tuple[Any, ...], environment: dict[str, str]) -> None:
@@ -171,7 +198,10 @@ def _begin(prepare: Callable[..., None], prepare_with: tuple[Any, ...], environm
     # The server that workers fork from may be older than the settings.
     os.environ.clear()
     os.environ.update(environment)
-    prepare(*prepare_with)
+    try:
+        begin(prepare, prepare_with)
+    except LodbenchError as error:
+        _cannot_begin.append(error)
 
 
 def _end_with_parent() -> None:

@@ -29,12 +29,16 @@ class Ledger:
     Args:
         path: The file; made on the first record.
         read_only: Leave the file as it is, damaged lines included: somebody else may be writing it.
+
+    Attributes:
+        damaged: How many lines of the file are not as they were written, a half one at its end included.
     """
 
     def __init__(self, path: Path, read_only: bool = False) -> None:
         self._path = path
         self._read_only = read_only
         self._items: dict[str, dict[str, Any]] = {}
+        self.damaged = 0
         if path.is_file():
             self._load()
 
@@ -74,7 +78,8 @@ class Ledger:
         kept: list[bytes] = []
         damaged, has_checks = 0, False
         # What follows the last line end is a half line, or nothing.
-        for line in content.split(b"\n")[:-1]:
+        *lines, half = content.split(b"\n")
+        for line in lines:
             found = _CHECK.fullmatch(line[-_CHECK_BYTES:])
             item = _parse(line[:-_CHECK_BYTES] + b"}" if found else line)
             is_sound = line == _checked(line[:-_CHECK_BYTES] + b"}") if found else not has_checks
@@ -86,6 +91,7 @@ class Ledger:
                 kept.append(line + b"\n")
         if damaged:
             _LOGGER.warning("%s has %d damaged lines, which count as not done.", self._path, damaged)
+        self.damaged = damaged + bool(half)
         whole = b"".join(kept)
         if whole != content and not self._read_only:
             write_bytes(self._path, whole)

@@ -15,8 +15,8 @@ from lodbench.errors import QueryFault
 from lodbench.segmentation.masks import content_digest
 from lodbench.storage import digest_of
 
-# Masks of buildings are handed over at most this wide, pixels: a photo has hundreds.
-_WIDTH = 1024
+# Masks of buildings are handed over at most this long, pixels: a photo has hundreds.
+_LONGER_SIDE = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +46,16 @@ class InstanceFiles:
         return np.asarray(self._labels(entry) > 0, dtype=np.float32)
 
     def segment_instances(self, entry: Entry) -> NDArray[np.bool_]:
-        """Returns (N, h, w) bool, at most 1024 pixels wide.
+        """Returns (N, h, w) bool, at most 1024 pixels on the longer side.
 
         Raises:
-            QueryFault: As for ``segment``.
+            QueryFault: As for ``segment``, or there are too many labels for masks of one bit each.
         """
         labels = self._labels(entry)
         height, width = labels.shape
-        if width > _WIDTH:
-            size = (_WIDTH, max(1, round(_WIDTH * height / width)))
+        scale = _LONGER_SIDE / max(height, width)
+        if scale < 1:
+            size = (max(1, round(width * scale)), max(1, round(height * scale)))
             labels = np.asarray(cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST_EXACT), np.uint16)
         return masks_of_labels(labels)
 

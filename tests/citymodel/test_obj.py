@@ -10,7 +10,9 @@ from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.check import check_city
 from lodbench.citymodel.info import city_info
 from lodbench.citymodel.obj import read_obj
+from lodbench.citymodel.plane_check import check_planes
 from lodbench.errors import CityModelError
+from lodbench.findings import Findings
 
 from .gml_text import write
 
@@ -104,6 +106,15 @@ def test_a_face_of_too_many_corners_is_told_as_lost_at_once(tmp_path: Path) -> N
     assert mesh.lost_m2 == pytest.approx(mesh.area_m2 - 40.5)
     (finding,) = mesh.findings.items
     assert finding.detail.endswith("200,000 corners are not cut")
+
+
+def test_a_face_of_many_corners_that_cross_is_not_looked_at_for_crossings(tmp_path: Path) -> None:
+    corners = np.random.default_rng(0).random((100_000, 2)) * 1000
+    lines = [f"v {x:.3f} {y:.3f} 0" for x, y in corners]
+    lines += ["f " + " ".join(map(str, range(1, len(corners) + 1)))]
+    findings = Findings()
+    check_planes(read_city_model(write(tmp_path / "random.obj", "\n".join(lines))), findings)
+    assert not findings.items
 
 
 def test_a_level_that_is_lost_whole_is_told_too(tmp_path: Path) -> None:

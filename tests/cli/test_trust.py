@@ -143,6 +143,28 @@ def test_what_a_killed_make_demo_left_is_swept_up(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["demo"]
 
 
+@pytest.mark.parametrize("stated", ["a\0b.obj", "loop/a.obj", "a\ud800.obj", "a" * 5000, "a/" * 5000])
+def test_a_city_of_no_possible_name_is_one_line(capsys, tmp_path, stated):
+    root, _ = write_dataset(tmp_path / "town", 1)
+    (root / "loop").symlink_to("loop")
+    (root / "dataset.json").write_text(json.dumps({"city_model": stated}))
+    for words in (["run", "dataset=folder", f"dataset.root={root}"], ["dataset", "check", str(root)]):
+        assert main([*words]) in (1, 2)
+        told = capsys.readouterr()
+        assert "Traceback" not in told.err + told.out
+        assert "is no name of a file" in told.err + told.out
+
+
+@pytest.mark.parametrize("crs", [7, ["EPSG:25832"], {}, "no such", "a\0b", "\ud800", "x" * 100_000])
+def test_a_reference_system_of_no_possible_name_is_one_line(capsys, tmp_path, crs):
+    root, city = write_dataset(tmp_path / "town", 1)
+    (root / "dataset.json").write_text(json.dumps({"city_model": str(city), "crs": crs}))
+    assert main([*run_words(root, city), "method=prior_only", f"paths.runs={tmp_path / 'runs'}"]) in (0, 2)
+    told = capsys.readouterr()
+    assert "Traceback" not in told.err
+    assert max(map(len, told.err.splitlines()), default=0) < 1000
+
+
 @pytest.mark.parametrize("stated", ["../pipe.obj", "{}/pipe.obj", "/proc/self/environ", "link/pipe.obj"])
 def test_no_city_outside_a_stranger_s_dataset_is_opened(capsys, tmp_path, stated):
     root, city = write_dataset(tmp_path / "town", 2)

@@ -9,10 +9,12 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from lodbench.harness.runs.predict import open_predictions
 from tests.town import write_dataset
 
 
@@ -54,10 +56,40 @@ def forge(run: Path) -> None:
     path.write_text(json.dumps(provenance))
 
 
-def change(path: Path, pattern: str, new: str) -> None:
+def change(path: Path, pattern: str, new: str | Callable[[re.Match[str]], str]) -> None:
     text, count = re.subn(pattern, new, path.read_text(), count=1)
     assert count == 1
     path.write_text(text)
+
+
+def test_a_changed_digit_of_the_ledger_is_told(lodbench, run):
+    change(run / "predictions.jsonl", r'("pose": \[-?\d\.)(\d)', lambda m: f"{m[1]}{(int(m[2]) + 1) % 10}")
+    done = lodbench("verify", str(run))
+    assert done.returncode == 1
+    assert "predictions.jsonl: 1 damaged lines" in done.stdout
+
+
+def test_another_pose_in_the_ledger_is_told_though_its_check_is_made_anew(lodbench, run):
+    stored = open_predictions(run)
+    answer = json.loads(json.dumps(stored["data/view_00.png"]))
+    answer["pose"][3] += 0.001
+    stored.record("data/view_00.png", answer)
+    done = lodbench("verify", str(run))
+    assert done.returncode == 1
+    assert "data/view_00.png has another pose than poses.txt" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("pose", [1, 2]), ("seconds", 3), ("notes", [7]), ("score", {}), ("trace", {"a": "b"})],
+)
+def test_an_answer_of_another_form_is_one_line(lodbench, run, field, value):
+    stored = open_predictions(run)
+    stored.record("data/view_00.png", {**stored["data/view_00.png"], field: value})
+    done = lodbench("verify", str(run))
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert "A stored prediction is none" in done.stderr
 
 
 def test_an_honest_run_passes(lodbench, made):

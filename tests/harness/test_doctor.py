@@ -5,11 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
+from importlib.resources import files
 
+import cv2
 import pytest
 
 from lodbench.checks import OK, Check
-from lodbench.harness.doctor import doctor
+from lodbench.errors import LodbenchError
+from lodbench.harness.doctor import doctor, probes
 from lodbench.harness.doctor.doctor import ABSENT, BROKEN, is_base_broken, run_probe
 from lodbench.plugins import plugin_names
 
@@ -38,6 +41,20 @@ def test_a_probe_that_works():
 
 def test_every_renderer_is_tried():
     assert set(doctor.RENDERER_TRIALS) == set(plugin_names("renderers"))
+
+
+def test_every_network_of_the_package_is_tried():
+    packaged = {path.stem for path in (files("lodbench.segmentation") / "weights").glob("*.onnx")}
+    assert set(doctor.NETWORKS) == packaged
+    for name in packaged:
+        check = run_probe("networks", name, True, 120.0)
+        assert check.status == OK, check
+
+
+def test_a_network_that_opencv_cannot_read_is_told(monkeypatch):
+    monkeypatch.setattr("cv2.dnn.readNetFromONNX", lambda *_: (_ for _ in ()).throw(cv2.error("no Reshape")))
+    with pytest.raises(LodbenchError, match="no ONNX network"):
+        probes.try_network("compact")
 
 
 def test_a_crash_is_reported(probe):

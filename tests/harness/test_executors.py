@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from lodbench.cli import main
-from lodbench.errors import LodbenchError
+from lodbench.errors import DatasetError, WorkersGone
 from lodbench.execution.executor import ExecutorParams, spread
 from lodbench.harness.runs.shared_scoring import SharedScorer
 from tests.town import write_dataset
@@ -140,8 +140,39 @@ def die(item: int) -> int:
 
 
 def test_workers_that_keep_dying_end_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(LodbenchError, match="keep dying"):
+    with pytest.raises(WorkersGone, match="keep dying"):
         list(spread(ExecutorParams("process", workers=2), die, range(4), prepare, (Deadly(tmp_path),)))
+
+
+@pytest.mark.parametrize("name", ["process", pytest.param("dask", marks=pytest.mark.slow)])
+def test_workers_that_die_over_a_shared_grid_end_the_run_and_are_no_query_s_failure(
+    serial, tmp_path, monkeypatch, capsys, name
+) -> None:
+    monkeypatch.setattr("lodbench.harness.runs.predict._score_here", die)
+    words = [f"dataset.root={serial[0] / 'town/data'}", f"dataset.city_model={serial[0] / 'town/city.obj'}"]
+    words += [
+        "dataset=folder",
+        "segmenter=masks",
+        "method.steps=1",
+        "limit=1",
+        "ranges=[200]",
+        "yaw_ranges=[]",
+    ]
+    words += ["maps=false", f"paths.runs={tmp_path}", f"executor={name}", "executor.share=hypotheses"]
+    assert main(["basin", *words, "executor.workers=2"]) == 2
+    assert "Workers keep dying" in capsys.readouterr().err
+    assert [path.read_bytes() for path in tmp_path.rglob("predictions.jsonl")] in ([], [b""])
+
+
+def cannot(reason: str) -> None:
+    raise DatasetError(reason, "Look elsewhere.")
+
+
+@pytest.mark.parametrize("name", ["process", pytest.param("dask", marks=pytest.mark.slow)])
+def test_workers_that_cannot_begin_say_why(name: str) -> None:
+    with pytest.raises(WorkersGone, match="cannot begin: another city") as caught:
+        list(spread(ExecutorParams(name, workers=2), square_or_die, range(4), cannot, ("another city",)))
+    assert caught.value.hint == "Look elsewhere."
 
 
 def hang_once(item: int) -> int:
@@ -171,7 +202,7 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path) -> None:
         results = spread(executor, square_or_die, range(200), prepare, (Deadly(tmp_path),))
         next(results)
         cluster.close()
-        with pytest.raises(LodbenchError, match="is gone"):
+        with pytest.raises(WorkersGone, match="is gone"):
             list(results)
     finally:
         cluster.close()

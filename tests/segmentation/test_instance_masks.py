@@ -46,6 +46,23 @@ def seen_at(scene, truth) -> np.ndarray:
     return RasterRenderer(scene, 1).draw(CAMERA, pose).building
 
 
+def test_labels_of_an_upright_photo_are_scaled_by_its_longer_side(town, tmp_path):
+    path = tmp_path / "tall.png"
+    tall = np.zeros((40_000, 30), np.uint16)
+    tall[10_000:20_000], tall[30_000:] = 7, 9
+    path.write_bytes(encoded_labels(tall))
+    entry = replace(town[0].entries[0], instances=path)
+    masks = InstanceFiles(InstanceFilesParams()).segment_instances(entry)
+    assert masks.shape == (2, 1024, 1)
+    np.testing.assert_array_equal(np.flatnonzero(masks[0, :, 0]), np.arange(256, 512))
+
+
+def test_too_many_masks_are_refused_before_they_take_memory():
+    labels = np.arange(2000, dtype=np.uint16).repeat(500).reshape(1000, 1000)
+    with pytest.raises(QueryFault, match="1999 masks of 1000 x 1000"):
+        masks_of_labels(labels)
+
+
 def test_files_give_a_mask_of_each_building_and_where_any_is(town):
     dataset, scene = town
     assert Input.INSTANCES in inputs_of(dataset, dataset.entries)

@@ -29,6 +29,8 @@ _PROBE_TIMEOUT_S = 120.0
 
 # Renderers, and whether they come with the base install.
 RENDERER_TRIALS = {"silhouette": True, "reference": True, "raster": True, "pyrender": False, "open3d": False}
+# Segmenters whose weights come with the base install.
+NETWORKS = ("compact", "efficient_unet")
 
 
 def examine(timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:
@@ -40,13 +42,14 @@ def examine(timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:
     checks = [*_machine(), *_packages(), *_folders()]
     trials = [("machine", "numba", True)]
     trials += [("renderers", name, is_base) for name, is_base in RENDERER_TRIALS.items()]
+    trials += [("networks", name, True) for name in NETWORKS]
     if find_spec("torch") and find_spec("torchvision"):
         trials.append(("traps", "torchvision", False))
     trials += [("plug-ins", name, False) for name in _plugin_probes()]
     with ThreadPoolExecutor(_cores()) as pool:
         checks += pool.map(lambda trial: run_probe(trial[0], trial[1], trial[2], timeout_s), trials)
     checks += _plugin_packages()
-    order = ("machine", "packages", "extras", "folders", "renderers", "traps", "plug-ins")
+    order = ("machine", "packages", "extras", "folders", "renderers", "networks", "traps", "plug-ins")
     return sorted(checks, key=lambda check: order.index(check.section))
 
 

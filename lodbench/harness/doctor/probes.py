@@ -15,8 +15,8 @@ import numpy as np
 from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.errors import LodbenchError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.doctor.doctor import RENDERER_TRIALS
-from lodbench.plugins import KINDS, installed
+from lodbench.harness.doctor.doctor import NETWORKS, RENDERER_TRIALS
+from lodbench.plugins import KINDS, installed, load_plugin
 from lodbench.rendering import open_renderer
 from lodbench.rendering.gl_guard import trust_driver
 
@@ -48,6 +48,17 @@ def try_renderer(name: str) -> str:
     return "draws; to the bit as the reference" if share == 0 else f"draws; {100 * share:.2f} % differ"
 
 
+def try_network(name: str) -> str:
+    """Asks a network of the package about a drawn roof; returns what there is to say."""
+    network = load_plugin("segmenters", name)
+    photo = np.full((96, 128, 3), (70, 110, 60), np.uint8)
+    photo[24:72, 32:96] = (170, 80, 60)
+    logits = network(network.params_type()).logits(photo)
+    if logits.ndim != 2 or not np.isfinite(logits).all() or not np.ptp(logits) > 0:
+        raise LodbenchError(f"{name} gives no answer.", "Reinstall opencv-python-headless.")
+    return "sees a difference"
+
+
 def try_torchvision() -> str:
     """Imports torchvision beside torch; returns what there is to say."""
     import torch
@@ -76,6 +87,7 @@ PROBES: dict[str, Callable[[], str]] = {
     "numba": try_numba,
     "torchvision": try_torchvision,
     **{name: partial(try_renderer, name) for name in RENDERER_TRIALS},
+    **{name: partial(try_network, name) for name in NETWORKS},
 }
 
 

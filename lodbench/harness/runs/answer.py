@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Entry, Query
-from lodbench.errors import ConfigError, LodbenchError, QueryFault
+from lodbench.errors import ConfigError, LodbenchError, QueryFault, WorkersGone
 from lodbench.evaluation.predictions import Prediction, encoded_mask
 from lodbench.geometry import Pose
 from lodbench.harness.runs.method_inputs import keep_traceback
@@ -30,6 +30,8 @@ from lodbench.storage import make_folder, write_text
 FLIGHTS_FOLDER = "flights"
 # Masks are stored, and compared with the truth, at most at this width, pixels: the paper's fine size.
 _MASK_WIDTH = 602
+# No query is to blame for these.
+_ENDS_RUN = (ConfigError, WorkersGone)
 
 
 @dataclass(slots=True)
@@ -97,7 +99,7 @@ def answer(
             answers = localize_queries(
                 method, [query for _, query in ready], city_map, [each.streams for each, _ in ready]
             )
-        except ConfigError:
+        except _ENDS_RUN:
             raise
         except Exception as error:  # one by one it shows which query it is
             keep_traceback(folder, f"batch {ready[0][0].entry.key}", error)
@@ -122,7 +124,7 @@ def _answer_flight(
         found = localize_flight(
             method, [query for _, query in ready], city_map, [each.streams for each, _ in ready]
         )
-    except ConfigError:
+    except _ENDS_RUN:
         raise
     except Exception as error:
         keep_traceback(folder, first.key, error)
@@ -148,10 +150,10 @@ def flight_name(entry: Entry) -> str:
 
 @contextmanager
 def _failing(each: Asked, folder: Path) -> Iterator[None]:
-    """Turns what is raised into a query's failure, but for wrong settings; keeps a plug-in's traceback."""
+    """Turns what is raised into a query's failure, but for what ends a run; keeps a plug-in's traceback."""
     try:
         yield
-    except ConfigError:
+    except _ENDS_RUN:
         raise
     except LodbenchError as fault:
         each.failure = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")

@@ -114,7 +114,7 @@ def predict(
 
     Raises:
         ConfigError: A setting of the method or the segmenter is wrong, which only a query could tell.
-        LodbenchError: Workers keep dying, or the scheduler is not there.
+        WorkersGone: Workers keep dying, or the scheduler is not there.
     """
     stored = open_predictions(work.folder)
     waiting = [e for e in entries if e.key not in stored or (retries_failed and stored[e.key]["failure"])]

@@ -1,9 +1,9 @@
 """Whether a run's numbers follow from its poses: everything is computed again and compared.
 
-Three checks, each on its own: the files are those the run wrote (digests in ``provenance.json``), the
-errors in ``queries.csv`` follow from ``poses.txt`` and the dataset's truth, and ``summary.json``
-follows from ``queries.csv``. The second needs the data. A method's own scores and counts of hypotheses
-cannot be computed again without the method; for these the digests stand alone.
+Each on its own: the files are those the run wrote (digests in ``provenance.json``), poses are those that
+the ledger has, the errors in ``queries.csv`` follow from ``poses.txt`` and the dataset's truth, and
+``summary.json`` follows from ``queries.csv``. The errors need the data. A method's own scores and counts of
+hypotheses cannot be computed again without the method; for these the digests stand alone.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, has
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.artefacts import summary_of
+from lodbench.harness.runs.changed_answers import TOLERANCE_DEG, TOLERANCE_M, changed_answers
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.stored import StoredRun, read_run
@@ -34,9 +35,6 @@ from lodbench.storage import digest_of
 if TYPE_CHECKING:
     import pandas as pd
 
-# A pose read back from text is off by rounding: 1e-9 m at coordinates of 5,000 km. A number that
-# matters to anybody is 1000 times coarser than this.
-TOLERANCE_M, TOLERANCE_DEG = 1e-6, 1e-6
 _COMPARED = (
     (ERROR[0], "error", " m", TOLERANCE_M),
     (ERROR[1], "error", " deg", TOLERANCE_DEG),
@@ -92,7 +90,7 @@ def verify_run(
         LodbenchError: A file of the run cannot be read, or the configuration is of another kind.
     """
     stored = read_run(folder)
-    differences = [*changed_files(stored), *_changed_rows(stored, config)]
+    differences = [*changed_files(stored), *_changed_rows(stored, config), *changed_answers(stored)]
     notes = [] if "files" in stored.provenance else ["provenance.json holds no digests of the files"]
     entries: tuple[Entry, ...] = ()
     inputs, lod = _inputs(stored), stored.summary["protocol"].get("lod")
