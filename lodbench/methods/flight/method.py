@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,23 +13,21 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.methods.contour_alignment import ContourAlignment
-from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.uncertainty import probability_within
+from lodbench.methods.flight.aligning import Aligned, align, mean_iou
 from lodbench.methods.flight.consensus import flight_error
-from lodbench.methods.flight.corrected_map import corrected_map
 from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
 from lodbench.methods.flight.joint import (
     CONSTANTS,
     FOCAL,
-    Solution,
     State,
     differences,
     photo_covariance,
     solve,
 )
 from lodbench.methods.flight.params import Params
-from lodbench.methods.flight.photo_terms import LENS, PhotoTerms, flight_terms
+from lodbench.methods.flight.photo_terms import LENS
 from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, placed
 from lodbench.methods.flight.restarts import STARTS_M, Ends, ends_of, restarted
 from lodbench.methods.flight.roof_parts import RoofParts
@@ -42,8 +38,6 @@ from lodbench.methods.region import Region
 
 Floats = NDArray[np.float64]
 
-# Scales of the robust kernel in the joint steps, first and last, pixels of the fine size.
-_REACHES_PX = (24.0, 4.0)
 # Steps in which photos find their places among each other, before any outline is looked at.
 _TIE_STEPS = 6
 _SAME_SCALE = (
@@ -52,21 +46,6 @@ _SAME_SCALE = (
 _MASKS_BY_MAP = "masks made with the map agree with it: how sure the poses are is too sure"
 # What photos have in common is this many sigmas from what was expected before all is believed less.
 _EXPECTED_SIGMAS = 2.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Aligned:
-    """A flight at the end of its steps; photos in the order of the state's.
-
-    Attributes:
-        state: Poses, and what photos share.
-        terms: What each photo says there.
-        solution: The last normal equations.
-    """
-
-    state: State
-    terms: Sequence[PhotoTerms | None]
-    solution: Solution
 
 
 class FlightMethod:
@@ -136,12 +115,12 @@ class FlightMethod:
             ]
         )
         offset, _ = flight_error(queries, start.vectors, offsets, city_map, self.params)
-        aligned = self._align(queries, start.begun(np.arange(len(queries)), offset), city_map)
+        aligned = align(queries, start.begun(np.arange(len(queries)), offset), city_map, self.params)
         if not cannot_tell_focal(aligned.solution, self.params):
             return self._finished(queries, start, aligned, city_map)
         held = FlightMethod(replace(self.params, focal=0.0))
         aligned.state.constants[FOCAL] = start.constants[FOCAL] = 0.0
-        found = held._finished(queries, start, held._align(queries, aligned.state, city_map), city_map)
+        found = held._finished(queries, start, align(queries, aligned.state, city_map, held.params), city_map)
         found.findings["notes"] = [_SAME_SCALE]
         return found
 
@@ -169,7 +148,7 @@ class FlightMethod:
             )
 
     def _finished(
-        self, queries: Sequence[Query], start: State, aligned: _Aligned, city_map: CityMap
+        self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap
     ) -> FlightEstimate:
         ends = self._ends(queries, start, aligned, city_map)
         state = aligned.state
@@ -181,15 +160,15 @@ class FlightMethod:
         )
         return FlightEstimate(estimates, found)
 
-    def _ends(self, queries: Sequence[Query], start: State, aligned: _Aligned, city_map: CityMap) -> Ends:
+    def _ends(self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap) -> Ends:
         """Returns where the flight ends from other starts around its answer."""
         photos, offset = restarted(len(queries)), aligned.state.offset - start.offset
-        iou = _mean_iou([aligned.terms[k] for k in photos])
+        iou = mean_iou([aligned.terms[k] for k in photos])
         found = [(aligned.state.vectors[photos], aligned.state.constants, iou)]
         for start_m in STARTS_M[: self.params.restarts]:
             begun = start.begun(photos, offset + np.append(start_m, np.zeros(3)))
-            again = self._align([queries[k] for k in photos], begun, city_map)
-            found.append((again.state.vectors, again.state.constants, _mean_iou(again.terms)))
+            again = align([queries[k] for k in photos], begun, city_map, self.params)
+            found.append((again.state.vectors, again.state.constants, mean_iou(again.terms)))
         return ends_of(found)
 
     def _start(self, queries: Sequence[Query], city_map: CityMap) -> State:
@@ -213,36 +192,6 @@ class FlightMethod:
                 state.step(solve(state, [None] * len(queries), self.params))
         return state
 
-    def _align(self, queries: Sequence[Query], state: State, city_map: CityMap) -> _Aligned:
-        photo = self.params.photo()
-        aligners = [Aligner(query, city_map, photo) for query in queries]
-        steps = self.params.steps
-        reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
-        # As the map has them: of roofs that earlier steps drew higher, none is drawn so here.
-        state.roofs.drawn_m = np.zeros_like(state.roofs.drawn_m)
-        with _side_by_side(city_map.threads) as threads:
-            asked = photo, self.params.trust(), threads
-            for number, reach_px in enumerate(reaches):
-                if number in (steps // 2, steps):
-                    drawn, state.roofs.drawn_m = corrected_map(city_map, state.roofs.building_heights())
-                    aligners = [aligner.over(drawn) for aligner in aligners]
-                terms = flight_terms(aligners, state.vectors, state.lens, state.roofs, reach_px, *asked)
-                if number >= steps:
-                    self._leave_out_lost(state, terms)
-                solution = solve(state, terms, self.params)
-                state.step(solution)
-        return _Aligned(state, terms, solution)
-
-    def _leave_out_lost(self, state: State, terms: Sequence[PhotoTerms | None]) -> None:
-        """Takes the weight from photos that are further from where the flight says than sensors err."""
-        gaps = differences(state.vectors, state.priors) - state.offset
-        away = np.sqrt(((gaps / self.params.own_sigmas()) ** 2).mean(axis=1))
-        fits = np.array([0.0 if term is None else term.iou for term in terms])
-        poor = 0.5 * float(np.median(fits))
-        lost = (away > self.params.lost_sigmas) | (fits < poor)
-        state.weights = np.where(lost, 0.0, 1.0)
-        state.reasons = {k: _reason(terms[k], away[k], fits[k] < poor) for k in np.flatnonzero(lost).tolist()}
-
     def _misfit(self, state: State) -> float:
         """Returns by how much less all is known where photos agree on what masks and map can hardly be.
 
@@ -252,7 +201,7 @@ class FlightMethod:
         beyond = state.constants[common] / self.params.constant_sigmas()[common] / _EXPECTED_SIGMAS
         return max(1.0, float((beyond**2).max()))
 
-    def _estimate(self, aligned: _Aligned, row: int, of_ends: Floats) -> Estimate:
+    def _estimate(self, aligned: Aligned, row: int, of_ends: Floats) -> Estimate:
         vector = aligned.state.vectors[row]
         spread = photo_covariance(aligned.solution, row) * self._misfit(aligned.state) + of_ends
         term = aligned.terms[row]
@@ -262,23 +211,6 @@ class FlightMethod:
             covariance=spread,
             probability=probability_within(spread, vector),
         )
-
-
-def _side_by_side(threads: int) -> AbstractContextManager[Executor | None]:
-    """Returns who looks at photos; None for one thread, the caller's: contexts of OpenGL belong to one."""
-    return ThreadPoolExecutor(threads) if threads > 1 else nullcontext()
-
-
-def _mean_iou(terms: Sequence[PhotoTerms | None]) -> float:
-    return float(np.mean([0.0 if term is None else term.iou for term in terms]))
-
-
-def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:
-    if term is None:
-        return "its mask shows no outline of a building where the other photos say it was"
-    if fits_badly:
-        return f"its mask fits the map half as well as the others' (IoU {term.iou:.2f})"
-    return f"it lies {away:.0f} times further from where the other photos say it was than sensors err"
 
 
 def _alone(

@@ -13,7 +13,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import RenderingError
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.flight import Params, method
+from lodbench.methods.flight import Params, aligning
 from lodbench.methods.flight.corrected_map import corrected_map
 from lodbench.methods.flight.photo_terms import flight_terms
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map
@@ -131,7 +131,7 @@ def test_roofs_that_were_drawn_higher_are_measured_from_where_they_are_drawn(sce
         seen.append((bool((drawn != low.vertices).any()), bool(roofs.drawn_m.any())))
         return flight_terms(aligners, vectors, lens, roofs, *rest)
 
-    monkeypatch.setattr(method, "flight_terms", noting)
+    monkeypatch.setattr(aligning, "flight_terms", noting)
     answer = localize(queries, CityMap(low), Params(restarts=0))
     assert "cannot be told apart" in answer.findings["notes"][0]
     assert (True, True) in seen

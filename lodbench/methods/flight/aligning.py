@@ -1,0 +1,87 @@
+"""The steps of a flight's joint problem: what photos say where they are thought to be, solved, and again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+
+from lodbench.citymap import CityMap
+from lodbench.datasets.query import Query
+from lodbench.methods.contour_alignment.alignment import Aligner
+from lodbench.methods.flight.corrected_map import corrected_map
+from lodbench.methods.flight.joint import Solution, State, differences, solve
+from lodbench.methods.flight.params import Params
+from lodbench.methods.flight.photo_terms import PhotoTerms, flight_terms
+
+# Scales of the robust kernel in the joint steps, first and last, pixels of the fine size.
+_REACHES_PX = (24.0, 4.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aligned:
+    """A flight at the end of its steps; photos in the order of the state's.
+
+    Attributes:
+        state: Poses, and what photos share.
+        terms: What each photo says there.
+        solution: The last normal equations.
+    """
+
+    state: State
+    terms: Sequence[PhotoTerms | None]
+    solution: Solution
+
+
+def align(queries: Sequence[Query], state: State, city_map: CityMap, params: Params) -> Aligned:
+    """Returns where a flight ends from a state, which steps move: robust kernels that narrow, then none."""
+    photo = params.photo()
+    aligners = [Aligner(query, city_map, photo) for query in queries]
+    steps = params.steps
+    reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
+    # As the map has them: of roofs that earlier steps drew higher, none is drawn so here.
+    state.roofs.drawn_m = np.zeros_like(state.roofs.drawn_m)
+    with _side_by_side(city_map.threads) as threads:
+        asked = photo, params.trust(), threads
+        for number, reach_px in enumerate(reaches):
+            if number in (steps // 2, steps):
+                drawn, state.roofs.drawn_m = corrected_map(city_map, state.roofs.building_heights())
+                aligners = [aligner.over(drawn) for aligner in aligners]
+            terms = flight_terms(aligners, state.vectors, state.lens, state.roofs, reach_px, *asked)
+            if number >= steps:
+                _leave_out_lost(state, terms, params)
+            solution = solve(state, terms, params)
+            state.step(solution)
+    return Aligned(state, terms, solution)
+
+
+def _leave_out_lost(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> None:
+    """Takes the weight from photos that are further from where the flight says than sensors err."""
+    gaps = differences(state.vectors, state.priors) - state.offset
+    away = np.sqrt(((gaps / params.own_sigmas()) ** 2).mean(axis=1))
+    fits = np.array([0.0 if term is None else term.iou for term in terms])
+    poor = 0.5 * float(np.median(fits))
+    lost = (away > params.lost_sigmas) | (fits < poor)
+    state.weights = np.where(lost, 0.0, 1.0)
+    state.reasons = {k: _reason(terms[k], away[k], fits[k] < poor) for k in np.flatnonzero(lost).tolist()}
+
+
+def mean_iou(terms: Sequence[PhotoTerms | None]) -> float:
+    """Returns the mean IoU of silhouettes and masks, 0 for photos that say nothing."""
+    return float(np.mean([0.0 if term is None else term.iou for term in terms]))
+
+
+def _side_by_side(threads: int) -> AbstractContextManager[Executor | None]:
+    """Returns who looks at photos; None for one thread, the caller's: contexts of OpenGL belong to one."""
+    return ThreadPoolExecutor(threads) if threads > 1 else nullcontext()
+
+
+def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:
+    if term is None:
+        return "its mask shows no outline of a building where the other photos say it was"
+    if fits_badly:
+        return f"its mask fits the map half as well as the others' (IoU {term.iou:.2f})"
+    return f"it lies {away:.0f} times further from where the other photos say it was than sensors err"
