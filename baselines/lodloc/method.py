@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 _SCALES = (0.25, 0.5, 1.0)
 # A wireframe of fewer points is no town.
 _LEAST_POINTS = 60
+# Beyond a range by less than this is no news; and no sensor's pitch or roll errs by so much.
+_MARGIN_M, _MARGIN_DEG, _MOST_TILT_DEG = 1.0, 0.5, 5.0
 
 
 class LodLoc:
@@ -65,7 +67,8 @@ class LodLoc:
         """Returns the pose at which the map's wireframe fits the photo best.
 
         Raises:
-            QueryFault: The photo is missing or of one colour, or the prior sees no edges of the map.
+            QueryFault: The photo is missing or of one colour, the prior sees no edges of the map, or they fit
+                the photo nowhere.
         """
         if query.image is None:
             raise QueryFault("there is no photo")
@@ -81,8 +84,29 @@ class LodLoc:
         for round_number in range(self.params.rounds):
             pose = alignment.improved(pose, round_number)
         seconds["alignment"] = time.perf_counter() - started - seconds["network"]
+        score, least = alignment.trace[-1], self.params.least_score
+        if score <= least:
+            raise QueryFault(
+                f"the map's edges fit the photo nowhere: {score:.1f} at best, not above {least:g}"
+            )
         trace = {"stages": tuple(alignment.trace)}
-        return Estimate(pose, alignment.trace[-1], seconds=seconds, trace=trace)
+        notes = beyond_range(pose, query.prior, self.params.grid())
+        return Estimate(pose, score, seconds=seconds, trace=trace, notes=notes)
+
+
+def beyond_range(pose: Pose, around: Pose, grid: PoseGrid) -> tuple[str, ...]:
+    """Returns a sentence for a pose beyond a grid around another, or leaning far from it, or nothing."""
+    offsets = np.append(pose.center - around.center, np.subtract(pose.euler, around.euler))
+    offsets[3:] = (offsets[3:] + 180.0) % 360.0 - 180.0
+    widths = [axis.width for axis in (grid.x, grid.y, grid.z)]
+    limits = [*(0.5 * width + _MARGIN_M for width in widths), _MOST_TILT_DEG, _MOST_TILT_DEG]
+    limits.append(0.5 * grid.yaw.width + _MARGIN_DEG)
+    names = ("x m", "y m", "z m", "pitch deg", "roll deg", "yaw deg")
+    told = zip(names, offsets.tolist(), limits, strict=True)
+    out = [f"{name.split()[0]} {off:+.1f} {name.split()[1]}" for name, off, limit in told if abs(off) > limit]
+    if not out:
+        return ()
+    return (f"the answer lies beyond the range that the prior was said to have: {', '.join(out)}",)
 
 
 class _Alignment:
@@ -108,8 +132,8 @@ class _Alignment:
                 self._grid = grid
         moved = refined(self._maps.refinement, self._camera, points, pose, self._params.iterations)
         score = self._score(points, moved)
-        # Where the finest map says that refinement went astray, the grid's answer stays.
-        if score < self.trace[-1]:
+        # Where refinement went astray, by the finest map or by how far, the grid's answer stays.
+        if score < self.trace[-1] or beyond_range(moved, pose, self._params.grid()):
             return pose
         self.trace.append(score)
         return moved
@@ -119,7 +143,11 @@ class _Alignment:
         draw = self._streams("wireframe", round_number)
         points = visible_points(self._city_map, self._camera, pose, params.spacing_m, params.points, draw)
         if len(points) < _LEAST_POINTS:
-            raise QueryFault("the prior sees hardly an edge of the map: it may be far from the city")
+            raise QueryFault(
+                "the map's edges fit the photo nowhere: the best pose sees hardly any"
+                if round_number
+                else "the prior sees hardly an edge of the map: it may be far from the city"
+            )
         return points
 
     def _searched(self, stage: int, points: Floats, around: Pose, grid: PoseGrid) -> Stage:

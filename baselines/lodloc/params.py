@@ -24,6 +24,7 @@ _BOUNDS = {
     "spread": (0.0, 100.0),
     "iterations": (0, 1000),
     "rounds": (1, 10),
+    "least_score": (-1e6, 1e6),
 }
 
 
@@ -48,6 +49,8 @@ class LodLocParams:
         spread: Half width of a further stage's grid, in standard deviations of the stage before.
         iterations: Gauss-Newton steps.
         rounds: How often all but the first stage is done, each time with the edges that the last pose sees.
+        least_score: An answer whose wireframe scores no more is a failure. Places outside the photo score 0:
+            what scores no more fits no better than nothing.
 
     Raises:
         ConfigError: A value is out of range; the message names it.
@@ -69,6 +72,7 @@ class LodLocParams:
     spread: float = 0.8
     iterations: int = 15
     rounds: int = 2
+    least_score: float = 0.0
 
     def __post_init__(self) -> None:
         for name, (low, high) in _BOUNDS.items():

@@ -171,6 +171,46 @@ def test_it_finds_a_pose_with_a_wrong_tilt_and_counts_what_it_laid_out(ideal, qu
     assert drawn["wireframes"] == 5 * 24000 + 2
 
 
+def test_edges_that_fit_nowhere_are_a_failure_with_its_score(monkeypatch, queries, city_map, truths):
+    """Maps on which each place inside the photo is less likely than any outside."""
+    sizes = [
+        (math.ceil(scale * WORKING.height), math.ceil(scale * WORKING.width)) for scale in (0.25, 0.5, 1)
+    ]
+    noise = np.random.default_rng(0)
+    stages = tuple(noise.uniform(-30, -5, size).astype(np.float32) for size in sizes)
+    maps = Maps(stages, np.zeros(sizes[2], np.float32))
+    monkeypatch.setattr(lodloc_method, "maps_of", lambda *arguments: maps)
+    coarse = LodLocParams(count_x=3, count_y=3, count_z=3, count_yaw=2, rounds=1)
+    with pytest.raises(QueryFault, match=r"fit the photo nowhere: -?\d+\.\d at best, not above 0"):
+        LodLoc(coarse).localize(replace(queries[0], prior=truths[0]), city_map, STREAMS)
+    with pytest.raises(QueryFault, match="fit the photo nowhere"):
+        LodLoc(replace(coarse, rounds=2)).localize(replace(queries[0], prior=truths[0]), city_map, STREAMS)
+    trusting = replace(coarse, least_score=-100.0)
+    assert LodLoc(trusting).localize(replace(queries[0], prior=truths[0]), city_map, STREAMS).score <= 0
+
+
+def test_refinement_that_walks_away_is_undone(ideal, monkeypatch, queries, city_map, truths):
+    """Though the finest map likes where it went."""
+    monkeypatch.setattr(lodloc_method, "refined", lambda *arguments: truths[0])
+    prior = moved(truths[0], [0.0, 60.0, 0.0], [0.0, 0.0, 0.0])
+    query = replace(queries[0], prior=prior)
+    coarse = LodLocParams(count_x=3, count_y=3, count_z=3, count_yaw=2, rounds=1)
+    found = LodLoc(coarse).localize(query, city_map, STREAMS)
+    assert pose_error(found.pose, truths[0]).translation_m > 40
+    wide = LodLoc(replace(coarse, range_y_m=300.0)).localize(query, city_map, STREAMS)
+    assert pose_error(wide.pose, truths[0]).translation_m < 1e-6
+
+
+def test_an_answer_beyond_the_range_of_the_prior_says_so(truths):
+    grid = LodLocParams().grid()
+    told = lodloc_method.beyond_range(moved(truths[0], [14.0, 0, 0], [0, 6.0, -9.0]), truths[0], grid)
+    (offsets,) = (sentence.split(": ")[1] for sentence in told)
+    assert offsets == "x +14.0 m, roll +6.0 deg, yaw -9.0 deg"
+    assert lodloc_method.beyond_range(moved(truths[0], [10, -10, 30], [1, 1, 7.5]), truths[0], grid) == ()
+    around_north = [Pose.from_euler(EulerAngles(30.0, 0.0, yaw), [0, 0, 0]) for yaw in (179.0, -179.0)]
+    assert lodloc_method.beyond_range(*around_north, grid) == ()
+
+
 def test_prior_widths_reach_the_first_stage():
     wide = LodLoc(LodLocParams(size=320)).params_for_prior(UniformPrior(x_m=30.0, yaw_deg=15.0))
     assert (wide.range_x_m, wide.range_yaw_deg, wide.count_x, wide.size) == (60.0, 30.0, 10, 320)
