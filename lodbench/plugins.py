@@ -43,6 +43,7 @@ KINDS = {
     "segmenters": Kind("segmenter", ("params_type", "fingerprint")),
     "feature_extractors": Kind("feature-extractor", ("params_type", "extract")),
     "matchers": Kind("matcher", ("params_type", "match")),
+    "retrievals": Kind("retrieval", ("params_type", "describe")),
     "pose_solvers": Kind("pose-solver", ("params_type", "solve")),
     "datasets": Kind("dataset"),
     "priors": Kind("prior", ("name", "apply", "describe")),

@@ -135,7 +135,12 @@ def test_each_part_keeps_to_its_protocol(env):
     samples = {"xyz": env.folder / "poses.xyz", "blocks": env.blocks}
     commands = [
         ["check-plugin", kind, name, *(["--sample", str(samples[name])] if name in samples else [])]
-        for kind, name, _ in (*PARTS, ("metric", "worst", "metric"), ("pose-solver", "plain", "solver"))
+        for kind, name, _ in (
+            *PARTS,
+            ("metric", "worst", "metric"),
+            ("pose-solver", "plain", "solver"),
+            ("retrieval", "thumbnail", "retrieval"),
+        )
     ]
     for words, (code, told) in zip(commands, env.call(*commands), strict=True):
         assert code == 0, (words, told)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from lodbench.errors import ConfigError
@@ -21,7 +22,11 @@ class RenderAndMatchParams:
         weights: Of the matcher, or its extractor: a file, or a folder or hub id fetched before; ``random``
             for random ones, whose rows count for nothing; None for their own.
         pnp: Entry point under ``lodbench.pose_solvers``.
-        views: Views rendered in the first round: the prior's, then others beside it.
+        retrieval: Entry point under ``lodbench.retrievals``: the first round's views are looked up over an
+            area; None for views around the prior.
+        area_m: How far from the prior they are looked up, in x and y; inf for the whole city.
+        spacing_m: How far they are apart.
+        views: Views rendered in the first round: the prior's, then others beside it; or those looked up.
         spread_m: How far beside it.
         rounds: Rounds of rendering and solving, each from the pose of the last; one view from the second on.
         width: Of the photo as it is matched, pixels; at most its own.
@@ -41,6 +46,9 @@ class RenderAndMatchParams:
     matcher: str = "sift_nn"
     weights: str | None = None
     pnp: str = "opencv"
+    retrieval: str | None = None
+    area_m: float = 200.0
+    spacing_m: float = 40.0
     views: int = 1
     spread_m: float = 20.0
     rounds: int = 2
@@ -56,6 +64,10 @@ class RenderAndMatchParams:
         if self.matcher != ORACLE:
             find_plugin("matchers", self.matcher)
         find_plugin("pose_solvers", self.pnp)
+        if self.retrieval is not None:
+            find_plugin("retrievals", self.retrieval)
+        if not self.area_m >= 0 or not 0 < self.spacing_m < math.inf:
+            raise ConfigError("method.area_m is >= 0, method.spacing_m above 0 and finite.")
         if min(self.views, self.rounds, self.oracle_matches) < 1 or self.min_inliers < 4:
             raise ConfigError("method.views and rounds are at least 1, min_inliers at least 4.")
         if not 64 <= self.width <= 8192 or not 1.0 <= self.canvas <= 4.0 or not self.spread_m >= 0:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,9 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose
 from lodbench.matching.pose_solver import PoseSolver, SolvedPose, open_pose_solver
+from lodbench.matching.retrieval import Retrieval, open_retrieval
 from lodbench.methods import Estimate, Input, Streams
+from lodbench.segmentation.photos import read_photo
 
 from .correspondences import (
     CorrespondenceFinder,
@@ -25,6 +28,7 @@ from .correspondences import (
     opened_matching,
 )
 from .params import ORACLE, RenderAndMatchParams
+from .retrieval import places_over, retrieved
 from .view import View, canvas_camera, views_around
 
 Floats = NDArray[np.float64]
@@ -43,7 +47,8 @@ class RenderAndMatch(ABC):
     def __init__(self, params: RenderAndMatchParams) -> None:
         self.params = params
         if params.matcher == ORACLE:
-            self.requires = (self.requires - {Input.IMAGE}) | {Input.TRUE_PIXELS}
+            unused = frozenset() if params.retrieval else {Input.IMAGE}
+            self.requires = (self.requires - unused) | {Input.TRUE_PIXELS}
 
     def weight_files(self) -> list[Path]:
         """Returns the files of the matcher's and its extractor's weights.
@@ -51,9 +56,11 @@ class RenderAndMatch(ABC):
         Raises:
             ConfigError: They are not there: told before any work.
         """
-        if self.params.matcher == ORACLE:
-            return []
-        parts = opened_matching(self.params.matcher, self.params.weights)
+        parts: list[Any] = []
+        if self.params.matcher != ORACLE:
+            parts += opened_matching(self.params.matcher, self.params.weights)
+        if self.params.retrieval is not None:
+            parts.append(opened_retrieval(self.params.retrieval))
         return [file for part in parts for file in getattr(part, "weight_files", list)()]
 
     @abstractmethod
@@ -80,14 +87,18 @@ class RenderAndMatch(ABC):
         scale = width / self.params.width
         solver = open_pose_solver(self.params.pnp, threshold_px=self.params.threshold_px * scale)
         best = self._solved(
-            query, camera, finder, solver, self._views(query.prior, city_map, camera, self.params.views)
+            query,
+            camera,
+            finder,
+            solver,
+            self._views(self._starts(query, city_map, camera), city_map, camera),
         )
         seconds["first round"] = time.perf_counter() - started - seconds["photo"]
         trace = [float(best.inliers.sum())]
         for _ in range(1, self.params.rounds):
             try:
                 found = self._solved(
-                    query, camera, finder, solver, self._views(best.pose, city_map, camera, 1)
+                    query, camera, finder, solver, self._views([best.pose], city_map, camera)
                 )
             except QueryFault:
                 break
@@ -100,8 +111,29 @@ class RenderAndMatch(ABC):
             best.pose, float(best.inliers.sum()), seconds=seconds, trace={"inliers": tuple(trace)}
         )
 
-    def _views(self, pose: Pose, city_map: CityMap, camera: Camera, count: int) -> list[View]:
-        poses = views_around(pose, count, self.params.spread_m)
+    def _starts(self, query: Query, city_map: CityMap, camera: Camera) -> list[Pose]:
+        """Returns the first round's poses: around the prior, or looked up over an area.
+
+        Raises:
+            QueryFault: There is no photo, or no view over the area sees the map.
+        """
+        params = self.params
+        if params.retrieval is None:
+            return views_around(query.prior, params.views, params.spread_m)
+        if query.image is None:
+            raise QueryFault("there is no photo")
+        places = places_over(city_map.scene, query.prior.center, params.area_m, params.spacing_m)
+        return retrieved(
+            read_photo(query.image),
+            query.prior,
+            camera,
+            places,
+            partial(self.draw, city_map),
+            opened_retrieval(params.retrieval),
+            params.views,
+        )
+
+    def _views(self, poses: list[Pose], city_map: CityMap, camera: Camera) -> list[View]:
         wide = canvas_camera(camera, self.params.canvas)
         rotations = np.stack([each.rotation for each in poses])
         centers = np.stack([each.center for each in poses])
@@ -139,3 +171,9 @@ class RenderAndMatch(ABC):
         if solved is None or agreed < self.params.min_inliers:
             raise QueryFault(f"{agreed} of {len(joined.points)} matches agree on a pose")
         return solved
+
+
+@lru_cache(maxsize=2)
+def opened_retrieval(name: str) -> Retrieval:
+    """Returns a retrieval, opened once in a process: it may hold a network."""
+    return open_retrieval(name)

@@ -14,6 +14,7 @@ from lodbench.harness.conformance.city import fit_rules, reader_rules, renderer_
 from lodbench.harness.conformance.data import dataset_rules, metric_rules, pose_format_rules, prior_rules
 from lodbench.harness.conformance.export import export_rules
 from lodbench.harness.conformance.pictures import extractor_rules, matcher_rules
+from lodbench.harness.conformance.retrieving import retrieval_rules
 from lodbench.harness.conformance.segmenters import segmenter_rules
 from lodbench.harness.conformance.solving import solver_rules
 from lodbench.harness.conformance.trial import Rules, Tried, check_rules, trial_dataset
@@ -24,6 +25,7 @@ CHECKED: dict[str, Callable[[Tried], Rules]] = {
     "segmenters": segmenter_rules,
     "feature_extractors": extractor_rules,
     "matchers": matcher_rules,
+    "retrievals": retrieval_rules,
     "pose_solvers": solver_rules,
     "datasets": dataset_rules,
     "priors": prior_rules,

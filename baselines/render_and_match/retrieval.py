@@ -1,0 +1,87 @@
+"""Views over an area, drawn in the prior's direction and looked up by what whole pictures look like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.geometry import Camera, Pose
+from lodbench.matching.retrieval import Retrieval
+
+from .correspondences import resized_photo
+
+Floats = NDArray[np.float64]
+# From a camera, rotations and centres to pictures and depths.
+Draw = Callable[[Camera, Floats, Floats], tuple[NDArray[np.uint8], NDArray[np.float32]]]
+
+# Long side of pictures that are described, and how many are drawn at a time.
+_SIZE, _BATCH = 160, 16
+_MOST_VIEWS = 20_000
+
+
+def places_over(scene: Scene, around: Floats, area_m: float, spacing_m: float) -> Floats:
+    """Returns (N, 3) places at one height, a spacing apart, no further from a place than an area reaches.
+
+    Nor further beyond the city than the place is high: what is there shows none of it.
+
+    Raises:
+        ConfigError: They are too many.
+    """
+    low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
+    reach = max(0.0, float(around[2] - low[2]))
+    axes = []
+    for k in (0, 1):
+        first = max(-area_m, float(low[k]) - reach - around[k])
+        last = min(area_m, float(high[k]) + reach - around[k])
+        steps = np.arange(np.ceil(first / spacing_m), np.floor(last / spacing_m) + 1)
+        axes.append(around[k] + spacing_m * steps)
+    count = len(axes[0]) * len(axes[1])
+    if count > _MOST_VIEWS:
+        raise ConfigError(f"{count} views over the area are too many.", "Set method.spacing_m, or area_m.")
+    x, y = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    return np.column_stack([x, y, np.full(count, around[2])])
+
+
+def retrieved(
+    photo: NDArray[np.uint8],
+    prior: Pose,
+    camera: Camera,
+    places: Floats,
+    draw: Draw,
+    retrieval: Retrieval,
+    count: int,
+) -> list[Pose]:
+    """Returns the poses of the views that resemble a photo most, best first.
+
+    All have the prior's direction: of a database of all directions, what an orientation gate would leave.
+
+    Args:
+        photo: (H, W, 3) RGB.
+        prior: Of its place nothing is used.
+        camera: Of the photo.
+        places: (N, 3) where views are drawn from.
+        draw: Draws them.
+        retrieval: Describes pictures.
+        count: How many to return.
+
+    Raises:
+        QueryFault: No view sees anything of the map.
+    """
+    share = _SIZE / max(camera.width, camera.height)
+    small = camera.scaled(*(max(1, round(share * side)) for side in (camera.width, camera.height)))
+    (wanted,) = retrieval.describe(resized_photo(photo, small)[None])
+    likeness = np.full(len(places), -np.inf)
+    for start in range(0, len(places), _BATCH):
+        batch = places[start : start + _BATCH]
+        pictures, depths = draw(small, np.repeat(prior.rotation[None], len(batch), axis=0), batch)
+        sees = depths.any(axis=(1, 2))
+        likeness[start : start + _BATCH] = np.where(sees, retrieval.describe(pictures) @ wanted, -np.inf)
+    best = np.argsort(-likeness, kind="stable")[:count]
+    found = [Pose.from_center(prior.rotation, places[k]) for k in best if np.isfinite(likeness[k])]
+    if not found:
+        raise QueryFault("no view over the area sees the map")
+    return found
