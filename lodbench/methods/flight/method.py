@@ -18,6 +18,7 @@ from lodbench.methods.contour_alignment.uncertainty import probability_within
 from lodbench.methods.flight.aligning import Aligned, align, mean_iou
 from lodbench.methods.flight.consensus import flight_error
 from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
+from lodbench.methods.flight.footprints import footprint_covariance
 from lodbench.methods.flight.joint import (
     CONSTANTS,
     FOCAL,
@@ -153,7 +154,10 @@ class FlightMethod:
         ends = self._ends(queries, start, aligned, city_map)
         state = aligned.state
         state.shift(*ends.middle)
-        of_pose, of_constants = ends.covariances
+        of_pose, of_constants = (
+            of_ends + footprint_covariance(aligned.terms, state.roofs, self.params.footprint_m, len(of_ends))
+            for of_ends in ends.covariances
+        )
         estimates = [self._estimate(aligned, row, of_pose) for row in range(len(queries))]
         found = findings_of(
             state, aligned.solution, aligned.terms, queries, city_map, self.params, of_constants

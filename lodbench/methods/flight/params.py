@@ -43,6 +43,8 @@ class Params:
         part_m: Standard deviation of the height of parts of a roof around it, metres.
         feet_m: Standard deviation of where all walls of the map end, alike, metres.
         foot_m: The same of parts of them, metres.
+        footprint_m: Standard deviation of where each building's footprint lies in the map, east and north,
+            metres: what cameras over few buildings err by with them.
         part_width_m: Width of a part, metres.
         view_roof_m: The same as one view sees it: a ridge from here, eaves from there.
         heat: By how much less outlines say than their covariance has it: the model is not the whole truth.
@@ -77,6 +79,7 @@ class Params:
     part_m: float = 2.0
     feet_m: float = 1.0
     foot_m: float = 1.5
+    footprint_m: float = 1.0
     part_width_m: float = 20.0
     view_roof_m: float = 0.5
     heat: float = 1.5
@@ -91,7 +94,7 @@ class Params:
     lost_sigmas: float = 6.0
 
     def __post_init__(self) -> None:
-        for name in self.__slots__[1:19]:
+        for name in self.__slots__[1:20]:
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
         for name, known in (("relative_poses", RELATIVE_POSES), ("single", SINGLE_METHODS)):

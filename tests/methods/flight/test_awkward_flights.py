@@ -147,3 +147,19 @@ def test_a_flight_is_drawn_by_opengl(city_map):
     queries, poses = flight(city_map, count=3, focal=1.0)
     answer = localize(queries, drawn, Params(restarts=0, steps=4))
     assert max(errors_m(answer, poses)) < 1.5
+
+
+def test_a_flight_over_few_buildings_is_as_unsure_as_their_footprints(city_map):
+    queries, _ = flight(city_map, count=3, focal=1.0)
+    sigmas = {}
+    for footprint_m in (0.0, 1.0):
+        params = Params(restarts=0, steps=4, footprint_m=footprint_m)
+        found = localize(queries, city_map, params)
+        east = found.findings["constants"]["east"]["sigma"]
+        sigmas[footprint_m] = np.sqrt(found.estimates[0].covariance[0, 0]), east
+        assert found.estimates[0].covariance[2, 2] < 4.0
+    # Seven buildings, some seen more than others: between one and seven alike.
+    added = np.sqrt(np.array(sigmas[1.0]) ** 2 - np.array(sigmas[0.0]) ** 2)
+    assert (added > 1.0 / np.sqrt(7.0) - 1e-6).all()
+    assert (added < 0.6).all()
+    assert added[0] == pytest.approx(added[1])
