@@ -44,7 +44,7 @@ def align(queries: Sequence[Query], state: State, city_map: CityMap, params: Par
     reaches: list[float | None] = [*map(float, np.geomspace(*_REACHES_PX, steps)), *([None] * steps)]
     # As the map has them: of roofs that earlier steps drew higher, none is drawn so here.
     state.roofs.drawn_m = np.zeros_like(state.roofs.drawn_m)
-    with _side_by_side(city_map.threads) as threads:
+    with side_by_side(city_map.threads) as threads:
         asked = photo, params.trust(), threads
         for number, reach_px in enumerate(reaches):
             if number in (steps // 2, steps):
@@ -74,7 +74,7 @@ def mean_iou(terms: Sequence[PhotoTerms | None]) -> float:
     return float(np.mean([0.0 if term is None else term.iou for term in terms]))
 
 
-def _side_by_side(threads: int) -> AbstractContextManager[Executor | None]:
+def side_by_side(threads: int) -> AbstractContextManager[Executor | None]:
     """Returns who looks at photos; None for one thread, the caller's: contexts of OpenGL belong to one."""
     return ThreadPoolExecutor(threads) if threads > 1 else nullcontext()
 

@@ -15,7 +15,7 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.contour_alignment.uncertainty import probability_within
-from lodbench.methods.flight.aligning import Aligned, align, mean_iou
+from lodbench.methods.flight.aligning import Aligned, align, mean_iou, side_by_side
 from lodbench.methods.flight.consensus import flight_error
 from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
 from lodbench.methods.flight.footprints import footprint_covariance
@@ -158,7 +158,10 @@ class FlightMethod:
             of_ends + footprint_covariance(aligned.terms, state.roofs, self.params.footprint_m, len(of_ends))
             for of_ends in ends.covariances
         )
-        estimates = [self._estimate(aligned, row, of_pose) for row in range(len(queries))]
+        # Each takes the longer the more photos there are: of hundreds, all of them take as long as the steps.
+        with side_by_side(city_map.threads) as threads:
+            spread = map if threads is None else threads.map
+            estimates = list(spread(lambda row: self._estimate(aligned, row, of_pose), range(len(queries))))
         found = findings_of(
             state, aligned.solution, aligned.terms, queries, city_map, self.params, of_constants
         )

@@ -163,3 +163,15 @@ def test_a_flight_over_few_buildings_is_as_unsure_as_their_footprints(city_map):
     assert (added > 1.0 / np.sqrt(7.0) - 1e-6).all()
     assert (added < 0.6).all()
     assert added[0] == pytest.approx(added[1])
+
+
+def test_threads_change_nothing(city_map):
+    queries, _ = flight(city_map, count=4, focal=1.0)
+    found = [
+        localize(queries, CityMap(city_map.scene, threads=threads), Params(restarts=1, steps=4)).estimates
+        for threads in (1, 3)
+    ]
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one.pose.cam_from_world, other.pose.cam_from_world)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+        assert one.probability == other.probability
