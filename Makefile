@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo ablation table1 test test-slow fuzz faults determinism matrix weights docs lint audit clean
+.PHONY: demo ablation table1 holdout budget thresholds test test-slow fuzz faults determinism matrix weights docs lint audit clean
 
 # Builds the demo town and localises its 40 photos from pixels, with the sensor's tilt, by three methods.
 demo: $(VENV)/.base
@@ -18,7 +18,8 @@ ablation: $(VENV)/.base
 # LIMIT=1 tries it on the first query of each split, and leaves the leaderboard alone.
 # A run without a single answer, as cadloc's are, ends with 1, which is no reason to stop here.
 TABLE1 ?= runs/table1
-ROWS := $(BIN)/lodbench run dataset=demo executor=process paths.runs=$(TABLE1) $(if $(LIMIT),limit=$(LIMIT))
+RUN := $(BIN)/lodbench run executor=process $(if $(LIMIT),limit=$(LIMIT))
+ROWS := $(RUN) dataset=demo paths.runs=$(TABLE1)
 table1: $(VENV)/.table1
 	$(ROWS) --multirun method=prior_only,lodloc,lodlocv2,lodlocv3,contour_alignment,region
 	$(ROWS) --multirun method=uavd4l method.matcher=sift_nn,xfeat,xfeat_lighterglue,oracle
@@ -30,6 +31,35 @@ ifndef LIMIT
 	$(BIN)/lodbench leaderboard add $(TABLE1)/demo/*/*
 	$(BIN)/lodbench leaderboard build
 endif
+
+# The same methods, those that need no texture, over a city that nothing was tuned on: CITY, a tile of 3DBAG; VIEWS drawn at its
+# LoD2.2 in a look that no training used, masks of that at IoU 0.88, against its LoD1.2.
+CITY ?= ../shared/data/city/3dbag/tile_901_trimmed.jsonl
+VIEWS ?= 20
+HOLDOUT ?= runs/holdout
+holdout: $(VENV)/.base
+	$(RUN) $(HELD_OUT) --multirun method=prior_only,lodloc,lodlocv2,lodlocv3,contour_alignment,region
+	$(RUN) $(HELD_OUT) method=mcloc
+	$(RUN) $(HELD_OUT) method=cadloc || test $$? -eq 1
+	$(BIN)/lodbench compare $(HOLDOUT)/views/*/* --columns paper details --format md --budget $(HOLDOUT)
+HELD_OUT = dataset=views city=$(CITY) dataset.mask_lod=2.2 dataset.lod=1.2 dataset.look=hard dataset.num_views=$(VIEWS) paths.runs=$(HOLDOUT)
+
+# What accuracy costs: recall over poses drawn, each method at several budgets, as a picture in runs/budget.
+BUDGET ?= runs/budget
+budget: $(VENV)/.base
+	$(LADDER) --multirun method=lodlocv2,lodlocv3,mcloc method.steps=5,15,40
+	$(LADDER) --multirun method=contour_alignment method.starts=2,8,24
+	$(LADDER) --multirun method=region method.population=8,24,48
+	$(LADDER) --multirun method=lodloc method.rounds=1,2,3
+	$(LADDER) --multirun method=uavd4l method.rounds=1,2,3
+	$(BIN)/lodbench compare $(BUDGET)/demo/*/* --budget $(BUDGET)
+LADDER = $(RUN) dataset=demo paths.runs=$(BUDGET)
+
+# Which threshold of pnp suits a matcher: each at the same five, on the town to train on, never on the demo.
+THRESHOLDS ?= runs/thresholds
+thresholds: $(VENV)/.table1
+	$(RUN) dataset=demo_train paths.runs=$(THRESHOLDS) --multirun method=uavd4l method.matcher=sift_nn,xfeat,xfeat_lighterglue method.threshold_px=2,4,8,12,20
+	$(BIN)/lodbench compare $(THRESHOLDS)/demo_train/uavd4l/* --thresholds 0.1/0.1 0.25/0.25 1/1 5/5
 
 # Minutes on two cores; `test-slow` adds the tests that take longest: kills, fault by fault, packages built and installed.
 test: $(VENV)/.test lint
