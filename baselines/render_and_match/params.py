@@ -24,7 +24,7 @@ class RenderAndMatchParams:
         pnp: Entry point under ``lodbench.pose_solvers``.
         retrieval: Entry point under ``lodbench.retrievals``: the first round's views are looked up over an
             area; None for views around the prior.
-        area_m: How far from the prior they are looked up, in x and y; inf for the whole city.
+        area_m: How far from the prior they are looked up, in x and y; None for the whole city.
         spacing_m: How far they are apart.
         views: Views rendered in the first round: the prior's, then others beside it; or those looked up.
         spread_m: How far beside it.
@@ -47,7 +47,7 @@ class RenderAndMatchParams:
     weights: str | None = None
     pnp: str = "opencv"
     retrieval: str | None = None
-    area_m: float = 200.0
+    area_m: float | None = 200.0
     spacing_m: float = 40.0
     views: int = 1
     spread_m: float = 20.0
@@ -66,8 +66,10 @@ class RenderAndMatchParams:
         find_plugin("pose_solvers", self.pnp)
         if self.retrieval is not None:
             find_plugin("retrievals", self.retrieval)
-        if not self.area_m >= 0 or not 0 < self.spacing_m < math.inf:
-            raise ConfigError("method.area_m is >= 0, method.spacing_m above 0 and finite.")
+        if not 0 <= (self.area_m or 0.0) < math.inf or not 0 < self.spacing_m < math.inf:
+            raise ConfigError(
+                "method.area_m is >= 0, or null, and method.spacing_m above 0; both are finite."
+            )
         if min(self.views, self.rounds, self.oracle_matches) < 1 or self.min_inliers < 4:
             raise ConfigError("method.views and rounds are at least 1, min_inliers at least 4.")
         if not 64 <= self.width <= 8192 or not 1.0 <= self.canvas <= 4.0 or not self.spread_m >= 0:

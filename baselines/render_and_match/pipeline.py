@@ -122,7 +122,8 @@ class RenderAndMatch(ABC):
             return views_around(query.prior, params.views, params.spread_m)
         if query.image is None:
             raise QueryFault("there is no photo")
-        places = places_over(city_map.scene, query.prior.center, params.area_m, params.spacing_m)
+        area_m = np.inf if params.area_m is None else params.area_m
+        places = places_over(city_map.scene, query.prior.center, area_m, params.spacing_m)
         return retrieved(
             read_photo(query.image),
             query.prior,

@@ -68,9 +68,12 @@ def test_the_views_that_resemble_the_photo_most_are_returned_best_first(truths):
 def test_a_prior_two_hundred_metres_off_is_mended_by_looking_up_and_not_otherwise(queries, city_map, truths):
     prior = truths[1].shifted([150.0, -140.0, 5.0])
     query = replace(queries[1], prior=prior)
-    city_map.usage.take()
     found = Uavd4l(LOOKED_UP).localize(query, city_map, STREAMS)
     assert pose_error(found.pose, truths[1]).translation_m < 1.0
+    whole = Uavd4l(replace(LOOKED_UP, area_m=None, spacing_m=40.0)).localize(query, city_map, STREAMS)
+    assert pose_error(whole.pose, truths[1]).translation_m < 1.0
+    city_map.usage.take()
+    Uavd4l(LOOKED_UP).localize(query, city_map, STREAMS)
     # 13 x 13 views at most are looked at, three matched, then one.
     assert 40 < city_map.usage.take()["colour"] <= 169 + 3 + 1
     with pytest.raises(QueryFault):
@@ -87,7 +90,9 @@ def test_looking_up_needs_the_photo_also_where_matches_are_true(queries, city_ma
         Cadloc(params).localize(away, city_map, STREAMS)
 
 
-@pytest.mark.parametrize("wrong", [{"retrieval": "hgo"}, {"area_m": -1.0}, {"spacing_m": 0.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"retrieval": "hgo"}, {"area_m": -1.0}, {"area_m": np.inf}, {"spacing_m": 0.0}]
+)
 def test_wrong_settings_end_before_any_work(wrong):
     with pytest.raises(ConfigError):
         CadlocParams(**wrong)
