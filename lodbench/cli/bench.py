@@ -111,7 +111,7 @@ def _city(options: argparse.Namespace, steps: ProgressCallback) -> Report:
 
 
 def _slopes(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    reach = options.hypotheses, options.buildings, options.queries, options.workers
+    reach = options.hypotheses, options.buildings, options.tiled, options.queries, options.workers
     return measure_slopes(SlopeOptions(*reach, seed=options.seed), steps)
 
 
@@ -173,10 +173,11 @@ def _parser() -> argparse.ArgumentParser:
     scale.add_argument("--views", type=int, default=10, help="seeded views of each kind (10)")
     scale.add_argument("--hypotheses", type=int, default=400, help="around each view (400)")
     slopes = actions.add_parser(
-        "slopes", help="CPU time over hypotheses, pixels, buildings, queries, workers"
+        "slopes", help="CPU time and memory over hypotheses, pixels, buildings, queries, workers"
     )
     slopes.add_argument("--hypotheses", type=int, default=100_000, help="most of a query (100000)")
     slopes.add_argument("--buildings", type=int, default=100_000, help="most of a city (100000)")
+    slopes.add_argument("--tiled", type=int, default=10_000, help="most compiled from CityGML tiles (10000)")
     slopes.add_argument("--queries", type=int, default=10_000, help="most of a run (10000)")
     slopes.add_argument("--workers", type=int, default=4, help="most processes (4)")
     slopes.add_argument("--pictures", type=Path, help="folder for the picture")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import threading
 import time
@@ -88,6 +89,30 @@ def test_training_data_over_dask(serial, tmp_path) -> None:
         made[name] = {path.relative_to(tmp_path / name): path.read_bytes() for path in files}
     assert len(made["serial"]) > 12
     assert made["dask"] == made["serial"]
+
+
+def test_training_data_sends_names_over_dask_and_notices_another_world(serial, tmp_path, monkeypatch) -> None:
+    sent = []
+
+    def here(executor, work, items, prepare, prepare_with):
+        sent.append(len(pickle.dumps(prepare_with)))
+        params, options, digest, out = prepare_with
+        with pytest.raises(DatasetError, match="are others for a worker"):
+            prepare(params, options, digest[::-1], out)
+        prepare(*prepare_with)
+        return map(work, items)
+
+    monkeypatch.setattr("lodbench.synthesis.training_data.generate.spread", here)
+    words = [
+        f"city={serial[0] / 'town/city.obj'}",
+        "pitch=[40]",
+        "height=[90]",
+        "size=[96,80]",
+        "yaw=[0,180]",
+    ]
+    words += ["spacing_m=60", "val_share=0", "test_share=0", "limit=2", f"out={tmp_path}"]
+    assert main(["generate-training-data", *words, "executor=dask"]) == 0
+    assert sent[0] < 10_000
 
 
 def test_a_scheduler_that_is_not_there(serial, capsys, monkeypatch) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from lodbench.datasets.folder import RENDERED_TRUTH_FILE, write_poses
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
-from lodbench.execution.executor import PROCESS, ExecutorParams, spread
+from lodbench.execution.executor import DASK, PROCESS, ExecutorParams, spread
 from lodbench.storage import make_folder, random_stream, remove_leftovers
 from lodbench.synthesis.objects.scene_props import read_props
 from lodbench.synthesis.surroundings.surroundings import Surroundings, make_surroundings
@@ -68,7 +70,8 @@ def generate_training_data(
     """
     # Workers elsewhere stand in other folders.
     out = Path(params.out).expanduser().absolute()
-    parts, plan, notes = _prepare(params, options or ReadOptions())
+    options = options or ReadOptions()
+    parts, plan, notes = _prepare(params, options)
     manifest = begin_manifest(params, parts.scene, plan, out)
     _write_layout(params, parts.scene, plan, out)
     for folder in out.glob("*/*/"):
@@ -76,7 +79,11 @@ def generate_training_data(
     missing = [view for view in plan.views if not _is_written(params, view, out)]
     resumed = len(plan.views) - len(missing)
     executor = _fitting(executor or ExecutorParams(PROCESS), params.workers, len(missing))
-    _write_views(params, parts, missing, out, resumed, executor)
+    workers: tuple[Callable[..., None], tuple[Any, ...]] = (_open_writer, (params, parts, out))
+    if executor.name == DASK:
+        # Names and a digest go over the network: what stands around a city takes more than the city.
+        workers = (_make_world, (_with_whole_paths(params), options, parts.digest(), out))
+    _write_views(workers, missing, out, resumed, executor)
     write_sheet(params, plan.views, out / SHEET_FILE)
     finish_manifest(manifest, out)
     counts = Counter(view.split for view in plan.views)
@@ -162,9 +169,15 @@ def _fitting(executor: ExecutorParams, workers: int | None, num_views: int) -> E
     return replace(executor, workers=min(workers or executor.num_workers, max(1, num_views)))
 
 
+def _with_whole_paths(params: GenerateParams) -> GenerateParams:
+    """Returns settings whose files are found from any folder."""
+    named = {name: getattr(params, name) for name in ("city", "props", "terrain", "texture_model")}
+    whole: dict[str, Any] = {k: str(Path(v).expanduser().absolute()) for k, v in named.items() if v}
+    return replace(params, **whole)
+
+
 def _write_views(
-    params: GenerateParams,
-    parts: PictureParts,
+    workers: tuple[Callable[..., None], tuple[Any, ...]],
     missing: list[PlannedView],
     out: Path,
     resumed: int,
@@ -173,7 +186,7 @@ def _write_views(
     done = 0
     try:
         with Progress("views", len(missing)) as progress:
-            for _ in spread(executor, _write_view, missing, _open_writer, (params, parts, out)):
+            for _ in spread(executor, _write_view, missing, *workers):
                 done += 1
                 progress.advance()
     except OSError as error:
@@ -191,6 +204,17 @@ _world: list[tuple[ViewWriter, Path]] = []
 
 def _open_writer(params: GenerateParams, parts: PictureParts, out: Path) -> None:
     _world[:] = [(ViewWriter(params, parts), out)]
+
+
+def _make_world(params: GenerateParams, options: ReadOptions, digest: str, out: Path) -> None:
+    """Opens the city here, makes what stands around it again, and makes sure that it is the same."""
+    parts, _, _ = world_parts(params, *open_cities(params, options))
+    if parts.digest() != digest:
+        raise DatasetError(
+            f"{params.city} and what stands around it are others for a worker, or have changed.",
+            "Let all workers see the same files, on CPUs of one kind.",
+        )
+    _open_writer(params, parts, out)
 
 
 def _write_view(view: PlannedView) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+import xxhash
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
@@ -15,7 +16,7 @@ from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pictures import encoded, encoded_mask
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
-from lodbench.storage import random_stream, write_bytes
+from lodbench.storage import digest_of, random_stream, write_bytes
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import CameraResponse, LandCover, Look, PhotoRenderer, draw_look
 from lodbench.synthesis.photo.pyrender_photo import PyrenderPhotos
@@ -27,7 +28,7 @@ _MOST = 65535
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureParts:
-    """What a worker is sent.
+    """What a worker draws from.
 
     Attributes:
         scene: The city of the masks.
@@ -42,6 +43,18 @@ class PictureParts:
     props: SceneProps | None
     cover: LandCover | None
     texture_offset: NDArray[np.float64] | None = None
+
+    def digest(self) -> str:
+        """Returns a digest of every array; of a textured mesh only where it lies."""
+        scenes = [[scene.digest(), scene.origin.tolist()] for scene in (self.scene, self.picture_scene)]
+        state = xxhash.xxh3_128(digest_of(scenes).encode())
+        for part in (self.props and asdict(self.props), self.cover and self.cover._asdict()):
+            for name, value in (part or {}).items():
+                array = np.ascontiguousarray(value)
+                state.update(f"{name}{array.dtype}{array.shape}".encode() + array.tobytes())
+        offset = self.texture_offset
+        state.update(b"" if offset is None else offset.tobytes())
+        return state.hexdigest()
 
 
 class ViewWriter:
