@@ -55,12 +55,13 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     if roof_height not in ROOF_HEIGHTS:
         raise ConfigError(f"roof_height={roof_height} is unknown.", f"Known: {', '.join(ROOF_HEIGHTS)}.")
     finer = _finer_level(model)
-    plans, owner, bottom, top, building_of = _blocks(model, finer, ROOF_HEIGHTS[roof_height])
+    plans, owner, bottom, top, building_of, partly = _blocks(model, finer, ROOF_HEIGHTS[roof_height])
     for building in np.setdiff1d(np.arange(len(model.building_ids)), building_of[owner]):
         findings.add(LOD_UNDERIVABLE, model.building_ids[building], f"from LoD{finer}")
-    outside = _outside(model, finer)
-    for building in np.unique(outside.building[_point_counts(outside) > MAX_CORNERS]):
-        findings.add(LOD_UNDERIVABLE, model.building_ids[building], "polygons too large to cut are left out")
+    for building in np.intersect1d(partly, building_of[owner]):
+        findings.add(
+            LOD_UNDERIVABLE, model.building_ids[building], "a footprint too large to cut is left out"
+        )
     if len(owner) == 0:
         raise CityModelError(
             "No building has a footprint and a roof to derive level 1 from.",
@@ -95,14 +96,21 @@ def part_blocks(
         owner: (N,) object each belongs to.
         bottom, top: (O,) heights by object.
     """
-    plans, owner, bottom, top, _ = _blocks(model, lod, ROOF_HEIGHTS["eave"])
+    plans, owner, bottom, top, *_ = _blocks(model, lod, ROOF_HEIGHTS["eave"])
     return plans, owner, bottom, top
 
 
 def _blocks(
     model: CityModel, lod: str, share: float
-) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Returns plans, the block of each, and bottom, top and building of every block."""
+) -> tuple[
+    NDArray[Any],
+    NDArray[np.int64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.int64],
+    NDArray[np.int32],
+]:
+    """Returns plans, the block of each; bottom, top, building of every block; buildings that lack a plan."""
     source = _outside(model, lod)
     normals, areas = newell(source)
     slope = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
@@ -112,9 +120,12 @@ def _blocks(
     np.minimum.at(bottom, np.repeat(block, _point_counts(source)), source.points[:, 2])
     top = _roof_heights(source, block, slope, count, share)
     chosen = _footprints(source, block, slope, areas, count)
-    chosen = chosen[np.isfinite(top)[block[chosen]] & (_point_counts(source)[chosen] <= MAX_CORNERS)]
+    chosen = chosen[np.isfinite(top)[block[chosen]]]
+    is_cut = _point_counts(source)[chosen] <= MAX_CORNERS
+    partly = np.unique(source.building[chosen[~is_cut]])
+    chosen = chosen[is_cut]
     plans, owner = _dissolve(select_polygons(source, chosen), block[chosen])
-    return plans, owner, bottom, top, building_of
+    return plans, owner, bottom, top, building_of, partly
 
 
 def _block_of(

@@ -146,6 +146,9 @@ def _stated_city(root: Path, folder: Path, about: Mapping[str, Any]) -> tuple[Pa
         return None, ()
     try:
         return _found_city(root, folder, stated, about)
+    except PermissionError as error:
+        reason = f"{folder / ABOUT_FILE}: city_model {stated!r:.60} may not be looked at."
+        raise DatasetError(reason, "Ask for permission, or set city=FILE.") from error
     except (OSError, ValueError, RuntimeError) as error:  # too long, NUL, half a character; links in a circle
         raise DatasetError(
             f"{folder / ABOUT_FILE}: city_model {stated!r:.60} is no name of a file.",

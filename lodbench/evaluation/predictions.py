@@ -72,8 +72,12 @@ class Prediction:
         }
 
     @classmethod
-    def from_json(cls, value: dict[str, Any]) -> Prediction:
+    def from_json(cls, value: dict[str, Any], where: str = "A stored prediction") -> Prediction:
         """Returns what ``to_json`` made an object of; what an older one lacks is unknown.
+
+        Args:
+            value: JSON values.
+            where: File and query, for the message.
 
         Raises:
             DatasetError: It is of something else.
@@ -95,7 +99,8 @@ class Prediction:
             )
         except (LookupError, TypeError, ValueError, AttributeError, OverflowError, LodbenchError) as error:
             reason = f"{type(error).__name__}: {error}"
-            raise DatasetError(f"A stored prediction is none ({reason}).", "Run the query again.") from error
+            hint = "Remove its line, and give the run's command again: it asks that query anew."
+            raise DatasetError(f"{where} is no prediction ({reason}).", hint) from error
 
 
 def _text(value: Any) -> str:

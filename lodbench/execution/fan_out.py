@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -178,7 +179,9 @@ def begin(prepare: Callable[..., None], prepare_with: tuple[Any, ...]) -> None:
     except LodbenchError as error:
         raise WorkersGone(f"A worker cannot begin: {error.message}", error.hint) from error
     except Exception as error:
-        raise WorkersGone(f"A worker cannot begin: {type(error).__name__}: {error}") from error
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        reason = f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+        raise WorkersGone(f"A worker cannot begin: {reason}") from error
 
 
 # Why this worker cannot work: told with its first item, as a pool whose workers raise at the start is silent.

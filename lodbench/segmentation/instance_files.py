@@ -49,7 +49,7 @@ class InstanceFiles:
         """Returns (N, h, w) bool, at most 1024 pixels on the longer side.
 
         Raises:
-            QueryFault: As for ``segment``, or there are too many labels for masks of one bit each.
+            QueryFault: As for ``segment``, or there are more labels than masks of 1 GB together hold.
         """
         labels = self._labels(entry)
         height, width = labels.shape

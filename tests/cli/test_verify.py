@@ -89,7 +89,7 @@ def test_an_answer_of_another_form_is_one_line(lodbench, run, field, value):
     done = lodbench("verify", str(run))
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
-    assert "A stored prediction is none" in done.stderr
+    assert "predictions.jsonl: data/view_00.png is no prediction" in done.stderr
 
 
 def test_an_honest_run_passes(lodbench, made):

@@ -28,7 +28,9 @@ def changed_answers(stored: StoredRun) -> list[str]:
     for key in stored.queries.index:
         if key not in ledger:
             lines.append(f"{PREDICTIONS_FILE}: {key} is missing")
-        elif not _is_same(Prediction.from_json(ledger[key]).pose, stored.poses.get(key)):
+            continue
+        answer = Prediction.from_json(ledger[key], f"{stored.folder / PREDICTIONS_FILE}: {key}")
+        if not _is_same(answer.pose, stored.poses.get(key)):
             lines.append(f"{PREDICTIONS_FILE}: {key} has another pose than poses.txt")
     return lines
 

@@ -127,7 +127,10 @@ def predict(
                 if key in again:
                     stored.record(key, answer)
                     progress.advance()
-    return {entry.key: Prediction.from_json(stored[entry.key]) for entry in entries}
+    return {
+        entry.key: Prediction.from_json(stored[entry.key], f"{work.folder / PREDICTIONS_FILE}: {entry.key}")
+        for entry in entries
+    }
 
 
 def _answers(

@@ -98,7 +98,9 @@ class StoredRun:
         stored = open_predictions(self.folder, read_only=True)
         failures = self.queries["failure"].items()
         known = {str(key): Prediction(None, failure) for key, failure in failures}
-        known |= {key: Prediction.from_json(stored[key]) for key in known if key in stored}
+        known |= {
+            key: Prediction.from_json(stored[key], f"{self.folder}: {key}") for key in known if key in stored
+        }
         return {
             key: replace(prediction, pose=self.poses.get(key), failure=self.queries["failure"][key])
             for key, prediction in known.items()
