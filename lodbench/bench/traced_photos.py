@@ -30,8 +30,9 @@ Points = NDArray[np.float64]
 HEIGHT_M, SIDE_M = 100.0, 120.0
 # Nothing of one photo is seen from another.
 _APART_M = 2000.0
-# Share of the buildings that a wrong map lacks.
-_MISSING = 0.08
+# Share of the buildings that a wrong map lacks, and of what a photo shows of them at most: a map of one shed
+# is of another place.
+_MISSING, _MOST_MISSING = 0.08, 0.25
 # Smaller outlines are specks of a tracing.
 _LEAST_M2 = 4.0
 
@@ -42,7 +43,8 @@ class TracedOptions:
 
     Attributes:
         map_error_m: Outlines are simplified by so much, buildings moved by half of it and raised by it
-            (standard deviations), and one in twelve is missing; 0 for the outlines as traced.
+            (standard deviations), and one in twelve is missing, but at most a quarter of what a photo shows;
+            0 for the outlines as traced.
         seed: Of these errors.
     """
 
@@ -101,16 +103,18 @@ def _plates(
     scale = HEIGHT_M / camera.fx
     # Pixels to metres, rows counted downwards; outlines run around pixels, not through their middles.
     to_metres = (scale, 0.0, 0.0, -scale, scale * (0.5 - camera.cx), -scale * (0.5 - camera.cy))
+    may_miss = _MOST_MISSING * float(mask.sum()) * scale**2
     for part in polygons_of(mask):
         if len(part.outer) < 3:
             continue
         pixels = Polygon(part.outer, [hole for hole in part.holes if len(hole) > 2])
         roof = affine_transform(pixels.buffer(0.5, join_style="mitre"), to_metres)
         east, north, up = generator.normal(0.0, map_error_m, 3) * (0.5, 0.5, 1.0)
-        is_missing = generator.random() < _MISSING
+        is_missing = generator.random() < _MISSING and map_error_m > 0 and roof.area <= may_miss
+        may_miss -= is_missing * roof.area
         if map_error_m > 0:
             roof = translate(roof.simplify(map_error_m), east, north)
-        if roof.area < _LEAST_M2 or (map_error_m > 0 and is_missing):
+        if roof.area < _LEAST_M2 or is_missing:
             continue
         for polygon in roof.geoms if isinstance(roof, MultiPolygon) else [roof]:
             rings = [np.asarray(ring.coords[:-1]) for ring in (polygon.exterior, *polygon.interiors)]
