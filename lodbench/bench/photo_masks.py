@@ -71,11 +71,13 @@ class PhotoMaskReport:
         segmenter: Its name and the start of its weights' digest.
         data: Name of the folder.
         photos: By place and name.
+        notes: What the segmenter says of itself: on which photos it learnt, above all.
     """
 
     segmenter: str
     data: str
     photos: tuple[PhotoMask, ...]
+    notes: tuple[str, ...] = ()
 
     def by_place(self) -> dict[str, list[float]]:
         """Returns the IoUs of each place that shows buildings."""
@@ -126,9 +128,8 @@ class PhotoMaskReport:
             rows.append(
                 ["share found where nothing is", str(len(self.empty())), *mean_and_interval(self.empty())]
             )
-        return "\n".join(
-            [f"{self.segmenter} on {self.data}", format_columns(photos), "", format_columns(rows)]
-        )
+        tables = [format_columns(photos), "", format_columns(rows)]
+        return "\n".join([f"{self.segmenter} on {self.data}", *tables, *self.notes])
 
     def write_pictures(self, folder: Path) -> None:
         """Writes an overlay per photo, see ``write_overlay``, and a sheet of all: ``masks.png``."""
@@ -197,7 +198,7 @@ def measure_photo_masks(
             measured.append(PhotoMask(photo.parent.parent.name, photo, truth, found, seconds))
             progress(number, len(labelled))
     name = f"{segmenter.name}, weights {segmenter.weights_digest[:12]}"
-    return PhotoMaskReport(name, folder.name, tuple(measured))
+    return PhotoMaskReport(name, folder.name, tuple(measured), segmenter.notes())
 
 
 def mean_and_interval(values: list[float]) -> list[str]:

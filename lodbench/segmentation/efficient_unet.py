@@ -63,15 +63,18 @@ class EfficientUnet(PackagedNetwork):
 
     params_type = EfficientUnetParams
     weights_name = "efficient_unet"
-    domain = "synthetic and open ground"
+    domain = "synthetic and two real places"
     padding = "symmetric"
     stores_half = True
 
     def notes(self) -> tuple[str, ...]:
-        """Returns what the network has seen of buildings: drawn ones."""
+        """Returns what the network has seen of buildings: drawn ones, and those of a few real places."""
+        if self.params.weights:
+            return (f"segmenter efficient_unet, weights of {Path(self.params.weights).name}",)
+        traced = self.packaged_training()["traced"]
         return (
-            f"segmenter efficient_unet, domain: {self.domain}: buildings learnt from rendered views, ground "
-            "from photos too; real photos may look different",
+            f"segmenter efficient_unet, domain: {self.domain}: learnt from rendered views and from "
+            f"{traced['photos']} photos of {' and '.join(traced['places'])}; other places may look different",
         )
 
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
