@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # Makes the weights of segmenter=efficient_unet: views of built-in towns and open city models, from 22 m to 300 m
 # and in every paint, photos without buildings as ground, and EfficientNet-Lite0 as ImageNet taught it, which stays
-# as it is. Two cores, no GPU, extra [torch].
-# Usage: recipes/efficient_unet.sh OUT CITIES NEGATIVES..., with OUT a folder for everything, CITIES that of the open
-# models, NEGATIVES folders of photos without buildings. Given again it goes on where it stopped.
+# as it is; then photos with traced masks. Two cores, no GPU, extra [torch].
+# Usage: recipes/efficient_unet.sh OUT CITIES PHOTOS NEGATIVES..., with OUT a folder for everything, CITIES that of the
+# open models, PHOTOS that of the photos that recipes/traced names, a folder per place, NEGATIVES folders of photos
+# without buildings. Given again it goes on where it stopped.
 set -euo pipefail
-out=$1 cities=$2
-shift 2
+out=$1 cities=$2 photos=$3
+shift 3
 negatives=$(IFS=,; echo "$*")
 views=${VIEWS:-40} first=${FIRST_EPOCHS:-5} second=${SECOND_EPOCHS:-1}
 
@@ -63,11 +64,17 @@ generate val/town9 30 city=demo:9 lod=3 seed=9 fov_deg=70 training@look=hard sam
 train() { # folder to write, further settings
     lodbench train segmenter=efficient_unet data="$out/train" val_data="$out/val" out="$out/$1" \
         negatives="[$negatives]" threads=1 precision=bfloat16 device=cpu schedule.augment=strong \
-        schedule.encoder_rate=0 schedule.warmup=0.05 schedule.val_every=1 "${@:2}"
+        schedule.warmup=0.05 schedule.val_every=1 "${@:2}"
 }
 export OMP_NUM_THREADS=1
-train weights1 schedule.epochs="$first" schedule.scale='[0.7,2]'
+train weights1 schedule.epochs="$first" schedule.scale='[0.7,2]' schedule.encoder_rate=0
 # On squares that large roofs fit into; then the mean of both trainings, which is better than either.
-train weights2 schedule.epochs="$second" schedule.crop=352 schedule.batch=4 schedule.scale='[0.7,2.5]' \
-    schedule.muon_lr=0.015 init="$out/weights1/checkpoint.pt" average="[$out/weights1/checkpoint.pt]"
-echo "efficient_unet.onnx and training.json (as efficient_unet.json) of $out/weights2 belong in lodbench/segmentation/weights"
+large=(schedule.crop=352 schedule.batch=4 schedule.scale='[0.7,2.5]')
+train weights2 "${large[@]}" schedule.epochs="$second" schedule.muon_lr=0.015 schedule.encoder_rate=0 \
+    init="$out/weights1/checkpoint.pt" average="[$out/weights1/checkpoint.pt]"
+# Real roofs, the encoder learning slowly; again the mean, which keeps what is known of other places.
+python "$(dirname "$0")/traced_masks.py" "$photos" "$out/traced"
+drawn=$out/weights2/averaged.safetensors
+train weights3 "${large[@]}" schedule.epochs=1 schedule.muon_lr=0.004 schedule.lr=0.0006 schedule.encoder_rate=0.1 \
+    traced="[$out/traced]" traced_share=0.4 init="$drawn" average="[$drawn]"
+echo "efficient_unet.onnx and training.json (as efficient_unet.json) of $out/weights3 belong in lodbench/segmentation/weights"

@@ -75,7 +75,7 @@ class TrainParams:
         resume: Whether to go on from the checkpoint in ``out``.
         init: Weights to start from: a file, ``package`` for those in the package, or None for random ones.
         average: Checkpoints of trainings that went out from the same weights: the mean of theirs and this
-            one's is what is stored at the end.
+            one's is what is stored at the end, as averaged.safetensors too.
         tensorboard: Whether to log for TensorBoard as well.
 
     Raises:

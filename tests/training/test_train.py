@@ -267,6 +267,9 @@ def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
     assert train(views, tmp_path / "c", *words) == 0
     alone, both = ((tmp_path / name / "compact.onnx").read_bytes() for name in "ac")
     assert alone != both
+    kept = load_own(CompactNet(), str(tmp_path / "c" / "averaged.safetensors"))
+    for name, value in mean.named_parameters():
+        torch.testing.assert_close(kept.get_parameter(name), value)
     assert train(views, tmp_path / "d", "average=[none.pt]") == 2
     assert "There are no weights none.pt" in capsys.readouterr().err
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import torch
 
+from lodbench.segmentation.nets.weights import save_weights
 from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.training.nets.average import average_into
 from lodbench.training.nets.batches import batch_shape, batches
@@ -20,6 +21,8 @@ from lodbench.training.samples import Sample
 from lodbench.training.train_params import TrainParams
 
 History = list[dict[str, float]]
+# The mean of several trainings, for others to start from or to be averaged with.
+AVERAGED_FILE = "averaged.safetensors"
 # Batches that tell what the normalisations of given weights will meet.
 _PICTURED_BATCHES = 8
 
@@ -72,6 +75,8 @@ def run_training(
         fit(state, params, train, val, segmenter.stride, place, identity, after_epoch)
         if params.average:
             average_into(net, [Path(path).expanduser() for path in params.average])
+            if place.rank == 0:  # the checkpoint keeps this training's own weights
+                save_weights(net.cpu(), out / AVERAGED_FILE)
         weights = segmenter.store(net.cpu().eval(), out) if place.rank == 0 else out
     return state.history, weights
 
