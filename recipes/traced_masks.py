@@ -20,7 +20,7 @@ VALUES = {"building": 255, "hole": 0, "unknown": 128}
 
 def main(photos: Path, out: Path) -> None:
     """Writes OUT/PLACE/photos and OUT/PLACE/masks."""
-    for labels in sorted(TRACED.glob("*/*.json")):
+    for labels in sorted(TRACED.glob("*/*.json")):  # a photo that is missing ends it
         traced = json.loads(labels.read_text(encoding="utf-8"))
         photo = photos / labels.parent.name / traced["imagePath"]
         mask = np.zeros((traced["imageHeight"], traced["imageWidth"]), np.uint8)
@@ -35,4 +35,6 @@ def main(photos: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
     main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -17,7 +17,7 @@ def traced_photos(folder: Path) -> list[tuple[Path, Path]]:
             known) of their names; or a folder ``labelled`` of these.
 
     Raises:
-        DatasetError: There are no photos, or one has no mask.
+        DatasetError: There are no photos, two of one name, or one has no mask.
     """
     root = folder / "labelled" if (folder / "labelled").is_dir() else folder
     photos = sorted(path for path in root.glob("*/photos/*") if path.suffix.lower() in _ENDINGS)
@@ -25,6 +25,10 @@ def traced_photos(folder: Path) -> list[tuple[Path, Path]]:
         raise DatasetError(
             f"{folder} holds no photos.", "Put them in PLACE/photos, and their masks in PLACE/masks."
         )
+    stems = [(photo.parent, photo.stem) for photo in photos]
+    for photo, stem in zip(photos, stems, strict=True):
+        if stems.count(stem) > 1:
+            raise DatasetError(f"{photo} and another photo share a name: their masks would be one.")
     pairs = [(photo, photo.parent.parent / "masks" / f"{photo.stem}.png") for photo in photos]
     for photo, mask in pairs:
         if not mask.is_file():

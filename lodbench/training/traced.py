@@ -9,6 +9,7 @@ from pathlib import Path
 from lodbench.datasets.traced_photos import traced_photos
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.segmentation.masks import read_mask
+from lodbench.segmentation.photos import read_photo
 from lodbench.training.samples import Sample
 
 
@@ -20,17 +21,20 @@ def traced_samples(size: int, folders: Sequence[Path]) -> list[Sample]:
         folders: As of ``traced_photos``.
 
     Raises:
-        DatasetError: A folder holds no photos, or one has no mask or none that can be read.
+        DatasetError: A folder holds no photos, or one has no mask, one of another size or none to be read.
     """
     samples = []
     for number, folder in enumerate(folders):
         for photo, mask in traced_photos(folder):
             key = f"traced{number}/{photo.parent.parent.name}/{photo.name}"
             try:
-                scale = size / max(read_mask(mask).shape)
+                shape = read_mask(mask).shape
+                fits = shape == read_photo(photo).shape[:2]
             except LodbenchError as fault:
                 raise DatasetError(f"{key}: {fault.message}") from fault
-            samples.append(Sample(key, photo, mask, working_scale=scale))
+            if not fits:
+                raise DatasetError(f"{mask} is not of its photo's size.", "Trace the photo as it is stored.")
+            samples.append(Sample(key, photo, mask, working_scale=size / max(shape)))
     return samples
 
 

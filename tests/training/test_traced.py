@@ -48,3 +48,13 @@ def test_a_photo_without_a_mask_is_named(traced):
     (traced / "town" / "masks" / "one.png").unlink()
     with pytest.raises(DatasetError, match=r"one\.png has no mask"):
         traced_samples(200, [traced])
+
+
+def test_a_mask_of_another_size_and_two_photos_of_one_name_are_refused(traced):
+    folder = traced / "town"
+    cv2.imwrite(str(folder / "masks" / "one.png"), np.zeros((400, 300), np.uint8))
+    with pytest.raises(DatasetError, match=r"masks/one\.png is not of its photo's size"):
+        traced_samples(200, [traced])
+    cv2.imwrite(str(folder / "photos" / "one.jpg"), np.zeros((300, 400, 3), np.uint8))
+    with pytest.raises(DatasetError, match="share a name"):
+        traced_samples(200, [traced])

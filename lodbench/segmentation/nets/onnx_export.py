@@ -59,22 +59,27 @@ def write_onnx(net: nn.Module, path: Path, stride: int, half: bool = False) -> N
 
 
 def _halved(content: bytes) -> bytes:
-    """Returns a model whose 32 bit weights are stored in 16 bits, each brought back before its first use."""
     import onnx
-    from onnx import TensorProto, helper, numpy_helper
 
-    model: Any = onnx.load_from_string(content)
-    graph = model.graph
-    casts, kept = [], []
-    for tensor in graph.initializer:
-        if tensor.data_type == TensorProto.FLOAT:
-            stored = f"{tensor.name}_half"
-            casts.append(helper.make_node("Cast", [stored], [tensor.name], to=TensorProto.FLOAT))
-            tensor = numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float16), stored)
-        kept.append(tensor)
-    nodes = [*casts, *graph.node]
-    for field, values in ((graph.initializer, kept), (graph.node, nodes)):
-        del field[:]
-        field.extend(values)
+    model = onnx.load_from_string(content)
+    halve_kernels(model)
     whole: bytes = model.SerializeToString(deterministic=True)
     return whole
+
+
+def halve_kernels(model: Any) -> None:
+    """Stores a model's kernels in 16 bits, each brought back to 32 before its first use; changed in place."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    graph, casts, kept = model.graph, [], []
+    for tensor in graph.initializer:
+        values = numpy_helper.to_array(tensor)
+        if values.ndim == 4 and values.dtype == np.float32:
+            stored = f"{tensor.name}.half"
+            casts.append(helper.make_node("Cast", [stored], [tensor.name], to=TensorProto.FLOAT))
+            tensor = numpy_helper.from_array(values.astype(np.float16), stored)
+        kept.append(tensor)
+    nodes = [*casts, *graph.node]
+    del graph.initializer[:], graph.node[:]
+    graph.initializer.extend(kept)
+    graph.node.extend(nodes)
