@@ -17,7 +17,7 @@ ablation: $(VENV)/.base
 # About 50 minutes of one core, most of it the networks of XFeat and LighterGlue; the same command again goes on where it was stopped.
 # LIMIT=1 tries it on the first query of each split, and leaves the leaderboard alone.
 # A run without a single answer, as cadloc's are, ends with 1, which is no reason to stop here.
-TABLE1 ?= runs/table1
+TABLE1 ?= runs/table1$(if $(LIMIT),-limit$(LIMIT))
 RUN := $(BIN)/lodbench run executor=process $(if $(LIMIT),limit=$(LIMIT))
 ROWS := $(RUN) dataset=demo paths.runs=$(TABLE1)
 table1: $(VENV)/.table1
@@ -27,8 +27,9 @@ table1: $(VENV)/.table1
 	$(ROWS) --multirun method=mcloc method.features=hog,xfeat
 	$(BIN)/lodbench compare $(TABLE1)/demo/*/* --columns paper details --format md --budget $(TABLE1)
 ifndef LIMIT
-	rm -f leaderboard/entries/demo/*.json
+	touch $(TABLE1)/measured
 	$(BIN)/lodbench leaderboard add $(TABLE1)/demo/*/*
+	find leaderboard/entries/demo -name '*.json' ! -newer $(TABLE1)/measured -delete
 	$(BIN)/lodbench leaderboard build
 endif
 

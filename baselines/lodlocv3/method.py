@@ -13,6 +13,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
 from lodbench.geometry import rotations_at_yaws
 from lodbench.methods import Estimate, Input, Streams
+from lodbench.methods.fits import fit_input
 from lodbench.methods.lodlocv2 import Particles, PoseScorer, Scoring, search
 
 from .instance_fit import InstanceFit
@@ -52,10 +53,13 @@ class LodLocV3:
 
     params_type = LodLocV3Params
     name = "lodlocv3"
-    requires = frozenset({Input.INSTANCES})
+    requires: frozenset[Input] = frozenset({Input.INSTANCES})
 
     def __init__(self, params: LodLocV3Params | None = None) -> None:
         self.params = params or LodLocV3Params()
+        if self.params.by_silhouette:
+            # A mask of all buildings follows from those of each.
+            self.requires = self.requires | {fit_input(self.params.fit)} - {Input.MASK}
 
     def params_for_prior(self, prior: UniformPrior) -> LodLocV3Params:
         """Returns the parameters whose grid covers such a prior's error."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose
 from lodbench.matching.retrieval import Retrieval
 
@@ -29,19 +29,19 @@ def places_over(scene: Scene, around: Floats, area_m: float, spacing_m: float) -
     Nor further beyond the city than the place is high: what is there shows none of it.
 
     Raises:
-        ConfigError: They are too many.
+        QueryFault: They are too many.
     """
     low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
     reach = max(0.0, float(around[2] - low[2]))
-    axes = []
+    ranges = []
     for k in (0, 1):
-        first = max(-area_m, float(low[k]) - reach - around[k])
-        last = min(area_m, float(high[k]) + reach - around[k])
-        steps = np.arange(np.ceil(first / spacing_m), np.floor(last / spacing_m) + 1)
-        axes.append(around[k] + spacing_m * steps)
-    count = len(axes[0]) * len(axes[1])
+        first = max(-area_m, float(low[k]) - reach - float(around[k]))
+        last = min(area_m, float(high[k]) + reach - float(around[k]))
+        ranges.append((np.ceil(first / spacing_m), np.floor(last / spacing_m) + 1))
+    count = int(np.prod([max(0.0, stop - start) for start, stop in ranges]))
     if count > _MOST_VIEWS:
-        raise ConfigError(f"{count} views over the area are too many.", "Set method.spacing_m, or area_m.")
+        raise QueryFault(f"{count} views over the area are too many: a larger method.spacing_m makes fewer")
+    axes = [around[k] + spacing_m * np.arange(*ranges[k]) for k in (0, 1)]
     x, y = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
     return np.column_stack([x, y, np.full(count, around[2])])
 

@@ -197,6 +197,11 @@ def test_refinement_that_walks_away_is_undone(ideal, monkeypatch, queries, city_
     coarse = LodLocParams(count_x=3, count_y=3, count_z=3, count_yaw=2, rounds=1)
     found = LodLoc(coarse).localize(query, city_map, STREAMS)
     assert pose_error(found.pose, truths[0]).translation_m > 40
+    # It is measured from the grid's answer: a step out of the prior's range is none too far.
+    near = replace(query, prior=moved(truths[0], [0.0, 14.0, 0.0], [0.0, 0.0, 0.0]))
+    beside = LodLoc(coarse).localize(near, city_map, STREAMS)
+    assert pose_error(beside.pose, truths[0]).translation_m < 1e-6
+    assert "y -14.0 m" in beside.notes[0]
     wide = LodLoc(replace(coarse, range_y_m=300.0)).localize(query, city_map, STREAMS)
     assert pose_error(wide.pose, truths[0]).translation_m < 1e-6
 

@@ -15,6 +15,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation.errors import pose_error
 from lodbench.geometry import Camera
+from lodbench.methods import Input
 from lodbench.storage import random_stream
 from tests.town import CAMERA
 
@@ -108,6 +109,11 @@ def test_the_grid_compares_silhouettes_by_the_fit_that_is_asked_for(asked, city_
         for fit in ("iou", "boundary")
     ]
     assert scores[0] != scores[1]
+
+
+def test_a_fit_that_looks_at_the_photo_requires_it():
+    assert LodLocV3().requires == {Input.INSTANCES}
+    assert LodLocV3(LodLocV3Params(fit="region")).requires == {Input.INSTANCES, Input.IMAGE}
 
 
 @pytest.mark.parametrize("unused", [{"select": "instances"}, {"fine_size": (301, 224)}])

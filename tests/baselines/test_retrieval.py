@@ -35,8 +35,9 @@ def test_places_fill_the_area_and_end_where_none_of_the_city_is_in_view(city_map
     assert len(everywhere) > len(places)
     away = np.array([1e4, 0.0, 120.0])
     assert len(places_over(scene, away, 100.0, 20.0)) == 0
-    with pytest.raises(ConfigError, match="views over the area are too many"):
-        places_over(scene, around, np.inf, 0.1)
+    for spacing_m in (0.1, 1e-9):
+        with pytest.raises(QueryFault, match="views over the area are too many"):
+            places_over(scene, around, np.inf, spacing_m)
 
 
 def test_the_views_that_resemble_the_photo_most_are_returned_best_first(truths):

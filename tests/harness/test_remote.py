@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
+import subprocess
 import sys
 import time
 import tracemalloc
@@ -15,11 +17,11 @@ import numpy as np
 import pytest
 
 from lodbench.cli import main
-from lodbench.errors import ConfigError, LodbenchError, QueryFault
+from lodbench.errors import ConfigError, LodbenchError, QueryFault, RenderingError, WorkersGone
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote import RemoteMethod, RunnerParams
 from lodbench.harness.remote import child as child_module
-from lodbench.harness.remote.child import RemoteMap
+from lodbench.harness.remote.child import Pipe, RemoteMap
 from lodbench.harness.remote.drawn import KINDS
 from lodbench.harness.remote.method import answered
 from lodbench.harness.remote.process import Child, ProcessFault
@@ -286,6 +288,16 @@ def test_a_child_that_does_not_read_is_stopped():
         child.call({"do": [np.zeros(1 << 20)]}, lambda words: None, 0.5)
 
 
+def assert_ends(pid: int) -> None:
+    for _ in range(200):
+        # An orphan that has ended may wait for a moment to be taken off the list.
+        state = Path(f"/proc/{pid}/stat")
+        if not state.exists() or state.read_text().split()[2] == "Z":
+            return
+        time.sleep(0.02)
+    raise AssertionError(f"process {pid} still runs")
+
+
 @pytest.mark.parametrize("ending", ["os._exit(4)", "time.sleep(60)"])
 def test_what_a_child_started_ends_with_it(ending):
     """Both where it is stopped and where it died by itself."""
@@ -294,13 +306,7 @@ def test_what_a_child_started_ends_with_it(ending):
     with pytest.raises(ProcessFault) as caught:
         child_that(started + ending).call({"do": []}, lambda words: None, 1.0)
     (pid,) = [int(word) for word in re.findall(r"\d+", caught.value.__notes__[0])]
-    for _ in range(200):
-        # An orphan that has ended may wait for a moment to be taken off the list.
-        state = Path(f"/proc/{pid}/stat")
-        if not state.exists() or state.read_text().split()[2] == "Z":
-            return
-        time.sleep(0.02)
-    raise AssertionError(f"process {pid} still runs")
+    assert_ends(pid)
 
 
 def test_room_is_made_for_what_came_not_for_what_is_said_to_come():
@@ -324,6 +330,41 @@ def test_what_goes_wrong_with_a_question_is_told_to_who_asked():
 
     with pytest.raises(ProcessFault, match=r"exit code 3: .*\[\"fault\", \"ValueError: 3\"\]"):
         child_that(ask + again).call({"do": []}, answer, 20.0)
+
+
+def test_workers_that_are_gone_end_the_run_and_no_query():
+    ask = HEAD.format(head='[{"dict": [["ask", ["draw", 3]]]}, []]')
+
+    def answer(words: list) -> None:
+        raise WorkersGone("they are gone")
+
+    child = child_that(ask + "time.sleep(60)")
+    with pytest.raises(WorkersGone, match="they are gone"):
+        child.call({"do": []}, answer, 20.0)
+    assert child._process.returncode is not None
+
+
+def test_a_hint_reaches_who_asked():
+    fault = io.BytesIO(packed({"fault": "no such lens", "hint": "undo it", "kind": "RenderingError"}))
+    with pytest.raises(RenderingError, match="no such lens") as caught:
+        Pipe(fault, io.BytesIO()).ask("draw")
+    assert caught.value.hint == "undo it"
+
+
+def test_what_a_method_started_ends_where_its_run_is_gone_without_a_word(tmp_path):
+    """A worker that leaves by os._exit closes nothing but its pipes."""
+    code = (
+        "import os, subprocess; from lodbench.harness.remote.child import Pipe; "
+        "p = subprocess.Popen(['sleep', '60']); print(p.pid, flush=True); "
+        "Pipe(os.fdopen(0, 'rb'), os.fdopen(os.dup(1), 'wb')).receive()"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0
+    )
+    pid = int(child.stdout.readline())
+    child.stdin.close()
+    assert child.wait(20) == -9
+    assert_ends(pid)
 
 
 def test_only_what_is_offered_is_drawn_and_never_too_much(trial):

@@ -6,6 +6,7 @@ Its standard output is the pipe; what a method prints goes to standard error.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields, replace
@@ -55,6 +56,9 @@ class Pipe:
         def read(count: int) -> bytes:
             found = self._source.read(count)
             if len(found) < count:
+                # Who asked is gone, perhaps without a word: nothing that a method started here stays.
+                if os.getpgrp() == os.getpid():
+                    os.killpg(0, signal.SIGKILL)
                 raise SystemExit(0)
             return found
 
@@ -65,7 +69,7 @@ class Pipe:
         self.send({"ask": list(words)})
         answer = self.receive()
         if "fault" in answer:
-            raise FAULTS.get(answer["kind"], LodbenchError)(answer["fault"])
+            raise FAULTS.get(answer["kind"], LodbenchError)(answer["fault"], answer["hint"])
         return answer["answer"]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query, Reference
-from lodbench.errors import ConfigError, LodbenchError, QueryFault, RenderingError, nearest_names
+from lodbench.errors import ConfigError, LodbenchError, QueryFault, RenderingError, WorkersGone, nearest_names
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.drawn import KINDS, drawn_bytes
 from lodbench.harness.remote.process import Child, ProcessFault
@@ -184,7 +184,7 @@ class RemoteMethod:
         assert self._child is not None  # noqa: S101
         try:
             said = self._child.call({"do": words}, answer, timeout_s)
-        except ProcessFault:
+        except (ProcessFault, WorkersGone):
             self._child = None
             raise
         if "fault" in said:

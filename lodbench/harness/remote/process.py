@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from lodbench.errors import LodbenchError
+from lodbench.errors import LodbenchError, WorkersGone
 from lodbench.harness.remote.wire import MalformedMessage, packed, unpacked
 
 # Of what the child wrote to standard error, at most this much is told.
@@ -70,6 +70,7 @@ class Child:
 
         Raises:
             ProcessFault: There is no answer; the child has been stopped.
+            WorkersGone: So it was said where it asked; the child has been stopped.
         """
         deadline = time.monotonic() + timeout_s
         try:
@@ -82,10 +83,14 @@ class Child:
                     return said
                 try:
                     told = {"answer": answer(list(said["ask"]))}
+                except WorkersGone:
+                    # The run ends, and no query fails: nothing to tell the child.
+                    self.close()
+                    raise
                 except LodbenchError as fault:
-                    told = {"fault": fault.message, "kind": type(fault).__name__}
+                    told = {"fault": fault.message, "hint": fault.hint, "kind": type(fault).__name__}
                 except Exception as error:  # it may ask with arguments of any kind
-                    told = {"fault": f"{type(error).__name__}: {error}", "kind": "RenderingError"}
+                    told = {"fault": f"{type(error).__name__}: {error}", "hint": "", "kind": "RenderingError"}
                 self._write(packed(told), deadline)
         except (TimeoutError, EOFError, OSError, MalformedMessage) as error:
             raise self._fault(error, timeout_s) from None

@@ -86,7 +86,9 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
 def trial_settings(own: Mapping[str, Any], tried: Mapping[str, Any]) -> Check:
     """Returns what is tried in place of a method's own settings, which is all that is judged."""
     changes = [
-        f"{name}={value} instead of {own[name]}" for name, value in tried.items() if value != own[name]
+        f"{name}={value} instead of {own.get(name)}"
+        for name, value in tried.items()
+        if value != own.get(name)
     ]
     return Check("answers", "settings", OK, "; ".join(changes) or "the method's own")
 
