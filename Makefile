@@ -75,7 +75,7 @@ fuzz: $(VENV)/.test
 	$(BIN)/python -m tests.citymodel.test_fuzz $(COUNT)
 	$(BIN)/python -W ignore -m tests.fuzz_readers $(COUNT)
 
-# Every operation of the disk, of every command that writes, fails or kills once, about an hour; `make test` tries a slice.
+# Every operation of the disk, of every command that writes, fails or kills once, on all cores; `make test` tries a slice.
 faults: $(VENV)/.test
 	$(BIN)/python -m tests.faults
 
