@@ -25,7 +25,7 @@ table1: $(VENV)/.table1
 	$(ROWS) --multirun method=uavd4l method.matcher=sift_nn,xfeat,xfeat_lighterglue,oracle
 	$(ROWS) --multirun method=cadloc method.matcher=sift_nn,xfeat,xfeat_lighterglue || test $$? -eq 1
 	$(ROWS) --multirun method=mcloc method.features=hog,xfeat
-	$(BIN)/lodbench compare $(TABLE1)/demo/*/* --columns paper details --format md --budget $(TABLE1)
+	$(BIN)/lodbench compare $(TABLE1)/demo/*/* --columns paper details --format markdown --budget $(TABLE1)
 ifndef LIMIT
 	touch $(TABLE1)/measured
 	$(BIN)/lodbench leaderboard add $(TABLE1)/demo/*/*
@@ -42,7 +42,7 @@ holdout: $(VENV)/.base
 	$(RUN) $(HELD_OUT) --multirun method=prior_only,lodloc,lodlocv2,lodlocv3,contour_alignment,region
 	$(RUN) $(HELD_OUT) method=mcloc
 	$(RUN) $(HELD_OUT) method=cadloc || test $$? -eq 1
-	$(BIN)/lodbench compare $(HOLDOUT)/views/*/* --columns paper details --format md --budget $(HOLDOUT)
+	$(BIN)/lodbench compare $(HOLDOUT)/views/*/* --columns paper details --format markdown --budget $(HOLDOUT)
 HELD_OUT = dataset=views city=$(CITY) dataset.mask_lod=2.2 dataset.lod=1.2 dataset.look=hard dataset.num_views=$(VIEWS) paths.runs=$(HOLDOUT)
 
 # What accuracy costs: recall over poses drawn, each method at several budgets, as a picture in runs/budget.

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from lodbench.cli import main
 from lodbench.methods.registry import configure_method
 
 ROOT = Path(__file__).parents[1]
@@ -39,6 +40,20 @@ def test_every_run_of_a_table_has_settings_that_its_methods_know(target):
         for name, *values in product(run["method"].split(","), *settings.values()):
             read = (yaml.safe_load(value) for value in values)
             configure_method({"name": name, **dict(zip(settings, read, strict=True))})
+
+
+@pytest.mark.parametrize("target", ["table1", "holdout", "budget", "thresholds"])
+def test_the_table_is_asked_for_in_words_that_compare_knows(target, tmp_path, capsys):
+    """Of runs that are not there: then nothing else is wrong."""
+    told = subprocess.run(
+        ["make", "-n", target, "LIMIT=1"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    (line,) = (line for line in told.splitlines() if "lodbench compare " in line)
+    words = [str(tmp_path / "none") if "*" in word else word for word in shlex.split(line)[1:]]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert str(tmp_path / "none") in error
+    assert "Known" not in error
 
 
 def test_a_try_leaves_the_leaderboard_alone():
