@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes the weights of segmenter=efficient_unet: views of built-in towns and open city models, from 22 m to 300 m
 # and in every paint, photos without buildings as ground, and EfficientNet-Lite0 as ImageNet taught it, which stays
-# as it is; then photos with traced masks. Two cores, no GPU, extra [torch].
+# as it is until photos with traced masks come last. Two cores, no GPU, extra [torch].
 # Usage: recipes/efficient_unet.sh OUT CITIES PHOTOS NEGATIVES..., with OUT a folder for everything, CITIES that of the
 # open models, PHOTOS that of the photos that recipes/traced names, a folder per place, NEGATIVES folders of photos
 # without buildings. Given again it goes on where it stopped.

@@ -281,6 +281,7 @@ def try_all(names: Sequence[str], step: int) -> int:
 
 def try_all_in_parallel(step: int, count: int) -> int:
     """Does as ``try_all`` for every command, in some processes; returns how many commands failed."""
+    count = min(count, len(COMMANDS))
 
     def share(first: int) -> str:
         names = [command.name for command in COMMANDS[first::count]]
@@ -289,7 +290,7 @@ def try_all_in_parallel(step: int, count: int) -> int:
             lines = [
                 line for line in process.stdout or () if sys.stdout.write(line) and not sys.stdout.flush()
             ]
-        return lines[-1]
+        return lines[-1] if lines else "0 faults survived, 1 commands failed"
 
     with ThreadPoolExecutor(count) as pool:
         sums = [re.findall(r"\d+", last) for last in pool.map(share, range(count))]

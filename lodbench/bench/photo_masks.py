@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.bench.mask_pictures import SHEET_FILE, draw_all
 from lodbench.bench.mask_quality import found_mask, one_core
-from lodbench.datasets.traced_photos import traced_photos
+from lodbench.datasets.traced_photos import traced_mask, traced_photos
 from lodbench.errors import DatasetError
 from lodbench.evaluation.statistics import Interval, bootstrap_means
 from lodbench.reporting.aligned_text import format_columns
@@ -155,8 +155,14 @@ def write_overlay(photo: PhotoMask, folder: Path) -> None:
     write_picture(folder / photo.place / f"{photo.photo.stem}.png", np.asarray(small, dtype=np.uint8))
 
 
+# Of masks traced by hand: white is building, grey is what could not be told.
+_BUILDING, _NOTHING = 0.75, 0.25
+
+
 def labelled_photos(folder: Path) -> list[tuple[Path, Mask]]:
     """Returns the photos of a folder with their traced masks, (H, W) bool of the photo's size.
+
+    What could not be told counts as no building.
 
     Args:
         folder: As of ``traced_photos``.
@@ -167,17 +173,23 @@ def labelled_photos(folder: Path) -> list[tuple[Path, Mask]]:
     """
     found = []
     for photo, path in traced_photos(folder):
-        truth = np.asarray(read_mask(path) >= 0.5)
+        truth = np.asarray(read_mask(path) > _BUILDING)
         if truth.shape != read_photo(photo).shape[:2]:
             raise DatasetError(f"{path} is not of its photo's size.")
         found.append((photo, truth))
     return found
 
 
+def _unknown(photo: Path) -> Mask:
+    """Returns where a photo's tracer could not tell: what is found there is neither right nor wrong."""
+    traced = read_mask(traced_mask(photo))
+    return np.asarray((traced > _NOTHING) & (traced <= _BUILDING))
+
+
 def measure_photo_masks(
     segmenter: PhotoSegmenter, folder: Path, progress: Progress = no_progress
 ) -> PhotoMaskReport:
-    """Returns how well a segmenter's masks of real photos agree with traced ones.
+    """Returns how well a segmenter's masks of real photos agree with traced ones, where these know.
 
     Args:
         segmenter: Looks at the photos.
@@ -193,7 +205,7 @@ def measure_photo_masks(
     with one_core():
         for number, (photo, truth) in enumerate(labelled, start=1):
             started = time.process_time()
-            found = found_mask(segmenter, photo, truth.shape)
+            found = found_mask(segmenter, photo, truth.shape) & ~_unknown(photo)
             seconds = time.process_time() - started
             measured.append(PhotoMask(photo.parent.parent.name, photo, truth, found, seconds))
             progress(number, len(labelled))

@@ -1,6 +1,6 @@
 """The points of ``bench slopes``, each in a process of its own: CPU seconds, and the memory it held at most.
 
-Peaks are of whole processes, Python and its libraries included, which hold some 200 MB before any work.
+Peaks are of whole processes, Python and its libraries included, which hold some 150 MB before any work.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def _share(workers: int, folder: Path, camera: Camera, swarm: Swarm) -> tuple[fl
     started = time.process_time()
     used: dict[int, tuple[float, float]] = {}
     for worker, *told in spread(executor, _item, range(16_000 // _ITEM), _begin, (folder, camera, swarm)):
-        used[worker] = (told[0], told[1])
+        used[worker] = max(used.get(worker, (0.0, 0.0)), (told[0], told[1]))
     used[os.getpid()] = (time.process_time() - started, 0.0)
     return sum(cpu_s for cpu_s, _ in used.values()), sum(mb for _, mb in used.values())
 

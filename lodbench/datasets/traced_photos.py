@@ -29,8 +29,13 @@ def traced_photos(folder: Path) -> list[tuple[Path, Path]]:
     for photo, stem in zip(photos, stems, strict=True):
         if stems.count(stem) > 1:
             raise DatasetError(f"{photo} and another photo share a name: their masks would be one.")
-    pairs = [(photo, photo.parent.parent / "masks" / f"{photo.stem}.png") for photo in photos]
+    pairs = [(photo, traced_mask(photo)) for photo in photos]
     for photo, mask in pairs:
         if not mask.is_file():
             raise DatasetError(f"{photo} has no mask.", f"Trace one as {mask}: 255 = building.")
     return pairs
+
+
+def traced_mask(photo: Path) -> Path:
+    """Returns the file of a photo's mask."""
+    return photo.parent.parent / "masks" / f"{photo.stem}.png"

@@ -14,7 +14,7 @@ from lodbench.training.samples import Sample
 
 
 def traced_samples(size: int, folders: Sequence[Path]) -> list[Sample]:
-    """Returns the photos of some folders with their masks; what a mask shows grey pulls neither way.
+    """Returns the photos of some folders with their masks; what a mask shows grey is learnt as undecided.
 
     Args:
         size: Long side that a network works at, pixels.

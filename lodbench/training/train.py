@@ -185,7 +185,8 @@ def _record(
     }
     return identity | {
         "digest": digest_of(identity),
-        "domain": segmenter.domain,
+        "domain": ("posed photos" if is_posed(data) else "synthetic")
+        + (" and traced photos" if params.traced else ""),
         "views": {"train": len(train), "val": len(val), "validated_on": source},
         "sets": _sets(data),
         "versions": {"lodbench": __version__, "torch": version("torch"), "numpy": version("numpy")},

@@ -167,7 +167,7 @@ def test_views_beside_a_pose_keep_height_and_direction(truths):
 def test_cadloc_keeps_to_the_protocol(capsys):
     assert main(["check-method", "cadloc"]) == 0
     printed = capsys.readouterr().out
-    assert "settings       those that the method has for the trial" in printed
+    assert "matcher=oracle instead of sift_nn" in printed
     assert "3 of 3 queries" in printed
 
 

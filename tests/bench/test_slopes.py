@@ -64,5 +64,5 @@ def test_every_axis_is_measured(tmp_path, capsys, monkeypatch) -> None:
     # Of whole processes: numpy, numba and OpenCV alone take more than 50 MB.
     peaks = [value for name, value in found.items() if name.startswith("peak memory")]
     assert len(peaks) == sum(name.startswith("cpu seconds") for name in found)
-    assert 50 < min(peaks) < max(peaks) < 5000
+    assert 50 < min(peaks) <= max(peaks) < 5000
     assert (tmp_path / "drawn" / "slopes.png").stat().st_size > 10_000

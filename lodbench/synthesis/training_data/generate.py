@@ -82,7 +82,8 @@ def generate_training_data(
     workers: tuple[Callable[..., None], tuple[Any, ...]] = (_open_writer, (params, parts, out))
     if executor.name == DASK:
         # Names and a digest go over the network: what stands around a city takes more than the city.
-        workers = (_make_world, (_with_whole_paths(params), options, parts.digest(), out))
+        whole = (_with_whole_paths(params), _whole_terrain(options), parts.digest(), out)
+        workers = (_make_world, whole)
     _write_views(workers, missing, out, resumed, executor)
     write_sheet(params, plan.views, out / SHEET_FILE)
     finish_manifest(manifest, out)
@@ -174,6 +175,13 @@ def _with_whole_paths(params: GenerateParams) -> GenerateParams:
     named = {name: getattr(params, name) for name in ("city", "props", "terrain", "texture_model")}
     whole: dict[str, Any] = {k: str(Path(v).expanduser().absolute()) for k, v in named.items() if v}
     return replace(params, **whole)
+
+
+def _whole_terrain(options: ReadOptions) -> ReadOptions:
+    """Returns how a city is read, its terrain found from any folder."""
+    if options.terrain is None:
+        return options
+    return replace(options, terrain=str(Path(options.terrain).expanduser().absolute()))
 
 
 def _write_views(
