@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,23 @@ CHECKPOINT_FILE = "checkpoint.pt"
 
 
 def save_checkpoint(state: dict[str, Any], folder: Path) -> None:
-    """Writes the checkpoint of a folder in place of the one there."""
+    """Writes the checkpoint of a folder in place of the one there; equal states give the same bytes."""
     content = io.BytesIO()
-    torch.save(state, content)
+    torch.save(_rebuilt(state), content)
     write_bytes(folder / CHECKPOINT_FILE, content.getvalue())
+
+
+def _rebuilt(value: Any) -> Any:
+    """Returns a value whose containers are its own and whose equal strings are one.
+
+    The file tells one object met twice from two that are equal, and a state that was read back has
+    other objects than one that was never stored.
+    """
+    if isinstance(value, dict):
+        return {_rebuilt(key): _rebuilt(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(_rebuilt(item) for item in value)
+    return sys.intern(value) if isinstance(value, str) else value
 
 
 def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
