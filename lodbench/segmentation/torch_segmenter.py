@@ -35,7 +35,6 @@ class TorchSegmenter(PhotoSegmenter):
         ConfigError: A package is missing.
     """
 
-    domain = "as its weights"
     stride = 32
     # Whether photos are brought to size x size whatever their aspect, as the paper does.
     is_square = True

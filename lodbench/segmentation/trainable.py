@@ -11,12 +11,10 @@ class TrainableSegmenter(Protocol):
 
     Attributes:
         params: Its settings, a frozen dataclass.
-        domain: What it is trained on, in a word that a reader is shown: ``synthetic``.
         stride: Sides of pictures are padded to multiples of this.
     """
 
     params: Any
-    domain: str
     stride: int
 
     def build(self, init: str | None) -> Any:
