@@ -32,6 +32,10 @@ class DatasetError(LodbenchError):
     """A dataset is missing, incomplete or malformed."""
 
 
+class InputChanged(DatasetError):
+    """A file is no longer what it was when the work began: the work ends, no query fails."""
+
+
 class ConfigError(LodbenchError):
     """A command line or configuration value is unknown or out of range."""
 

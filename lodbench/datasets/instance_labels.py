@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.pictures import decoded, encoded, has_too_many_pixels
 from lodbench.errors import QueryFault
+from lodbench.storage.contents import read_content
 
 # Folder of a split's label files.
 INSTANCES_FOLDER = "instances"
@@ -26,7 +27,7 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
             different values: a photo.
     """
     try:
-        content = path.read_bytes()
+        content = read_content(path)
     except OSError as error:
         raise QueryFault(f"instances {path.name} cannot be read: {error.strerror}") from error
     if has_too_many_pixels(content):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import DatasetError
+from lodbench.storage.contents import read_content
 
 
 def read_picture(path: Path, *, as_stored: bool = False) -> NDArray[Any] | None:
@@ -23,9 +24,12 @@ def read_picture(path: Path, *, as_stored: bool = False) -> NDArray[Any] | None:
 
     Returns:
         (H, W) or (H, W, C); None if the file cannot be read or decoded, or has too many pixels.
+
+    Raises:
+        InputChanged: It is not what it was when the work began.
     """
     try:
-        content = path.read_bytes()
+        content = read_content(path)
     except OSError:
         return None
     return None if has_too_many_pixels(content) else decoded(content, as_stored=as_stored)

@@ -12,8 +12,8 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.instance_labels import masks_of_labels, read_labels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
-from lodbench.segmentation.masks import content_digest
 from lodbench.storage import digest_of
+from lodbench.storage.contents import content_digest
 
 # Masks of buildings are handed over at most this long, pixels: a photo has hundreds.
 _LONGER_SIDE = 1024

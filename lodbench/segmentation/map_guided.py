@@ -16,12 +16,12 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.geometry import AxisRange, Camera, Pose, PoseGrid
 from lodbench.geometry.angles import rotations_at_yaws
 from lodbench.rendering import RegionFit, appearance_bins
-from lodbench.segmentation.masks import content_digest
 from lodbench.segmentation.photos import read_photo
 from lodbench.segmentation.region_cut import cut, held_out_evidence
 from lodbench.segmentation.silhouette_alignment import Alignment, aligned
 from lodbench.segmentation.working_size import resized_photo, working_size
 from lodbench.storage import digest_of
+from lodbench.storage.contents import content_digest
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]

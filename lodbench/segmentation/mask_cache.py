@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 from collections.abc import Callable
 from pathlib import Path
@@ -9,14 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.storage import digest_of, file_digest, make_folder, write_bytes
+from lodbench.storage import digest_of, make_folder, write_bytes
+from lodbench.storage.contents import read_content
 from lodbench.storage.paths import cache_root
 
 Probability = NDArray[np.float32]
 _FOLDER = "segmentations"
 
 
-def cached_probability(photo: Path, identity: str, compute: Callable[[], Probability]) -> Probability:
+def cached_probability(photo: Path, identity: str, compute: Callable[[bytes], Probability]) -> Probability:
     """Returns the probability of a photo: from the cache, or computed and put there.
 
     What is computed passes through the cache's 16 bits as well, so that a second run gives the same
@@ -25,13 +27,18 @@ def cached_probability(photo: Path, identity: str, compute: Callable[[], Probabi
     Args:
         photo: The photo's file; its content counts, not its name.
         identity: Digest of all else the answer follows from: network, weights, size, normalisation.
-        compute: Returns (H, W) float32 in [0, 1].
+        compute: Returns (H, W) float32 in [0, 1] of the content of the photo's file.
+
+    Raises:
+        OSError: The photo cannot be read.
+        InputChanged: It is not what it was when the work began.
     """
-    name = digest_of([file_digest(photo), identity], length=32)
+    photo_content = read_content(photo)
+    name = digest_of([hashlib.sha256(photo_content).hexdigest(), identity], length=32)
     path = cache_root() / _FOLDER / f"{name}.npz"
     stored = _read(path)
     if stored is None:
-        stored = np.rint(compute() * 65535.0).astype(np.uint16)
+        stored = np.rint(compute(photo_content) * 65535.0).astype(np.uint16)
         content = io.BytesIO()
         np.savez_compressed(content, probability=stored)
         try:

@@ -13,7 +13,8 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.pictures import decoded, has_too_many_pixels
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
-from lodbench.storage import digest_of, file_digest
+from lodbench.storage import digest_of
+from lodbench.storage.contents import content_digest, read_content
 
 
 def read_mask(path: str | Path) -> NDArray[np.float32]:
@@ -26,7 +27,7 @@ def read_mask(path: str | Path) -> NDArray[np.float32]:
             (colours or class labels, an overlay), or its largest value is 1 (labels 0 and 1).
     """
     try:
-        content = Path(path).read_bytes()
+        content = read_content(Path(path))
     except OSError as error:
         raise QueryFault(f"mask {Path(path).name} cannot be read: {error.strerror}") from error
     if has_too_many_pixels(content):
@@ -90,13 +91,3 @@ class MaskFiles:
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
         """Returns a digest of the mask files' names and contents."""
         return digest_of([[entry.key, content_digest(entry.mask)] for entry in entries])
-
-
-def content_digest(mask: Path | None) -> str | None:
-    """Returns a file's digest; one that cannot be read fails in its own query, not here."""
-    if mask is None:
-        return None
-    try:
-        return file_digest(mask)
-    except OSError:
-        return "unreadable"

@@ -11,6 +11,7 @@ import numpy as np
 
 from lodbench.errors import ConfigError
 from lodbench.segmentation.onnx_check import onnx_fault
+from lodbench.storage.contents import read_content
 
 # The largest network that is run here has 0.3 GB.
 _MAX_BYTES = 2 * 10**9
@@ -45,7 +46,7 @@ def read_onnx(path: Path, hint: str, is_ours: bool = False) -> Any:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ConfigError(f"{path} has {path.stat().st_size / 1e9:.1f} GB, too many for a network.", hint)
-        content = path.read_bytes()
+        content = read_content(path)
         fault = "" if is_ours else onnx_fault(content) or _probed(content)
         if fault:
             raise ConfigError(f"{path} is no ONNX network to be trusted: {fault}.", hint)

@@ -18,7 +18,7 @@ from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.probability import without_unsure_parts
 from lodbench.segmentation.tiles import MemoryTiles
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
-from lodbench.storage import file_digest
+from lodbench.storage.contents import content_digest
 
 
 class PackagedNetwork(PhotoSegmenter):
@@ -53,12 +53,12 @@ class PackagedNetwork(PhotoSegmenter):
                 f"There are no weights {self._path}.", "Leave segmenter.weights out for those of the package."
             )
 
-    @cached_property
+    @property
     def weights_digest(self) -> str:
         """Returns the SHA-256 of the ONNX file."""
         if not self._path.is_file():
             raise ConfigError(f"There are no weights {self._path}.", "Set segmenter.weights=FILE.")
-        return file_digest(self._path)
+        return str(content_digest(self._path))
 
     @cached_property
     def _net(self) -> Any:

@@ -13,10 +13,10 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
 from lodbench.segmentation.mask_cache import cached_probability
-from lodbench.segmentation.masks import content_digest
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.photos import photo_of
 from lodbench.segmentation.probability import probability_of
 from lodbench.storage import digest_of
+from lodbench.storage.contents import content_digest
 
 # A change of how photos are read or brought to size makes another answer.
 _VERSION = 1
@@ -61,11 +61,13 @@ class PhotoSegmenter(ABC):
         """
         if entry.image is None:
             raise QueryFault("no photo to segment")
-        photo = entry.image
+        name = entry.image.name
         try:
-            return cached_probability(photo, self._identity(), lambda: self.probability(read_photo(photo)))
+            return cached_probability(
+                entry.image, self._identity(), lambda c: self.probability(photo_of(c, name))
+            )
         except OSError as error:
-            raise QueryFault(f"photo {photo.name} cannot be read: {error.strerror}") from error
+            raise QueryFault(f"photo {name} cannot be read: {error.strerror}") from error
 
     def probability(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Returns the (h, w) float32 probability of building of a (H, W, 3) RGB photo."""

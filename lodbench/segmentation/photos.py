@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.pictures import decoded, has_too_many_pixels
 from lodbench.errors import QueryFault
+from lodbench.storage.contents import read_content
 
 
 def read_photo(path: str | Path) -> NDArray[np.uint8]:
@@ -23,9 +24,18 @@ def read_photo(path: str | Path) -> NDArray[np.uint8]:
     """
     name = Path(path).name
     try:
-        content = Path(path).read_bytes()
+        content = read_content(Path(path))
     except OSError as error:
         raise QueryFault(f"photo {name} cannot be read: {error.strerror}") from error
+    return photo_of(content, name)
+
+
+def photo_of(content: bytes, name: str) -> NDArray[np.uint8]:
+    """Returns the bytes of an image file as `read_photo` does.
+
+    Raises:
+        QueryFault: They are no image, have too many pixels, or neither 8 nor 16 bits.
+    """
     if has_too_many_pixels(content):
         raise QueryFault(f"photo {name} has too many pixels")
     image = decoded(content, as_stored=True)

@@ -13,6 +13,7 @@ import time
 import pytest
 
 from lodbench.cli import main
+from lodbench.harness.runs.predict import predict
 from lodbench.methods.lodlocv2 import LodLocV2
 from tests.town import write_dataset
 
@@ -64,7 +65,7 @@ def test_a_full_disk_is_one_line_that_names_the_file(lodbench, tmp_path, monkeyp
     assert len(done.stderr.splitlines()) == 2
 
 
-def test_a_mask_replaced_during_a_run_is_noticed(lodbench, tmp_path, monkeypatch):
+def test_a_mask_replaced_after_it_was_read_is_noticed_at_the_end(lodbench, tmp_path, monkeypatch):
     root, city = write_dataset(tmp_path / "town")
     masks = sorted((root / "masks").iterdir())
     words = run_words(root, city, "method=lodlocv2", "method.steps=1", "segmenter=masks")
@@ -72,7 +73,7 @@ def test_a_mask_replaced_during_a_run_is_noticed(lodbench, tmp_path, monkeypatch
         real = LodLocV2.localize
 
         def localize(self, *more):
-            masks[1].write_bytes(masks[0].read_bytes())
+            masks[0].write_bytes(masks[1].read_bytes())
             return real(self, *more)
 
         patch.setattr(LodLocV2, "localize", localize)
@@ -84,6 +85,38 @@ def test_a_mask_replaced_during_a_run_is_noticed(lodbench, tmp_path, monkeypatch
     assert not (folder / "poses.txt").exists()
     assert lodbench(*words).returncode == 0
     assert len(list((tmp_path / "runs").glob("*/lodlocv2/*/poses.txt"))) == 1
+
+
+@pytest.mark.parametrize("executor", ["serial", "process"])
+@pytest.mark.parametrize("which", ["masks", "Query_image"])
+def test_a_file_that_is_replaced_during_a_run_and_put_back_leaves_no_answer(
+    lodbench, tmp_path, monkeypatch, which, executor
+):
+    root, city = write_dataset(tmp_path / "town")
+    shutil.copytree(root / "masks", root / "Query_image")
+    method = ["lodlocv2", "segmenter=masks", "method.steps=1"] if which == "masks" else ["region"]
+    words = run_words(root, city, f"method={method[0]}", *method[1:], f"executor={executor}")
+    files = sorted((root / which).iterdir())
+    held = files[1].read_bytes()
+    with monkeypatch.context() as patch:
+
+        def replaced_meanwhile(*more):
+            files[1].write_bytes(files[0].read_bytes())
+            try:
+                return predict(*more)
+            finally:
+                files[1].write_bytes(held)
+
+        patch.setattr("lodbench.harness.runs.run.predict", replaced_meanwhile)
+        done = lodbench(*words)
+    assert done.returncode == 2
+    assert f"{files[1]} changed while it was in use" in done.stderr
+    (folder,) = (tmp_path / "runs").glob("*/*/*")
+    stored = folder / "predictions.jsonl"
+    assert not stored.exists() or files[1].stem not in stored.read_text()
+    assert not (folder / "poses.txt").exists()
+    assert lodbench(*words).returncode == 0
+    assert (folder / "poses.txt").exists()
 
 
 def test_aliases_of_aliases_in_a_run_s_configuration_are_refused_at_once(lodbench, tmp_path):

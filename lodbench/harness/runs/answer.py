@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Entry, Query
-from lodbench.errors import ConfigError, LodbenchError, QueryFault, WorkersGone
+from lodbench.errors import ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
 from lodbench.evaluation.predictions import Prediction, encoded_mask
 from lodbench.geometry import Pose
 from lodbench.harness.runs.method_inputs import keep_traceback
@@ -31,7 +31,7 @@ FLIGHTS_FOLDER = "flights"
 # Masks are stored, and compared with the truth, at most at this width, pixels: the paper's fine size.
 _MASK_WIDTH = 602
 # No query is to blame for these.
-_ENDS_RUN = (ConfigError, WorkersGone)
+_ENDS_RUN = (ConfigError, InputChanged, WorkersGone)
 
 
 @dataclass(slots=True)

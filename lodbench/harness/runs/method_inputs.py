@@ -16,8 +16,8 @@ from lodbench.methods import Method
 from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import SupportsPrepare
 from lodbench.methods.workspace import open_workspace
-from lodbench.segmentation.masks import content_digest
-from lodbench.storage import digest_of, file_digest, make_folder, write_text
+from lodbench.storage import digest_of, make_folder, write_text
+from lodbench.storage.contents import content_digest
 
 # What a workspace's content depends on, of a run's inputs.
 _PREPARED_FROM = ("scene", "code", "weights", "references", "textured_map")
@@ -33,7 +33,7 @@ def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) ->
     weights = weight_files(method)
     inputs = {}
     if weights:
-        inputs["weights"] = digest_of([file_digest(file) for file in weights])
+        inputs["weights"] = digest_of([content_digest(file) for file in weights])
     if Input.IMAGE in requires:
         inputs["images"] = digest_of([[entry.key, content_digest(entry.image)] for entry in entries])
     if Input.REFERENCES in requires:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -30,6 +30,7 @@ from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream
+from lodbench.storage.contents import remember_contents
 
 PREDICTIONS_FILE = "predictions.jsonl"
 
@@ -56,6 +57,7 @@ class Work:
         params: The method's parameters, as JSON values.
         inputs: Digests of the run's inputs.
         folder: The run's.
+        contents: SHA-256 of the files that are read again for single queries.
         stream_names: As for ``RunSettings``.
     """
 
@@ -70,6 +72,7 @@ class Work:
     params: object
     inputs: dict[str, str]
     folder: Path
+    contents: Mapping[Path, str] = field(default_factory=dict)
     stream_names: Callable[[Entry], tuple[str, ...]] | None = None
 
     def streams_of(self, entry: Entry) -> Streams:
@@ -114,6 +117,7 @@ def predict(
 
     Raises:
         ConfigError: A setting of the method or the segmenter is wrong, which only a query could tell.
+        InputChanged: A photo or mask is another than when the run began.
         WorkersGone: Workers keep dying, or the scheduler is not there.
     """
     stored = open_predictions(work.folder)
@@ -175,6 +179,7 @@ _here: list[tuple[Work, Preparation, CityMap]] = []
 
 
 def _open_here(work: Work) -> None:
+    remember_contents(work.contents)
     dataset = work.dataset
     if dataset.city_model is None:
         raise ConfigError("There is no city model to localise against.", dataset.city_hint)

@@ -40,6 +40,7 @@ from lodbench.plugins import load_plugin
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import digest_of, make_folder, remove_leftovers, write_text
+from lodbench.storage.contents import known_contents, remembered_contents
 from lodbench.storage.disk import disk
 
 
@@ -90,6 +91,7 @@ class Run(Result):
     resumed: int
 
 
+@remembered_contents()
 def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings: RunSettings) -> Run:
     """Runs a method over a dataset and returns the rows; the ledger in the run folder lets it resume.
 
@@ -143,6 +145,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         settings.config.get("method"),
         inputs,
         make_folder(folder).absolute(),
+        known_contents(),
         settings.stream_names,
     )
     with only_one_in(folder):
@@ -160,7 +163,8 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
             _remove_unused(folder)
             raise
         if len(stored) < len(entries):
-            _require_unchanged(inputs, _read_inputs(method, segmenter, dataset, entries), folder)
+            with remembered_contents():
+                _require_unchanged(inputs, _read_inputs(method, segmenter, dataset, entries), folder)
     priors = {entry.key: preparation.prior(entry) for entry in entries}
     return Run(
         folder=folder,
@@ -180,7 +184,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
 def _read_inputs(
     method: Method, segmenter: Segmenter, dataset: Dataset, entries: tuple[Entry, ...]
 ) -> dict[str, str]:
-    """Returns digests of the files that are read again for every query."""
+    """Returns digests of the files that are read again for single queries, which are remembered."""
     return {"masks": segmenter.fingerprint(entries), **method_inputs(method, dataset, entries)}
 
 
