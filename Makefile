@@ -69,11 +69,10 @@ test: $(VENV)/.test lint
 test-slow: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto --dist loadgroup -m slow
 
-# 20,000 mutated city files and as many of all other kinds, for a nightly run; `make test` tries a slice. COUNT= sets another number.
-COUNT ?= 20000
+# 100,000 mutated files, half of them cities, over all cores: half an hour of two; `make test` tries a slice. SEED= tries those of a seed again.
+COUNT ?= 100000
 fuzz: $(VENV)/.test
-	$(BIN)/python -m tests.citymodel.test_fuzz $(COUNT)
-	$(BIN)/python -W ignore -m tests.fuzz_readers $(COUNT)
+	$(BIN)/python -m tests.fuzz $(COUNT) $(SEED)
 
 # Every operation of the disk, of every command that writes, fails or kills once, on all cores; `make test` tries a slice.
 faults: $(VENV)/.test

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
 
 # Of a message: (number, its kind) of the fields looked at. Graphs stand in attributes, tensors in both.
 _INSIDE = {
@@ -36,11 +39,20 @@ _OPERATORS = frozenset(
 _NODE_OPERATOR, _NODE_DOMAIN = 4, 7
 _MAX_DEPTH = 32
 _MAX_MESSAGES = 1_000_000
+# Of one message: a network of 100,000 nodes is none that runs here.
+_MAX_FIELDS = 1_000_000
+_MAX_RANK = 8
 _MAX_DIMENSION = 1 << 24
 _MAX_ELEMENTS = 1 << 30
 # TensorProto: bytes of an element by data type; others, such as texts, hold no weights.
 _ITEM_BYTES = {1: 4, 2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 8, 9: 1, 10: 2, 11: 8, 12: 4, 13: 8, 16: 2}
 _DIMS, _DATA_TYPE, _RAW_DATA, _EXTERNAL_DATA, _DATA_LOCATION = 1, 2, 9, 13, 14
+# The fields that hold a tensor's numbers one by one, with the bytes of each where packed; 0: of any length.
+_TYPED_DATA = {4: 4, 5: 0, 7: 0, 10: 8, 11: 0}
+# Attributes by which a layer divides, or allocates: from 1 to so much, and from minus to plus so much.
+_SIZES = {b"kernel_shape": 1, b"strides": 1, b"dilations": 1, b"group": 1, b"pads": -(1 << 16)}
+_MAX_SIZE = 1 << 16
+_ATTRIBUTE_NAME, _ATTRIBUTE_INT, _ATTRIBUTE_INTS = 1, 3, 8
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 Field = tuple[int, int, int, int]
@@ -70,11 +82,15 @@ def _check_all(content: bytes) -> None:
         graphs += kind == "graph"
         if depth > _MAX_DEPTH or met > _MAX_MESSAGES:
             raise ValueError("it is nested too deeply" if depth > _MAX_DEPTH else "it has too many parts")
-        fields = list(_fields(content, first, last))
+        fields = list(islice(_fields(content, first, last), _MAX_FIELDS + 1))
+        if len(fields) > _MAX_FIELDS:
+            raise ValueError("it has too many parts")
         if kind == "tensor":
             _check_tensor(content, fields)
         elif kind == "node":
             _check_node(content, fields)
+        elif kind == "attribute":
+            _check_attribute(content, fields)
         elif kind == "dimension":
             _check_dimensions([value for number, wire, value, _ in fields if (number, wire) == (1, _VARINT)])
         inside = _INSIDE.get(kind, {})
@@ -94,32 +110,71 @@ def _check_node(content: bytes, fields: list[Field]) -> None:
         raise ValueError(f"it asks for {ascii((domain + b' ' + operator).strip()[:40])[1:]}")
 
 
+def _check_attribute(content: bytes, fields: list[Field]) -> None:
+    names = [content[first:last] for number, wire, first, last in fields if number == _ATTRIBUTE_NAME]
+    least = _SIZES.get(names[-1]) if names else None
+    if least is None:
+        return
+    values = _numbers(content, fields, _ATTRIBUTE_INT) + _numbers(content, fields, _ATTRIBUTE_INTS)
+    for value in map(_signed, values):
+        if not least <= value <= _MAX_SIZE:
+            raise ValueError(f"{names[-1].decode()} is {value}")
+
+
 def _check_tensor(content: bytes, fields: list[Field]) -> None:
-    dims: list[int] = []
-    data_type = raw_bytes = -1
-    for number, wire, value, end in fields:
-        if number == _EXTERNAL_DATA or (number == _DATA_LOCATION and value):
-            raise ValueError("its weights lie in another file")
-        if number == _DIMS and wire == _BYTES:
-            dims += _packed(content, value, end)
-        elif number == _DIMS and wire == _VARINT:
-            dims.append(value)
-        elif number == _DATA_TYPE:
-            data_type = value
-        elif number == _RAW_DATA:
-            raw_bytes = end - value
+    if any(n == _EXTERNAL_DATA or (n == _DATA_LOCATION and value) for n, _, value, _ in fields):
+        raise ValueError("its weights lie in another file")
+    dims = _numbers(content, fields, _DIMS, _MAX_RANK)
     _check_dimensions(dims)
     count = math.prod(dims)
     if count > _MAX_ELEMENTS:
         raise ValueError(f"a tensor has {count} elements")
+    data_type = next((value for number, _, value, _ in reversed(fields) if number == _DATA_TYPE), -1)
+    raw_bytes = next((end - first for number, _, first, end in reversed(fields) if number == _RAW_DATA), -1)
     if raw_bytes >= 0 and data_type in _ITEM_BYTES and raw_bytes != count * _ITEM_BYTES[data_type]:
         raise ValueError(f"a tensor of shape {dims} has {raw_bytes} bytes")
+    if raw_bytes < 0 and data_type in _ITEM_BYTES:
+        stored = sum(_count(content, field) for field in fields if field[0] in _TYPED_DATA)
+        if stored != count:
+            raise ValueError(f"a tensor of shape {dims} has {stored} numbers")
+
+
+def _count(content: bytes, field: Field) -> int:
+    """Returns how many numbers a field of numbers holds, packed or alone."""
+    number, wire, first, last = field
+    if wire != _BYTES:
+        return 1
+    if width := _TYPED_DATA[number]:
+        return (last - first) // width
+    # The last byte of each number, and only that, is below 128.
+    return int(np.count_nonzero(np.frombuffer(content, np.uint8, last - first, first) < 128))
+
+
+def _numbers(content: bytes, fields: list[Field], wanted: int, most: int = 64) -> list[int]:
+    """Returns the whole numbers of a repeated field, packed or one by one.
+
+    Raises:
+        ValueError: There are too many.
+    """
+    found: list[int] = []
+    for number, wire, value, end in fields:
+        if number == wanted and wire == _BYTES:
+            found += _packed(content, value, end, most)
+        elif number == wanted and wire == _VARINT:
+            found.append(value)
+        if len(found) > most:
+            raise ValueError("a shape has too many dimensions")
+    return found
 
 
 def _check_dimensions(dims: list[int]) -> None:
     for size in dims:
         if size > _MAX_DIMENSION:
-            raise ValueError(f"a dimension is {size if size < 1 << 63 else size - (1 << 64)}")
+            raise ValueError(f"a dimension is {_signed(size)}")
+
+
+def _signed(value: int) -> int:
+    return value if value < 1 << 63 else value - (1 << 64)
 
 
 def _fields(content: bytes, first: int, last: int) -> Iterator[Field]:
@@ -145,9 +200,10 @@ def _fields(content: bytes, first: int, last: int) -> Iterator[Field]:
             raise ValueError("it is no protobuf")
 
 
-def _packed(content: bytes, first: int, last: int) -> list[int]:
-    values = []
-    while first < last:
+def _packed(content: bytes, first: int, last: int, most: int) -> list[int]:
+    """Returns whole numbers that stand side by side, and no more than one too many."""
+    values: list[int] = []
+    while first < last and len(values) <= most:
         value, first = _varint(content, first, last)
         values.append(value)
     return values

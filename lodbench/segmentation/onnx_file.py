@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,21 @@ from lodbench.storage.contents import read_content
 _MAX_BYTES = 2 * 10**9
 # A reader that takes longer, seconds, will not end.
 _PROBE_S = 120.0
+# Beyond what the file itself takes: importing OpenCV maps 1.5 GB.
+_PROBE_BYTES = 8 << 30
 _PROBE = """
 import sys, cv2, numpy
+content = sys.stdin.buffer.read()
 try:
-    cv2.dnn.readNetFromONNX(numpy.frombuffer(sys.stdin.buffer.read(), numpy.uint8))
-except cv2.error:
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) + 4 * len(content),) * 2)
+except ImportError:
+    pass
+try:
+    network = cv2.dnn.readNetFromONNX(numpy.frombuffer(content, numpy.uint8))
+    network.setInput(numpy.zeros((1, 3, 64, 64), numpy.float32))
+    network.forward()
+except (cv2.error, MemoryError):
     sys.exit(3)
 """
 
@@ -30,7 +42,7 @@ def read_onnx(path: Path, hint: str, is_ours: bool = False) -> Any:
     """Returns OpenCV's network of a file.
 
     OpenCV's reader dies of some damage that ``onnx_fault`` does not see (ADR 0022): a file that is not ours
-    is read in a process of its own first.
+    is read, and asked about a small picture, in a process of its own first.
 
     Args:
         path: The file; its name may hold what OpenCV's own reader cannot open.
@@ -50,14 +62,27 @@ def read_onnx(path: Path, hint: str, is_ours: bool = False) -> Any:
         fault = "" if is_ours else onnx_fault(content) or _probed(content)
         if fault:
             raise ConfigError(f"{path} is no ONNX network to be trusted: {fault}.", hint)
-        return cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
+        with _silence():
+            return cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
     except (cv2.error, OSError) as error:
         raise ConfigError(f"{path} is no ONNX network that OpenCV can read.", hint) from error
 
 
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keeps OpenCV from writing names of the file, whatever they hold, to the terminal."""
+    from cv2.utils import logging
+
+    before = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(before)
+
+
 def _probed(content: bytes) -> str:
     """Returns how OpenCV's reader ends in a process of its own, unless with an answer or an error."""
-    command = [sys.executable, "-I", "-c", _PROBE]
+    command = [sys.executable, "-I", "-c", _PROBE, str(_PROBE_BYTES)]
     try:
         done = subprocess.run(command, input=content, capture_output=True, timeout=_PROBE_S)  # noqa: S603
     except subprocess.TimeoutExpired:

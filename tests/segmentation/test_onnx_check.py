@@ -80,9 +80,47 @@ def negative_input(model: onnx.ModelProto) -> None:
     model.graph.input[0].type.tensor_type.shape.dim[1].dim_value = -3
 
 
+def short_numbers(model: onnx.ModelProto) -> None:
+    model.graph.initializer[0].ClearField("raw_data")
+    model.graph.initializer[0].float_data.extend([1.0, 1.0, 1.0])
+
+
+def no_numbers(model: onnx.ModelProto) -> None:
+    model.graph.initializer[0].ClearField("raw_data")
+
+
+def short_whole_numbers(model: onnx.ModelProto) -> None:
+    tensor = model.graph.initializer.add(name="shape", data_type=TensorProto.INT64, dims=[4])
+    tensor.int64_data.extend([300, -1])
+
+
+def many_dimensions(model: onnx.ModelProto) -> None:
+    model.graph.initializer[0].dims.extend([1 << 24] * 200_000)
+
+
+def many_fields(model: onnx.ModelProto) -> None:
+    # Numbers of a field that nobody knows, one by one.
+    model.ParseFromString(model.SerializeToString() + b"\x80\x7d\x01" * 1_000_001)
+
+
+def no_strides(model: onnx.ModelProto) -> None:
+    model.graph.node[0].attribute.append(helper.make_attribute("strides", [0, 0]))
+
+
+def vast_padding(model: onnx.ModelProto) -> None:
+    model.graph.node[0].attribute[1].ints[0] = 1 << 40
+
+
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
+        (short_numbers, "a tensor of shape [1, 3, 3, 3] has 3 numbers"),
+        (no_numbers, "a tensor of shape [1, 3, 3, 3] has 0 numbers"),
+        (short_whole_numbers, "a tensor of shape [4] has 2 numbers"),
+        (many_dimensions, "a shape has too many dimensions"),
+        (many_fields, "it has too many parts"),
+        (no_strides, "strides is 0"),
+        (vast_padding, f"pads is {1 << 40}"),
         (negative_weights, "a dimension is -1"),
         (huge_weights, f"a tensor has {1 << 40} elements"),
         (other_weights, "a tensor of shape [2, 3, 3, 3] has 108 bytes"),
@@ -115,6 +153,15 @@ def test_a_reader_that_breaks_down_is_told_in_one_line(tmp_path: Path, monkeypat
     monkeypatch.setattr(onnx_file, "onnx_fault", lambda content: "")
     with pytest.raises(ConfigError, match="OpenCV's reader breaks down"):
         read_onnx(path, "")
+
+
+def test_what_opencv_says_of_a_network_does_not_reach_the_terminal(tmp_path: Path, capfd) -> None:
+    model = small_network()
+    model.graph.node.append(helper.make_node("Relu", ["\x1b[31mfar"], ["near"]))
+    (tmp_path / "a.onnx").write_bytes(model.SerializeToString())
+    with pytest.raises(ConfigError, match="no ONNX network that OpenCV can read"):
+        read_onnx(tmp_path / "a.onnx", "")
+    assert capfd.readouterr().err == ""
 
 
 def test_mutated_networks_are_read_or_refused_in_one_line(tmp_path: Path) -> None:
