@@ -53,15 +53,8 @@ def measure_cities(
     Raises:
         DatasetError: No city is left.
     """
-    drawn, left_out = [], []
-    for city in cities:
-        try:
-            drawn += [view for view in of_seeds(city, seeds) if open_views(view)]
-        except LodbenchError as error:
-            left_out.append(f"{Path(city.city_model).name} is left out: {error}")
-    if not drawn:
-        raise DatasetError("No city is left to find views in.", "; ".join(left_out))
-    jobs = [Job(m, v, t, {"city": _name(v)}) for t, m, v in product(TILTS, methods, drawn)]
+    drawn, left_out = drawable(cities, seeds)
+    jobs = [Job(m, v, t, {"city": name_of(v)}) for t, m, v in product(TILTS, methods, drawn)]
     queries = sweep(jobs, progress, threads)
     groups = [
         ((t, m.name), queries[(queries["tilt"] == t) & (queries["method"] == m.name)])
@@ -70,6 +63,23 @@ def measure_cities(
     lines = [_table(groups), f"{protocol_of(drawn[0], seeds)}.", *left_out]
     lines += [f"tilt={tilt} {method}: {_rejected_in_words(rows)}" for (tilt, method), rows in groups]
     return Report("\n".join([*lines, _GLOSSARY]), list(_figures(groups)), queries)
+
+
+def drawable(cities: Sequence[ViewsParams], seeds: Sequence[int]) -> tuple[list[ViewsParams], list[str]]:
+    """Returns what is drawn over the cities for each seed, and why those have none that are left out.
+
+    Raises:
+        DatasetError: No city is left.
+    """
+    drawn, left_out = [], []
+    for city in cities:
+        try:
+            drawn += [view for view in of_seeds(city, seeds) if open_views(view)]
+        except LodbenchError as error:
+            left_out.append(f"{name_of(city)} is left out: {error}")
+    if not drawn:
+        raise DatasetError("No city is left to find views in.", "; ".join(left_out))
+    return drawn, left_out
 
 
 def share_rejected(queries: pd.DataFrame) -> float:
@@ -85,8 +95,14 @@ def share_rejected(queries: pd.DataFrame) -> float:
     return float(np.mean(given[~found] < np.quantile(given[found], 1.0 - _KEPT)))
 
 
-def _name(views: ViewsParams) -> str:
+def name_of(views: ViewsParams) -> str:
+    """Returns what a city is called in tables."""
     return Path(views.city_model).name
+
+
+def share_found(queries: pd.DataFrame) -> float:
+    """Returns the percentage within (2 m, 2 deg)."""
+    return 100.0 * float(hits_of(queries[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD).mean())
 
 
 def _table(groups: Sequence[tuple[tuple[str, str], pd.DataFrame]]) -> str:
@@ -101,11 +117,10 @@ def _table(groups: Sequence[tuple[tuple[str, str], pd.DataFrame]]) -> str:
 
 
 def _row(queries: pd.DataFrame) -> list[float]:
-    found = hits_of(queries[list(ERROR)].to_numpy(), PROBABILITY_THRESHOLD)
     medians = [float(queries[name].median()) for name in (*ERROR, "vertical_error_m")]
     given = queries["probability"]
     mean = float(given.fillna(0.0).mean()) if given.notna().any() else float("nan")
-    return [len(queries), 100.0 * float(found.mean()), *medians, 100.0 * mean]
+    return [len(queries), share_found(queries), *medians, 100.0 * mean]
 
 
 def _rejected_in_words(queries: pd.DataFrame) -> str:

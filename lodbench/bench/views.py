@@ -12,9 +12,11 @@ import numpy as np
 
 from lodbench.bench.figures import Progress, no_progress
 from lodbench.datasets.priors import UniformPrior
-from lodbench.datasets.query import Entry
+from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
-from lodbench.harness.runs.run import RunSettings, run_method
+from lodbench.evaluation.errors import pose_error
+from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
+from lodbench.harness.runs.run import Run, RunSettings, run_method
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.segmentation.masks import MaskFiles, MasksParams
@@ -37,22 +39,25 @@ class Job:
         views: Of which city, drawn how.
         tilt: ``truth`` or ``prior``.
         labels: Columns of the sweep's table that tell this run from others.
+        told: How far off the method is told that priors may be; None for as far as they are.
     """
 
     method: Method
     views: ViewsParams
     tilt: str = "prior"
     labels: Mapping[str, Any] = field(default_factory=dict)
+    told: UniformPrior | None = None
 
 
 def sweep(jobs: Sequence[Job], progress: Progress = no_progress, threads: int | None = None) -> pd.DataFrame:
     """Returns the queries of runs over views, one row each, as ``lodbench.evaluation.queries`` has them.
 
     Further columns are ``method``, ``seed``, ``seconds``, ``pose`` (the estimate in the city's frame, or
-    None), ``map_lod``, ``mask_lod``, ``rejections`` and the jobs' labels. A ``score`` below ``mask_iou``,
-    what the true pose would score, is a failure of the search; a higher one says that the mask fits a wrong
-    pose better. A method that can is told how far off the priors may be, tilt included (0 with the true
-    one); never whether they are.
+    None), ``is_any_kept_found`` (whether that or one of its alternatives lies within (2 m, 2 deg)),
+    ``map_lod``, ``mask_lod``, ``rejections`` and the jobs' labels. A ``score`` below ``mask_iou``, what the
+    true pose would score, is a failure of the search; a higher one says that the mask fits a wrong pose
+    better. A method that can is told how far off the priors may be, tilt included (0 with the true one);
+    never whether they are.
 
     Args:
         jobs: The runs.
@@ -105,7 +110,7 @@ def protocol_of(views: ViewsParams, seeds: Sequence[int]) -> str:
 
 def _queries_of(job: Job, threads: int | None) -> pd.DataFrame:
     dataset = open_views(job.views)
-    method = told_width(job.method, job.views.prior(job.tilt))
+    method = told_width(job.method, job.told or job.views.prior(job.tilt))
     with tempfile.TemporaryDirectory() as scratch:
         settings = RunSettings(Path(scratch), threads=threads, tilt=job.tilt, seed=job.views.views_seed)
         settings = replace(settings, stream_names=_stream_names)
@@ -116,10 +121,18 @@ def _queries_of(job: Job, threads: int | None) -> pd.DataFrame:
         seed=job.views.views_seed,
         seconds=[sum(answer.seconds.values()) for answer in answers],
         pose=np.array([answer.pose for answer in answers], dtype=object),
+        is_any_kept_found=[_is_any_found(dataset, run, key) for key in run.queries.index],
         map_lod=run.lod or "",
         **drawing_facts(dataset),
         **job.labels,
     )
+
+
+def _is_any_found(dataset: Dataset, run: Run, key: str) -> bool:
+    answer = run.predictions[key]
+    kept = [pose for pose in (answer.pose, *answer.alternatives) if pose is not None]
+    errors = [pose_error(pose, dataset.truth[key]) for pose in kept]
+    return bool(kept) and bool(hits_of(np.array(errors), PROBABILITY_THRESHOLD).any())
 
 
 def _stream_names(entry: Entry) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench.accuracy import measure_accuracy
+from lodbench.bench.accuracy_causes import measure_causes
 from lodbench.bench.accuracy_cities import measure_cities
 from lodbench.bench.budget import measure_budget
 from lodbench.bench.city import CityOptions, measure_city
@@ -85,6 +86,8 @@ def _accuracy(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     cities = options.city or [None]
     drawn = [_views(argparse.Namespace(**{**vars(options), "city": city})) for city in cities]
     seeds = drawn[0][1]
+    if options.causes:
+        return measure_causes([views for views, _ in drawn], seeds, methods, steps)
     if len(drawn) == 1:
         return measure_accuracy(drawn[0][0], seeds, methods, steps)
     return measure_cities([views for views, _ in drawn], seeds, methods, steps)
@@ -185,6 +188,11 @@ def _parser() -> argparse.ArgumentParser:
     accuracy.add_argument("--views", type=int, default=200, help="seeded views (200)")
     accuracy.add_argument("--method", default="lodlocv2", help="methods, comma-separated (lodlocv2)")
     accuracy.add_argument("--pictures", type=Path, help="folder for reliability and risk over coverage")
+    accuracy.add_argument(
+        "--causes",
+        action="store_true",
+        help="why poses are not found: causes of errors taken away, one a column",
+    )
     budget = actions.add_parser("budget", help="recall of both methods over the hypotheses they may render")
     budget.add_argument("--views", type=int, default=50, help="seeded views (50)")
     budget.add_argument("--pictures", type=Path, help="folder for the picture")

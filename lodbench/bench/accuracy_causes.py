@@ -1,0 +1,116 @@
+"""Why poses are not found: the same views with one cause of errors taken away at a time, city by city.
+
+What is found once the map is exact or the masks are perfect bounds what a better model of either can bring;
+what is found from a known place bounds what a better search can, and what is found among all the poses that
+a method kept, a better choice among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lodbench.bench.accuracy_cities import drawable, name_of, share_found
+from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.bench.views import Job, protocol_of, sweep
+from lodbench.methods import Method
+from lodbench.reporting.aligned_text import format_columns
+from lodbench.reporting.table_columns import finite_text
+from lodbench.synthesis.views_dataset import ViewsParams
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_AS_DRAWN = "as drawn"
+_CAUSES = (
+    _AS_DRAWN,
+    "place known",
+    "true tilt",
+    "exact map",
+    "perfect masks",
+    "exact map and perfect masks",
+)
+_GLOSSARY = (
+    "Percent within (2 m, 2 deg). any kept: the answer or one of its alternatives; said: mean of the "
+    "probability given; place known: priors at the true place, while methods are told the same range; "
+    "exact map: the level that masks are drawn from."
+)
+
+
+def measure_causes(
+    cities: Sequence[ViewsParams],
+    seeds: Sequence[int],
+    methods: Sequence[Method],
+    progress: Progress = no_progress,
+    threads: int | None = None,
+) -> Report:
+    """Returns what methods find of the same views with causes of errors taken away, at the sensor's tilt.
+
+    Args:
+        cities: What to draw over each.
+        seeds: As for ``measure_accuracy``.
+        methods: Which methods.
+        progress: Called after each run: of a city, a seed, a method and a cause.
+        threads: As for ``sweep``.
+
+    Raises:
+        DatasetError: No city is left.
+    """
+    drawn, left_out = drawable(cities, seeds)
+    jobs = [_job(method, views, cause) for method, views, cause in product(methods, drawn, _CAUSES)]
+    queries = sweep(jobs, progress, threads)
+    table = {
+        method.name: {
+            str(city): _row(of_city)
+            for city, of_city in queries[queries["method"] == method.name].groupby("city", sort=False)
+        }
+        for method in methods
+    }
+    lines = [_table(table), f"{protocol_of(drawn[0], seeds)}.", *left_out, _GLOSSARY]
+    return Report("\n".join(lines), list(_figures(table)), queries)
+
+
+def _job(method: Method, views: ViewsParams, cause: str) -> Job:
+    shown = views
+    if cause == "place known":
+        shown = replace(shown, range_m=0.0, height_m=None)
+    if "exact map" in cause:
+        shown = replace(shown, lod=views.mask_lod or views.lod)
+    if "perfect masks" in cause:
+        shown = replace(shown, mask_iou=1.0)
+    tilt = "truth" if cause == "true tilt" else "prior"
+    return Job(method, shown, tilt, {"city": name_of(views), "cause": cause}, views.prior(tilt))
+
+
+def _row(queries: pd.DataFrame) -> dict[str, float]:
+    """Returns what was found of a city's views, percent, by cause."""
+    as_drawn = queries[queries["cause"] == _AS_DRAWN]
+    found = {cause: share_found(queries[queries["cause"] == cause]) for cause in _CAUSES}
+    given = as_drawn["probability"]
+    kept = {
+        "any kept": 100.0 * float(as_drawn["is_any_kept_found"].mean()),
+        "said": 100.0 * float(given.fillna(0.0).mean()) if given.notna().any() else float("nan"),
+    }
+    return {_AS_DRAWN: found.pop(_AS_DRAWN), **kept, **found}
+
+
+def _table(table: dict[str, dict[str, dict[str, float]]]) -> str:
+    rows: list[list[str]] = []
+    for method, cities in table.items():
+        columns = list(next(iter(cities.values())))
+        rows = rows or [["", *columns]]
+        mean = {column: float(np.mean([row[column] for row in cities.values()])) for column in columns}
+        for city, row in [*cities.items(), (f"mean of {len(cities)}", mean)]:
+            rows.append([f"{method}  {city}", *(finite_text(row[column], ".1f") for column in columns)])
+    return format_columns(rows)
+
+
+def _figures(table: dict[str, dict[str, dict[str, float]]]) -> Iterator[Figure]:
+    for method, cities in table.items():
+        for city, row in cities.items():
+            for column, percent in row.items():
+                yield Figure(f"found {column} {method} {city}", percent, "%")
