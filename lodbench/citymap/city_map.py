@@ -24,7 +24,7 @@ from lodbench.rendering.selection import bounding_spheres
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.rendering.textured import TexturedRenderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.photo import PLAIN_LOOK, PhotoRenderer, draw_look
+from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
 
 Floats = NDArray[np.float64]
 
@@ -152,7 +152,7 @@ class CityMap:
         self.usage.add("colour", len(centers))
         if self._textured is not None:
             return self._textured.colours(camera, rotations, centers)
-        look, response = draw_look(PLAIN_LOOK, random_stream(0, "city map", "colour"))
+        look, response = draw_look(look_ranges("plain"), random_stream(0, "city map", "colour"))
         photos = [self._photos.photo(camera, pose, look, response) for pose in _poses(rotations, centers)]
         return np.array(photos, dtype=np.uint8).reshape(-1, camera.height, camera.width, 3)
 

@@ -16,7 +16,6 @@ from lodbench.datasets.croissant import croissant_text
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.storage import make_folder, write_text
-from lodbench.synthesis.demo_card import DEMO, demo_card_markdown
 
 MARKDOWN, CROISSANT = ".md", ".croissant.json"
 
@@ -55,8 +54,6 @@ def main(argv: Sequence[str]) -> int:
 class ConfigCard:
     """The card of a dataset that is no published one: ``dataset/NAME.md`` beside its configuration.
 
-    The demo's is written by the code that makes it.
-
     Attributes:
         text: All of it.
         title: Of its head, or else the name.
@@ -77,10 +74,9 @@ def config_card(name: str) -> ConfigCard | None:
     from omegaconf import OmegaConf
 
     file = config_files("dataset", MARKDOWN).get(name)
-    if file is None and name != DEMO:
+    if file is None:
         return None
-    text = demo_card_markdown() if file is None else file.read_text(encoding="utf-8")
-    text = re.sub(r"\A<!--.*?-->\s*", "", text)
+    text = re.sub(r"\A<!--.*?-->\s*", "", file.read_text(encoding="utf-8"))
     head = re.match(r"---\n(.*?)\n---\n", text, re.DOTALL)
     try:
         values: Any = OmegaConf.to_container(OmegaConf.create(head[1])) if head else {}
@@ -105,7 +101,7 @@ def _texts(name: str) -> dict[str, str]:
                     f"{name} has no card.",
                     f"It would be conf/dataset/{name}.md, beside the dataset's YAML.",
                 )
-            known = [*SPECS, DEMO, *config_files("dataset", MARKDOWN)]
+            known = [*SPECS, *config_files("dataset", MARKDOWN)]
             raise ConfigError(f"There is no card of {name!r}.", nearest_names(name, known))
         return {MARKDOWN: card.text}
     published = read_card(name)

@@ -13,7 +13,7 @@ room                   what it makes
 ``camera_paths``       where cameras of training pictures are put
 ``mask_degradation``   masks as wrong as a segmentation network's
 ``queries``            made-up queries, and the one way they become a folder
-``demo``               ``dataset=demo`` and ``demo_train``; their card is in ``demo_card``
+``demo``               ``dataset=demo`` and ``demo_train``; what they have on demand is in ``demo_assets``
 ``views_dataset``      ``dataset=views``: seeded views of any city; their photos are in ``view_photos``
 ``training_data``      ``generate-training-data``: settings, plan of views, files, manifest, sheet
 =====================  ===========================================================================

@@ -71,13 +71,13 @@ def open_demo_train(params: DemoTrainParams) -> Dataset:
 
 
 def _textured_map(root: Path, params: DemoParams) -> Path:
-    from lodbench.synthesis.survey.assets import textured_map_of_demo
+    from lodbench.synthesis.demo_assets import textured_map_of_demo
 
     return textured_map_of_demo(root, params.town_seed, params.look)
 
 
 def _instances(demo: Dataset, city: Path, params: DemoParams) -> Path:
-    from lodbench.synthesis.demo_instances import instances_of_demo
+    from lodbench.synthesis.demo_assets import instances_of_demo
 
     return instances_of_demo(demo, city, params.town_seed)
 

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
-import numpy as np
-
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.pictures import encoded
 from lodbench.geometry import Camera
 from lodbench.storage import random_stream
-from lodbench.synthesis.photo import PhotoRenderer, draw_look
-from lodbench.synthesis.photo.named_looks import look_ranges
+from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
 from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.surroundings.surroundings import make_surroundings
 
@@ -40,8 +35,6 @@ def with_photos(
     pictured = []
     for query in queries:
         light, response = draw_look(ranges, random_stream(seed, "views", "look", query.name))
-        picture = renderer.photo(camera, query.truth, light, response)
-        quality = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality]
-        photo = encoded(np.ascontiguousarray(picture[..., ::-1]), ".jpg", quality)
+        photo = renderer.jpeg(camera, query.truth, light, response)
         pictured.append(replace(query, name=f"{query.name}.jpg", photo=photo))
     return pictured

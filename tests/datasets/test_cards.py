@@ -8,13 +8,15 @@ from pathlib import Path
 import pytest
 import yaml
 
-from lodbench.cli.dataset_card import main
+from lodbench.cli.dataset_card import config_card, main
 from lodbench.datasets.cards import read_card
 from lodbench.datasets.codes import CATALOGUE
 from lodbench.datasets.croissant import card_croissant, croissant_text
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.errors import ConfigError
-from lodbench.synthesis.demo_card import demo_card_markdown
+from lodbench.synthesis.demo import DemoParams
+from lodbench.synthesis.town.citygml_writer import CRS_NAME
+from lodbench.synthesis.town.queries import PRIORS, QUERY_CAMERA, TARGET_IOU
 from lodbench.synthesis.town.town import TOWN_VERSION
 from tests.data.published_layouts import write_uavd4l
 
@@ -27,13 +29,15 @@ def _parts(card):
     return yaml.safe_load(head), body
 
 
-def test_the_demo_has_one():
-    # After a change: lodbench dataset card demo --out data_cards
-    assert (_FOLDER / "demo.md").read_text() == demo_card_markdown()
-    head, body = _parts(demo_card_markdown())
-    assert head["splits"] == {"in_place": 20, "out_of_place": 20}
-    assert head["version"] == f"town {TOWN_VERSION}"
-    assert all(f"| {split} | {count} |" in body for split, count in head["splits"].items())
+def test_the_demo_s_card_says_what_its_generator_does():
+    head, body = _parts(config_card("demo").text)
+    assert sum(head["splits"].values()) == DemoParams().num_queries
+    assert (head["version"], head["crs"]) == (f"town {TOWN_VERSION}", CRS_NAME)
+    assert f"photos of {QUERY_CAMERA.width} x {QUERY_CAMERA.height} pixels" in body
+    for split, (mean, spread) in TARGET_IOU.items():
+        row = re.search(rf"^\| {split} \| .*$", body, re.MULTILINE)[0]
+        assert row.startswith(f"| {split} | {head['splits'][split]} |")
+        assert row.endswith(f"| {PRIORS[split].describe()} | {mean:.2f}, +-{spread:.2f} |")
 
 
 class TestCommand:

@@ -11,7 +11,7 @@ from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
-from lodbench.synthesis.photo import PLAIN_LOOK, LookRanges, PhotoRenderer, draw_look
+from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look, look_ranges
 from tests.town import box_obj
 
 CAMERA = Camera(64, 64, 64.0, 64.0, 32.0, 32.0)
@@ -52,7 +52,7 @@ def share_magenta(roofs, look):
 
 @pytest.mark.parametrize(("repaint", "least", "most"), [(0.0, 0.95, 1.0), (0.5, 0.2, 0.8), (1.0, 0.0, 0.05)])
 def test_a_share_of_objects_is_painted_anew(roofs, repaint, least, most):
-    ranges = replace(PLAIN_LOOK, repaint=(repaint, repaint))
+    ranges = replace(look_ranges("plain"), repaint=(repaint, repaint))
     shares = [share_magenta(roofs, draw_look(ranges, np.random.default_rng(k))[0]) for k in range(4)]
     assert least <= np.mean(shares) <= most
 

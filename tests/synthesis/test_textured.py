@@ -14,7 +14,7 @@ from lodbench.citymodel.textured_mesh import offset_to_city
 from lodbench.errors import DatasetError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.storage import random_stream
-from lodbench.synthesis.photo import PLAIN_LOOK, PhotoRenderer, draw_look
+from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
 from lodbench.synthesis.training_data.generate import generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
 from tests.synthesis.conftest import SMALL, WHOLE
@@ -67,7 +67,7 @@ def scene(box_file):
 def test_texture_has_the_right_perspective(scene, tmp_path):
     mesh = read_textured(write_obj(tmp_path), "auto")
     renderer = PhotoRenderer(scene, threads=1, textured=mesh)
-    look, _ = draw_look(replace(PLAIN_LOOK, haze_range_m=(1e6, 1e6)), random_stream(0))
+    look, _ = draw_look(replace(look_ranges("plain"), haze_range_m=(1e6, 1e6)), random_stream(0))
     seen = 255 * np.sqrt(renderer.light(CAMERA, POSE, look))
     expected, covered = expected_picture()
     assert covered.mean() > 0.4
@@ -85,7 +85,7 @@ def test_colours_of_corners_are_kept(scene, tmp_path):
     path = tmp_path / "mesh.ply"
     path.write_text("\n".join(lines) + "\n")
     renderer = PhotoRenderer(scene, threads=1, textured=read_textured(path, "auto"))
-    look, _ = draw_look(replace(PLAIN_LOOK, haze_range_m=(1e6, 1e6)), random_stream(0))
+    look, _ = draw_look(replace(look_ranges("plain"), haze_range_m=(1e6, 1e6)), random_stream(0))
     middle = 255 * np.sqrt(renderer.light(CAMERA, POSE, look)[80, 100])
     np.testing.assert_allclose(middle, [200, 100, 50], atol=1.0)
 
@@ -124,7 +124,7 @@ def test_the_frame_of_a_mesh_is_found_and_said(scene, tmp_path):
 
 def test_pyrender_and_the_raster_agree(box_file, tmp_path):
     pytest.importorskip("pyrender")
-    looks = replace(PLAIN_LOOK, haze_range_m=(1e6, 1e6), noise=(0.0, 0.0), blur_px=(0.0, 0.0))
+    looks = replace(look_ranges("plain"), haze_range_m=(1e6, 1e6), noise=(0.0, 0.0), blur_px=(0.0, 0.0))
     pictures = []
     for renderer in ("raster", "pyrender"):
         params = GenerateParams(

@@ -17,8 +17,7 @@ import pytest
 
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.synthesis.photo import LookRanges
-from lodbench.synthesis.photo.named_looks import look_ranges
+from lodbench.synthesis.photo import LookRanges, look_ranges
 from lodbench.synthesis.training_data import view_writer
 from lodbench.synthesis.training_data.generate import generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams

@@ -7,16 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.pictures import encoded
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera
 from lodbench.storage import make_folder, random_stream
-from lodbench.synthesis.photo import PhotoRenderer, draw_look
-from lodbench.synthesis.photo.named_looks import look_ranges
+from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
 from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.surroundings.surroundings import make_surroundings
 
@@ -55,9 +50,7 @@ class FlightPhotographer:
         pictured = []
         for query in queries:
             _, response = draw_look(self._ranges, random_stream(self._seed, "look", query.name))
-            picture = self._renderer.photo(camera, query.truth, light, response)
-            quality = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality]
-            photo = encoded(np.ascontiguousarray(picture[..., ::-1]), ".jpg", quality)
+            photo = self._renderer.jpeg(camera, query.truth, light, response)
             pictured.append(replace(query, name=f"{query.name}.jpg", photo=photo))
         return pictured
 

@@ -1,16 +1,16 @@
 """Photos of cities, made on the CPU: procedural surfaces, sun and shadow, sky, haze, a camera's faults."""
 
 from lodbench.synthesis.photo.ground import LAND_COVER, LandCover
-from lodbench.synthesis.photo.look import PLAIN_LOOK, CameraResponse, Look, LookRanges, draw_look
+from lodbench.synthesis.photo.look import CameraResponse, Look, LookRanges, draw_look, look_ranges
 from lodbench.synthesis.photo.renderer import PhotoRenderer
 
 __all__ = [
     "LAND_COVER",
-    "PLAIN_LOOK",
     "CameraResponse",
     "LandCover",
     "Look",
     "LookRanges",
     "PhotoRenderer",
     "draw_look",
+    "look_ranges",
 ]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import cache
+from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, nearest_names
+from lodbench.params import read_settings, to_params
 
 Range = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -104,38 +107,19 @@ class LookRanges:
                 )
 
 
-def _fixed(**values: float) -> LookRanges:
-    return LookRanges(**{name: (value, value) for name, value in values.items()})
+@cache
+def look_ranges(name: str) -> LookRanges:
+    """Returns the ranges of a look that ``conf/training`` names: ``plain``, ``varied``, ``hard``.
 
-
-# A clear noon without sensor faults: what a picture looks like when nothing is drawn.
-PLAIN_LOOK = _fixed(
-    sun_elevation_deg=50.0,
-    sun_azimuth_deg=-135.0,
-    sun_share=0.7,
-    sun_warmth=0.15,
-    haze_range_m=6000.0,
-    sky_white=0.35,
-    dryness=0.3,
-    texture=1.0,
-    tint_jitter=0.05,
-    dirt=0.4,
-    windows=1.0,
-    window_light=0.15,
-    storey_m=3.1,
-    window_spacing_m=2.8,
-    skylights=0.05,
-    roof_units=0.12,
-    exposure=1.0,
-    contrast=1.05,
-    saturation=0.9,
-    white_balance=0.0,
-    vignette=0.05,
-    blur_px=0.35,
-    noise=0.004,
-    jpeg_quality=95.0,
-    repaint=0.0,
-)
+    Raises:
+        ConfigError: There is no such look.
+    """
+    known = {
+        entry.name.removesuffix(".yaml"): entry for entry in (files("lodbench.conf") / "training").iterdir()
+    }
+    if name not in known:
+        raise ConfigError(f"There is no look {name}.", nearest_names(name, sorted(known)))
+    return to_params(read_settings(known[name].read_text(encoding="utf-8")), LookRanges, "look")
 
 
 class Look(NamedTuple):

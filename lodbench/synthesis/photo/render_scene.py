@@ -97,26 +97,18 @@ def make_render_scene(
     if textured is not None:
         parts.append(_of_textured(textured))
     order, starts = triangle_groups(np.concatenate([part.corners for part in parts]))
-    loose = _Loose(
-        np.concatenate([part.corners for part in parts])[order],
-        np.concatenate([part.surface for part in parts])[order],
-        np.concatenate([part.number for part in parts])[order],
-        np.concatenate([part.tint for part in parts])[order],
-        np.concatenate([part.is_plain for part in parts])[order],
-    )
+    loose = _Loose(*(np.concatenate(arrays)[order] for arrays in zip(*parts, strict=True)))
     mesh = grouped_scene(loose.corners, starts)
-    normal = _normals(loose.corners)
-    place = _wall_places(loose, normal)
-    _add_crowns(place, loose)
     is_occluder = (loose.surface >= int(SurfaceClass.TRUNK)) & (loose.surface < 100)
-    skin = Skin(normal.astype(np.float32), loose.surface, loose.number, loose.tint, place)
-    casters = _casters(loose)
-    return RenderScene(mesh, skin, is_occluder, casters, make_charts(textured))
+    return RenderScene(mesh, _skin(loose), is_occluder, _casters(loose), make_charts(textured))
 
 
 def make_skin(props: SceneProps) -> Skin:
     """Returns what the triangles of props look like, in their order."""
-    loose = _of_props(props)
+    return _skin(_of_props(props))
+
+
+def _skin(loose: _Loose) -> Skin:
     normal = _normals(loose.corners)
     place = _wall_places(loose, normal)
     _add_crowns(place, loose)

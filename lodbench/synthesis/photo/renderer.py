@@ -1,13 +1,16 @@
-"""Photos of a city on the CPU: the raster's z-buffer, shaded pixel by pixel."""
+"""Photos of a city: the raster's z-buffer, shaded pixel by pixel; textured meshes by OpenGL, too."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_mesh import TexturedMesh
+from lodbench.datasets.pictures import encoded
 from lodbench.geometry import Camera, Pose
+from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
 from lodbench.synthesis.objects.scene_props import SceneProps
@@ -17,7 +20,7 @@ from lodbench.synthesis.photo.kernel import resolve_photo
 from lodbench.synthesis.photo.look import CameraResponse, Look
 from lodbench.synthesis.photo.render_scene import make_render_scene
 from lodbench.synthesis.photo.sunlight import SunMap, draw_sun_map, ground_in_view, no_sun_map
-from lodbench.synthesis.photo.surfaces import palettes
+from lodbench.synthesis.photo.surfaces import linear, palettes
 
 # Side of the shadow map, pixels: of the largest one each is half a metre where 450 m are in view.
 _LEAST_SUN_MAP, _MOST_SUN_MAP = 512, 1536
@@ -65,19 +68,17 @@ class PhotoRenderer:
         """
         return apply_camera_response(self.light(camera, pose, look), response)
 
+    def jpeg(self, camera: Camera, pose: Pose, look: Look, response: CameraResponse) -> bytes:
+        """Returns the photo as a JPEG file, of the response's quality."""
+        return photo_file(self.photo(camera, pose, look, response), ".jpg", response)
+
     def light(self, camera: Camera, pose: Pose, look: Look) -> NDArray[np.float32]:
         """Returns (H, W, 3) linear RGB, before the camera."""
         out = np.empty((camera.height, camera.width, 3), dtype=np.float32)
         rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
         sun_map = self._sun_map(camera, pose, look)
-        shading = (
-            self._render_scene.skin,
-            look,
-            self._cover,
-            sun_map,
-            self._palettes,
-            self._render_scene.charts,
-        )
+        made = self._render_scene
+        shading = (made.skin, look, self._cover, sun_map, self._palettes, made.charts)
 
         def resolve(band: Band, buffer: Buffer) -> None:
             resolve_photo(band, buffer, rotation, center, shading, out)
@@ -101,3 +102,33 @@ class PhotoRenderer:
         # As fine as the picture, about: in steps, so that its memory is used again.
         size = min(_MOST_SUN_MAP, max(_LEAST_SUN_MAP, (3 * max(camera.width, camera.height) // 2) // 64 * 64))
         return draw_sun_map(self._casters, np.array(look.sun), seen, size)
+
+
+class PyrenderPhotos:
+    """Renders photos of a textured mesh with OpenGL; no sun and no haze, which textures have already.
+
+    Args:
+        mesh: The mesh, local metric frame.
+
+    Raises:
+        RenderingError: pyrender or an EGL driver is absent.
+    """
+
+    def __init__(self, mesh: TexturedMesh) -> None:
+        self._drawn = PyrenderTextured(mesh)
+
+    def photo(self, camera: Camera, pose: Pose, look: Look, response: CameraResponse) -> NDArray[np.uint8]:
+        """Returns the (H, W, 3) RGB photo from a pose in the mesh's frame.
+
+        Raises:
+            RenderingError: The camera has lens distortion or is wider or higher than 8192 pixels.
+        """
+        sky = np.sqrt(np.clip(look.haze_rgb, 0.0, 1.0))
+        picture = self._drawn.picture(camera, pose, sky)
+        return apply_camera_response(linear(picture).astype(np.float32), response)
+
+
+def photo_file(photo: NDArray[np.uint8], suffix: str, response: CameraResponse) -> bytes:
+    """Returns a (H, W, 3) RGB photo as a file: ``.jpg`` of the response's quality, or ``.png``."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality] if suffix == ".jpg" else []
+    return encoded(np.ascontiguousarray(photo[..., ::-1]), suffix, options)

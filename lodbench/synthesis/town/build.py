@@ -14,7 +14,7 @@ from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
 from lodbench.synthesis.objects.scene_props import write_props
 from lodbench.synthesis.queries import write_queries
-from lodbench.synthesis.town.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text, fine_citygml_text
+from lodbench.synthesis.town.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text, fine_citygml_text, title
 from lodbench.synthesis.town.looks import look_named
 from lodbench.synthesis.town.pictures import Photographer
 from lodbench.synthesis.town.props import demo_props
@@ -75,6 +75,7 @@ def generator_digest() -> str:
     """Returns a digest of the code that makes the demo: another generator, another town."""
     room = Path(__file__).parents[1]
     files = [file for name in ("town", "objects", "photo") for file in sorted((room / name).glob("*.py"))]
+    files += sorted((room / "town" / "templates").iterdir())
     files += [
         room / f"{name}.py" for name in ("queries", "building_boxes", "view_sampling", "mask_degradation")
     ]
@@ -122,11 +123,14 @@ def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
 
 def _write_town(folder: Path, town: Town) -> None:
     """Writes the city files and the ground."""
-    name = f"lodbench demo town, version {TOWN_VERSION}, look {town.look.name}, seed {town.seed}"
-    write_text(folder / CITY_FILE, citygml_text(town), survives_power_cut=False)
-    write_text(folder / FINE_CITY_FILE, fine_citygml_text(town), survives_power_cut=False)
-    write_text(folder / RELIEF_FILE, relief_text(town.terrain, f"{name}: relief"), survives_power_cut=False)
-    write_text(folder / TERRAIN_FILE, ascii_grid_text(town.terrain), survives_power_cut=False)
+    texts = {
+        CITY_FILE: citygml_text(town),
+        FINE_CITY_FILE: fine_citygml_text(town),
+        RELIEF_FILE: relief_text(town.terrain, f"{title(town)}: relief"),
+        TERRAIN_FILE: ascii_grid_text(town.terrain),
+    }
+    for name, text in texts.items():
+        write_text(folder / name, text, survives_power_cut=False)
 
 
 def _manifest(town: Town, splits: list[DemoSplit]) -> dict[str, Any]:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.pictures import encoded
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.scene_props import SceneProps
@@ -73,9 +71,7 @@ class Photographer:
         look, response = draw_look(self._ranges(split), stream)
         # The town's own patterns stay as they are from photo to photo.
         look = look._replace(seed=self._town.seed)
-        picture = self._renderer.photo(camera, pose, look, response)
-        quality = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality]
-        return encoded(np.ascontiguousarray(picture[..., ::-1]), ".jpg", quality)
+        return self._renderer.jpeg(camera, pose, look, response)
 
     def _ranges(self, split: str) -> LookRanges:
         day = random_stream(self._town.seed, "demo", split, "day")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import xxhash
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, random_stream, write_bytes
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import CameraResponse, LandCover, Look, PhotoRenderer, draw_look
-from lodbench.synthesis.photo.pyrender_photo import PyrenderPhotos
+from lodbench.synthesis.photo.renderer import PyrenderPhotos, photo_file
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView
 
@@ -94,8 +93,7 @@ class ViewWriter:
         look, response = look_of(self._params, view)
         assert self._painter is not None  # noqa: S101
         picture = self._painter.photo(self._camera, view.pose, look, response)
-        options = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality] if self._params.format == "jpg" else []
-        return encoded(np.ascontiguousarray(picture[:, :, ::-1]), f".{self._params.format}", options)
+        return photo_file(picture, f".{self._params.format}", response)
 
     def _masks(self, view: PlannedView) -> bytes:
         mask = self._silhouette.render(self._camera, view.pose)
