@@ -13,6 +13,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
 
 from .gml_text import write
+from .models import codes
 
 SQUARE = [[0, 0, 0], [4000, 0, 0], [4000, 4000, 0], [0, 4000, 0]]
 TRANSFORM = {"scale": [0.001, 0.001, 0.001], "translate": [85000.0, 446000.0, 0.0]}
@@ -42,10 +43,6 @@ def building(*geometry: dict[str, Any], **more: Any) -> dict[str, Any]:
 def read(tmp_path: Path, content: Any, **options: Any) -> CityModel:
     text = content if isinstance(content, str | bytes) else json.dumps(content)
     return read_city_model(write(tmp_path / "x.city.json", text), **options)
-
-
-def codes(model: CityModel) -> dict[str, int]:
-    return {key.split()[0]: count for key, count in model.findings.counts().items()}
 
 
 class TestReading:

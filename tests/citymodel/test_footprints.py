@@ -18,6 +18,7 @@ from lodbench.citymodel.wkb import WkbPolygons
 from lodbench.errors import CityModelError, ConfigError
 
 from .gml_text import write
+from .models import codes
 
 LON, LAT, STEP = 116.40, 39.90, 0.0001
 
@@ -34,10 +35,6 @@ def geojson(features: list[tuple[Any, dict[str, Any]]], **more: Any) -> str:
             geometry = {"type": "Polygon", "coordinates": geometry}
         rows.append({"type": "Feature", "geometry": geometry, "properties": properties})
     return json.dumps({"type": "FeatureCollection", "features": rows, **more})
-
-
-def codes(model: CityModel) -> dict[str, int]:
-    return {key.split()[0]: count for key, count in model.findings.counts().items()}
 
 
 class TestReading:

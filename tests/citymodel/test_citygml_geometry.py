@@ -1,3 +1,5 @@
+"""Geometry of CityGML: notations of rings, surfaces, parts, implicit shapes."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -5,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lodbench.citymodel import city_info, mesh_city, mesh_model, open_scene, read_city_model
-from lodbench.citymodel.convert import convert_city
-from lodbench.citymodel.gml_links import LinkResolver
+from lodbench.citymodel import mesh_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
@@ -18,25 +18,16 @@ from .gml_text import (
     box_city,
     box_rings,
     city,
-    link,
     member,
     multi_surface,
     polygon,
     pos_list,
     solid,
     surface_members,
-    write,
 )
+from .models import codes, model_of
 
 BOX = box_rings()
-
-
-def model_of(tmp_path: Path, text: str | bytes, **options: object) -> CityModel:
-    return read_city_model(write(tmp_path / "city.gml", text), **options)  # type: ignore[arg-type]
-
-
-def codes(model: CityModel) -> dict[str, int]:
-    return {key.split()[0]: count for key, count in model.findings.counts().items()}
 
 
 class TestGeometry:
@@ -178,104 +169,6 @@ class TestGeometry:
         assert codes(model)["LB110"] == 2
 
 
-class TestLinks:
-    walls = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2], gml_id="w")])))
-
-    @pytest.mark.parametrize("is_forward", [True, False])
-    def test_a_linked_polygon_counts_once(self, tmp_path: Path, is_forward: bool) -> None:
-        parts = [solid(link("#w") + link("# w ") + link("city.gml#w"), 2), self.walls]
-        model = model_of(tmp_path, city(member("".join(parts if is_forward else parts[::-1]))))
-        assert len(model.polygons) == 1
-        assert model.findings.counts() == {}
-
-    def test_a_link_to_another_level_adds_its_polygon_there(self, tmp_path: Path) -> None:
-        model = model_of(tmp_path, city(member(solid(link("#w"), 3) + self.walls)))
-        assert [model.lods[i] for i in model.polygons.lod] == ["2", "3"]
-        assert np.array_equal(*np.split(model.polygons.points, 2))
-
-    def test_a_link_to_a_composite(self, tmp_path: Path) -> None:
-        faces = surface_members(map(polygon, BOX[:3]))
-        composite = f'<gml:CompositeSurface gml:id="c">{faces}</gml:CompositeSurface>'
-        walls = multi_surface(surface_members([composite]))
-        model = model_of(tmp_path, city(member(solid(link("#c"), 3) + bounded_by("WallSurface", walls))))
-        assert sorted(model.lods[i] for i in model.polygons.lod) == ["2"] * 3 + ["3"] * 3
-
-    def test_a_link_across_members(self, tmp_path: Path) -> None:
-        text = city(member(solid(link("#w"), 2)) + member(self.walls, "b2"))
-        model = model_of(tmp_path, text)
-        assert model.polygons.building.tolist() == [1, 0]
-        assert model.findings.counts() == {}
-
-    @pytest.mark.parametrize(
-        ("href", "code"),
-        [
-            ("#nowhere", "LB202"),
-            ("http://127.0.0.1/x#w", "LB203"),
-            ("../other.gml#w", "LB203"),
-            ("", "LB203"),
-        ],
-    )
-    def test_broken_links_are_findings(self, tmp_path: Path, href: str, code: str) -> None:
-        model = model_of(tmp_path, city(member(solid(link(href), 2) + self.walls)))
-        assert len(model.polygons) == 1
-        assert codes(model) == {code: 1}
-        assert [item.object_id for item in model.findings.items] == ["b1"]
-
-    def test_cycles_end(self, tmp_path: Path) -> None:
-        def composite(name: str, target: str) -> str:
-            return (
-                f'<gml:surfaceMember><gml:CompositeSurface gml:id="{name}">{link(target)}'
-                "</gml:CompositeSurface></gml:surfaceMember>"
-            )
-
-        text = multi_surface(composite("a", "#c") + composite("c", "#a")) + self.walls
-        model = model_of(tmp_path, city(member(text)))
-        assert len(model.polygons) == 1
-        assert "LB204" in codes(model)
-
-    def test_duplicate_ids(self, tmp_path: Path) -> None:
-        model = model_of(tmp_path, city(member(self.walls + self.walls)))
-        assert codes(model) == {"LB109": 1, "LB205": 1}
-
-
-class TestSurfacesWrittenTwice:
-    def test_inline_in_solid_and_walls(self, tmp_path: Path) -> None:
-        turned = [[*ring[2:], *ring[:2]] for ring in BOX]
-        walls = bounded_by("WallSurface", multi_surface(surface_members(map(polygon, turned))))
-        model = model_of(tmp_path, city(member(solid(surface_members(map(polygon, BOX)), 2) + walls)))
-        assert codes(model) == {"LB109": 6}
-        assert set(model.polygons.kind) == {SurfaceKind.WALL}
-        assert mesh_model(model).meshed_m2 == pytest.approx(box_area())
-
-    def test_walls_that_parts_share_stay(self, tmp_path: Path) -> None:
-        wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2])])))
-        parts = "".join(
-            f'<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="p{n}">{wall}</bldg:BuildingPart>'
-            "</bldg:consistsOfBuildingPart>"
-            for n in (1, 2)
-        )
-        model = model_of(tmp_path, city(member(parts + solid(surface_members([polygon(BOX[0])]), 2))))
-        assert len(model.polygons) == 3
-        assert model.findings.counts() == {}
-        assert model.objects is not None
-        assert model.objects.types == ("Building", "BuildingPart", "BuildingPart")
-        assert model.polygons.part is not None
-        assert sorted(model.polygons.part.tolist()) == [0, 1, 2]
-
-    def test_walls_that_stand_twice_in_a_part(self, tmp_path: Path) -> None:
-        wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2])])))
-        turned = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2][::-1])])))
-        model = model_of(tmp_path, city(member(wall + turned)))
-        assert len(model.polygons) == 1
-        assert codes(model) == {"LB109": 1}
-
-    def test_other_buildings_and_levels_are_apart(self, tmp_path: Path) -> None:
-        wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[2])])))
-        lone = solid(surface_members([polygon(BOX[2])]), 1)
-        text = city(member(wall + lone) + member(solid(surface_members([polygon(BOX[2])]), 2), "b2"))
-        assert len(model_of(tmp_path, text).polygons) == 3
-
-
 class TestImplicitGeometry:
     shape = (
         "<gml:MultiSurface>"
@@ -362,144 +255,3 @@ class TestRings:
         model = self.ring_model(tmp_path, ring, options=ReadOptions(is_strict=False))
         assert codes(model)[code] == 1
         assert len(model.polygons) == 1
-
-
-class TestFiles:
-    @pytest.mark.parametrize(
-        ("content", "message"),
-        [
-            (b"", "is empty"),
-            (b"  \n", "is empty"),
-            (b"<a/>", "root element is <a>"),
-            (b"<CityModel/>", "no buildings"),
-            (b"\x89PNG\r\n", "no city model that lodbench can read"),
-            (b"hello world", "no city model"),
-            (box_city().encode()[:900], "not well-formed"),
-            (b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "DOCTYPE"),
-        ],
-    )
-    def test_refusals(self, tmp_path: Path, content: bytes, message: str) -> None:
-        with pytest.raises(CityModelError, match=message) as caught:
-            read_city_model(write(tmp_path / "x.gml", content))
-        assert caught.value.hint
-
-    def test_missing_file_and_folder(self, tmp_path: Path) -> None:
-        with pytest.raises(CityModelError, match="There is no city model"):
-            read_city_model(tmp_path / "nowhere.gml")
-
-    def test_path_with_spaces_umlauts_and_signs(self, tmp_path: Path) -> None:
-        assert open_scene(write(tmp_path / "Stadt (Köln), a=b.gml", box_city())).num_buildings == 1
-
-    def test_absent_level_names_the_levels(self, tmp_path: Path) -> None:
-        path = write(tmp_path / "x.gml", box_city())
-        with pytest.raises(CityModelError, match="level of detail 2; the file has: 1"):
-            open_scene(path, lod="2")
-
-    def test_building_without_the_level_is_a_finding(self, tmp_path: Path) -> None:
-        faces = surface_members(map(polygon, BOX))
-        text = city(member(solid(faces)) + member(solid(faces, 2), "b2") + member("", "b3"))
-        model = model_of(tmp_path, text)
-        assert codes(model) == {"LB403": 1}
-        mesh = mesh_model(model)
-        assert mesh.scene.lod == "1"
-        assert [item.object_id for item in mesh.findings.items] == ["b2", "b3"]
-
-    def test_empty_property_and_other_objects(self, tmp_path: Path) -> None:
-        other = "<core:cityObjectMember><bldg:Tree/></core:cityObjectMember>" * 3
-        text = city(other + member("<bldg:lod4MultiSurface/>" + solid(surface_members(map(polygon, BOX)))))
-        model = model_of(tmp_path, text)
-        assert codes(model) == {"LB207": 1, "LB209": 1}
-
-    def test_an_empty_level_is_none(self, tmp_path: Path) -> None:
-        walls = bounded_by("WallSurface", multi_surface(surface_members(map(polygon, BOX))))
-        model = model_of(tmp_path, city(member("<bldg:lod1Solid/>" + walls)))
-        assert (model.lods, model.polygons_read) == (("2",), (6,))
-        assert mesh_city(model).lod == "2"
-        assert codes(model) == {"LB207": 1}
-
-    def test_a_polygon_without_a_ring_is_told_and_shifts_no_other(self, tmp_path: Path) -> None:
-        faces = [*map(polygon, BOX[:2]), "<gml:Polygon/>", *map(polygon, BOX[2:])]
-        model = model_of(tmp_path, city(member(solid(surface_members(faces)))))
-        assert np.diff(model.polygons.polygon_starts).tolist() == [1] * 6
-        assert model.polygons_read == (7,)
-        assert codes(model) == {"LB101": 1}
-        assert mesh_model(model).meshed_m2 == pytest.approx(box_area())
-
-    def test_info(self, tmp_path: Path) -> None:
-        info = city_info(model_of(tmp_path, box_city()))
-        assert info["lods"]["1"]["polygons"] == 6
-        assert info["lods"]["1"]["triangles"] == 12
-        assert info["lods"]["1"]["area_m2"] == pytest.approx(box_area())
-        assert info["extent_m"] == [10, 10, 6]
-        assert info["findings"] == {}
-
-    def test_same_bytes_same_scene(self, tmp_path: Path) -> None:
-        scenes = [mesh_city(model_of(tmp_path, box_city())) for _ in range(2)]
-        assert scenes[0].digest() == scenes[1].digest()
-
-
-class TestIds:
-    def test_two_buildings_of_one_id_stay_two(self, tmp_path: Path) -> None:
-        text = city(
-            member(solid(surface_members(map(polygon, BOX))))
-            + member(solid(surface_members(map(polygon, box_rings(x=500020.0)))))
-        )
-        model = model_of(tmp_path, text)
-        assert model.building_ids == ("b1", "b1~2")
-        assert codes(model) == {"LB205": 1}
-        convert_city(model, tmp_path / "a.json")
-        assert read_city_model(tmp_path / "a.json").building_ids == ("b1", "b1~2")
-
-
-class TestLongLinks:
-    def test_a_chain_of_thousands(self, tmp_path: Path) -> None:
-        count = 5000
-        steps = "".join(
-            f'<gml:surfaceMember><gml:CompositeSurface gml:id="c{i}">{link(f"#c{i + 1}")}'
-            "</gml:CompositeSurface></gml:surfaceMember>"
-            for i in range(count)
-        )
-        end = (
-            f'<gml:surfaceMember><gml:CompositeSurface gml:id="c{count}">{surface_members(map(polygon, BOX))}'
-        )
-        end += "</gml:CompositeSurface></gml:surfaceMember>"
-        text = city(member(multi_surface(steps + end)) + member(multi_surface(link("#c0")), "b2"))
-        model = model_of(tmp_path, text)
-        assert len(model.polygons) == 12
-        assert codes(model) == {}
-
-    def test_dangling_links_are_looked_for_once(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        calls = []
-        plain = LinkResolver._target_id
-        monkeypatch.setattr(LinkResolver, "_target_id", lambda *a: (calls.append(1), plain(*a))[1])
-        own = surface_members(map(polygon, BOX))
-        text = city(
-            "".join(
-                member(multi_surface(own + "".join(link(f"#no{i}-{k}") for k in range(5))), f"b{i}")
-                for i in range(60)
-            )
-        )
-        assert codes(model_of(tmp_path, text))["LB202"] == 300
-        assert len(calls) == 600  # once in its member, once for the second pass
-
-    def test_a_wall_that_borrows_the_door_of_a_room(self, tmp_path: Path) -> None:
-        door = polygon(
-            [
-                (500002.0, 5600000.0, 50.0),
-                (500003.0, 5600000.0, 50.0),
-                (500003.0, 5600000.0, 52.0),
-                (500002.0, 5600000.0, 52.0),
-            ],
-            gml_id="door",
-        )
-        room = (
-            "<bldg:interiorRoom><bldg:Room>"
-            + bounded_by("InteriorWallSurface", multi_surface(surface_members([door]), 4))
-            + "</bldg:Room></bldg:interiorRoom>"
-        )
-        wall = bounded_by("WallSurface", multi_surface(surface_members([polygon(BOX[1])]) + link("#door"), 4))
-        for content in (room + wall, wall + room):
-            mesh = mesh_model(model_of(tmp_path, city(member(content))), "4")
-            assert mesh.area_m2 == pytest.approx(102.0)

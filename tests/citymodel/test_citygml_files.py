@@ -1,0 +1,116 @@
+"""CityGML files as a whole: refused in one line, levels, ids, what is skipped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lodbench.citymodel import city_info, mesh_city, mesh_model, open_scene, read_city_model
+from lodbench.citymodel.convert import convert_city
+from lodbench.errors import CityModelError
+
+from .gml_text import (
+    bounded_by,
+    box_area,
+    box_city,
+    box_rings,
+    city,
+    member,
+    multi_surface,
+    polygon,
+    solid,
+    surface_members,
+    write,
+)
+from .models import codes, model_of
+
+BOX = box_rings()
+
+
+class TestFiles:
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            (b"", "is empty"),
+            (b"  \n", "is empty"),
+            (b"<a/>", "root element is <a>"),
+            (b"<CityModel/>", "no buildings"),
+            (b"\x89PNG\r\n", "no city model that lodbench can read"),
+            (b"hello world", "no city model"),
+            (box_city().encode()[:900], "not well-formed"),
+            (b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "DOCTYPE"),
+        ],
+    )
+    def test_refusals(self, tmp_path: Path, content: bytes, message: str) -> None:
+        with pytest.raises(CityModelError, match=message) as caught:
+            read_city_model(write(tmp_path / "x.gml", content))
+        assert caught.value.hint
+
+    def test_missing_file_and_folder(self, tmp_path: Path) -> None:
+        with pytest.raises(CityModelError, match="There is no city model"):
+            read_city_model(tmp_path / "nowhere.gml")
+
+    def test_path_with_spaces_umlauts_and_signs(self, tmp_path: Path) -> None:
+        assert open_scene(write(tmp_path / "Stadt (Köln), a=b.gml", box_city())).num_buildings == 1
+
+    def test_absent_level_names_the_levels(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "x.gml", box_city())
+        with pytest.raises(CityModelError, match="level of detail 2; the file has: 1"):
+            open_scene(path, lod="2")
+
+    def test_building_without_the_level_is_a_finding(self, tmp_path: Path) -> None:
+        faces = surface_members(map(polygon, BOX))
+        text = city(member(solid(faces)) + member(solid(faces, 2), "b2") + member("", "b3"))
+        model = model_of(tmp_path, text)
+        assert codes(model) == {"LB403": 1}
+        mesh = mesh_model(model)
+        assert mesh.scene.lod == "1"
+        assert [item.object_id for item in mesh.findings.items] == ["b2", "b3"]
+
+    def test_empty_property_and_other_objects(self, tmp_path: Path) -> None:
+        other = "<core:cityObjectMember><bldg:Tree/></core:cityObjectMember>" * 3
+        text = city(other + member("<bldg:lod4MultiSurface/>" + solid(surface_members(map(polygon, BOX)))))
+        model = model_of(tmp_path, text)
+        assert codes(model) == {"LB207": 1, "LB209": 1}
+
+    def test_an_empty_level_is_none(self, tmp_path: Path) -> None:
+        walls = bounded_by("WallSurface", multi_surface(surface_members(map(polygon, BOX))))
+        model = model_of(tmp_path, city(member("<bldg:lod1Solid/>" + walls)))
+        assert (model.lods, model.polygons_read) == (("2",), (6,))
+        assert mesh_city(model).lod == "2"
+        assert codes(model) == {"LB207": 1}
+
+    def test_a_polygon_without_a_ring_is_told_and_shifts_no_other(self, tmp_path: Path) -> None:
+        faces = [*map(polygon, BOX[:2]), "<gml:Polygon/>", *map(polygon, BOX[2:])]
+        model = model_of(tmp_path, city(member(solid(surface_members(faces)))))
+        assert np.diff(model.polygons.polygon_starts).tolist() == [1] * 6
+        assert model.polygons_read == (7,)
+        assert codes(model) == {"LB101": 1}
+        assert mesh_model(model).meshed_m2 == pytest.approx(box_area())
+
+    def test_info(self, tmp_path: Path) -> None:
+        info = city_info(model_of(tmp_path, box_city()))
+        assert info["lods"]["1"]["polygons"] == 6
+        assert info["lods"]["1"]["triangles"] == 12
+        assert info["lods"]["1"]["area_m2"] == pytest.approx(box_area())
+        assert info["extent_m"] == [10, 10, 6]
+        assert info["findings"] == {}
+
+    def test_same_bytes_same_scene(self, tmp_path: Path) -> None:
+        scenes = [mesh_city(model_of(tmp_path, box_city())) for _ in range(2)]
+        assert scenes[0].digest() == scenes[1].digest()
+
+
+class TestIds:
+    def test_two_buildings_of_one_id_stay_two(self, tmp_path: Path) -> None:
+        text = city(
+            member(solid(surface_members(map(polygon, BOX))))
+            + member(solid(surface_members(map(polygon, box_rings(x=500020.0)))))
+        )
+        model = model_of(tmp_path, text)
+        assert model.building_ids == ("b1", "b1~2")
+        assert codes(model) == {"LB205": 1}
+        convert_city(model, tmp_path / "a.json")
+        assert read_city_model(tmp_path / "a.json").building_ids == ("b1", "b1~2")
