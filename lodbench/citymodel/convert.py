@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.picture_writer import write_pictures
-from lodbench.citymodel.pictures import counted_lines
+from lodbench.citymodel.pictures import FIRST_COLOUR, counted_lines
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.selection import polygon_blocks
 from lodbench.citymodel.subset import drop_repeats_of_mesh, keep_level
@@ -139,7 +140,9 @@ def _written_pictures(model: CityModel, target: Path) -> tuple[dict[int, str], t
         names, notes = write_pictures(model, target)
     except OSError as error:
         raise _unwritable(target, error) from None
-    return names, (*model.pictures.notes, *notes)
+    is_coloured = () if model.polygons.picture is None else model.polygons.picture <= FIRST_COLOUR
+    coloured = Counter({"surface with a material: its colour": int(np.count_nonzero(is_coloured))})
+    return names, (*model.pictures.notes, *counted_lines(+coloured), *notes)
 
 
 def _unwritable(target: Path, error: OSError) -> CityModelError:
@@ -159,7 +162,7 @@ def convert_textured(
     Args:
         model: The city as read, with its pictures where there is no ``source``.
         target: Where to write.
-        source: Its file, to read it as a textured mesh anew: the way of meshes, and of colours of surfaces.
+        source: Its file, to read it as a textured mesh anew: the way of OBJ, PLY and glTF.
         options: How the file is read then.
 
     Raises:

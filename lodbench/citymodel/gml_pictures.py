@@ -61,9 +61,7 @@ class SurfacePictures:
         """
         picture, uv = blank(len(serial), len(points))
         found, notes = self._found, self._pictures.notes
-        if found.materials:
-            notes["surface with a material: its colour"] += len(found.materials)
-        if not (found.rings or found.planes or found.grounds):
+        if not (found.rings or found.planes or found.grounds or found.materials):
             return picture, uv
         for polygon, number in enumerate(serial.tolist()):
             starts = ring_starts[polygon_starts[polygon] : polygon_starts[polygon + 1] + 1]
@@ -74,14 +72,19 @@ class SurfacePictures:
             name, places = self._by_ring(number, np.diff(starts), number in flipped)
             if name is None:
                 name, places = self._by_surface(number, own)
-            if name is None or places is None:
-                continue
-            picture[polygon] = self._pictures.number(name)
-            if picture[polygon] == NO_PICTURE:
+            if name is not None and places is not None:
+                picture[polygon] = self._pictures.number(name)
+                if picture[polygon] != NO_PICTURE:
+                    uv[starts[0] : starts[-1]] = places
+                    continue
                 notes["surface whose picture is not there"] += 1
-            else:
-                uv[starts[0] : starts[-1]] = places
+            picture[polygon] = self._colour(number)
         return picture, uv
+
+    def _colour(self, serial: int) -> int:
+        """Returns the number of the colour of a polygon's material, or of that of what it is part of."""
+        colours = (self._found.materials.get(name) for name in self._surfaces.get(serial, ()))
+        return next((self._pictures.colour(each) for each in colours if each is not None), NO_PICTURE)
 
     def _by_ring(
         self, serial: int, lengths: NDArray[np.int64], is_flipped: bool

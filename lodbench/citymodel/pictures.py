@@ -14,6 +14,9 @@ from lodbench.citymodel.texture_pictures import TextureFolder
 from lodbench.errors import DatasetError
 
 NO_PICTURE = -1
+# From here downward a polygon has no picture but the colour of its material.
+FIRST_COLOUR = -2
+Colour = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,17 +26,19 @@ class Pictures:
     Attributes:
         files: Where each lies.
         notes: What of the source's appearances is not kept, a line each.
+        colours: RGB of materials; a polygon without a picture has number ``FIRST_COLOUR - k`` for the k-th.
     """
 
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
+    colours: tuple[Colour, ...] = ()
 
 
 class PictureTable:
     """Numbers the pictures that a city file names, as they are met.
 
     Args:
-        folder: Of the file; pictures lie in it or below, others are never opened.
+        folder: Where pictures may lie, and where their names start; others are never opened.
         is_packed: Whether the file is a member of an archive, and its pictures too.
 
     Attributes:
@@ -41,18 +46,23 @@ class PictureTable:
         notes: How often something is not kept, by what.
     """
 
-    def __init__(self, folder: Path, is_packed: bool = False) -> None:
-        self.folder = TextureFolder(folder, folder)
+    def __init__(self, folder: TextureFolder, is_packed: bool = False) -> None:
+        self.folder = folder
         self.notes: Counter[str] = Counter()
         self._is_packed = is_packed
         self._files: list[Path] = []
         self._numbers: dict[str, int] = {}
+        self._colours: dict[Colour, int] = {}
 
     def number(self, name: str) -> int:
         """Returns the number of a picture by its name in the file, -1 where there is none to be had."""
         if name not in self._numbers:
             self._numbers[name] = self._look(name)
         return self._numbers[name]
+
+    def colour(self, colour: Colour) -> int:
+        """Returns the number that a polygon has for a colour of its own."""
+        return self._colours.setdefault(colour, FIRST_COLOUR - len(self._colours))
 
     def _look(self, name: str) -> int:
         try:
@@ -71,7 +81,7 @@ class PictureTable:
 
     def finish(self) -> Pictures:
         """Returns all that were met."""
-        return Pictures(tuple(self._files), counted_lines(self.notes))
+        return Pictures(tuple(self._files), counted_lines(self.notes), tuple(self._colours))
 
 
 def merge_pictures(
@@ -87,15 +97,22 @@ def merge_pictures(
     files: list[Path] = []
     numbers, places = [], []
     notes: list[str] = []
+    colours: list[Colour] = []
     for pictures, picture, uv, num_polygons, num_points in parts:
         if picture is None or uv is None:
             picture, uv = blank(num_polygons, num_points)
-        numbers.append(np.where(picture < 0, NO_PICTURE, picture + len(files)).astype(np.int32))
+        shift = np.where(picture >= 0, len(files), np.where(picture <= FIRST_COLOUR, -len(colours), 0))
+        numbers.append((picture + shift).astype(np.int32))
         places.append(uv)
         if pictures is not None:
             files += pictures.files
             notes += pictures.notes
-    return Pictures(tuple(files), tuple(notes)), np.concatenate(numbers), np.concatenate(places)
+            colours += pictures.colours
+    return (
+        Pictures(tuple(files), tuple(notes), tuple(colours)),
+        np.concatenate(numbers),
+        np.concatenate(places),
+    )
 
 
 def blank(num_polygons: int, num_points: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:

@@ -8,6 +8,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.pictures import PictureTable
 from lodbench.citymodel.raw import NotACity, RawCity
 from lodbench.citymodel.source import MESH_SUFFIXES, Source
+from lodbench.citymodel.texture_pictures import TextureFolder
 
 
 def citygml(source: Source, options: ReadOptions) -> RawCity:
@@ -40,7 +41,8 @@ def cityjson(source: Source, options: ReadOptions) -> RawCity:
 
 def _pictures_of(source: Source, options: ReadOptions) -> PictureTable | None:
     is_wanted = options.has_textures and options.has_details
-    return PictureTable(source.path.parent, is_packed="!" in source.name) if is_wanted else None
+    folder = TextureFolder(source.path.parent, source.path.parent)
+    return PictureTable(folder, is_packed="!" in source.name) if is_wanted else None
 
 
 def obj(source: Source, options: ReadOptions) -> RawCity:

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import io
 import json
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.gml_textured import read_gml_textures
+from lodbench.citymodel.citygml import read_citygml
 from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.pictures import PictureTable, counted_lines
+from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS, TextureFolder, pixels_of
 from lodbench.citymodel.textured_mesh import TexturedMesh, join_textured, offset_to_city
+from lodbench.citymodel.textured_model import textured_model
 from lodbench.errors import DatasetError, LodbenchError
+from lodbench.findings import Severity
 
 _MESHES = (".obj", ".glb", ".gltf", ".ply")
 _CITIES = (".gml", ".xml", ".citygml")
@@ -88,13 +94,24 @@ def _read_file(path: Path, root: Path, up_axis: str, options: ReadOptions) -> Te
         raise DatasetError(f"{path} {what}.", f"It takes {', '.join(_MESHES + _CITIES)}, or a folder.")
     folder = TextureFolder(root, path.parent)
     if suffix in _CITIES:
-        return read_gml_textures(path, folder, options)
+        return _read_city(path, folder, options)
     mesh = _read_mesh(path, folder)
     if up_axis == "y" or (up_axis == "auto" and suffix in (".glb", ".gltf")):
         x, y, z = np.moveaxis(mesh.corners, 2, 0)
         corners = np.stack([x, -z, y], axis=2)
         mesh = TexturedMesh(corners, mesh.uv, mesh.picture, mesh.colours, mesh.pictures)
     return mesh
+
+
+def _read_city(path: Path, folder: TextureFolder, options: ReadOptions) -> TexturedMesh:
+    """Returns the buildings of a CityGML file at their finest levels, pictured or in colours of materials."""
+    table = PictureTable(folder)
+    raw = read_citygml(lambda: path.open("rb"), str(path), is_strict=False, has_details=True, pictures=table)
+    model = finish_model(raw, options)
+    mesh = textured_model(model, "A textured map needs appearances with pictures.")
+    lost = Counter(str(item.code) for item in model.findings.items if item.code.severity is Severity.ERROR)
+    notes = (*counted_lines(lost), *mesh.notes)
+    return replace(mesh, notes=(f"{path.name}: {'; '.join(notes)}",) if notes else ())
 
 
 def _read_mesh(path: Path, folder: TextureFolder) -> TexturedMesh:

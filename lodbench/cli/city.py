@@ -118,14 +118,8 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
     def write(part: CityModel, target: Path) -> Conversion:
         if not asked.textures or keeps_details(target):
             return convert_city(part, target, lod=lod, roof_height=asked.roof_height, citygml=asked.citygml)
-        if (
-            is_whole
-            and len(files) == 1
-            and not model.format.startswith("CityJSON")
-            and files[0].suffix not in _PACKED
-        ):
-            return convert_textured(part, target, files[0], options)
-        return convert_textured(part, target)
+        is_mesh = model.pictures is None and is_whole and len(files) == 1 and files[0].suffix not in _PACKED
+        return convert_textured(part, target, files[0] if is_mesh else None, options)
 
     if asked.tiles is None:
         summaries = [conversion_summary(str(out), write(model, out))]

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from lodbench.citymodel import open_scene
+from lodbench.citymodel import ReadOptions, open_scene, read_city_model
 from lodbench.citymodel.texture_files import open_textured_map, read_textured
 from lodbench.citymodel.texture_pictures import TextureFolder
+from lodbench.citymodel.textured_model import textured_model
 from lodbench.errors import CityModelError, DatasetError
 
 # A square roof of 20 x 10 m at 7 m, picture of 4 x 2 pixels: red, green, blue, white over black.
@@ -179,8 +180,9 @@ def test_citygml_appearances(tmp_path, kind):
 def test_citygml_without_its_pictures_is_one_line(tmp_path):
     path = write_gml(tmp_path)
     (tmp_path / "pictures" / "roof.png").unlink()
-    with pytest.raises(DatasetError, match=r"None of the 1 pictures .* is there: pictures/roof\.png"):
+    with pytest.raises(DatasetError, match="has no surface with a picture") as fault:
         read_textured(path)
+    assert "picture that is not there: pictures/roof.png" in fault.value.hint
 
 
 def test_citygml_of_which_a_picture_is_missing_is_noted(tmp_path):
@@ -195,21 +197,71 @@ def test_citygml_of_which_a_picture_is_missing_is_noted(tmp_path):
     at = text.index("</gml:MultiSurface></bldg:lod2MultiSurface>")
     (tmp_path / "map.gml").write_text(text[:at] + extra + text[at:])
     mesh = read_textured(tmp_path / "map.gml")
-    assert any("picture not there: pictures/gone.png" in note for note in mesh.notes)
+    assert any("picture that is not there: pictures/gone.png" in note for note in mesh.notes)
     assert (mesh.picture == -1).any()
     assert (mesh.colours[mesh.picture == -1] == 170).all()
 
 
 def test_citygml_whose_coordinates_do_not_fit_is_noted(tmp_path):
     broken = BY_RING.replace("0 0 1 0 1 1 0 1 0 0", "0 0 1 0 1 1")
-    with pytest.raises(DatasetError, match="no surface with a texture that fits") as fault:
+    with pytest.raises(DatasetError, match="has no surface with a picture") as fault:
         read_textured(write_gml(tmp_path, broken))
-    assert "1 x texture coordinates" in fault.value.hint
+    assert "surface whose places on its picture do not fit its corners" in fault.value.hint
+
+
+MATERIAL = """</app:surfaceDataMember><app:surfaceDataMember><app:X3DMaterial>
+<app:diffuseColor>1 0.5 0</app:diffuseColor><app:target>#wall</app:target></app:X3DMaterial>"""
+
+
+def face(name, ring):
+    places = " ".join(str(value) for x, y, z in [*ring, ring[0]] for value in (EAST + x, NORTH + y, z))
+    return (
+        f'<gml:surfaceMember><gml:Polygon gml:id="{name}"><gml:exterior><gml:LinearRing><gml:posList>{places}'
+        "</gml:posList></gml:LinearRing></gml:exterior></gml:Polygon></gml:surfaceMember>"
+    )
+
+
+def test_a_surface_without_a_picture_has_the_colour_of_its_material(tmp_path):
+    path = write_gml(tmp_path, BY_RING + MATERIAL)
+    extra = face("wall", [(0, 0, 0), (20, 0, 0), (20, 0, 7)]) + face(
+        "bare", [(0, 10, 0), (20, 10, 0), (0, 10, 7)]
+    )
+    end = "</gml:MultiSurface></bldg:lod2MultiSurface>"
+    path.write_text(path.read_text().replace(end, extra + end))
+    mesh = read_textured(path)
+    found = {
+        (*colours[0], n) for colours, n in zip(mesh.colours.tolist(), mesh.picture.tolist(), strict=True)
+    }
+    assert found == {(255, 128, 0, -1), (170, 170, 170, -1), (170, 170, 170, 0)}
+    two = tmp_path / "two"
+    for number, shade in enumerate(("1 0.5 0", "0 0 1")):
+        (two / str(number)).mkdir(parents=True)
+        other = write_gml(two / str(number), BY_RING + MATERIAL.replace("1 0.5 0", shade))
+        other.write_text(other.read_text().replace(end, extra + end))
+    options = ReadOptions(has_details=True, has_textures=True)
+    joined = textured_model(read_city_model([two / "0/map.gml", two / "1/map.gml"], options=options))
+    bare = {tuple(colour) for colour in joined.colours[joined.picture < 0][:, 0].tolist()}
+    assert bare == {(255, 128, 0), (0, 0, 255), (170, 170, 170)}
+
+
+@pytest.mark.parametrize("before", ["<cityObjectMember>", "<app:appearanceMember>"])
+def test_what_another_building_borrows_lies_on_no_picture(tmp_path, before):
+    path = write_gml(tmp_path)
+    borrower = (
+        '<cityObjectMember xmlns:xlink="http://www.w3.org/1999/xlink"><bldg:Building gml:id="c">'
+        '<bldg:lod2MultiSurface><gml:MultiSurface><gml:surfaceMember xlink:href="#poly"/></gml:MultiSurface>'
+        "</bldg:lod2MultiSurface></bldg:Building></cityObjectMember>"
+    )
+    path.write_text(path.read_text().replace(before, borrower + before, 1))
+    mesh = read_textured(path)
+    assert set(mesh.picture.tolist()) == {0}
+    assert len(np.unique(mesh.corners.reshape(-1, 9), axis=0)) == 2
 
 
 def test_citygml_without_appearances_or_with_a_doctype_is_refused(tmp_path):
-    with pytest.raises(DatasetError, match="has no textures"):
+    with pytest.raises(DatasetError, match="has no surface with a picture") as fault:
         read_textured(write_gml(tmp_path, ""))
+    assert fault.value.hint == "A textured map needs appearances with pictures."
     path = write_gml(tmp_path)
     path.write_text(path.read_text().replace("?>\n", "?>\n<!DOCTYPE x [<!ENTITY a 'b'>]>\n", 1))
     with pytest.raises(CityModelError, match="DOCTYPE"):
