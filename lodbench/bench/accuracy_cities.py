@@ -28,7 +28,8 @@ _DIGITS = (".0f", ".1f", ".2f", ".2f", "+.2f", ".1f")
 _GLOSSARY = (
     "vertical: median error in height, above 0 too high; probability: mean of what a method gives of being "
     "within (2 m, 2 deg); mean: over cities, each counting alike; rejected: wrong answers, of all cities, "
-    "whose probability is below that of 90 % of the right ones."
+    "whose probability is below that of 90 % of the right ones, and how many that would be on the average "
+    "of worlds in which every probability is exact."
 )
 
 
@@ -95,6 +96,21 @@ def share_rejected(queries: pd.DataFrame) -> float:
     return float(np.mean(given[~found] < np.quantile(given[found], 1.0 - _KEPT)))
 
 
+def share_rejectable(queries: pd.DataFrame) -> float:
+    """Returns what ``share_rejected`` would be, expected, if every probability were exact; nan if all are 1.
+
+    How far apart right and wrong answers can be told is limited by how sure the answers are: of those
+    that all say one half no more wrong ones go than right ones, however true that is.
+    """
+    given = np.sort(queries["probability"].fillna(0.0).to_numpy())
+    wrong = np.concatenate([[0.0], np.cumsum(1.0 - given)])
+    right = np.concatenate([[0.0], np.cumsum(given)])
+    if wrong[-1] <= 0 or right[-1] <= 0:
+        return float("nan")
+    lost = int(np.searchsorted(right, (1.0 - _KEPT) * right[-1] + 1e-9, side="right")) - 1
+    return float(wrong[lost] / wrong[-1])
+
+
 def name_of(views: ViewsParams) -> str:
     """Returns what a city is called in tables."""
     return Path(views.city_model).name
@@ -126,8 +142,12 @@ def _row(queries: pd.DataFrame) -> list[float]:
 def _rejected_in_words(queries: pd.DataFrame) -> str:
     if not queries["probability"].notna().any():
         return "gives no probability."
-    share = share_rejected(queries)
-    return f"{100.0 * share:.0f} % of wrong answers rejected." if share == share else "nothing to reject."
+    share, most = share_rejected(queries), share_rejectable(queries)
+    if share != share:
+        return "nothing to reject."
+    return (
+        f"{100.0 * share:.0f} % of wrong answers rejected; {100.0 * most:.0f} % were each probability exact."
+    )
 
 
 def _figures(groups: Sequence[tuple[tuple[str, str], pd.DataFrame]]) -> Iterator[Figure]:
@@ -138,3 +158,6 @@ def _figures(groups: Sequence[tuple[tuple[str, str], pd.DataFrame]]) -> Iterator
             yield Figure(f"recall 2m-2deg {method} tilt={tilt} {city}", recalls[-1], "%")
         yield Figure(f"mean recall 2m-2deg {method} tilt={tilt}", float(np.mean(recalls)), "%")
         yield Figure(f"wrong answers rejected {method} tilt={tilt}", 100.0 * share_rejected(queries), "%")
+        if queries["probability"].notna().any():
+            rejectable = 100.0 * share_rejectable(queries)
+            yield Figure(f"wrong answers rejected {method} tilt={tilt}, expected", rejectable, "%")

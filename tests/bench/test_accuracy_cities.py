@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lodbench.bench.accuracy_cities import measure_cities, share_rejected
+from lodbench.bench.accuracy_cities import measure_cities, share_rejectable, share_rejected
 from lodbench.errors import DatasetError
 from lodbench.evaluation.queries import ERROR
 from lodbench.methods.contour_alignment import ContourAlignment
@@ -30,6 +30,21 @@ class TestRejected:
     def test_nothing_to_say_without_right_or_without_wrong_ones(self):
         assert math.isnan(share_rejected(answers((0.5, 0.9))))
         assert math.isnan(share_rejected(answers((5.0, 0.9))))
+
+
+class TestRejectable:
+    def test_answers_as_sure_as_each_other_cannot_be_told_apart(self):
+        assert share_rejectable(answers(*10 * [(0.5, 0.5)])) == pytest.approx(0.1)
+        assert share_rejectable(answers(*5 * [(0.5, 1.0)], *5 * [(9.0, 0.0)])) == 1.0
+        assert math.isnan(share_rejectable(answers((0.5, 1.0))))
+
+    def test_is_what_is_rejected_where_answers_are_right_as_often_as_they_say(self):
+        generator = np.random.default_rng(7)
+        given = generator.beta(1.5, 0.7, 40_000)
+        errors = np.where(generator.random(len(given)) < given, 0.5, 9.0)
+        drawn = answers(*zip(errors, given, strict=True))
+        assert share_rejectable(drawn) == pytest.approx(share_rejected(drawn), abs=0.01)
+        assert 0.3 < share_rejectable(drawn) < 0.9
 
 
 def test_a_row_for_every_city_and_the_reason_for_one_that_has_none(city, tmp_path):
