@@ -109,7 +109,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if words[0] not in COMMANDS:
             raise LodbenchError(f"There is no command {words[0]!r}.", nearest_names(words[0], COMMANDS))
         # Names and texts of cities, photos and runs come from strangers.
-        with contextlib.redirect_stdout(PlainStream(sys.stdout)):
+        streams = PlainStream(sys.stdout), PlainStream(sys.stderr)
+        with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
             code: int = import_module(COMMANDS[words[0]][0]).main(words[1:])
         sys.stdout.flush()
         return code

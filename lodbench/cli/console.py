@@ -25,8 +25,9 @@ class PlainStream:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Writes a text, its line ends and tabs kept."""
-        self._stream.write(plain_lines(text))
+        """Writes a text; kept are line ends, tabs and the return that drawings of a bar begin with."""
+        start = "\r" if text.startswith("\r") else ""
+        self._stream.write(start + plain_lines(text.removeprefix(start)))
         return len(text)
 
     def __getattr__(self, name: str) -> Any:

@@ -128,10 +128,11 @@ def _own_words(jobs: Sequence[Sequence[str]], number: int) -> str:
 
 
 def quote_path(word: str) -> str:
-    """Returns an override with the value of a path key quoted, so that Hydra takes it as it stands."""
+    """Returns an override with a path, or a word beyond ASCII, quoted: Hydra takes it as it stands."""
     key, equals, value = word.partition("=")
     is_quoted = len(value) >= 2 and value[0] in "'\"" and value[0] == value[-1]
-    if not equals or value in ("", "null") or key.lstrip("+") not in PATH_KEYS or is_quoted:
+    is_text = key.lstrip("+") in PATH_KEYS or not (value.isascii() or value[0] in "[{" or "," in value)
+    if not equals or value in ("", "null") or not is_text or is_quoted:
         return word
     # Hydra takes a backslash as it stands, but for those before a quote or the end.
     escaped = re.sub(r'(\\*)(?="|$)', r"\1\1", value).replace('"', '\\"').replace("${", "\\${")

@@ -33,9 +33,12 @@ def open_named(options: argparse.Namespace) -> Dataset:
     name = options.dataset
     known = plugin_names("datasets")
     if name not in known or name == "folder":
-        if not Path(name).expanduser().is_dir():
-            raise ConfigError(f"{name} is no dataset and no folder.", nearest_names(name, known))
-        values = {"name": "folder", "root": name, "city_model": options.city, "lod": options.lod}
+        root = options.root if name == "folder" and options.root else name
+        if not Path(root).expanduser().is_dir():
+            raise ConfigError(
+                f"{root} is no dataset and no folder.", nearest_names(root, set(known) - {root})
+            )
+        values = {"name": "folder", "root": root, "city_model": options.city, "lod": options.lod}
         return open_dataset({key: value for key, value in values.items() if value is not None})
     takes = parameters_of(load_plugin("datasets", name))
     given: dict[str, Any] = {"root": options.root, "city_model": options.city, "lod": options.lod}

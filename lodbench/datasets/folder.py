@@ -183,8 +183,9 @@ def _sealed_of(stated: str) -> list[str]:
 def _require_words(root: Path, splits: Sequence[str]) -> None:
     """Refuses names that poses, stored as lines of words with SPLIT/PHOTO first, could not hold."""
     for name in splits:
-        if name.split() != [name]:
-            raise DatasetError(f"The split {name!r} in {root} has a space in its name.", "Rename its folder.")
+        if name.split() != [name] or not name.isprintable():
+            kind = "a space" if name.isprintable() else "a space or a control character"
+            raise DatasetError(f"The split {name!r} in {root} has {kind} in its name.", "Rename its folder.")
 
 
 def write_poses(

@@ -50,9 +50,11 @@ class DaskWorkers:
         self._client, self._address, self._patience_s = client, address, patience_s
         self.count = max(1, sum(client.nthreads().values()) or workers)
         # One name for all that is prepared alike: a worker does it once, a new one does it again.
-        # A task, not scattered data: made again where the worker that held it died.
+        # A task, not scattered data: made again where the worker that held it died. As bytes: workers hand it
+        # to each other, and what one of them works with, such as a network it has loaded, cannot be sent.
+        dumps = import_module("distributed.protocol.pickle").dumps
         self._common = client.submit(
-            _together, uuid4().hex, prepare, prepare_with, pure=False, retries=_RETRIES
+            _together, uuid4().hex, dumps((prepare, prepare_with)), pure=False, retries=_RETRIES
         )
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
@@ -117,7 +119,10 @@ def dask_workers(
     own = None
     try:
         if address is None:
-            own = distributed.LocalCluster(n_workers=workers, threads_per_worker=1)
+            # The dashboard can be seen from this machine alone.
+            own = distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:8787"
+            )
         try:
             client = distributed.Client(address or own, timeout=_CONNECT_S)
         except OSError as error:
@@ -154,15 +159,13 @@ def _one_line_for(address: str) -> Iterator[None]:
 _prepared: list[str] = []
 
 
-def _together(*common: Any) -> tuple[Any, ...]:
-    return common
+def _together(token: str, preparation: bytes) -> tuple[str, bytes]:
+    return token, preparation
 
 
-def _on_worker(
-    common: tuple[str, Callable[..., None], tuple[Any, ...]], work: Callable[[Any], Any], item: Any
-) -> Any:
-    token, prepare, prepare_with = common
+def _on_worker(common: tuple[str, bytes], work: Callable[[Any], Any], item: Any) -> Any:
+    token, preparation = common
     if _prepared != [token]:
-        begin(prepare, prepare_with)
+        begin(*import_module("distributed.protocol.pickle").loads(preparation))
         _prepared[:] = [token]
     return work(item)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,9 @@ def draw_figure(width_in: float, height_in: float, draw: Callable[[Figure], None
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(_STYLE), warnings.catch_warnings():
+        # Names of the world's scripts: a box stands for a letter that the font lacks, in the picture only.
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
         # No pyplot: it would choose a window system, and keep every figure.
         figure = Figure(figsize=(width_in, height_in), layout="constrained")
         FigureCanvasAgg(figure)

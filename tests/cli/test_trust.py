@@ -33,6 +33,26 @@ def test_a_split_with_a_space_in_its_name_is_refused_before_any_work(lodbench, t
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.parametrize("name", ["x\x1b[31m", "a\u202eb", "a\nb"])
+def test_a_split_that_would_steer_a_terminal_is_refused(lodbench, tmp_path, name):
+    root, city = write_dataset(tmp_path / "town")
+    shutil.move(root, tmp_path / "parts" / name)
+    done = lodbench(*run_words(tmp_path / "parts", city))
+    assert done.returncode == 2
+    assert "control character" in done.stderr
+    assert "\x1b" not in done.stderr
+
+
+def test_a_split_is_chosen_by_a_name_beyond_ascii(lodbench, tmp_path):
+    root, city = write_dataset(tmp_path / "town")
+    shutil.move(root, tmp_path / "parts" / "hügel")
+    words = run_words(tmp_path / "parts", city, "split=hügel", "method=prior_only", "segmenter=masks")
+    assert lodbench(*words).returncode == 0
+    assert (
+        lodbench("dataset", "check", "folder", "--root", tmp_path / "parts", "--city", city).returncode == 0
+    )
+
+
 def test_a_folder_of_one_split_may_have_a_space_in_its_name(lodbench, tmp_path):
     root, city = write_dataset(tmp_path / "my town")
     done = lodbench(*run_words(root, city, "method=prior_only", "segmenter=masks"))
@@ -142,6 +162,16 @@ def test_no_terminal_sequence_of_data_reaches_the_terminal(lodbench, tmp_path, w
     assert "town" in getattr(done, where)
     assert "\x1b" not in done.stdout + done.stderr
     assert "\x07" not in done.stdout + done.stderr
+
+
+def test_no_line_on_standard_error_steers_a_terminal(capsys, monkeypatch):
+    def tell(words):
+        sys.stderr.write(f"\r|{ESCAPE}| \u202e1 of 2\n")
+        return 0
+
+    monkeypatch.setattr("lodbench.cli.status.main", tell)
+    assert main(["status"]) == 0
+    assert capsys.readouterr().err == "\r||  1 of 2\n"
 
 
 def test_warnings_steer_no_terminal_either(capfd):
