@@ -47,8 +47,9 @@ _NAMES = (
 _TOLD = 0.7
 # A focal length that is not told, and whose error goes with the height's by more than this, is left alone.
 _HEIGHT, _ALIKE = 2, 0.5
-# A building's height is in doubt where it differs from the others' by so many metres and sigmas.
-_DOUBT_M, _DOUBT_SIGMAS = 1.0, 2.0
+# A building's height is in doubt where it differs from the others' by so many metres and sigmas; of one that
+# would be lower than this, metres, masks show nothing: whether it is gone is looked at elsewhere.
+_DOUBT_M, _DOUBT_SIGMAS, _LOWEST_M = 1.0, 1.7, 2.0
 
 
 def findings_of(
@@ -85,13 +86,14 @@ def findings_of(
         if term is not None:
             shown = state.roofs.building[term.parts]
             photos.update(int(b) for b in np.unique(shown[shown >= 0]))
+    rises_m = _rises(city_map)
     buildings = [
         {
             "id": city_map.scene.building_ids[building],
             "higher_m": higher,
             "sigma_m": sigma,
             "photos": photos[int(building)],
-            "doubt": bool(abs(higher) > max(_DOUBT_M, _DOUBT_SIGMAS * sigma)),
+            "doubt": _is_in_doubt(higher, sigma, float(rises_m[building])),
         }
         for building, higher, sigma in _heights(state, solution)
     ]
@@ -121,6 +123,20 @@ def cannot_tell_focal(solution: Solution, params: Params) -> bool:
     height, focal = np.sqrt(np.diag(spread))
     is_told = focal < _TOLD * params.constant_sigmas()[FOCAL]
     return bool(not is_told and abs(spread[0, 1]) > _ALIKE * height * focal)
+
+
+def _is_in_doubt(higher_m: float, sigma_m: float, rise_m: float) -> bool:
+    return abs(higher_m) > max(_DOUBT_M, _DOUBT_SIGMAS * sigma_m) and rise_m + higher_m > _LOWEST_M
+
+
+def _rises(city_map: CityMap) -> Floats:
+    """Returns (B,) how high the map's buildings are, metres; 0 for one without geometry."""
+    scene = city_map.scene
+    filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
+    starts, heights = scene.vertex_starts[filled], scene.vertices[:, 2].astype(np.float64)
+    rises = np.zeros(scene.num_buildings)
+    rises[filled] = np.maximum.reduceat(heights, starts) - np.minimum.reduceat(heights, starts)
+    return rises
 
 
 def _heights(state: State, solution: Solution) -> Iterator[tuple[int, float, float]]:

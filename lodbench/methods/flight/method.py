@@ -168,11 +168,18 @@ class FlightMethod:
         return FlightEstimate(estimates, found)
 
     def _ends(self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap) -> Ends:
-        """Returns where the flight ends from other starts around its answer."""
-        photos, offset = restarted(len(queries)), aligned.state.offset - start.offset
-        iou = mean_iou([aligned.terms[k] for k in photos])
-        found = [(aligned.state.vectors[photos], aligned.state.constants, iou)]
-        for start_m in STARTS_M[: self.params.restarts]:
+        """Returns where the flight ends from other starts around its answer.
+
+        Some photos of a long flight end elsewhere than all of them do: theirs are compared with each other.
+        """
+        starts_m = STARTS_M[: self.params.restarts]
+        photos, offset = restarted(len(queries), bool(start.ties)), aligned.state.offset - start.offset
+        if len(photos) < len(queries) and len(starts_m):
+            starts_m, found = np.vstack([np.zeros(3), starts_m]), []
+        else:
+            iou = mean_iou([aligned.terms[k] for k in photos])
+            found = [(aligned.state.vectors[photos], aligned.state.constants, iou)]
+        for start_m in starts_m:
             begun = start.begun(photos, offset + np.append(start_m, np.zeros(3)))
             again = align([queries[k] for k in photos], begun, city_map, self.params)
             found.append((again.state.vectors, again.state.constants, mean_iou(again.terms)))

@@ -23,14 +23,20 @@ Rows = NDArray[np.int64]
 STARTS_M = 1.7 * np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
 # Ends whose silhouettes overlap the masks less than the best's by more than this are no answers.
 _WORSE_IOU = 0.02
-# Photos that start again: of a longer flight those in its middle.
+# Photos that start again.
 _MOST_PHOTOS = 40
 
 
-def restarted(count: int) -> Rows:
-    """Returns the numbers of the photos of a flight that start again."""
+def restarted(count: int, tied: bool) -> Rows:
+    """Returns the numbers of the photos of a flight that start again, ascending.
+
+    Of a longer flight some from all over it, since those of one stretch may all look one way; but those in
+    its middle where neighbours are tied to each other, since photos far apart are not.
+    """
     used = min(count, _MOST_PHOTOS)
-    return np.arange(used) + (count - used) // 2
+    if tied:
+        return np.arange(used) + (count - used) // 2
+    return np.linspace(0, count - 1, used).round().astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +69,7 @@ def ends_of(found: Sequence[tuple[Floats, Floats, float]]) -> Ends:
 
     Args:
         found: Of each end (P, 6) poses of the same photos, (11,) what they share, and the mean IoU; the first
-            is the one that the vote led to.
+            is the one that the others are compared with.
     """
     best = max(iou for _, _, iou in found)
     kept = [found[0], *(end for end in found[1:] if end[2] > best - _WORSE_IOU)]
