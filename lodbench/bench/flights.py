@@ -26,6 +26,7 @@ from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.methods.flight import FlightMethod
+from lodbench.methods.flight.corrected_map import corrected_map
 from lodbench.methods.flight.gone_buildings import shares_held
 from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.protocol import Estimate, FlightEstimate
@@ -36,8 +37,9 @@ from lodbench.synthesis.flights.dataset import MAP_TRUTH_FILE, FlightsParams, dr
 
 Floats = NDArray[np.float64]
 
-# A building that so many photos show is one that a flight can speak of.
-_FEWEST_PHOTOS = 3
+# A building that so many photos show is one that a flight can speak of; of its height, if so many show its
+# roof: the silhouette would change by so many pixels if it were so much higher, metres.
+_FEWEST_PHOTOS, _FEWEST_OF_ROOF, _ROOF_PX, _ROOF_M = 3, 2, 5, 1.5
 # What counts as a gimbal recovered, degrees.
 _GIMBAL_DEG = 0.1
 
@@ -156,12 +158,13 @@ def _score(
         for name, count in _photos_of(queries, truth, there).items()
         if count >= _FEWEST_PHOTOS
     }
+    roofs = _roofs_shown(queries, truth, city_map)
     boxes, missing = building_boxes(world), {}
     for low, high, building in zip(boxes.low, boxes.high, boxes.building, strict=True):
         name = world.building_ids[building]
         if name in changed["missing"]:
             missing[name] = [*(low[:2] + world.origin[:2]), *(high[:2] + world.origin[:2])]
-    return score_map(found.findings, changed, shown, missing)
+    return score_map(found.findings, changed, shown, roofs, missing)
 
 
 def _photos_of(queries: Sequence[Query], truth: Sequence[Pose], city_map: CityMap) -> dict[str, int]:
@@ -171,6 +174,20 @@ def _photos_of(queries: Sequence[Query], truth: Sequence[Pose], city_map: CityMa
             name = city_map.scene.building_ids[building]
             counts[name] = counts.get(name, 0) + 1
     return counts
+
+
+def _roofs_shown(queries: Sequence[Query], truth: Sequence[Pose], city_map: CityMap) -> set[str]:
+    """Returns the ids of buildings whose heights photos can tell: a roof among others draws no outline."""
+    scene, counts = city_map.scene, np.zeros(city_map.scene.num_buildings, np.int64)
+    raised, _ = corrected_map(city_map, np.full(scene.num_buildings, _ROOF_M))
+    for view in views_of(queries, truth, 0.0):
+        shown = city_map.render(view.camera, view.pose)
+        (instances,) = raised.instances(view.camera, view.pose.rotation[None], view.pose.center[None])
+        for k, row in enumerate(instances.buildings):
+            shape, top, left = instances.crop(k)
+            there = shown[top : top + shape.shape[0], left : left + shape.shape[1]]
+            counts[row] += np.count_nonzero(shape & ~there) >= _ROOF_PX
+    return {scene.building_ids[row] for row in np.flatnonzero(counts >= _FEWEST_OF_ROOF)}
 
 
 def _report(tally: _Tally, flights: FlightsParams, seeds: Sequence[int]) -> Report:
@@ -206,8 +223,8 @@ def _constant_figures(tally: _Tally) -> list[Figure]:
 
 def _map_figures(score: MapScore) -> list[Figure]:
     rows = (
-        (f"heights within 0.5 m, of {score.heights} seen twice", score.recovered, score.heights),
-        (f"wrong heights found, of {score.wrong}", score.rightly, score.wrong),
+        (f"heights within 0.5 m, of {score.heights} shown twice", score.recovered, score.heights),
+        (f"wrong heights found, of {score.wrong}", score.found_wrong, score.wrong),
         (f"buildings in doubt rightly, of {score.doubted}", score.rightly, score.doubted),
         (f"gone buildings found, of {score.gone}", score.rightly_gone, score.gone),
         (f"said to be gone rightly, of {score.told_gone}", score.rightly_gone, score.told_gone),

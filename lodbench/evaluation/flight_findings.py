@@ -20,10 +20,11 @@ class MapScore:
     """Counts; those of several flights add up.
 
     Attributes:
-        heights: Buildings whose roof at least two photos show.
+        heights: Buildings whose heights photos can tell.
         recovered: Of them, those whose height against the map is told within 0.5 m.
         wrong: Of them, those whose height was changed.
-        doubted: Buildings in doubt.
+        found_wrong: Of these, those in doubt.
+        doubted: Buildings in doubt, whether photos can tell or not.
         rightly: Of the doubted, those whose height was changed.
         gone: Buildings that stand in the map only, and that several photos should show.
         told_gone: Buildings said to be gone.
@@ -37,6 +38,7 @@ class MapScore:
     heights: int = 0
     recovered: int = 0
     wrong: int = 0
+    found_wrong: int = 0
     doubted: int = 0
     rightly: int = 0
     gone: int = 0
@@ -56,6 +58,7 @@ def score_map(
     findings: Mapping[str, Any],
     changed: Mapping[str, Any],
     shown: Collection[str],
+    roofs: Collection[str],
     boxes: Mapping[str, Sequence[float]],
 ) -> MapScore:
     """Returns how a flight's findings compare with what was done to the map.
@@ -65,19 +68,22 @@ def score_map(
         changed: ``heights`` (metres that a building is higher in the map than in truth, by id), ``missing``
             and ``extra`` (ids).
         shown: Ids of the buildings of either that at least three photos show.
+        roofs: Ids of the map's buildings whose roofs at least two photos show.
         boxes: West, south, east and north of each missing building, the city's coordinates.
     """
     truth = changed["heights"]
-    seen = {b["id"]: b for b in findings["buildings"] if b["photos"] >= 2 and b["id"] not in changed["extra"]}
+    told = {b["id"]: b for b in findings["buildings"] if b["id"] not in changed["extra"]}
+    seen = {name: b for name, b in told.items() if name in roofs}
     errors = [abs(b["higher_m"] + truth.get(name, 0.0)) for name, b in seen.items()]
-    doubted = [name for name, b in seen.items() if b["doubt"]]
+    doubted = [name for name, b in told.items() if b["doubt"]]
     told_gone = [c["id"] for c in findings["changes"] if c["kind"] == "gone"]
     places = [_polygon(c["outline"]) for c in findings["changes"] if c["kind"] == "missing"]
     lacking = {name: box(*boxes[name]).buffer(_NEAR_M) for name in changed["missing"] if name in boxes}
     return MapScore(
         heights=len(errors),
         recovered=int(np.count_nonzero(np.array(errors) < RECOVERED_M)),
-        wrong=sum(name in seen for name in truth),
+        wrong=sum(name in roofs for name in truth),
+        found_wrong=sum(name in truth and name in roofs for name in doubted),
         doubted=len(doubted),
         rightly=sum(name in truth for name in doubted),
         gone=sum(name in shown for name in changed["extra"]),

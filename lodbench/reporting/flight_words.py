@@ -68,7 +68,8 @@ def map_in_words(findings: Mapping[str, Any], most: int = 5) -> list[str]:
     rows, buildings = map_rows(findings), findings.get("buildings", [])
     if not rows:
         return []
-    lines = [f"the photos contradict the map in {len(rows)} places, of {len(buildings)} buildings they show:"]
+    places = f"{len(rows)} place{'' if len(rows) == 1 else 's'}"
+    lines = [f"the photos contradict the map in {places}, of {len(buildings)} buildings they show:"]
     lines += [f"- {name}: {said}, by {photos}" for name, said, photos in rows[:most]]
     return lines + ([f"- and {len(rows) - most} more"] if len(rows) > most else [])
 

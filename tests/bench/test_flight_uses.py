@@ -5,14 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lodbench.bench.flights import _roofs_shown
 from lodbench.bench.joint_solves import measure_joint_solves
 from lodbench.bench.reconstructions import Noise, measure_reconstructions
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
+from lodbench.citymap import CityMap
+from lodbench.citymodel import open_scene
+from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
+from lodbench.geometry import EulerAngles
 from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.protocol import FlightEstimate
 from lodbench.synthesis.flights.dataset import FlightsParams
-from tests.town import box_obj
+from lodbench.synthesis.view_sampling import view_of
+from tests.town import CAMERA, box_obj
 
 
 @pytest.fixture
@@ -74,3 +80,18 @@ def test_joint_solves_are_timed_by_their_number_of_photos(city):
     assert all(float(row[-1]) < 2.0 for row in rows)
     with pytest.raises(ConfigError, match="ascend"):
         measure_joint_solves(flights, [6, 3], method, traces_memory=False)
+
+
+def test_a_roof_in_front_of_a_taller_wall_and_one_that_a_single_photo_shows_are_not_told(tmp_path):
+    path = tmp_path / "city.obj"
+    # A low house before a slab, seen from the south, and one that stands free.
+    path.write_text(box_obj([(-30, 10, 30, 20, 0, 40), (-5, -2, 5, 6, 0, 6), (45, -5, 55, 5, 0, 8)]))
+    scene = open_scene(path)
+    target = scene.vertices.astype(float).mean(axis=0)
+    poses = [view_of(target, 90.0, EulerAngles(55.0, 0.0, yaw_deg)) for yaw_deg in (-4.0, 4.0)]
+    mask = np.zeros((CAMERA.height, CAMERA.width), np.float32)
+    queries = [Query(f"q{k}", "all", CAMERA, pose, mask) for k, pose in enumerate(poses)]
+    slab, _, free = scene.building_ids
+    city_map = CityMap(scene, threads=1)
+    assert _roofs_shown(queries, poses, city_map) == {slab, free}
+    assert _roofs_shown(queries[:1], poses[:1], city_map) == set()

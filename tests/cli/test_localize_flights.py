@@ -178,7 +178,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp
         "broken.JPG is no JPEG, PNG or TIFF picture",
         "copy.JPG: it is a copy of",
         "DJI_0004.png may be of",
-        "the clock jumps at 1 photos, which are placed by name: DJI_0003.JPG",
+        "the clock jumps at photos that are placed by name: DJI_0003.JPG",
         "flight 1: 3 photos",
     ):
         assert line in told

@@ -31,7 +31,7 @@ def test_counts_of_a_flight_and_of_two():
             building("b", 1.0, False),  # too little, not found
             building("c", 0.2, False),  # right
             building("d", 1.6, True),  # in doubt for nothing
-            building("e", 9.0, True, photos=1),  # one view does not count
+            building("e", 9.0, True),  # in doubt, though no photo shows its roof
             building("y", -5.0, True),  # stands in the map only
         ],
         "changes": [
@@ -41,10 +41,12 @@ def test_counts_of_a_flight_and_of_two():
             place(500.0, 500.0),
         ],
     }
-    score = score_map(findings, CHANGED, {"a", "b", "c", "d", "m", "x", "y"}, BOXES)
+    score = score_map(
+        findings, CHANGED, {"a", "b", "c", "d", "m", "x", "y"}, {"a", "b", "c", "d", "y"}, BOXES
+    )
     assert score == MapScore(
-        heights=4, recovered=2, wrong=2, doubted=2, rightly=1, gone=2, told_gone=2, rightly_gone=1,
-        missing=1, found=1, places=2, rightly_missing=1,
+        heights=4, recovered=2, wrong=2, found_wrong=1, doubted=3, rightly=1, gone=2, told_gone=2,
+        rightly_gone=1, missing=1, found=1, places=2, rightly_missing=1,
     )  # fmt: skip
     assert (score + score).heights == 8
     assert (score + MapScore()) == score

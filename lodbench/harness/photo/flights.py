@@ -162,7 +162,7 @@ def _taken(flight: Flight, names: Sequence[str]) -> list[str]:
     if flight.odd_clocks:
         odd = [names[row] for row in flight.odd_clocks]
         listed = ", ".join(odd[:3]) + (", ..." if len(odd) > 3 else "")
-        lines.append(f"the clock jumps at {len(odd)} photos, which are placed by name: {listed}")
+        lines.append(f"the clock jumps at photos that are placed by name: {listed}")
     return lines
 
 
