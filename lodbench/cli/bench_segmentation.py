@@ -9,6 +9,7 @@ from typing import Any
 from lodbench.bench.disturbed_silhouettes import Disturbance
 from lodbench.bench.figures import Report
 from lodbench.bench.guided_masks import GuidedOptions, measure_guided_masks
+from lodbench.bench.instance_quality import measure_instances
 from lodbench.bench.iou_recall import measure_iou_recall
 from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks, require_photo_segmenter
 from lodbench.bench.photo_masks import measure_photo_masks
@@ -28,6 +29,7 @@ _MORE = """\
   lodbench bench segmentation --photos DIR --guided-by 20,2 --guided-by 60,4 --blocks
                                                              guided by the traced masks, moved and turned
   lodbench bench segmentation --data SET --visible SET2      views of `lodbench generate-training-data`
+  lodbench bench segmentation --data SET --instances         single buildings, of sets with labels=true
   lodbench bench segmentation --city CITY --pictures DIR     recall over the IoU of masks, no network at all
 """
 
@@ -67,6 +69,9 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
     )
     parser.add_argument("--draws", type=int, default=4, help="silhouettes of each photo (4)")
     parser.add_argument("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
+    parser.add_argument(
+        "--instances", action="store_true", help="of --data: how well single buildings are told apart"
+    )
     parser.add_argument("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
     parser.add_argument("--town", default="test", help="test or train: views made on first use (test)")
     parser.add_argument("--city", type=Path, help="measure recall over the IoU of masks on views of it")
@@ -89,6 +94,11 @@ def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -
         if options.city is not None or options.data is not None or options.views is not None:
             raise ConfigError("--photos are measured by themselves.", "Leave out --city, --data and --views.")
         return _photos(options, steps)
+    if options.instances:
+        if options.data is None:
+            raise ConfigError("--instances needs views with labels.", "Name their set: --data SET.")
+        segmenter = segmenter_of(options.segmenter or "compact_instances", options.segmenter_option)
+        return measure_instances(segmenter, options.data, steps)
     if options.city is not None:
         if options.data is not None or options.visible is not None:
             raise ConfigError("--city draws masks of its own.", "Leave out --data, or --city.")

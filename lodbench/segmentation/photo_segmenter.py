@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -59,13 +60,21 @@ class PhotoSegmenter(ABC):
         Raises:
             QueryFault: The query has no photo, or it cannot be read.
         """
+        return self.cached(entry, self.probability)
+
+    def cached(
+        self, entry: Entry, compute: Callable[[NDArray[np.uint8]], NDArray[np.float32]]
+    ) -> NDArray[np.float32]:
+        """Returns what is computed of a query's (H, W, 3) RGB photo, or was in an earlier run.
+
+        Raises:
+            QueryFault: The query has no photo, or it cannot be read.
+        """
         if entry.image is None:
             raise QueryFault("no photo to segment")
         name = entry.image.name
         try:
-            return cached_probability(
-                entry.image, self._identity(), lambda c: self.probability(photo_of(c, name))
-            )
+            return cached_probability(entry.image, self._identity(), lambda c: compute(photo_of(c, name)))
         except OSError as error:
             raise QueryFault(f"photo {name} cannot be read: {error.strerror}") from error
 

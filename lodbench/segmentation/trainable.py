@@ -12,6 +12,7 @@ class TrainableSegmenter(Protocol):
     Attributes:
         params: Its settings, a frozen dataclass.
         stride: Sides of pictures are padded to multiples of this.
+        learns: Optional: ``masks``, which is meant where it is missing, or ``interiors`` of single buildings.
     """
 
     params: Any

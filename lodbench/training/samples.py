@@ -10,12 +10,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.instance_labels import read_labels
 from lodbench.errors import DatasetError, LodbenchError
+from lodbench.segmentation.compact_instances import interiors
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photos import read_photo
 from lodbench.storage import digest_of
 
 Photo = NDArray[np.uint8]
+# What a network may learn: where buildings are, or, from their labels, what lies well within one of them.
+MASKS, INTERIORS = "masks", "interiors"
+_FOLDERS = {MASKS: "masks", INTERIORS: "labels"}
 _HELD_OUT = 20
 ENDINGS = (".jpg", ".jpeg", ".png")
 
@@ -27,10 +32,11 @@ class Sample:
     Attributes:
         key: Set, split and name: unique.
         photo: The picture's file.
-        mask: The mask's file.
+        mask: The mask's file; that of the labels of single buildings where interiors are learnt.
         is_ground: Whether it is a photo without buildings, whose ground may lie elsewhere as well.
         working_scale: Of a photo with a mask traced by hand: what brings it to the size a network works at.
             Crops are cut from all of its pixels, at this times their own scale.
+        learns: ``masks`` or ``interiors``.
     """
 
     key: str
@@ -38,6 +44,7 @@ class Sample:
     mask: Path
     is_ground: bool = False
     working_scale: float | None = None
+    learns: str = MASKS
 
     def read(self, size: int, square: bool) -> tuple[Photo, NDArray[np.float32]]:
         """Returns the picture (H, W, 3) RGB uint8 and the mask (H, W) float32 in [0, 1].
@@ -50,7 +57,8 @@ class Sample:
             DatasetError: One of them cannot be read, or their aspects differ.
         """
         try:
-            photo, mask = read_photo(self.photo), read_mask(self.mask)
+            photo = read_photo(self.photo)
+            mask = read_labels(self.mask) if self.learns == INTERIORS else read_mask(self.mask)
         except LodbenchError as fault:
             raise DatasetError(f"{self.key}: {fault.message}") from fault
         height, width = photo.shape[:2]
@@ -58,7 +66,11 @@ class Sample:
             factor = size / max(height, width)
             height, width = max(1, round(height * factor)), max(1, round(width * factor))
             height, width = (size, size) if square else (height, width)
-        return _brought(photo, width, height), _brought(mask, width, height)
+        photo = _brought(photo, width, height)
+        if self.learns == INTERIORS:
+            labels = cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST)
+            return photo, interiors(labels).astype(np.float32)
+        return photo, _brought(mask, width, height)
 
 
 def _brought(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
@@ -70,33 +82,41 @@ def _brought(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
     )
 
 
-def find_samples(folder: Path, split: str) -> list[Sample]:
+def find_samples(folder: Path, split: str, learns: str = MASKS) -> list[Sample]:
     """Returns the views of a split in a training set or in the sets below a folder, by name.
 
+    Args:
+        folder: Of one set, or of several.
+        split: ``train``, ``val`` or ``test``.
+        learns: ``masks``, or ``interiors`` of the labels of single buildings.
+
     Raises:
-        DatasetError: The folder is missing, or a picture has no mask.
+        DatasetError: The folder is missing, or a picture has no mask, or no labels.
     """
     if not folder.is_dir():
         raise DatasetError(f"There is no folder {folder}.", "lodbench generate-training-data makes one.")
     samples, without = [], []
     for images in sorted(path for path in folder.rglob("images") if path.parent.name == split):
         for photo in sorted(path for path in images.iterdir() if path.suffix.lower() in ENDINGS):
-            mask = images.parent / "masks" / f"{photo.stem}.png"
+            mask = images.parent / _FOLDERS[learns] / f"{photo.stem}.png"
             if mask.exists():
                 key = (images.parent.relative_to(folder) / photo.stem).as_posix()
-                samples.append(Sample(key, photo, mask))
+                samples.append(Sample(key, photo, mask, learns=learns))
             else:
                 without.append(photo)
     if without:
+        hint = "An unfinished set: give the generate-training-data command again, it goes on."
+        if learns == INTERIORS:
+            hint = "generate-training-data labels=true writes them."
+        kind = _FOLDERS[learns].removesuffix("s")
         raise DatasetError(
-            f"{len(without)} pictures in {folder} have no mask, the first is {without[0].name}.",
-            "An unfinished set: give the generate-training-data command again, it goes on.",
+            f"{len(without)} pictures in {folder} have no {kind}, the first is {without[0].name}.", hint
         )
     return samples
 
 
 def split_samples(
-    train: list[Sample], val: list[Sample], val_data: Path | None
+    train: list[Sample], val: list[Sample], val_data: Path | None, learns: str = MASKS
 ) -> tuple[list[Sample], list[Sample], str]:
     """Returns the views to train on, those to validate on, and what the latter are.
 
@@ -104,12 +124,13 @@ def split_samples(
         train: Views to train on.
         val: Views of the same data that are held out; where there are none, every 20th of ``train`` is.
         val_data: A set whose views validate instead.
+        learns: As for ``find_samples``.
 
     Raises:
         DatasetError: There are none of one kind.
     """
     if val_data is not None:
-        val = [s for split in ("train", "val", "test") for s in find_samples(val_data, split)]
+        val = [s for split in ("train", "val", "test") for s in find_samples(val_data, split, learns)]
         source = f"views of {val_data.name}"
     else:
         source = "val views, of regions of their own"

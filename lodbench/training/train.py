@@ -18,7 +18,7 @@ from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, make_folder, write_text
 from lodbench.training.learning_curves import write_curves
 from lodbench.training.posed_photos import is_posed, posed_samples
-from lodbench.training.samples import Sample, find_samples, samples_digest, split_samples
+from lodbench.training.samples import MASKS, Sample, find_samples, samples_digest, split_samples
 from lodbench.training.traced import repeated, traced_samples
 from lodbench.training.train_params import TrainParams
 from lodbench.training.unlabelled import ground_samples, pseudo_samples
@@ -96,11 +96,16 @@ def train_network(
     data, val_data = Path(params.data).expanduser(), params.val_data
     out = Path(params.out).expanduser()
     make_folder(out)
+    learns = getattr(segmenter, "learns", MASKS)
+    if learns != MASKS:
+        _require_labels(segmenter, params, data)
     if is_posed(data):
         learnt, held_out = posed_samples(data, out / SILHOUETTES, params.city), []
     else:
-        learnt, held_out = find_samples(data, "train"), find_samples(data, "val")
-    train, val, source = split_samples(learnt, held_out, Path(val_data).expanduser() if val_data else None)
+        learnt, held_out = (find_samples(data, split, learns) for split in ("train", "val"))
+    train, val, source = split_samples(
+        learnt, held_out, Path(val_data).expanduser() if val_data else None, learns
+    )
     if params.unlabelled:
         train = train + _pseudo_labelled(segmenter, params, out)
     if params.negatives:
@@ -128,6 +133,21 @@ def train_network(
     finished = record | {"history": history, "weights": {weights.name: file_digest(weights)}}
     write_text(out / MANIFEST_FILE, _json(finished))
     return Trained(weights, history, source, len(train), started_at[0])
+
+
+def _require_labels(segmenter: TrainableSegmenter, params: TrainParams, data: Path) -> None:
+    """Makes sure that all a network learns from says which building is which.
+
+    Raises:
+        ConfigError: Something of it has masks only.
+    """
+    masked = {"unlabelled": params.unlabelled, "negatives": params.negatives, "traced": params.traced}
+    named = next((name for name, folders in masked.items() if folders), "data" if is_posed(data) else None)
+    if named:
+        raise ConfigError(
+            f"{segmenter.params.name} learns single buildings, and {named} has masks only.",
+            "data=FOLDER of generate-training-data labels=true.",
+        )
 
 
 def _pseudo_labelled(segmenter: TrainableSegmenter, params: TrainParams, out: Path) -> list[Sample]:

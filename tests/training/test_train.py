@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+import shutil
 import subprocess
 import sys
 
@@ -112,6 +113,28 @@ def test_a_stopped_training_ends_in_the_same_bytes(views, tmp_path, monkeypatch)
     assert train(views, tmp_path / "parts") == 0
     for name in ("compact.onnx", "training.json"):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_interiors_of_labelled_buildings_are_learnt(views, tmp_path, capsys):
+    learnt = "segmenter=compact_instances"
+    assert train(views, tmp_path / "a", learnt, "schedule.epochs=1") == 2
+    told = capsys.readouterr().err
+    assert "have no label" in told
+    assert "labels=true" in told
+    labelled = tmp_path / "labelled"
+    shutil.copytree(views, labelled)
+    for mask in labelled.rglob("masks/*.png"):
+        labels = (cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE) > 0).astype(np.uint16)
+        labels[:, np.flatnonzero(labels.any(axis=0))[15:]] *= 2
+        (mask.parent.parent / "labels").mkdir(exist_ok=True)
+        cv2.imwrite(str(mask.parent.parent / "labels" / mask.name), labels)
+    _, target = find_samples(labelled, "train", "interiors")[0].read(0, square=False)
+    # Two halves of 15 by 28 pixels, each two pixels smaller on every side.
+    assert target.sum() == 2 * 11 * 24
+    assert train(labelled, tmp_path / "a", learnt, "schedule.epochs=1") == 0
+    assert (tmp_path / "a" / "compact_instances.onnx").is_file()
+    assert train(labelled, tmp_path / "b", learnt, f"negatives=[{views}]") == 2
+    assert "negatives has masks only" in capsys.readouterr().err
 
 
 def test_another_training_in_the_same_folder_is_refused(views, tmp_path, capsys):
