@@ -23,10 +23,11 @@ from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.lines import aligned_by_lines
+from lodbench.methods.region.map_errors import covariance_under_map_errors
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged
 from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, Signs, trust_of
-from lodbench.methods.region.uncertainty import covariance_at, share_of_best
+from lodbench.methods.region.uncertainty import information_at, share_of_best
 
 Floats = NDArray[np.float64]
 
@@ -85,10 +86,12 @@ class Region:
                 apart_m, sharpness = float(np.linalg.norm((lines.vector - vector)[:3])), lines.sharpness
             if lines is not None and sharpness >= params.least_sharpness:
                 vector, nats = lines.vector, lines.nats
-        covariance = covariance_at(nats, vector, final, around)
+        information = information_at(nats, vector, final, around)
+        prior, outline = final.prior_information(), around.outline(vector, final)
+        covariance = covariance_under_map_errors(information, prior, outline)
         offset, half_widths = final.offsets(vector[None])[0], params.half_widths()
         signs = Signs(
-            probability_within(covariance, vector),
+            probability_within(np.linalg.inv(information + prior), vector),
             apart_m,
             sharpness,
             float(judge.fits(vector[None])[0]),

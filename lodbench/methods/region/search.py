@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter
 
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
-from lodbench.methods.contour_alignment.outline import EdgeArrays, sample_outline
+from lodbench.methods.contour_alignment.outline import EdgeArrays, OutlinePoints, sample_outline
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, rotation_derivatives
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence
@@ -109,15 +109,19 @@ class Surroundings:
         self.population = params.population
         self._edges, self._scorer = edges, scorer
 
+    def outline(self, vector: Floats, evidence: Evidence) -> OutlinePoints:
+        """Returns points of the outline that a pose shows, at the evidence's size."""
+        camera, pose = evidence.camera, pose_from_vector(vector)
+        silhouette = self._scorer.render(camera, pose)
+        turns = rotation_derivatives(vector)
+        return sample_outline(self._edges, camera, pose, turns, silhouette, _SPACING_PX)
+
     def cloud(self, vector: Floats, evidence: Evidence, spread_px: float) -> Cloud | None:
         """Returns poses whose outlines lie about ``spread_px`` apart, or the prior allows no more.
 
         None where no outline is in view.
         """
-        camera, pose = evidence.camera, pose_from_vector(vector)
-        silhouette = self._scorer.render(camera, pose)
-        turns = rotation_derivatives(vector)
-        points = sample_outline(self._edges, camera, pose, turns, silhouette, _SPACING_PX)
+        points = self.outline(vector, evidence)
         if not len(points):
             return None
         slopes = (points.moves[:, :6] * points.normals[:, None, :]).sum(axis=2)

@@ -21,7 +21,8 @@ class Signs(NamedTuple):
     """What tells right answers from wrong ones.
 
     Attributes:
-        probability: Of (2 m, 2 deg) under the covariance: how well the photo says the pose, if it is the one.
+        probability: Of (2 m, 2 deg) by the posterior's curvature: how well the photo says the pose, if it is
+            the one and the map is right.
         apart_m: How far the place by the model's lines alone is from that by regions and outlines.
         sharpness: How sharply the photo's edges fall off beside the lines, 0 to 1: whether map and pose are
             exact.

@@ -20,13 +20,12 @@ _REACH_PX = 1.5
 _PAIRS = np.triu_indices(6)
 
 
-def covariance_at(
+def information_at(
     nats: Callable[[Floats], Floats], vector: Floats, evidence: Evidence, around: Surroundings
 ) -> Floats:
-    """Returns the covariance (6, 6) of a mode's error, metres and degrees.
+    """Returns the curvature (6, 6) of the likelihood at a mode: what the photo says if the map is right.
 
-    A quadratic is fitted to the likelihood of poses around the mode. What curves upwards there says nothing:
-    the prior alone holds it.
+    A quadratic is fitted to the likelihood of poses around the mode. What curves upwards there says nothing.
 
     Args:
         nats: (N, 6) poses to the (N,) logarithm of their likelihood.
@@ -35,9 +34,8 @@ def covariance_at(
         around: How the outline moves.
     """
     shape = around.cloud(vector, evidence, _REACH_PX)
-    prior = evidence.prior_information()
     if shape is None:
-        return np.asarray(np.linalg.inv(prior))
+        return np.zeros((6, 6))
     squares, axes = np.linalg.eigh(shape.covariance)
     roots = axes * np.sqrt(np.maximum(squares, 0.0))
     # The same draws for every query: the answer is a function of the mode alone.
@@ -51,8 +49,7 @@ def covariance_at(
     curvature, directions = np.linalg.eigh(-(hessian + hessian.T))
     back = np.linalg.inv(roots)
     seen = back.T @ (directions * np.maximum(curvature, 0.0)) @ directions.T @ back
-    covariance = np.linalg.inv(seen + prior)
-    return np.asarray(0.5 * (covariance + covariance.T))
+    return np.asarray(0.5 * (seen + seen.T))
 
 
 def share_of_best(modes: list[Mode]) -> float:

@@ -1,0 +1,125 @@
+"""How far a map's errors lead answers astray: against least squares on outlines that were moved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lodbench.methods.contour_alignment.outline import OutlinePoints
+from lodbench.methods.region import map_errors
+from lodbench.methods.region.map_errors import covariance_under_map_errors
+
+HEIGHT_M, FOCAL_PX = 150.0, 500.0
+# The prior leaves the place open and holds the tilt.
+PRIOR = np.diag(np.array([30.0, 30.0, 30.0, 0.6, 0.6, 5.0]) ** -2.0)
+DEG = np.pi / 180.0
+
+
+def outline_of(num_buildings, spread_m=50.0, points_each=40):
+    """Returns outlines of square roofs of several heights on a lattice, seen from straight above."""
+    side = int(np.ceil(np.sqrt(num_buildings)))
+    pixels, normals, moves, buildings = [], [], [], []
+    for k in range(num_buildings):
+        middle = (np.array(divmod(k, side)) - (side - 1) / 2) / side * spread_m
+        depth = HEIGHT_M - 5.0 - 4.0 * (k % 4)
+        scale = FOCAL_PX / depth
+        turn = np.linspace(0.0, 2.0 * np.pi, points_each, endpoint=False) + 0.01
+        for out in np.column_stack([np.cos(turn), np.sin(turn)]):
+            x, y = middle + 6.0 * out / np.abs(out).max()
+            u, v = x * scale, y * scale
+            tilts = DEG * np.array([[u * v, FOCAL_PX**2 + v * v], [FOCAL_PX**2 + u * u, u * v]]) / FOCAL_PX
+            shift = [[-scale, 0.0], [0.0, -scale], [-u / depth, -v / depth]]
+            roof = [[u / depth, v / depth], [0.0, 0.0]]
+            moves.append([*shift, *tilts, DEG * np.array([-v, u]), [0.01 * u, 0.01 * v], *roof])
+            pixels.append([u, v])
+            normals.append(np.eye(2)[np.abs(out).argmax()] * np.sign(out[np.abs(out).argmax()]))
+            buildings.append(k)
+    count = len(pixels)
+    return OutlinePoints(
+        np.array(pixels),
+        np.array(normals),
+        np.full(count, 4.0),
+        np.array(moves),
+        np.array(buildings),
+        np.zeros((count, 2)),
+    )
+
+
+def slopes_of(points):
+    return (points.moves * points.normals[:, None, :]).sum(axis=2)
+
+
+def information_of(points, worth):
+    pose = slopes_of(points)[:, :6]
+    return worth * (pose * points.lengths[:, None]).T @ pose
+
+
+def sigmas(points, worth=1.0, prior=PRIOR):
+    covariance = covariance_under_map_errors(information_of(points, worth), prior, points)
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert (np.linalg.eigvalsh(covariance) > 0).all()
+    return np.sqrt(np.diagonal(covariance))
+
+
+def test_it_is_how_answers_scatter_over_maps_that_are_wrong(monkeypatch):
+    """Monte Carlo: buildings stand elsewhere and roofs are higher, and least squares answers."""
+    points, worth = outline_of(9), 2.0
+    for name in ("_TOGETHER_PX", "_OWN_PX", "_PART_M", "_BASE_M"):
+        monkeypatch.setattr(map_errors, name, 1e-6)
+    slopes, generator = slopes_of(points), np.random.default_rng(3)
+    pulls = worth * slopes[:, :6] * points.lengths[:, None]
+    curvature = pulls.T @ slopes[:, :6] + PRIOR
+    errors = []
+    for _ in range(4000):
+        east, north, up = generator.normal(0.0, 1.0, (3, 9)) * [[0.5], [0.5], [0.7]]
+        up = up + 0.35 * generator.normal()
+        b = points.buildings
+        moved = -(slopes[:, 0] * east[b] + slopes[:, 1] * north[b]) + slopes[:, 7] * up[b]
+        # What the photo does not say of its own, and where the prior was drawn.
+        noise = generator.multivariate_normal(np.zeros(6), curvature)
+        errors.append(np.linalg.solve(curvature, pulls.T @ moved + noise))
+    np.testing.assert_allclose(sigmas(points, worth), np.std(errors, axis=0), rtol=0.06)
+
+
+def test_more_buildings_say_more_however_sharp_the_photo():
+    few, many = outline_of(4), outline_of(36)
+    assert (sigmas(many)[:3] < 0.6 * sigmas(few)[:3]).all()
+    # A photo of twice the worth tells little more of few buildings: where they stand is not known.
+    assert (sigmas(few, worth=100.0) > 0.9 * sigmas(few, worth=50.0)).all()
+
+
+def test_an_exact_map_leaves_the_curvature(monkeypatch):
+    points = outline_of(9)
+    for name in ("_PLACE_M", "_ROOF_M", "_PART_M", "_ROOFS_M", "_BASE_M", "_TOGETHER_PX", "_OWN_PX"):
+        monkeypatch.setattr(map_errors, name, 1e-6)
+    plain = np.sqrt(np.diagonal(np.linalg.inv(information_of(points, 1.0) + PRIOR)))
+    np.testing.assert_allclose(sigmas(points), plain, rtol=5e-3)
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_without_outlines_the_prior_is_all_that_is_known(count):
+    points = outline_of(1)
+    few = OutlinePoints(*(getattr(points, name)[:count] for name in OutlinePoints.__dataclass_fields__))
+    np.testing.assert_allclose(
+        covariance_under_map_errors(np.zeros((6, 6)), PRIOR, few), np.linalg.inv(PRIOR)
+    )
+
+
+def test_a_photo_that_says_nothing_leaves_the_prior():
+    points = outline_of(4)
+    found = covariance_under_map_errors(np.zeros((6, 6)), PRIOR, points)
+    np.testing.assert_allclose(found, np.linalg.inv(PRIOR))
+
+
+def test_long_outlines_are_thinned_without_changing_what_they_say():
+    dense, thin = outline_of(9, points_each=200), outline_of(9, points_each=50)
+    information = information_of(dense, 1.0)
+    whole = np.sqrt(np.diagonal(covariance_under_map_errors(information, PRIOR, dense)))
+    longer = OutlinePoints(
+        *(
+            getattr(thin, name) * (4.0 if name == "lengths" else 1)
+            for name in OutlinePoints.__dataclass_fields__
+        )
+    )
+    part = np.sqrt(np.diagonal(covariance_under_map_errors(information, PRIOR, longer)))
+    np.testing.assert_allclose(whole, part, rtol=0.05)
