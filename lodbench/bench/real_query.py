@@ -140,7 +140,7 @@ def _tried(
     wall, cpu = time.perf_counter(), time.process_time()
     pose: Pose | None = None
     # No answer is an answer that nobody will trust.
-    answer: dict[str, Any] = {"score": 0.0, "probability": 0.0, "failure": ""}
+    answer: dict[str, Any] = {"score": 0.0, "probability": 0.0, "surprise": math.nan, "failure": ""}
     try:
         estimate = localize_query(method, query, city_map, streams)
     except QueryFault as fault:
@@ -149,6 +149,9 @@ def _tried(
         pose = estimate.pose
         probability = math.nan if estimate.probability is None else estimate.probability
         answer |= {"score": float(estimate.score), "probability": probability}
+        if estimate.covariance is not None:
+            missed = pose.center - truth.center
+            answer["surprise"] = float(missed @ np.linalg.solve(estimate.covariance[:3, :3], missed))
     seconds = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
     errors = (*pose_error(query.prior, truth), *(FAILED if pose is None else pose_error(pose, truth)))
     starts, ends = query.prior.center, np.full(3, np.nan) if pose is None else pose.center

@@ -25,6 +25,8 @@ LIMITS = (Threshold(2, 1), Threshold(2, 2), Threshold(3, 3), Threshold(5, 5))
 # A right answer, and the share of them that a threshold on the probability lets through.
 _RIGHT = Threshold(2, 2)
 _KEPT = 0.9
+# The squared length, in standard deviations, that 95 % of Gaussian errors in three directions stay below.
+_HELD, _SURPRISE = 0.95, 7.8147
 
 
 def report_real(trials: pd.DataFrame, title: str) -> Report:
@@ -35,8 +37,9 @@ def report_real(trials: pd.DataFrame, title: str) -> Report:
             one, or ``published``), ``prior_translation_error_m``, ``prior_rotation_error_deg``,
             ``translation_error_m``, ``rotation_error_deg`` (infinite without an answer), ``prior_east_m``,
             ``prior_north_m``, ``east_m``, ``north_m`` (less the truth's), ``score``, ``probability`` (of
-            being within 2 m and 2 degrees; NaN where the method says none), ``seconds``, ``cpu_seconds``,
-            ``failure``.
+            being within 2 m and 2 degrees; NaN where the method says none), ``surprise`` (squared error of
+            the place in standard deviations, by the covariance that was said; NaN where none was),
+            ``seconds``, ``cpu_seconds``, ``failure``.
         title: Data and protocol in words.
     """
     by_method = {str(name): rows for name, rows in trials.groupby("method", sort=False)}
@@ -61,6 +64,16 @@ def flagged(trials: pd.DataFrame) -> float | None:
     return float(np.mean(probability[~right] < np.quantile(probability[right], 1.0 - _KEPT)))
 
 
+def held(trials: pd.DataFrame) -> NDArray[np.bool_] | None:
+    """Returns (N,) which places lie in the ellipsoid said to hold 95 % of them; None where none is said.
+
+    Answers without a covariance are left out.
+    """
+    surprise = trials["surprise"].to_numpy(np.float64)
+    said = surprise[~np.isnan(surprise)]
+    return np.asarray(said < _SURPRISE) if len(said) else None
+
+
 def _figures(name: str, rows: pd.DataFrame) -> Iterator[Figure]:
     for limit in LIMITS:
         yield Figure(f"{name}: recall {limit.label}", 100.0 * float(found(rows, limit).mean()), "%")
@@ -70,18 +83,20 @@ def _figures(name: str, rows: pd.DataFrame) -> Iterator[Figure]:
     yield Figure(f"{name}: priors", float(len(rows)), "")
     yield Figure(f"{name}: seconds", float(middle["seconds"]), "s")
     yield Figure(f"{name}: CPU seconds", float(middle["cpu_seconds"]), "s")
-    share = flagged(rows)
+    inside, share = held(rows), flagged(rows)
+    if inside is not None:
+        yield Figure(f"{name}: places within the said {100 * _HELD:g} %", 100.0 * float(inside.mean()), "%")
     if share is not None:
         yield Figure(f"{name}: wrong answers flagged, 90 % of right kept", 100.0 * share, "%")
 
 
 def _summary(by_method: dict[str, pd.DataFrame]) -> str:
     head = [f"{limit.translation_m:g} m, {limit.rotation_deg:g} deg" for limit in LIMITS]
-    cells = [["method", *head, "95 % at 2 m, 2 deg", "median", "s", "CPU s", "wrong flagged"]]
+    cells = [["method", *head, "95 % at 2 m, 2 deg", "median", "s", "CPU s", "in said 95 %", "wrong flagged"]]
     for name, rows in by_method.items():
         middle = rows[[*ERROR, "seconds", "cpu_seconds"]].median()
         low, high = wilson_interval(found(rows, _RIGHT))
-        share = flagged(rows)
+        inside, share = held(rows), flagged(rows)
         cells.append(
             [
                 name,
@@ -90,6 +105,7 @@ def _summary(by_method: dict[str, pd.DataFrame]) -> str:
                 f"{middle[ERROR[0]]:.2f} m, {middle[ERROR[1]]:.2f} deg",
                 f"{middle['seconds']:.2f}",
                 f"{middle['cpu_seconds']:.2f}",
+                "-" if inside is None else f"{100 * inside.mean():.0f} %",
                 "-" if share is None else f"{100 * share:.0f} %",
             ]
         )

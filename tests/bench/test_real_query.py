@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lodbench.bench.real_report import flagged, found, report_real
+from lodbench.bench.real_report import flagged, found, held, report_real
 from lodbench.cli.bench import main
 from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.recall import Threshold
@@ -25,6 +25,7 @@ def trials(*ends):
         "score": 0.1,
         "seconds": 1.0,
         "cpu_seconds": 1.0,
+        "surprise": math.nan,
         "failure": "",
     }
     common |= {"prior_translation_error_m": 20.0, "prior_rotation_error_deg": 3.0}
@@ -39,6 +40,18 @@ class TestTheReport:
         assert flagged(trials(*right, *wrong)) == 0.75
         assert flagged(trials(*right)) is None
         assert flagged(trials(*right, (9.0, 0.1, math.nan))) is None
+
+    def test_places_are_held_by_what_was_said_of_them(self):
+        ends = trials(*[(1.0, 0.1, 0.5)] * 4)
+        assert held(ends) is None
+        assert "places within" not in str(report_real(ends, "data").figures)
+        # Squared standard deviations in three directions: 95 % stay below 7.81; one answer said nothing.
+        said = ends.assign(surprise=[0.5, 7.8, 7.9, math.nan])
+        assert held(said).tolist() == [True, True, False]
+        report = report_real(said, "data")
+        figures = {f.figure: f.value for f in report.figures}
+        assert figures["m: places within the said 95 %"] == pytest.approx(200 / 3)
+        assert "67 %" in report.text
 
     def test_limits_are_strict_and_failures_count(self):
         ends = trials((1.9, 0.1, 0.5), (2.0, 0.1, 0.5), (1.0, 1.5, 0.5), (math.inf, 180.0, 0.0))
