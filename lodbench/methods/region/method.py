@@ -88,10 +88,11 @@ class Region:
                 vector, nats = lines.vector, lines.nats
         information = information_at(nats, vector, final, around)
         prior, outline = final.prior_information(), around.outline(vector, final)
+        if_map_is_right: Floats = np.asarray(np.linalg.inv(information + prior))
         covariance = covariance_under_map_errors(information, prior, outline)
         offset, half_widths = final.offsets(vector[None])[0], params.half_widths()
         signs = Signs(
-            probability_within(np.linalg.inv(information + prior), vector),
+            probability_within(if_map_is_right, vector),
             apart_m,
             sharpness,
             float(judge.fits(vector[None])[0]),
