@@ -43,17 +43,25 @@ def case(tmp_path_factory, shared_data) -> Case:
     return case
 
 
-def run(capsys, *words) -> tuple[int, str, str]:
-    code = main([str(word) for word in words])
+def run(capsys, command: str, *words) -> tuple[int, str, str]:
+    code = main([*command.split(), *map(str, words)])
     told = capsys.readouterr()
     return code, told.out, told.err
 
 
 def init(capsys, case: Case, root: Path, *words) -> str:
     code, out, err = run(
-        capsys, "dataset", "init", root, "--images", case.photo.parent, "--city", case.city, "--masks",
-        case.mask.parent, *words,
-    )  # fmt: skip
+        capsys,
+        "dataset init",
+        root,
+        "--images",
+        case.photo.parent,
+        "--city",
+        case.city,
+        "--masks",
+        case.mask.parent,
+        *words,
+    )
     assert code == 0, err
     return out
 
@@ -72,9 +80,13 @@ class TestFromPhotos:
         assert any("no truth" in note for note in dataset.notes)
         # The dataset runs: without a truth there is a pose, and nothing is scored.
         code, told, err = run(
-            capsys, "run", "dataset=folder", f"dataset.root={tmp_path / 'town'}",
-            f"dataset.city_model={case.city}", f"paths.runs={tmp_path / 'runs'}",
-        )  # fmt: skip
+            capsys,
+            "run",
+            "dataset=folder",
+            f"dataset.root={tmp_path / 'town'}",
+            f"dataset.city_model={case.city}",
+            f"paths.runs={tmp_path / 'runs'}",
+        )
         assert code == 0, err
         assert "no true pose to compare with" not in told
         (folder,) = (tmp_path / "runs/folder/lodlocv2").iterdir()
@@ -99,9 +111,14 @@ class TestFromPhotos:
     def test_true_tilt_needs_a_truth(self, capsys, tmp_path, case):
         init(capsys, case, tmp_path / "town")
         code, _, err = run(
-            capsys, "run", "dataset=folder", f"dataset.root={tmp_path / 'town'}", "tilt=truth",
-            f"dataset.city_model={case.city}", f"paths.runs={tmp_path / 'runs'}",
-        )  # fmt: skip
+            capsys,
+            "run",
+            "dataset=folder",
+            f"dataset.root={tmp_path / 'town'}",
+            "tilt=truth",
+            f"dataset.city_model={case.city}",
+            f"paths.runs={tmp_path / 'runs'}",
+        )
         assert code == 2
         assert "tilt=truth" in err
 
@@ -159,8 +176,7 @@ class TestFromPhotos:
         words = [str(tmp_path / "empty") if word == "EMPTY" else word for word in words]
         code, _, err = run(
             capsys,
-            "dataset",
-            "init",
+            "dataset init",
             tmp_path / "town",
             "--images",
             case.photo.parent,
@@ -183,7 +199,7 @@ class TestFromPhotos:
 
     def test_without_masks_the_next_command_needs_none(self, capsys, tmp_path, case):
         code, out, err = run(
-            capsys, "dataset", "init", tmp_path / "town", "--images", case.photo.parent, "--city", case.city
+            capsys, "dataset init", tmp_path / "town", "--images", case.photo.parent, "--city", case.city
         )
         assert code == 0, err
         assert out.splitlines()[-1].endswith(" method=region")
@@ -192,7 +208,7 @@ class TestFromPhotos:
         (tmp_path / "town").mkdir()
         (tmp_path / "town" / "mine.txt").write_text("mine")
         code, _, err = run(
-            capsys, "dataset", "init", tmp_path / "town", "--images", case.photo.parent, "--city", case.city
+            capsys, "dataset init", tmp_path / "town", "--images", case.photo.parent, "--city", case.city
         )
         assert code == 2
         assert "there already" in err
@@ -202,14 +218,7 @@ class TestFromPhotos:
         for folder in ("a", "b"):
             shutil.copytree(case.photo.parent, tmp_path / "flights" / folder)
         code, _, err = run(
-            capsys,
-            "dataset",
-            "init",
-            tmp_path / "town",
-            "--images",
-            tmp_path / "flights",
-            "--city",
-            case.city,
+            capsys, "dataset init", tmp_path / "town", "--images", tmp_path / "flights", "--city", case.city
         )
         assert code == 2
         assert "2 images are called DJI_0001.JPG" in err
@@ -243,9 +252,16 @@ class TestFromColmap:
             [FoundPose("DJI_0001.JPG", "", case.truth.shifted([-280000, 0, 0]), LENS)], tmp_path / "s"
         )
         code, _, err = run(
-            capsys, "dataset", "init", tmp_path / "town", "--images", case.photo.parent, "--city", case.city,
-            "--colmap", tmp_path / "s",
-        )  # fmt: skip
+            capsys,
+            "dataset init",
+            tmp_path / "town",
+            "--images",
+            case.photo.parent,
+            "--city",
+            case.city,
+            "--colmap",
+            tmp_path / "s",
+        )
         assert code == 2
         assert "--offset" in err
 
@@ -267,8 +283,7 @@ class TestImport:
         words = ["--cameras", tmp_path / "cameras.txt"] if name in ("tum", "visuallocalization") else []
         code, out, err = run(
             capsys,
-            "dataset",
-            "import",
+            "dataset import",
             name,
             tmp_path / file,
             tmp_path / "town",
@@ -296,7 +311,7 @@ class TestImport:
         photos.mkdir()
         write_photo(photos / "0.jpg", np.zeros((HEIGHT, WIDTH), np.uint8))
         code, out, err = run(
-            capsys, "dataset", "import", "kapture", tmp_path / "k", tmp_path / "t", "--images", photos
+            capsys, "dataset import kapture", tmp_path / "k", tmp_path / "t", "--images", photos
         )
         assert code == 0, err
         assert "left out: 1.jpg: no such photo" in out
@@ -309,9 +324,7 @@ class TestImport:
             write_colmap([FoundPose(name, "", case.truth, LENS)], tmp_path / "m")
             code, _, err = run(
                 capsys,
-                "dataset",
-                "import",
-                "colmap",
+                "dataset import colmap",
                 tmp_path / "m",
                 tmp_path / "t",
                 "--images",
@@ -325,14 +338,7 @@ class TestImport:
         (tmp_path / "photos").mkdir()
         write_photo(tmp_path / "photos" / "0.jpg", np.zeros((20, 30), np.uint8))
         code, _, err = run(
-            capsys,
-            "dataset",
-            "import",
-            "colmap",
-            tmp_path / "m",
-            tmp_path / "t",
-            "--images",
-            tmp_path / "photos",
+            capsys, "dataset import colmap", tmp_path / "m", tmp_path / "t", "--images", tmp_path / "photos"
         )
         assert code == 2
         assert "30 x 20" in err

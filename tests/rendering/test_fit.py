@@ -7,29 +7,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from hostile_scenes import box, scene_of
+from mask_blobs import blobs, packed
 
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
 from lodbench.rendering import BoundaryFit, IouFit, SoftIouFit, make_renderer
-from lodbench.rendering.bits import pack_mask
 
 SIZES = [(1, 1), (1, 9), (63, 5), (64, 7), (65, 1), (127, 30), (128, 12), (150, 41)]
-
-
-def blobs(rng, width, height, count):
-    """Returns masks of a few boxes each, some empty, some full."""
-    masks = np.zeros((count, height, width), dtype=bool)
-    for n in range(count):
-        for _ in range(n % 4):
-            left, right = np.sort(rng.integers(0, width + 1, 2))
-            top, bottom = np.sort(rng.integers(0, height + 1, 2))
-            masks[n, top:bottom, left:right] ^= True
-    masks[-1] = True
-    return masks
-
-
-def packed(masks):
-    return np.stack([pack_mask(mask) for mask in masks])
 
 
 def outline(mask):

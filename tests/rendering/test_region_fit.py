@@ -9,28 +9,13 @@ import pytest
 from hostile_scenes import box, scene_of
 from hypothesis import given
 from hypothesis import strategies as st
+from mask_blobs import blobs, packed
 
 from lodbench.errors import RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose, rotations_at_yaws
 from lodbench.rendering import ContourFit, RegionFit, appearance_bins, edge_bins, make_renderer
-from lodbench.rendering.bits import pack_mask
 
 SIZES = [(1, 1), (1, 9), (63, 5), (64, 7), (65, 1), (127, 30), (150, 41)]
-
-
-def blobs(rng, width, height, count):
-    masks = np.zeros((count, height, width), dtype=bool)
-    for n in range(count):
-        for _ in range(n % 4):
-            left, right = np.sort(rng.integers(0, width + 1, 2))
-            top, bottom = np.sort(rng.integers(0, height + 1, 2))
-            masks[n, top:bottom, left:right] ^= True
-    masks[-1] = True
-    return masks
-
-
-def packed(masks):
-    return np.stack([pack_mask(mask) for mask in masks])
 
 
 def sequential_code_length(values, num_bins):

@@ -107,3 +107,14 @@ def ring_walls(size: int, rings: int = 2) -> Triangles:
     k = np.arange(size * (rings - 1))
     ahead = k - k % size + (k + 1) % size
     return np.concatenate([np.stack([k, ahead, ahead + size], 1), np.stack([k, ahead + size, k + size], 1)])
+
+
+def grid_triangles(rows: int, columns: int) -> Triangles:
+    """Returns the triangles of a grid of points, which face up where rows go north and columns east."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+# Between two rings of four points, the second above the first, and over the second.
+BLOCK_FACES = np.concatenate([ring_walls(4), [[4, 5, 6], [4, 6, 7]]])

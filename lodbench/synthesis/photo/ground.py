@@ -21,6 +21,8 @@ _GROUND, _GRASS, _FIELD = int(SurfaceClass.GROUND), int(SurfaceClass.GRASS), int
 _ROAD, _MARKING = int(SurfaceClass.ROAD), int(SurfaceClass.MARKING)
 _PAVEMENT, _WATER = int(SurfaceClass.PAVEMENT), int(SurfaceClass.WATER)
 
+_OWN = (-1.0, -1.0, -1.0)  # no tint
+
 _FIELD_M = 90.0  # size of a farmer's field
 _SLAB_M = 0.5  # paving slabs
 _KERB_M = 0.2
@@ -59,14 +61,12 @@ def no_land_cover() -> LandCover:
 
 
 @per_pixel
-def ground_colour(kind, red, green, blue, x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def ground_colour(kind, tint, x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the linear RGB of a ground surface at a point, and the share of sky it mirrors.
 
     Args:
         kind: ``SurfaceClass``, or ``LAND_COVER`` to look it up.
-        red: Linear base colour; negative for the class's own.
-        green: Likewise.
-        blue: Likewise.
+        tint: (3,) linear base colour; a negative red for the class's own.
         x: East, local metres.
         y: North.
         pixel_m: Size of a pixel there.
@@ -75,33 +75,33 @@ def ground_colour(kind, red, green, blue, x, y, pixel_m, look, cover):  # type: 
     """
     if kind > _LAST:
         return _covered_colour(x, y, pixel_m, look, cover)
-    return _cover(kind, red, green, blue, x, y, pixel_m, look)
+    return _cover(kind, tint, x, y, pixel_m, look)
 
 
 @per_pixel
-def _cover(kind, red, green, blue, x, y, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _cover(kind, tint, x, y, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     seed, texture = look.seed, look.texture
     broad = 0.6 * grain(x, y, 23.0, pixel_m, seed) + 0.4 * grain(x, y, 6.1, pixel_m, seed + 1)
     fine = 0.6 * grain(x, y, 1.1, pixel_m, seed + 2) + 0.4 * grain(x, y, 0.3, pixel_m, seed + 3)
     if kind == _WATER:
-        base = (red, green, blue) if red >= 0.0 else (0.018, 0.045, 0.045)
+        base = tint if tint[0] >= 0.0 else (0.018, 0.045, 0.045)
         ripple = grain(x, y, 1.7, pixel_m, seed + 4) + grain(x + 0.3 * y, y, 0.5, pixel_m, seed + 5)
         return scaled(base, 1.0 + 0.2 * texture * (ripple + broad)), 0.25 + 0.06 * ripple
     if kind == _GRASS or kind == _FIELD:
-        return _plants(kind, red, green, blue, x, y, broad, fine, pixel_m, look), 0.0
+        return _plants(kind, tint, x, y, broad, fine, pixel_m, look), 0.0
     if kind == _ROAD:
-        base = (red, green, blue) if red >= 0.0 else _asphalt(look)
+        base = tint if tint[0] >= 0.0 else _asphalt(look)
         worn = 0.10 * fine + 0.16 * look.dirt * broad
         return scaled(base, 1.0 + texture * worn), 0.02
     if kind == _MARKING:
-        base = (red, green, blue) if red >= 0.0 else (0.62, 0.62, 0.6)
+        base = tint if tint[0] >= 0.0 else (0.62, 0.62, 0.6)
         return scaled(base, 1.0 - 0.35 * look.dirt * (0.5 + 0.5 * fine)), 0.0
     if kind == _PAVEMENT:
-        base = (red, green, blue) if red >= 0.0 else (0.24, 0.23, 0.215)
+        base = tint if tint[0] >= 0.0 else (0.24, 0.23, 0.215)
         joint = stripe(x / _SLAB_M % 1.0, 0.06, 0.94, 0.1) * stripe(y / _SLAB_M % 1.0, 0.06, 0.94, 0.1)
         slabs = 1.0 - 0.18 * (1.0 - joint) * detail(_SLAB_M, 2.0 * pixel_m)
         return scaled(base, slabs * (1.0 + texture * (0.06 * fine + 0.14 * look.dirt * broad))), 0.0
-    base = (red, green, blue) if red >= 0.0 else (0.20, 0.155, 0.10)
+    base = tint if tint[0] >= 0.0 else (0.20, 0.155, 0.10)
     return scaled(base, 1.0 + texture * (0.22 * fine + 0.2 * broad)), 0.0
 
 
@@ -112,10 +112,10 @@ def _asphalt(look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
 
 
 @per_pixel
-def _plants(kind, red, green, blue, x, y, broad, fine, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _plants(kind, tint, x, y, broad, fine, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of lawns and fields: green to straw, in patches; fields in rows."""
     seed, texture = look.seed, look.texture
-    lush = (red, green, blue) if red >= 0.0 else (0.055, 0.095, 0.028)
+    lush = tint if tint[0] >= 0.0 else (0.055, 0.095, 0.028)
     dry = min(1.0, max(0.0, look.dryness + 0.3 * broad))
     colour = mix(lush, (0.21, 0.175, 0.085), dry)
     if kind == _FIELD:
@@ -149,11 +149,11 @@ def _covered_colour(x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]
     verge = half if kind == _FIELD else half + cover.pavement_m
     blur = 0.5 * pixel_m
     if kind == _WATER or away > verge + blur:
-        return _cover(kind, -1.0, -1.0, -1.0, x, y, pixel_m, look)
+        return _cover(kind, _OWN, x, y, pixel_m, look)
     # From the middle of the road outward; two are mixed only where a pixel shows both.
     colour, mirrored = (0.0, 0.0, 0.0), 0.0
     if away < half + blur:
-        colour, mirrored = _cover(np.int64(_ROAD), -1.0, -1.0, -1.0, x, y, pixel_m, look)
+        colour, mirrored = _cover(np.int64(_ROAD), _OWN, x, y, pixel_m, look)
         dash = stripe(along / _DASH_M % 1.0, 0.25, 0.75, pixel_m / _DASH_M)
         line = 2.0 * stripe(away, 0.0, 0.5 * _LINE_M, pixel_m) * dash * (half > 2.4)
         edge = stripe(away, half - 0.35, half - 0.35 + _LINE_M, pixel_m) * (half > 3.2)
@@ -161,7 +161,7 @@ def _covered_colour(x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]
         colour = mix(colour, (0.6, 0.6, 0.58), min(1.0, line + edge) * worn)
     if away > half - blur:
         outer = kind if away > verge - blur or kind == _FIELD else np.int64(_PAVEMENT)
-        beside, _ = _cover(outer, -1.0, -1.0, -1.0, x, y, pixel_m, look)
+        beside, _ = _cover(outer, _OWN, x, y, pixel_m, look)
         if kind != _FIELD:
             beside = mix(beside, (0.34, 0.335, 0.32), 0.6 * stripe(away, half, half + _KERB_M, pixel_m))
         colour = mix(beside, colour, stripe(away, -1.0, half, pixel_m))

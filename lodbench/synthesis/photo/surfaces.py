@@ -55,8 +55,9 @@ def palettes() -> Palettes:
 
 
 @per_pixel
-def _base_colour(table, red, green, blue, number, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _base_colour(table, tint, number, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns an object's colour: its own or one of a table's, a little off."""
+    red, green, blue = tint
     if red < 0.0 or unit_hash(number, look.seed, 2) < look.repaint:
         pick = np.int64(unit_hash(number, look.seed, 3) * table.shape[0])
         red, green, blue = table[pick, 0], table[pick, 1], table[pick, 2]
@@ -183,12 +184,11 @@ def _flat_roof(colour, number, x, y, pixel_m, look):  # type: ignore[no-untyped-
 
 
 @per_pixel
-def _leaves(red, green, blue, number, x, y, z, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _leaves(tint, number, x, y, z, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of leaves, dark in the gaps between them."""
-    if red < 0.0:
-        red, green, blue = 0.035, 0.062, 0.018
+    green = tint if tint[0] >= 0.0 else (0.035, 0.062, 0.018)
     hue = unit_hash(number, look.seed, 51)
-    colour = mix((red, green, blue), (0.13, 0.105, 0.03), 0.5 * look.dryness * hue)
+    colour = mix(green, (0.13, 0.105, 0.03), 0.5 * look.dryness * hue)
     colour = scaled(colour, 0.7 + 0.6 * unit_hash(number, look.seed, 52))
     clump = grain(x + 0.7 * z, y - 0.7 * z, 1.1, pixel_m, number)
     leaf = grain(x - 0.6 * z, y + 0.6 * z, 0.4, pixel_m, number + 1)
@@ -213,25 +213,23 @@ def surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, cover, tables
     """
     kind, number = np.int64(skin.surface[triangle]), np.int64(skin.number[triangle])
     red, green, blue = skin.tint[triangle, 0], skin.tint[triangle, 1], skin.tint[triangle, 2]
-    red, green, blue = np.float64(red), np.float64(green), np.float64(blue)
+    tint = (np.float64(red), np.float64(green), np.float64(blue))
     if kind < _WALL or kind > 200:
-        return ground_colour(kind, red, green, blue, x, y, pixel_m, look, cover)
+        return ground_colour(kind, tint, x, y, pixel_m, look, cover)
     if kind == _WALL:
-        colour = _base_colour(tables.walls, red, green, blue, number, look)
+        colour = _base_colour(tables.walls, tint, number, look)
         return _facade(colour, skin.place, triangle, number, x, y, z, pixel_m, look)
     if kind == _TILE:
-        colour = _base_colour(tables.tiles, red, green, blue, number, look)
+        colour = _base_colour(tables.tiles, tint, number, look)
         return _pitched(colour, number, x, y, z, normal, pixel_m, look)
     if kind == _FLAT:
-        return _flat_roof(
-            _base_colour(tables.flats, red, green, blue, number, look), number, x, y, pixel_m, look
-        )
+        return _flat_roof(_base_colour(tables.flats, tint, number, look), number, x, y, pixel_m, look)
     if kind == _FOLIAGE or kind == _FENCE:
-        return _leaves(red, green, blue, number, x, y, z, pixel_m, look), 0.0
+        return _leaves(tint, number, x, y, z, pixel_m, look), 0.0
     if kind == _WINDOW or kind == _GLASS:
         i, j = np.int64(np.floor(0.7 * (x + y))), np.int64(np.floor(z / 1.5))
         return _glass(number, i, j, look), 0.3
     if kind == _BODY:
-        return _base_colour(tables.paints, red, green, blue, number, look), 0.12
-    colour = _base_colour(tables.walls, red, green, blue, number, look)
+        return _base_colour(tables.paints, tint, number, look), 0.12
+    colour = _base_colour(tables.walls, tint, number, look)
     return scaled(colour, 1.0 + 0.1 * look.texture * value_noise(2.0 * (x + y), 2.0 * z, number)), 0.0

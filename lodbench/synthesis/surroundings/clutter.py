@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.synthesis.objects.cars import add_cars
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder, ring_walls
+from lodbench.synthesis.objects.mesh_builder import BLOCK_FACES, MeshBuilder, grid_triangles, ring_walls
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.photo import LandCover
 from lodbench.synthesis.surroundings.ground import Ground
@@ -74,8 +74,7 @@ def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, t
     level = spot.ground.at(foot)
     low = np.column_stack([foot, level - 0.2])
     high = np.column_stack([spot.places(ridge[:, :2]), level.mean() + ridge[:, 2]])
-    faces = np.concatenate([ring_walls(4), [[4, 5, 6], [4, 6, 7]]])
-    builder.add(SurfaceClass.CLUTTER, np.concatenate([low, high]), faces, tint)
+    builder.add(SurfaceClass.CLUTTER, np.concatenate([low, high]), BLOCK_FACES, tint)
 
 
 def _rectangle(length: float, width: float, x: float = 0.0, y: float = 0.0) -> Floats:
@@ -134,10 +133,8 @@ def _patch(
     steps = [np.linspace(-0.5, 0.5, max(2, int(side / _MESH_M) + 1)) * side for side in size]
     x, y = np.meshgrid(*steps)
     places = spot.places(np.stack([x.ravel(), y.ravel()], axis=1) + at)
-    index = np.arange(x.size).reshape(x.shape)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    builder.add(surface, np.column_stack([places, spot.ground.at(places) + above_m]), triangles, tint)
+    points = np.column_stack([places, spot.ground.at(places) + above_m])
+    builder.add(surface, points, grid_triangles(*x.shape), tint)
 
 
 def _yard(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:

@@ -13,6 +13,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.terrain import ground_under
 from lodbench.errors import DatasetError
+from lodbench.synthesis.objects.mesh_builder import grid_triangles
 from lodbench.synthesis.surroundings.land_cover import MARGIN_M, TopView
 
 Floats = NDArray[np.float64]
@@ -57,8 +58,6 @@ class Ground:
         rows, columns = self.heights_m.shape
         grid = np.column_stack([self.places, self.heights_m.ravel()])
         index = np.arange(rows * columns).reshape(rows, columns)
-        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-        inner = np.concatenate([np.dstack([a, b, c]).reshape(-1, 3), np.dstack([a, c, d]).reshape(-1, 3)])
         rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
         middle = grid[:, :2].mean(axis=0)
         out = grid[rim].copy()
@@ -66,7 +65,7 @@ class Ground:
         far = len(grid) + np.arange(len(rim))
         after, far_after = np.roll(rim, -1), np.roll(far, -1)
         skirt = [np.stack([rim, far, far_after], axis=1), np.stack([rim, far_after, after], axis=1)]
-        return np.concatenate([grid, out]), np.concatenate([inner, *skirt])
+        return np.concatenate([grid, out]), np.concatenate([grid_triangles(rows, columns), *skirt])
 
 
 def ground_from_bases(view: TopView) -> Ground:

@@ -74,14 +74,13 @@ class _Painter:
     """The town then, ready to be painted tile by tile."""
 
     def __init__(self, town: Town, scene: Scene) -> None:
-        then = town_then(town)
-        props = then.props.in_frame(scene.origin)
+        then, self.polygon = town_then(town)
+        props = then.in_frame(scene.origin)
         self.corners = props.vertices[props.triangles].astype(np.float64)
-        self.polygon = then.polygon
         self.is_ground = np.isin(props.surface, _GROUND)
         self.look, self.response = survey_look(town.seed)
         self.skin, self.palettes = make_skin(props), palettes()
-        self.middle = (then.props.origin - scene.origin)[:2]
+        self.middle = (then.origin - scene.origin)[:2]
         place = (self.corners.mean(axis=1)[:, :2] - self.middle) / _TILE_M + _TILES / 2
         self.tile_of = np.floor(place).astype(np.int64)
         self.in_town = ((self.tile_of >= 0) & (self.tile_of < _TILES)).all(axis=1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,21 +34,13 @@ _DAY = LookRanges(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TownThen:
-    """The town at the time of the survey.
+def town_then(town: Town) -> tuple[SceneProps, NDArray[np.int64]]:
+    """Returns the town as it was: houses since pulled down stand, new ones do not, raised ones are lower.
 
-    Attributes:
-        props: All that stood, in the frame of ``ORIGIN_M``; no cars, which do not stay.
-        polygon: (T,) planar polygon of each triangle of ``props``; -1 for what is no building's.
+    Returns:
+        All that stood, in the frame of ``ORIGIN_M``, without cars, which do not stay; and (T,) the planar
+        polygon of each triangle, -1 for what is no building's.
     """
-
-    props: SceneProps
-    polygon: NDArray[np.int64]
-
-
-def town_then(town: Town) -> TownThen:
-    """Returns the town as it was: houses since pulled down stand, new ones do not, raised ones are lower."""
     now = {building.identifier: number for number, building in enumerate(town.standing)}
     builder = MeshBuilder(len(now))
     # As for the photos, so that what is still there has the same number and with it the same patterns.
@@ -67,7 +57,7 @@ def town_then(town: Town) -> TownThen:
     houses = MeshBuilder(len(now))
     houses.add(found.surface, found.points, found.triangles, tint, numbers[found.building])
     polygon = np.concatenate([found.polygon, np.full(len(land), -1)])
-    return TownThen(_joined(houses.build(ORIGIN_M), land), polygon)
+    return _joined(houses.build(ORIGIN_M), land), polygon
 
 
 def survey_look(seed: int) -> tuple[Look, CameraResponse]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.cars import add_cars
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder, ring_walls
+from lodbench.synthesis.objects.mesh_builder import BLOCK_FACES, MeshBuilder
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.objects.trees import add_trees
 from lodbench.synthesis.town.ground import on_ground
@@ -148,10 +148,8 @@ def _add_hedge(
         return
     low = on_ground(town, ring, 0.0)
     high = low + np.array([0.0, 0.0, chances.uniform(0.9, 1.7)])
-    faces = np.concatenate([ring_walls(4), [[4, 5, 6], [4, 6, 7]]])
-    builder.add(
-        SurfaceClass.FENCE, np.concatenate([low, high]), faces, _HEDGE * float(chances.uniform(0.8, 1.2))
-    )
+    tint = _HEDGE * float(chances.uniform(0.8, 1.2))
+    builder.add(SurfaceClass.FENCE, np.concatenate([low, high]), BLOCK_FACES, tint)
 
 
 def add_traffic(builder: MeshBuilder, town: Town) -> None:
