@@ -11,10 +11,13 @@ room                   what it makes
 ``building_boxes``     where buildings are, and what is clear of them
 ``view_sampling``      seeded drone views that show enough buildings; the check that judges them
 ``camera_paths``       where cameras of training pictures are put
-``mask_degradation``   masks as wrong as a segmentation network's
+``flights``            ``dataset=flights``: flights over any city, with errors of drone and map
+``mask_degradation``   masks as wrong as a network's, by ``mask_error_fields``; of single buildings:
+                       ``instance_degradation``
 ``queries``            made-up queries, and the one way they become a folder
 ``demo``               ``dataset=demo`` and ``demo_train``; what they have on demand is in ``demo_assets``
-``views_dataset``      ``dataset=views``: seeded views of any city; their photos are in ``view_photos``
+``views_dataset``      ``dataset=views``: seeded views of any city; their photos are in ``view_photos``,
+                       what map and camera are wrong about in ``map_and_camera_errors``
 ``training_data``      ``generate-training-data``: settings, plan of views, files, manifest, sheet
 =====================  ===========================================================================
 
@@ -24,8 +27,9 @@ Where something new goes:
   ``town/fittings.py``, halls in ``town/estates.py``, single buildings in ``town/landmarks.py``;
 - a kind of block or landmark: a function in ``town/estates.py`` or ``town/landmarks.py``, chosen in
   ``town/districts.py``;
-- a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py``; settings of its own in
-  ``training_data/params.py`` and ``conf/generate-training-data.yaml``;
+- a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py`` (training pictures) or in
+  ``PATHS`` of ``flights/paths.py`` (flights); settings of its own in ``training_data/params.py`` and
+  ``conf/generate-training-data.yaml``;
 - a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
   field of ``LookRanges`` in ``photo/look.py``, used in ``photo/camera_response.py`` if the sensor makes
   it and in ``photo/surfaces.py`` or ``photo/ground.py`` if the place does;
@@ -33,5 +37,5 @@ Where something new goes:
   or ``town/trees_and_cars.py``;
 - something that networks take for a building and is none: a function and a line in ``CLUTTER`` of
   ``surroundings/clutter.py``; a colour of roofs or walls: the palettes of ``photo/surfaces.py``;
-- an error of masks: a field in ``mask_degradation.py``.
+- an error of masks: a field in ``mask_error_fields.py``, used in ``mask_degradation.py``.
 """
