@@ -22,7 +22,7 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.contour_alignment import ContourAlignment, Params
 from lodbench.methods.contour_alignment.alignment import Aligner, Residuals, _distance, signed_distance
-from lodbench.methods.contour_alignment.likelihood import deal_out
+from lodbench.methods.contour_alignment.likelihood import _weights, deal_out
 from lodbench.methods.contour_alignment.outline import OutlinePoints, edges_in_reach, sample_outline
 from lodbench.methods.contour_alignment.pose_vector import (
     pose_from_vector,
@@ -316,6 +316,35 @@ class TestMethod:
         query = replace(tilted_queries[0], prior=tilted_queries[0].prior.shifted([9000, 0, 0]))
         with pytest.raises(QueryFault, match="far from the city"):
             ContourAlignment(SMALL).localize(query, city_map, STREAMS)
+
+
+class TestWeights:
+    """Points off by as much, outside the mask and inside, seen with outlines of several qualities."""
+
+    @staticmethod
+    def weights(noise_px, params):
+        distances = np.array([-9.0, -3.0, 3.0, 9.0])
+        agreement = np.ones(4)
+        here = Residuals(None, distances, None, agreement, 1.0, 1.0)
+        slopes = np.zeros((4, 10))
+        return _weights(here, slopes, distances, noise_px, TRACKS[0][0][0], params)
+
+    def test_what_a_rough_mask_misses_counts_less_than_what_it_adds(self):
+        far_out, out, within, far_within = self.weights(4.0, Params())
+        assert far_out < out < within
+        assert far_out < 0.5 * far_within
+        np.testing.assert_array_equal(
+            self.weights(4.0, Params(hidden_sigmas=3.0)), [far_within, within, within, far_within]
+        )
+
+    def test_a_fine_mask_misses_as_much_as_it_adds(self):
+        far_out, out, within, far_within = self.weights(1.7, Params())
+        assert (far_out, out) == (far_within, within)
+
+    @given(st.floats(0.5, 5.9))
+    def test_no_outline_changes_its_side_at_once(self, noise_px):
+        one, other = (self.weights(noise_px + more, Params()) for more in (0.0, 1e-6))
+        np.testing.assert_allclose(one, other, rtol=1e-4)
 
 
 class TestDealing:

@@ -29,6 +29,8 @@ _BAND_PX = 90.0
 # The outline's noise is looked for among points nearer than this, and is never less or more than that, px.
 _FAR_PX = 20.0
 _NOISE_PX = (0.5, 6.0)
+# An outline as good as traced by hand hides nothing; one as rough as a network's does.
+_FINE_PX, _ROUGH_PX = 1.75, 2.75
 # Points that agree less with the mask's direction say nothing about its noise.
 _AGREES = 0.3
 # Share of the outline's variance that each point has for itself.
@@ -200,5 +202,8 @@ def _weights(
     """Returns (N,) in (0, 1]: little for points far beyond what the hypothesis expects."""
     expected = max(noise_px, 1.0) ** 2 + (slopes[:, CAMERA] ** 2) * (world.roof_m**2 + world.part_m**2)
     expected += (slopes[:, CAMERA + 1] * world.base_m) ** 2
-    kernel = 1.0 / (1.0 + distances**2 / (params.outlier_sigmas**2 * expected))
+    rough = float(np.clip((noise_px - _FINE_PX) / (_ROUGH_PX - _FINE_PX), 0.0, 1.0))
+    hidden_sigmas = (1.0 - rough) * params.outlier_sigmas + rough * params.hidden_sigmas
+    sigmas = np.where(distances < 0, hidden_sigmas, params.outlier_sigmas)
+    kernel = 1.0 / (1.0 + distances**2 / (sigmas**2 * expected))
     return np.asarray(np.maximum(kernel**2 * np.maximum(here.agreement, 1e-3), _LEAST_WEIGHT))

@@ -25,6 +25,7 @@ _POSITIVE = (
     "correlation_px",
     "outline_px",
     "outlier_sigmas",
+    "hidden_sigmas",
     "roof_part_px",
     "lens_percent",
     "lens_doubt_percent",
@@ -72,6 +73,8 @@ class Params:
         correlation_px: Length of outline that counts as one observation until then, pixels.
         outline_px: Distance over which the errors of a mask's outline go together, pixels of the fine size.
         outlier_sigmas: Scale of the robust kernel in the final steps, in standard deviations of the outline.
+        hidden_sigmas: The same where the map's outline lies outside a rough mask: networks miss parts of
+            buildings, behind trees and in shadows, more often than they take anything else for one.
         roof_m: Standard deviation of each building's height in the map until the final steps, which find it
             from the view, metres; 0 trusts the map.
         roof_part_px: Distance over which a roof's error goes together, pixels of the fine size.
@@ -110,6 +113,7 @@ class Params:
     correlation_px: float = 16.0
     outline_px: float = 40.0
     outlier_sigmas: float = 3.0
+    hidden_sigmas: float = 1.8
     roof_m: float = 2.0
     roof_part_px: float = 60.0
     lens_percent: float = 0.2
