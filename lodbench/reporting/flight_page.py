@@ -123,5 +123,6 @@ def flight_page(
         map=markup(draw_map(spots, vertices, triangles, marked=marked, is_flight=True)),
         constants=constant_rows(constants),
         heights=heights_in_words(constants["height"]) if "height" in constants else "",
+        notes=findings.get("notes", ()),
         map_rows=map_rows(findings),
     )

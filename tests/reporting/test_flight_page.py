@@ -95,3 +95,10 @@ def test_of_many_photos_some_are_pictured_from_first_to_last():
     assert len(chosen) == MAX_PICTURES
     assert (chosen[0], chosen[-1]) == ("0", "999")
     assert chosen_for_pictures(keys[:7]) == keys[:7]
+
+
+def test_what_photos_cannot_tell_is_said():
+    constants = {"pitch": {"value": -0.8, "sigma": 0.1, "unit": "deg", "told": True}}
+    notes = ["focal length and height <cannot> be told apart"]
+    told = page(findings={"constants": constants, "notes": notes})
+    assert "<p>Focal length and height &lt;cannot&gt; be told apart.</p>" in told

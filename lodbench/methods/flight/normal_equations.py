@@ -26,10 +26,11 @@ class NormalEquations:
         self._values: list[Floats] = []
 
     def add(self, unknowns: Rows, curvature: Floats, slope: Floats) -> None:
-        """Adds a dense block, (N, N) and (N,), at N unknowns."""
-        self._rows.append(np.repeat(unknowns, len(unknowns)))
-        self._columns.append(np.tile(unknowns, len(unknowns)))
-        self._values.append(curvature.ravel())
+        """Adds a block, (N, N) and (N,), at N unknowns; what is 0 in it costs nothing later."""
+        rows, columns = np.nonzero(curvature)
+        self._rows.append(unknowns[rows])
+        self._columns.append(unknowns[columns])
+        self._values.append(curvature[rows, columns])
         np.add.at(self._gradient, unknowns, slope)
 
     def add_residuals(self, unknowns: Rows, jacobian: Floats, residuals: Floats, information: Floats) -> None:

@@ -154,15 +154,21 @@ def _terms(
     used = min(subsets, _MOST_SUBSETS if reach_px is None else 1)
     for k in range(used):
         chosen = slice(k * subsets // used, None, subsets)
-        jacobian = np.zeros((len(rows[chosen]), size + 1))
+        # Only of the parts that these points are of: in a dense city that is few of those the photo shows.
+        here, local = np.unique(column[:, chosen], return_inverse=True)
+        local = local.reshape(2, -1)
+        where = np.concatenate([np.arange(6 + LENS), 6 + LENS + here, [size]])
+        jacobian = np.zeros((local.shape[1], len(where)))
         jacobian[:, :6] = seen.slopes[chosen, :6]
         jacobian[:, 6 : 6 + LENS] = seen.slopes[chosen, _LENS]
         lines = np.arange(len(jacobian))
-        jacobian[lines, 6 + LENS + column[0, chosen]] += seen.slopes[chosen, _TOP]
-        jacobian[lines, 6 + LENS + column[1, chosen]] += seen.slopes[chosen, _FOOT]
+        jacobian[lines, 6 + LENS + local[0]] += seen.slopes[chosen, _TOP]
+        jacobian[lines, 6 + LENS + local[1]] += seen.slopes[chosen, _FOOT]
         jacobian[:, -1] = seen.distances[chosen]
         whiten(_covariance(seen, chosen, noise_px, weights[chosen], params, trust[0]), jacobian)
-        add_products(jacobian, 1.0 / (used * trust[1]), products)
+        told = np.zeros((len(where), len(where)))
+        add_products(jacobian, 1.0 / (used * trust[1]), told)
+        products[np.ix_(where, where)] += told
     products += np.triu(products, 1).T
     return PhotoTerms(products[:-1, :-1], products[:-1, -1], parts, iou, noise_px, len(rows))
 
