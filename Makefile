@@ -120,7 +120,9 @@ $(VENV)/.table1: $(VENV)/.base
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[xfeat]'
 	touch $@
 
-$(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
+# By digest first; then what is left, which is torch in the build for this machine, and the checkout itself.
+$(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt requirements-test.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r requirements-test.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,docs,render,vector,download,torch,models,pnp,xfeat,tensorboard,cluster]'
 	rm -rf $(LEFT)
 	touch $@ $(VENV)/.base

@@ -154,6 +154,24 @@ RENDER = _in(
     "out={}/drawn",
     "kind=silhouette",
 )
+# Where the first photo's prior is, as a person would type it.
+ABOUT = (
+    *("--city", "{}/town/city.obj", "--center", "8", "5.5", "126", "--heading", "67", "--pitch", "-70"),
+    *("--camera", "PINHOLE 320 240 230 228 161 118.5"),
+)
+PHOTO, MASK = "{}/town/data/Query_image/view_00.png", "{}/town/data/masks/view_00.png"
+TRACK = _in(
+    "track",
+    "{}/town/data/Query_image",
+    "--masks",
+    "{}/town/data/masks",
+    *ABOUT,
+    "--every",
+    "2",
+    "--out",
+    "{}/track",
+)
+EXPORTS = [word for kind in ("labelme", "coco", "geojson") for word in ("--export", kind)]
 
 COMMANDS = [
     Command("run", _run),
@@ -173,10 +191,22 @@ COMMANDS = [
     ),
     *(
         Command(f"city convert to {name}", _convert(name))
-        for name in ("scene", "obj", "ply", "glb", "city.json")
+        for name in ("scene", "obj", "ply", "glb", "city.json", "gml")
     ),
     Command("city convert over a scene", _convert("scene"), (_convert("scene"),)),
     Command("render", RENDER),
+    Command("track", TRACK),
+    Command("mask", _in("mask", PHOTO, "--mask", MASK, "--no-page", "--out", "{}/mask.png", *EXPORTS)),
+    Command(
+        "run, a method that prepares", lambda f: ["run", *_data(f), "method=mcloc", "executor.threads=1"]
+    ),
+    Command("compare, a page", _of_run("compare", "RUN", "--format", "html", "--out", "{}/c.html"), (_run,)),
+    Command("compare, a picture", _of_run("compare", "RUN", "--budget", "{}/budget"), (_run,)),
+    Command(
+        "city check",
+        _in("city", "check", "{}/town/city.obj", "--crs", "EPSG:25832", "--geojson", "{}/f.geojson"),
+    ),
+    Command("dataset card", _in("dataset", "card", "demo", "--out", "{}/cards")),
     # The seal in dataset.json is of the cache's key.
     Command("dataset import", IMPORT, timed=("dataset.json",), is_once=True),
     Command(
