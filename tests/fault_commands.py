@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +11,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tests.town import write_dataset
+from lodbench.datasets.exchange.colmap import write_colmap
+from lodbench.datasets.exchange.posed import FoundPose
+from tests.datasets.dji_photo import exif_of, write_photo, xmp_packet
+from tests.flight import stated
+from tests.town import CAMERA, true_poses, write_dataset
 
 # What differs from one undisturbed run to the next: times, machine facts, and a key drawn once per cache.
 TIMED = {"timings.csv", "provenance.json", "predictions.jsonl", "own_runs.key", "multirun.yaml"}
 SECONDS = re.compile(rb'("(?:[a-z_]*seconds[a-z_]*|[a-z_]+_s)": )[-+.\de]+')
 Words = list[str]
+CRS = "EPSG:25832+7837"
 
 
 @dataclass(frozen=True)
@@ -49,12 +55,24 @@ class Command:
 
 
 def prepare_inputs(folder: Path) -> Path:
-    """Writes a town of boxes with two queries, masks, photos, and views to train on; returns the folder."""
+    """Writes a town of boxes with two queries, masks, photos, a drone's too, and views to train on."""
     root, _ = write_dataset(folder / "town", 2)
+    truth = true_poses(2)
     (root / "Query_image").mkdir()
     for mask in sorted((root / "masks").iterdir()):
         photo = np.repeat(cv2.imread(str(mask))[:, :, :1] // 2 + 60, 3, axis=2)
         cv2.imwrite(str(root / "Query_image" / mask.name), photo)
+        pose = truth[mask.name]
+        stem = f"DJI_{mask.stem[-2:]}"
+        (folder / "flight").mkdir(exist_ok=True)
+        (folder / "flight_masks").mkdir(exist_ok=True)
+        packet = xmp_packet(stated(pose, CAMERA, CRS))
+        write_photo(folder / "flight" / f"{stem}.JPG", photo[..., 0], exif_of(), packet)
+        shutil.copy(mask, folder / "flight_masks" / f"{stem}.png")
+    write_dataset(folder / "three", 3)
+    write_colmap(
+        [FoundPose(name, "", pose, CAMERA) for name, pose in true_poses(3).items()], folder / "model"
+    )
     for split, count in (("train", 3), ("val", 1)):
         for kind in ("images", "masks"):
             (folder / "views" / split / kind).mkdir(parents=True)
@@ -160,6 +178,9 @@ ABOUT = (
     *("--camera", "PINHOLE 320 240 230 228 161 118.5"),
 )
 PHOTO, MASK = "{}/town/data/Query_image/view_00.png", "{}/town/data/masks/view_00.png"
+PLACED = ("--city", "{}/town/city.obj", "--crs", CRS)
+ONE_STEP = ("--method", "lodlocv2", "--method-option", "steps=1")
+START = ("--start", "{}/three/data/GPS_pose.txt")
 TRACK = _in(
     "track",
     "{}/town/data/Query_image",
@@ -189,12 +210,30 @@ COMMANDS = [
         Command(f"export {name}", _of_run("export", "RUN", "--format", name), (_run,))
         for name in ("colmap", "kapture", "tum", "nerfstudio", "csv", "parquet")
     ),
+    Command("export geojson", _of_run("export", "RUN", "--format", "geojson", "--crs", CRS), (_run,)),
     *(
         Command(f"city convert to {name}", _convert(name))
         for name in ("scene", "obj", "ply", "glb", "city.json", "gml")
     ),
     Command("city convert over a scene", _convert("scene"), (_convert("scene"),)),
     Command("render", RENDER),
+    Command("localize", _in("localize", PHOTO, "--mask", MASK, *ABOUT, *ONE_STEP, "--out", "{}/found")),
+    Command(
+        "localize a flight",
+        _in("localize", "{}/flight", "--masks", "{}/flight_masks", *PLACED, "--out", "{}/found"),
+        remembered=("lodbench.harness.photo.flights._solve",),
+    ),
+    Command(
+        "dataset init",
+        _in("dataset", "init", "{}/own", "--images", "{}/flight", *PLACED),
+        timed=("dataset.json",),
+        is_once=True,
+    ),
+    Command(
+        "georeference",
+        _in("georeference", "{}/model", "--masks", "{}/three/data/masks", *PLACED, *START, "--out", "{}/geo"),
+        remembered=("lodbench.harness.georeference.georeference._solved",),
+    ),
     Command("track", TRACK),
     Command("mask", _in("mask", PHOTO, "--mask", MASK, "--no-page", "--out", "{}/mask.png", *EXPORTS)),
     Command(
@@ -208,6 +247,10 @@ COMMANDS = [
         _in("city", "check", "{}/town/city.obj", "--crs", "EPSG:25832", "--geojson", "{}/f.geojson"),
     ),
     Command("dataset card", _in("dataset", "card", "demo", "--out", "{}/cards")),
+    Command(
+        "bench, a picture",
+        _in("bench", "segmentation", "--data", "{}/views", "--segmenter", "compact", "--pictures", "{}/p"),
+    ),
     # The seal in dataset.json is of the cache's key.
     Command("dataset import", IMPORT, timed=("dataset.json",), is_once=True),
     Command(

@@ -121,10 +121,7 @@ def write_answer(
     digest = file_digest(request.photo)
     label = _label(request.out, request.photo.stem, digest)
     overlay = request.out / f"{label}_overlay.png"
-    write_photo_overlay(overlay, view, place.renderer, prior, estimate)
     geojson = request.out / f"{label}.geojson" if features else None
-    if geojson is not None:
-        write_geojson(features, geojson)
     has_mask = photo.mask is not None
     found = LocalizedPhoto(
         photo=name,
@@ -154,7 +151,11 @@ def write_answer(
         thumbnail=view.thumbnail(),
     )
     values = {"sha256": digest, **found.to_json()}
+    # First what says whose files these are: a command that is given again after a kill writes over its own.
     write_text(request.out / f"{label}.json", json.dumps(values, indent=2, ensure_ascii=False) + "\n")
+    write_photo_overlay(overlay, view, place.renderer, prior, estimate)
+    if geojson is not None:
+        write_geojson(features, geojson)
     return found
 
 
