@@ -97,7 +97,7 @@ def share_rejected(queries: pd.DataFrame) -> float:
 
 
 def share_rejectable(queries: pd.DataFrame) -> float:
-    """Returns what ``share_rejected`` would be, expected, if every probability were exact; nan if all are 1.
+    """Returns what ``share_rejected`` is expected to be if every probability is exact; nan if all are 0 or 1.
 
     How far apart right and wrong answers can be told is limited by how sure the answers are: of those
     that all say one half no more wrong ones go than right ones, however true that is.
@@ -145,9 +145,8 @@ def _rejected_in_words(queries: pd.DataFrame) -> str:
     share, most = share_rejected(queries), share_rejectable(queries)
     if share != share:
         return "nothing to reject."
-    return (
-        f"{100.0 * share:.0f} % of wrong answers rejected; {100.0 * most:.0f} % were each probability exact."
-    )
+    bound = "" if most != most else f"; {100.0 * most:.0f} % were each probability exact"
+    return f"{100.0 * share:.0f} % of wrong answers rejected{bound}."
 
 
 def _figures(groups: Sequence[tuple[tuple[str, str], pd.DataFrame]]) -> Iterator[Figure]:

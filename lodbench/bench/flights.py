@@ -223,7 +223,7 @@ def _constant_figures(tally: _Tally) -> list[Figure]:
 
 def _map_figures(score: MapScore) -> list[Figure]:
     rows = (
-        (f"heights within 0.5 m, of {score.heights} shown twice", score.recovered, score.heights),
+        (f"heights within 0.5 m, of {score.heights} shown twice and told", score.recovered, score.heights),
         (f"wrong heights found, of {score.wrong}", score.found_wrong, score.wrong),
         (f"buildings in doubt rightly, of {score.doubted}", score.rightly, score.doubted),
         (f"gone buildings found, of {score.gone}", score.rightly_gone, score.gone),

@@ -6,6 +6,7 @@ import math
 import re
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -151,7 +152,8 @@ def _tried(
         answer |= {"score": float(estimate.score), "probability": probability}
         if estimate.covariance is not None:
             missed = pose.center - truth.center
-            answer["surprise"] = float(missed @ np.linalg.solve(estimate.covariance[:3, :3], missed))
+            with suppress(np.linalg.LinAlgError):  # a plug-in may say that it is sure of one direction
+                answer["surprise"] = float(missed @ np.linalg.solve(estimate.covariance[:3, :3], missed))
     seconds = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
     errors = (*pose_error(query.prior, truth), *(FAILED if pose is None else pose_error(pose, truth)))
     starts, ends = query.prior.center, np.full(3, np.nan) if pose is None else pose.center

@@ -20,9 +20,9 @@ class MapScore:
     """Counts; those of several flights add up.
 
     Attributes:
-        heights: Buildings whose heights photos can tell.
+        heights: Buildings whose roofs photos show and whose heights the flight tells.
         recovered: Of them, those whose height against the map is told within 0.5 m.
-        wrong: Of them, those whose height was changed.
+        wrong: Buildings whose roofs photos show and whose height was changed, told or not.
         found_wrong: Of these, those in doubt.
         doubted: Buildings in doubt, whether photos can tell or not.
         rightly: Of the doubted, those whose height was changed.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -92,7 +93,7 @@ class CompactInstances(PackagedNetwork):
             QueryFault: There is no photo, or it cannot be read.
         """
         mask = self.segment(entry) >= BUILDING_THRESHOLD
-        inside = self.cached(entry, self.interior) >= self.params.interior
+        inside = self.cached(entry, self.interior, ("interior", "mask_weights")) >= self.params.interior
         return masks_of_labels(told_apart(mask, inside))
 
     def fingerprint(self, entries: tuple[Entry, ...]) -> str:
@@ -100,8 +101,13 @@ class CompactInstances(PackagedNetwork):
         return digest_of([super().fingerprint(entries), self._compact.fingerprint(entries)])
 
     def notes(self) -> tuple[str, ...]:
-        """Returns that both networks have seen made-up pictures only."""
-        return self._compact.notes()
+        """Returns what both networks have seen."""
+        if self.params.weights:
+            own = f"weights of {Path(self.params.weights).name}"
+        else:
+            views = self.packaged_training().get("views", {}).get("train")
+            own = f"domain: {self.domain}: trained on {views} rendered views; real photos look different"
+        return (*self._compact.notes(), f"segmenter {self.name}, {own}")
 
     def new_net(self, is_filled: bool) -> Any:
         """Returns the torch network with random weights."""

@@ -18,7 +18,7 @@ from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.photos import read_photo
 from lodbench.segmentation.working_size import resized_photo, working_size
-from lodbench.storage.contents import content_digest
+from lodbench.storage import file_digest
 
 _LICENCE = "ultralytics and weights trained with it are under AGPL-3.0"
 _EXPORT = (
@@ -100,10 +100,10 @@ class FastSam(PhotoSegmenter):
         if not self._path.is_file():
             raise ConfigError(f"There are no weights {self._path}.", export)
 
-    @property
+    @cached_property
     def weights_digest(self) -> str:
         """Returns the SHA-256 of the ONNX file."""
-        return str(content_digest(self._path))
+        return file_digest(self._path)
 
     def notes(self) -> tuple[str, ...]:
         """Returns the licence, and that all classes count, where they do."""
@@ -167,4 +167,4 @@ class FastSam(PhotoSegmenter):
     @cached_property
     def _net(self) -> Any:
         """Returns OpenCV's network; read on first use."""
-        return read_onnx(self._path, _EXPORT.format(size=self.params.size))
+        return read_onnx(self._path, _EXPORT.format(size=self.params.size), digest=self.weights_digest)

@@ -26,19 +26,24 @@ import sys, cv2, numpy
 content = sys.stdin.buffer.read()
 try:
     import resource
-    resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) + 4 * len(content),) * 2)
+    most = resource.getrlimit(resource.RLIMIT_AS)[1]
+    wanted = int(sys.argv[1]) + 4 * len(content)
+    wanted = wanted if most == resource.RLIM_INFINITY else min(wanted, most)
+    resource.setrlimit(resource.RLIMIT_AS, (wanted, most))
 except ImportError:
     pass
 try:
     network = cv2.dnn.readNetFromONNX(numpy.frombuffer(content, numpy.uint8))
     network.setInput(numpy.zeros((1, 3, 64, 64), numpy.float32))
     network.forward()
-except (cv2.error, MemoryError):
-    sys.exit(3)
+except MemoryError:
+    sys.exit(4)
+except cv2.error as error:
+    sys.exit(4 if error.code == cv2.Error.StsNoMem else 3)
 """
 
 
-def read_onnx(path: Path, hint: str, is_ours: bool = False) -> Any:
+def read_onnx(path: Path, hint: str, is_ours: bool = False, digest: str | None = None) -> Any:
     """Returns OpenCV's network of a file.
 
     OpenCV's reader dies of some damage that ``onnx_fault`` does not see (ADR 0022): a file that is not ours
@@ -48,8 +53,10 @@ def read_onnx(path: Path, hint: str, is_ours: bool = False) -> Any:
         path: The file; its name may hold what OpenCV's own reader cannot open.
         hint: Where to get a proper one.
         is_ours: It came with the package: believed.
+        digest: SHA-256 that answers are kept under; None for any.
 
     Raises:
+        InputChanged: The file is another than that of the digest.
         ConfigError: It cannot be read, holds what a network in one file never does, or nothing that OpenCV
             can run.
     """
@@ -58,7 +65,7 @@ def read_onnx(path: Path, hint: str, is_ours: bool = False) -> Any:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ConfigError(f"{path} has {path.stat().st_size / 1e9:.1f} GB, too many for a network.", hint)
-        content = read_content(path)
+        content = read_content(path, digest)
         fault = "" if is_ours else onnx_fault(content) or _probed(content)
         if fault:
             raise ConfigError(f"{path} is no ONNX network to be trusted: {fault}.", hint)
@@ -87,4 +94,6 @@ def _probed(content: bytes) -> str:
         done = subprocess.run(command, input=content, capture_output=True, timeout=_PROBE_S)  # noqa: S603
     except subprocess.TimeoutExpired:
         return "OpenCV's reader does not end"
+    if done.returncode == 4:
+        return "it takes too much memory"
     return "" if done.returncode in (0, 3) else "OpenCV's reader breaks down"

@@ -18,7 +18,7 @@ from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.probability import without_unsure_parts
 from lodbench.segmentation.tiles import MemoryTiles
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
-from lodbench.storage.contents import content_digest
+from lodbench.storage import file_digest
 
 
 class PackagedNetwork(PhotoSegmenter):
@@ -53,18 +53,18 @@ class PackagedNetwork(PhotoSegmenter):
                 f"There are no weights {self._path}.", "Leave segmenter.weights out for those of the package."
             )
 
-    @property
+    @cached_property
     def weights_digest(self) -> str:
         """Returns the SHA-256 of the ONNX file."""
         if not self._path.is_file():
             raise ConfigError(f"There are no weights {self._path}.", "Set segmenter.weights=FILE.")
-        return str(content_digest(self._path))
+        return file_digest(self._path)
 
     @cached_property
     def _net(self) -> Any:
         """Returns OpenCV's network; read on first use."""
         hint = f"lodbench train segmenter={self.name} writes one."
-        return read_onnx(self._path, hint, is_ours=self.params.weights is None)
+        return read_onnx(self._path, hint, is_ours=self.params.weights is None, digest=self.weights_digest)
 
     @abstractmethod
     def new_net(self, is_filled: bool) -> Any:

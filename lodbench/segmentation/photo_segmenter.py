@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict
 from typing import Any
 
@@ -63,9 +63,17 @@ class PhotoSegmenter(ABC):
         return self.cached(entry, self.probability)
 
     def cached(
-        self, entry: Entry, compute: Callable[[NDArray[np.uint8]], NDArray[np.float32]]
+        self,
+        entry: Entry,
+        compute: Callable[[NDArray[np.uint8]], NDArray[np.float32]],
+        idle: Collection[str] = (),
     ) -> NDArray[np.float32]:
         """Returns what is computed of a query's (H, W, 3) RGB photo, or was in an earlier run.
+
+        Args:
+            entry: The query.
+            compute: Returns (h, w) float32 in [0, 1] of the photo.
+            idle: Settings that make no difference to it.
 
         Raises:
             QueryFault: The query has no photo, or it cannot be read.
@@ -74,7 +82,9 @@ class PhotoSegmenter(ABC):
             raise QueryFault("no photo to segment")
         name = entry.image.name
         try:
-            return cached_probability(entry.image, self._identity(), lambda c: compute(photo_of(c, name)))
+            return cached_probability(
+                entry.image, self._identity(idle), lambda content: compute(photo_of(content, name))
+            )
         except OSError as error:
             raise QueryFault(f"photo {name} cannot be read: {error.strerror}") from error
 
@@ -86,6 +96,6 @@ class PhotoSegmenter(ABC):
         """Returns a digest of the photos' contents, the settings and the weights."""
         return digest_of([self._identity(), [[entry.key, content_digest(entry.image)] for entry in entries]])
 
-    def _identity(self) -> str:
-        settings = {key: value for key, value in asdict(self.params).items() if key != "weights"}
+    def _identity(self, idle: Collection[str] = ()) -> str:
+        settings = {k: v for k, v in asdict(self.params).items() if k not in ("weights", *idle)}
         return digest_of([_VERSION, settings, self.weights_digest], length=32)

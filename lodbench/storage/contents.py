@@ -10,40 +10,44 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from lodbench.errors import InputChanged
 from lodbench.storage.digest import file_digest
 
-# What files held when `content_digest` first read them, in each of the present scopes, the innermost last.
-_scopes: list[dict[Path, str]] = []
+# What files held when `content_digest` first read them: here, and as another process told this one.
+_scope: ContextVar[dict[Path, str] | None] = ContextVar("_scope", default=None)
+_told: dict[Path, str] = {}
 
 
 @contextmanager
 def remembered_contents() -> Iterator[None]:
     """Within this, what `content_digest` finds in a file is what `read_content` must find there."""
-    _scopes.append({})
+    before = _scope.set({})
     try:
         yield
     finally:
-        _scopes.pop()
+        _scope.reset(before)
 
 
 def known_contents() -> dict[Path, str]:
     """Returns what is remembered here, for workers; nothing outside of ``remembered_contents``."""
-    return dict(_scopes[-1]) if _scopes else {}
+    return dict(_scope.get() or {})
 
 
 def remember_contents(known: Mapping[Path, str]) -> None:
-    """Lets a worker's process compare what it reads, for good, with what another process found."""
-    _scopes[:] = [dict(known)]
+    """Lets a worker's process compare what it reads with what another process found, until told otherwise."""
+    _told.clear()
+    _told.update(known)
 
 
 def content_digest(path: Path | None) -> str | None:
     """Returns a file's SHA-256; one that cannot be read fails in its own query, not here."""
     if path is None:
         return None
-    remembered = _scopes[-1] if _scopes else {}
+    scope = _scope.get()
+    remembered = {} if scope is None else scope
     if path not in remembered:
         try:
             remembered[path] = file_digest(path)
@@ -52,15 +56,20 @@ def content_digest(path: Path | None) -> str | None:
     return remembered[path]
 
 
-def read_content(path: Path) -> bytes:
+def read_content(path: Path, digest: str | None = None) -> bytes:
     """Returns a file's content.
+
+    Args:
+        path: The file.
+        digest: SHA-256 that is wanted; None for the one that is remembered, if one is.
 
     Raises:
         OSError: It cannot be read.
         InputChanged: It is not what is remembered of it.
     """
     content = path.read_bytes()
-    expected = _scopes[-1].get(path) if _scopes else None
+    scope = _scope.get()
+    expected = digest or (_told if scope is None else scope).get(path)
     if expected is not None and hashlib.sha256(content).hexdigest() != expected:
         raise InputChanged(
             f"{path} changed while it was in use; what was answered before is kept.",

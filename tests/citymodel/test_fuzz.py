@@ -172,7 +172,7 @@ def fuzz(numbers: Iterable[int], files: list[tuple[str, bytes]], seed: int) -> t
     for number in numbers:
         rng = np.random.default_rng([seed, number])
         name, data = files[number % len(files)]
-        content = (mutate_structure if number % 2 else mutate)(data, rng)
+        content = (mutate_structure if number // len(files) % 2 else mutate)(data, rng)
         layers = ("bridges", "vegetation", "relief", "interiors") if number % 5 == 0 else ()
         options = ReadOptions(is_strict=number % 4 < 2, has_details=number % 3 == 0, layers=layers)
         try:

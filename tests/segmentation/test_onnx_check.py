@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from lodbench.errors import ConfigError
+from lodbench.datasets.query import Entry
+from lodbench.errors import ConfigError, InputChanged
 from lodbench.segmentation import onnx_file
+from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.onnx_check import onnx_fault
 from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.packaged_network import packaged_file
@@ -178,3 +183,45 @@ def test_mutated_networks_are_read_or_refused_in_one_line(tmp_path: Path) -> Non
         except ConfigError:
             seen["refused"] += 1
     assert min(seen.values()) > 0
+
+
+def test_a_network_that_takes_too_much_memory_is_refused_before_it_is_read_here(tmp_path, monkeypatch):
+    path = tmp_path / "a.onnx"
+    path.write_bytes(small_network().SerializeToString())
+    read_onnx(path, "")
+    monkeypatch.setattr(onnx_file, "_PROBE_BYTES", 1 << 20)
+    with pytest.raises(ConfigError, match="too much memory"):
+        read_onnx(path, "")
+
+
+def test_a_lower_bound_on_memory_than_ours_is_kept(tmp_path):
+    path = tmp_path / "a.onnx"
+    path.write_bytes(small_network().SerializeToString())
+    code = (
+        "import resource, sys; from pathlib import Path\n"
+        "from lodbench.segmentation.onnx_file import read_onnx\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30)); read_onnx(Path(sys.argv[1]), '')"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_network_replaced_between_two_photos_leaves_no_mask_under_another_s_digest(tmp_path):
+    for name, value in (("0.png", 60), ("1.png", 200), ("2.png", 90)):
+        cv2.imwrite(str(tmp_path / name), np.full((64, 64, 3), value, np.uint8))
+    photos = [Entry(name, "", None, None, tmp_path / name, None) for name in ("0.png", "1.png", "2.png")]
+    weights = tmp_path / "w.onnx"
+    weights.write_bytes(small_network().SerializeToString())
+    first = Compact(CompactParams(size=64, weights=str(weights)))
+    first.segment(photos[0])
+    other = small_network()
+    other.graph.initializer[0].CopyFrom(numpy_helper.from_array(-np.ones((1, 3, 3, 3), np.float32), "w"))
+    weights.write_bytes(other.SerializeToString())
+    assert first.segment(photos[1]).min() > 0.5
+    second = Compact(CompactParams(size=64, weights=str(weights)))
+    assert second.segment(photos[1]).max() < 0.5
+    third = Compact(CompactParams(size=64, weights=str(weights)))
+    assert third.weights_digest
+    weights.write_bytes(small_network().SerializeToString())
+    with pytest.raises(InputChanged):
+        third.segment(photos[2])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -57,7 +58,31 @@ def test_a_file_never_hashed_is_just_read_and_one_that_is_not_there_has_a_word(f
 
 
 def test_a_worker_compares_with_what_another_process_found(file):
-    with remembered_contents():  # so that this process forgets it afterwards
-        remember_contents({file: hashlib.sha256(b"something else").hexdigest()})
+    remember_contents({file: hashlib.sha256(b"something else").hexdigest()})
+    try:
         with pytest.raises(InputChanged):
             read_content(file)
+        with remembered_contents():  # a run of its own knows its own files
+            assert read_content(file) == b"as it was"
+    finally:
+        remember_contents({})
+    assert read_content(file) == b"as it was"
+
+
+def test_runs_in_threads_do_not_mix_what_they_remember(file, tmp_path):
+    def digest_and_read(name):
+        with remembered_contents():
+            content_digest(file)
+            (tmp_path / name).write_bytes(name.encode())
+            content_digest(tmp_path / name)
+            return known_contents().keys() - {file}
+
+    with ThreadPoolExecutor(4) as pool:
+        names = [f"{number}.png" for number in range(20)]
+        assert list(pool.map(digest_and_read, names)) == [{tmp_path / name} for name in names]
+
+
+def test_a_wanted_digest_goes_before_what_is_remembered(file):
+    with pytest.raises(InputChanged):
+        read_content(file, hashlib.sha256(b"something else").hexdigest())
+    assert read_content(file, hashlib.sha256(b"as it was").hexdigest()) == b"as it was"

@@ -30,7 +30,7 @@ _PROBE_TIMEOUT_S = 120.0
 # Renderers, and whether they come with the base install.
 RENDERER_TRIALS = {"silhouette": True, "reference": True, "raster": True, "pyrender": False, "open3d": False}
 # Segmenters whose weights come with the base install.
-NETWORKS = ("compact", "efficient_unet")
+NETWORKS = ("compact", "compact_instances", "efficient_unet")
 
 
 def examine(timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:

@@ -111,7 +111,7 @@ class Region:
             covariance=covariance,
             probability=share_of_best(modes) * trust_of(signs),
             alternatives=tuple(pose_from_vector(mode.cloud.mean) for mode in modes[1:]),
-            notes=beyond_range(offset, covariance, half_widths),
+            notes=beyond_range(offset, if_map_is_right, half_widths),
         )
 
     def _evidence(
