@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import islice
+from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -120,9 +122,14 @@ def dask_workers(
     try:
         if address is None:
             # The dashboard can be seen from this machine alone.
-            own = distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:8787"
-            )
+            with _ctrl_c_for_this_thread():
+                own = distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address="127.0.0.1:8787",
+                    # Workers that die are told in lines of ours; a stopped run would print dozens.
+                    silence_logs=logging.ERROR,
+                )
         try:
             client = distributed.Client(address or own, timeout=_CONNECT_S)
         except OSError as error:
@@ -138,6 +145,22 @@ def dask_workers(
     finally:
         if own is not None:
             own.close()
+
+
+@contextmanager
+def _ctrl_c_for_this_thread() -> Iterator[None]:
+    """Keeps Ctrl-C, which reaches every process of a terminal, from workers started here.
+
+    Threads and processes inherit what is blocked, so workers that are started again later do not see it
+    either. One that is pressed meanwhile is answered at the end, by this thread.
+    """
+    # Started later, by a thread that starts a worker, it would unblock it there.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -262,3 +264,40 @@ def test_a_run_over_three_dask_workers_of_which_two_are_killed(tmp_path) -> None
     killer.join(10)
     assert len(set(killed)) == 2
     assert found == expected
+
+
+_AT_WORK = """
+import time
+from lodbench.execution.cluster import dask_workers
+
+if __name__ == "__main__":
+    with dask_workers(None, 2, 60.0, print, ("begun",)) as workers:
+        try:
+            for number, _ in enumerate(workers.map(time.sleep, [0.05] * 500)):
+                if number == 3:
+                    print("at work", flush=True)
+        except KeyboardInterrupt:
+            print("stopped", flush=True)
+"""
+
+
+def test_ctrl_c_is_answered_by_the_parent_alone(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    (tmp_path / "work.py").write_text(_AT_WORK)
+    work = subprocess.Popen(
+        [sys.executable, "work.py"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert work.stdout is not None
+    while "at work" not in work.stdout.readline():
+        assert work.poll() is None
+    os.killpg(work.pid, signal.SIGINT)
+    told, complaints = work.communicate(timeout=60)
+    assert "stopped" in told
+    assert "Process Dask Worker" not in complaints
+    assert "KeyboardInterrupt" not in complaints
