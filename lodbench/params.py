@@ -14,7 +14,7 @@ T = TypeVar("T")
 def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T:
     """Returns a frozen Params made from plain values; what they leave out keeps its default.
 
-    One name stands for a list of one: ``split=in_place``.
+    One name stands for a list of one: ``split=in_place``, or ``split=1``.
 
     Args:
         values: Settings by name.
@@ -32,7 +32,7 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
         if name not in types:
             raise ConfigError(f"{_dotted(prefix, name)} is not a setting.", nearest_names(name, types))
     given = {
-        name: [value] if isinstance(value, str) and str(types[name]) == "list[str]" else value
+        name: [str(value)] if isinstance(value, str | int | float) and types[name] == "list[str]" else value
         for name, value in values.items()
     }
     try:

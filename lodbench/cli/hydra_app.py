@@ -208,7 +208,38 @@ def explained(error: Exception, config_name: str) -> ConfigError:
     key = re.search(r"Could not override '([^']+)'", text)
     if key:
         return ConfigError(f"{key[1]} is not a setting.", _nearest_key(key[1], config_name))
+    merged = re.search(r"Error merging override (.*)", text)
+    if merged:
+        return ConfigError(
+            f"{merged[1]} is of another kind than its setting.", f"lodbench {config_name} --help"
+        )
+    for word in sys.argv[1:]:
+        if not word.startswith("-") and not _is_override(word):
+            return _unread(word)
     return ConfigError(f"The command line cannot be read: {text.splitlines()[0]}", "Settings are key=value.")
+
+
+def _is_override(word: str) -> bool:
+    """Returns whether Hydra's grammar has a meaning for a word."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    try:
+        OverridesParser.create().parse_override(word)
+    except HydraException:
+        return False
+    return True
+
+
+def _unread(word: str) -> ConfigError:
+    """Returns what is wrong with a word that is no override."""
+    key, equals, value = word.partition("=")
+    if not equals or not re.fullmatch(r"[+~]*[\w./@-]+", key):
+        return ConfigError(f"{word} is no setting.", "Settings are key=value.")
+    return ConfigError(
+        f"{word} cannot be read: some of {value!r} has a meaning of its own here.",
+        f"Quote a value that holds = , : or brackets: '{key}=\"{value}\"'.",
+    )
 
 
 def _nearest_key(key: str, config_name: str) -> str:
