@@ -50,7 +50,11 @@ def keep_kernels_apart(package: Path, parts: tuple[str, ...] = ("",)) -> Path | 
     if not folder.is_dir():
         for other in home.glob("kernels-*"):
             shutil.rmtree(other, ignore_errors=True)
-    if not _is_private(folder):
+    try:
+        is_usable = _is_private(folder)
+    except OSError:  # a full disk, or a file of that name
+        is_usable = False
+    if not is_usable:
         os.environ.pop("NUMBA_CACHE_DIR", None)
         return None
     _remove_damaged(folder)

@@ -136,3 +136,13 @@ def test_all_compiled_functions_stand_where_they_are_looked_for():
     root = Path(lodbench.__file__).parent
     cached = [path.relative_to(root) for path in root.rglob("*.py") if "cache=True" in path.read_text()]
     assert {path.parts[0] for path in cached} <= set(lodbench._COMPILED)
+
+
+def test_a_place_that_cannot_be_used_is_left_alone(package, monkeypatch):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    folder = keep_kernels_apart(package)
+    folder.rmdir()
+    folder.write_text("not a folder")
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    assert keep_kernels_apart(package) is None
+    assert "NUMBA_CACHE_DIR" not in os.environ

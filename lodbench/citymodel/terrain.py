@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -82,6 +83,8 @@ def _raster_heights(path: Path, points: NDArray[np.float64], crs: str) -> NDArra
             if raster.crs is not None:
                 points = _projected(points, crs, raster.crs.to_wkt())
             rows, columns = _window(grid, points, raster.shape)
+            if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MAX_CELLS:
+                raise CityModelError(f"{path} has too many cells under the city.", "Warp it to larger cells.")
             band = raster.read(1, window=(rows, columns), masked=True)
     except rasterio.errors.RasterioError as error:
         raise CityModelError(
@@ -131,9 +134,12 @@ def _read_ascii(path: Path) -> Terrain:
             shape = int(header["nrows"]), int(header["ncols"])
             if not 0 < shape[0] * shape[1] <= _MAX_CELLS:
                 raise ValueError("the size is out of range")
+            placing = [value for name, value in header.items() if name != "nodata_value"]
+            if not all(map(math.isfinite, placing)) or header.get("cellsize", 1.0) <= 0:
+                raise ValueError("its place is not finite, or its cells have no size")
             stream.seek(position)
             heights = np.array(stream.read().split(), dtype=np.float64).reshape(shape)
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, OverflowError) as error:
         raise CityModelError(
             f"{path} is no ASCII grid ({error}).", "It begins with ncols and nrows."
         ) from None

@@ -265,7 +265,17 @@ class TestParts:
         assert find_column(["a"], None, ("height",)) is None
 
     @pytest.mark.parametrize(
-        "text", ["", "ncols 2\nnrows x\n", "ncols 2\nnrows 2\n1 2 3\n", "ncols 0\nnrows 9\n"]
+        "text",
+        [
+            "",
+            "ncols 2\nnrows x\n",
+            "ncols 2\nnrows 2\n1 2 3\n",
+            "ncols 0\nnrows 9\n",
+            "ncols inf\nnrows 9\n",
+            "ncols 1\nnrows 1\ncellsize 0\n1\n",
+            "ncols 1\nnrows 1\ncellsize 1e999\n1\n",
+            "ncols 1\nnrows 1\nxllcorner nan\n1\n",
+        ],
     )
     def test_malformed_terrain(self, tmp_path: Path, text: str) -> None:
         options = ReadOptions(terrain=str(write(tmp_path / "t.asc", text)))
