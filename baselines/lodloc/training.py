@@ -13,9 +13,10 @@ from lodbench import __version__
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.segmentation.extras import require
 from lodbench.storage import digest_of, file_digest, make_folder, write_text
+from lodbench.storage.json_text import parse_json
 
 from .training_params import LodLocTraining
-from .training_views import TrainingView, ViewSettings, find_views
+from .training_views import MANIFEST_HINT, TrainingView, ViewSettings, find_views
 
 WEIGHTS_FILE = "lodloc.onnx"
 _MANIFEST_FILE = "training.json"
@@ -119,12 +120,11 @@ def _sets(data: Path) -> dict[str, Any]:
     """Returns digests and settings of the training sets below a folder, without the machine's paths."""
     found = {}
     for path in sorted(data.rglob("manifest.json")):
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        settings = {key: value for key, value in manifest["settings"].items() if key not in ("city", "props")}
-        found[path.parent.relative_to(data).as_posix()] = {
-            "digest": manifest["digest"],
-            "inputs": manifest["inputs"],
-            "settings": settings,
-            "views": manifest["views"],
-        }
+        try:
+            manifest = parse_json(path.read_text(encoding="utf-8"))
+            settings = {k: value for k, value in manifest["settings"].items() if k not in ("city", "props")}
+            told = {key: manifest[key] for key in ("digest", "inputs", "views")}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise DatasetError(f"{path} is no manifest of a training set.", MANIFEST_HINT) from error
+        found[path.parent.relative_to(data).as_posix()] = told | {"settings": settings}
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,11 +19,12 @@ from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.segmentation.working_size import working_size
 from lodbench.storage import random_stream
+from lodbench.storage.json_text import parse_json
 
 from .wireframe import visible_points
 
 _MANIFEST = "manifest.json"
-_HINT = "lodbench generate-training-data makes such sets."
+MANIFEST_HINT = "lodbench generate-training-data makes such sets."
 # A view whose map shows fewer points than this has nothing to align.
 LEAST_POINTS = 60
 
@@ -79,7 +79,7 @@ def find_views(data: Path, settings: ViewSettings, splits: tuple[str, ...]) -> l
     """
     manifests = sorted(data.rglob(_MANIFEST)) if data.is_dir() else []
     if not manifests:
-        raise DatasetError(f"{data} holds no training set.", _HINT)
+        raise DatasetError(f"{data} holds no training set.", MANIFEST_HINT)
     found = []
     for manifest in manifests:
         found += _views_of_set(manifest, data, settings, splits)
@@ -130,7 +130,7 @@ def _prepared(
 
 def _read_settings(manifest: Path) -> dict[str, Any]:
     try:
-        settings = json.loads(manifest.read_text(encoding="utf-8"))["settings"]
+        settings = parse_json(manifest.read_text(encoding="utf-8"))["settings"]
         return {"city": str(settings["city"]), "crs": settings.get("crs")}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DatasetError(f"{manifest} is no manifest of a training set.", _HINT) from error
+        raise DatasetError(f"{manifest} is no manifest of a training set.", MANIFEST_HINT) from error

@@ -30,6 +30,7 @@ from lodbench.citymodel.vector_surfaces import surfaces_as_read
 from lodbench.citymodel.wkb import WkbPolygons
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
+from lodbench.storage.json_text import parse_json
 
 _EXTRA_HINT = "Install it: pip install 'lodbench[vector]'."
 
@@ -225,9 +226,9 @@ def _read_parquet(
         raise CityModelError(f"Reading {source} needs pyarrow.", _EXTRA_HINT) from None
     try:
         content = parquet.read_table(Path(path))
-        geo: dict[str, Any] = json.loads((content.schema.metadata or {})[b"geo"])
+        geo: dict[str, Any] = parse_json((content.schema.metadata or {})[b"geo"])
         primary = geo["primary_column"]
-        column = geo["columns"][primary]
+        column = dict(geo["columns"][primary])
         geometries = content.column(primary).to_pylist()
     except KeyError:
         raise CityModelError(

@@ -18,6 +18,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.errors import CityModelError
 from lodbench.storage import digest_of, new_folder, write_text
 from lodbench.storage.arrays import map_array, text_check, write_arrays
+from lodbench.storage.json_text import parse_json
 
 # Raise it whenever the arrays or their meaning change: older folders are then read no more.
 FORMAT_VERSION = 4
@@ -128,8 +129,8 @@ def read_about(folder: Path) -> dict[str, Any]:
     """
     try:
         text = (folder / _META).read_text(encoding="utf-8")
-        meta = json.loads(text)
-    except (OSError, ValueError, RecursionError) as error:
+        meta = parse_json(text)
+    except (OSError, ValueError) as error:
         raise CityModelError(f"There is no scene in {folder}: {error}.") from None
     if not isinstance(meta, dict) or meta.get("version") != FORMAT_VERSION:
         raise CityModelError(f"The scene in {folder} was written by another version.", _AGAIN)

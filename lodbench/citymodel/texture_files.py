@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -22,6 +21,7 @@ from lodbench.citymodel.textured_mesh import TexturedMesh, join_textured, offset
 from lodbench.citymodel.textured_model import textured_model
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.findings import Severity
+from lodbench.storage.json_text import parse_json
 
 _MESHES = (".obj", ".glb", ".gltf", ".ply")
 _CITIES = (".gml", ".xml", ".citygml")
@@ -175,7 +175,7 @@ def _named_files(path: Path, folder: TextureFolder) -> tuple[list[str], list[str
     suffix = path.suffix.lower()
     if suffix == ".gltf":
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = parse_json(path.read_text(encoding="utf-8"))
             found = [
                 [str(entry.get("uri", "")) for entry in content.get(k, [])] for k in ("buffers", "images")
             ]

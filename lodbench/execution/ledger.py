@@ -12,6 +12,7 @@ import xxhash
 
 from lodbench.storage import make_folder, write_bytes
 from lodbench.storage.disk import disk
+from lodbench.storage.json_text import parse_json
 
 _LOGGER = logging.getLogger(__name__)
 # The last key of a line is of all that stands before it.
@@ -108,7 +109,7 @@ _CHECK_BYTES = len(_checked(b"{}")) - 1
 def _parse(line: bytes) -> dict[str, Any] | None:
     """Returns the item of a line, or None if the line is damaged."""
     try:
-        item = json.loads(line.decode("utf-8"))
-    except (ValueError, RecursionError):
+        item = parse_json(line.decode("utf-8"))
+    except ValueError:
         return None
     return item if isinstance(item, dict) and isinstance(item.get("key"), str) else None

@@ -14,6 +14,7 @@ from lodbench.rendering import engine_arrays, engine_layout, selection, topology
 from lodbench.rendering.engine_arrays import SceneArrays
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
 from lodbench.storage.arrays import map_array, write_arrays
+from lodbench.storage.json_text import parse_json
 from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
@@ -59,7 +60,7 @@ def arrays_folder(scene: Scene) -> Path:
 
 
 def _read(folder: Path) -> SceneArrays:
-    digests = json.loads((folder / _DIGESTS).read_text(encoding="utf-8"))
+    digests = parse_json((folder / _DIGESTS).read_text(encoding="utf-8"))
     mapped = (map_array(folder / f"{name}.npy", digests[name]) for name in SceneArrays._fields)
     # As plain arrays: compiled code is chosen by type, and a memmap is another.
     return SceneArrays(*(np.asarray(array) for array in mapped))

@@ -12,6 +12,7 @@ from typing import Any
 from lodbench.errors import DatasetError
 from lodbench.evaluation.recall import EVALUATOR_VERSION
 from lodbench.reporting.summaries import upgraded_split
+from lodbench.storage.json_text import parse_json
 
 Entry = dict[str, Any]
 
@@ -46,7 +47,7 @@ def read_entries(root: Path) -> list[Entry]:
     entries = []
     for path in sorted((root / "entries").glob("*/*.json")):
         try:
-            entry = json.loads(path.read_text(encoding="utf-8"))
+            entry = parse_json(path.read_text(encoding="utf-8"), is_strict=True)
         except (OSError, ValueError) as error:
             raise DatasetError(f"{path} is not readable as JSON: {error}.") from error
         faults = schema_faults(entry)
@@ -128,7 +129,7 @@ def measured_entry(
             "run": run,
             "lodbench": provenance.get("lodbench"),
             "files": {key: value for key, value in digests.items() if "." in key},
-            "notes": list(summary["notes"]),
+            "notes": list(summary.get("notes", ())),
         },
     }
 

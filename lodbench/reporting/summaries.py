@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from lodbench.errors import DatasetError
+from lodbench.storage.json_text import parse_json
 
 # Raised whenever a number of a summary gets another meaning, or a new one must be there.
 SUMMARY_SCHEMA = 3
@@ -15,6 +15,46 @@ _MOVED = ("median_horizontal_m", "median_vertical_m", "median_yaw_deg", "mask_io
 _RENAMED = {
     "said": "mean_confidence_percent", "said_found": "ece_percent", "risk_area": "aurc_percent",
 }  # fmt: skip
+
+_NUMBER = {"type": ["number", "null"], "minimum": -1e12, "maximum": 1e12}
+_NUMBERS = {"type": "object", "additionalProperties": _NUMBER}
+_ENDS = {"type": "array", "minItems": 2, "maxItems": 2, "items": _NUMBER}
+_INTERVALS = {"type": "object", "additionalProperties": _ENDS}
+_SPLITS = {
+    "type": "object",
+    "additionalProperties": {
+        "type": "object",
+        "required": ["recall", "num_queries", "num_failed"],
+        "properties": {
+            **dict.fromkeys(("recall", "recall_of_answered", "auc", "metrics"), _NUMBERS),
+            **dict.fromkeys((f"{name}_interval_95" for name in ("recall", "median", "auc")), _INTERVALS),
+            **dict.fromkeys(("num_queries", "num_failed", "hypotheses_per_query"), _NUMBER),
+            **dict.fromkeys(("median_translation_m", "median_rotation_deg"), _NUMBER),
+        },
+    },
+}
+_TEXT = {"type": "string"}
+# What tables and pages rely on; JSON Schema. Anything may stand besides.
+_SHAPE = {
+    "type": "object",
+    "required": ["dataset", "method", "protocol", "splits"],
+    "properties": {
+        "dataset": {
+            "type": "object",
+            "required": ["name", "version"],
+            "properties": {"name": _TEXT, "version": _TEXT},
+        },
+        "method": {
+            "type": "object",
+            "required": ["name", "variant"],
+            "properties": {"name": _TEXT, "variant": _TEXT, "params": {"type": "object"}},
+        },
+        "protocol": {"type": "object", "required": ["tilt", "segmenter", "seed"]},
+        "splits": _SPLITS,
+        "prior": _SPLITS,
+        "notes": {"type": "array", "items": _TEXT},
+    },
+}
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
@@ -25,7 +65,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """
     path = folder / "summary.json"
     try:
-        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        summary: dict[str, Any] = parse_json(path.read_text(encoding="utf-8"), is_strict=True)
     except (OSError, ValueError) as error:
         raise DatasetError(
             f"{path} is not a readable run summary.", "Name a folder that `lodbench run` made."
@@ -33,15 +73,34 @@ def read_summary(folder: Path) -> dict[str, Any]:
     if not isinstance(summary, dict) or "splits" not in summary or "protocol" not in summary:
         raise DatasetError(f"{path} is not a run summary.")
     if summary.get("schema") == 2:
-        summary = _upgraded(summary)
+        try:
+            summary = _upgraded(summary)
+        except (AttributeError, TypeError) as error:
+            raise DatasetError(f"{path} is not a run summary: {error}.") from error
     if summary.get("schema") != SUMMARY_SCHEMA:
         raise DatasetError(
             f"{path} has schema {summary.get('schema')}, this lodbench reads 2 and {SUMMARY_SCHEMA}.",
             "Run again: the same command resumes nothing of another version, and ranks with nothing of it.",
         )
+    fault = _fault(summary)
+    if fault:
+        raise DatasetError(
+            f"{path} is not a run summary: {fault}.", "Name a folder that `lodbench run` made."
+        )
     if summary.get("invalid"):
         raise DatasetError(f"The run {folder} is invalid: {summary['invalid']}.", "It can enter no table.")
     return summary
+
+
+def _fault(summary: dict[str, Any]) -> str:
+    """Returns the first place where a summary is of another form, and how; "" where there is none."""
+    import jsonschema
+
+    error = next(jsonschema.Draft202012Validator(_SHAPE).iter_errors(summary), None)
+    if error is None:
+        return ""
+    # A value may be as long as its writer liked.
+    return f"{'.'.join(map(str, ['summary', *error.absolute_path]))}: {error.message:.200}"
 
 
 def with_seconds(summary: dict[str, Any], seconds: dict[str, float | None]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lodbench.errors import DatasetError
 from lodbench.storage import write_text
+from lodbench.storage.json_text import parse_json
 
 Mask = NDArray[np.bool_]
 Ring = NDArray[np.int32]
@@ -117,7 +118,7 @@ def read_polygons(path: Path, photo: str, height: int, width: int) -> Mask:
         DatasetError: It is neither, is of another photo's size, or holds a shape that is no polygon.
     """
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored = parse_json(path.read_text(encoding="utf-8"))
         if isinstance(stored, dict) and "shapes" in stored:
             return _from_labelme(stored, path, height, width)
         if isinstance(stored, dict) and "annotations" in stored:

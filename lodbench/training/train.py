@@ -16,6 +16,7 @@ from lodbench.segmentation.extras import require
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, make_folder, write_text
+from lodbench.storage.json_text import parse_json
 from lodbench.training.learning_curves import write_curves
 from lodbench.training.posed_photos import is_posed, posed_samples
 from lodbench.training.samples import MASKS, Sample, find_samples, samples_digest, split_samples
@@ -218,8 +219,10 @@ def _sets(data: Path) -> dict[str, Any]:
     found = {}
     for path in sorted(data.rglob("manifest.json")):
         try:
-            manifest = json.loads(path.read_text(encoding="utf-8"))
+            manifest = parse_json(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
+            continue
+        if not isinstance(manifest, dict):
             continue
         name = path.parent.relative_to(data).as_posix()
         found[name] = {key: manifest.get(key) for key in ("digest", "views", "state", "versions")}

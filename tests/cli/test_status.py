@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import pytest
 
+from lodbench.evaluation.predictions import Prediction
+from lodbench.harness.runs.predict import open_predictions
 from tests.town import write_dataset
 
 
@@ -32,3 +35,14 @@ def test_a_run_is_finished_then_torn_then_unreadable(lodbench, tmp_path, data):
     (folder / "plan.json").unlink()
     done = lodbench("status", str(folder))
     assert (done.returncode, "holds no run" in done.stderr) == (2, True)
+    for keys in (5, None, [[1]]):
+        (folder / "plan.json").write_text(json.dumps({"queries": keys}))
+        assert lodbench("status", str(folder)).returncode in (0, 2)
+
+
+def test_an_answer_of_another_form_is_one_line(lodbench, tmp_path):
+    (tmp_path / "plan.json").write_text('{"queries": ["a"]}')
+    ledger = open_predictions(tmp_path)
+    ledger.record("a", {**Prediction(None, "no mask").to_json(), "failure": [[]]})
+    done = lodbench("status", str(tmp_path))
+    assert (done.returncode, "a is no prediction" in done.stderr) == (2, True)

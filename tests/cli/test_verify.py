@@ -186,6 +186,15 @@ def test_a_folder_that_is_no_run_is_one_line(lodbench, tmp_path):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(("key", "value"), [("files", [[]]), ("files", {"a": 1}), ("seconds_per_query", "x")])
+def test_facts_of_another_form_are_one_line(lodbench, run, key, value):
+    path = run / "provenance.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    for command in ("verify", "report"):
+        done = lodbench(command, str(run))
+        assert (done.returncode, f"{key} holds no" in done.stderr) == (2, True)
+
+
 def test_one_file_name_in_two_splits_is_read_back(lodbench, tmp_path):
     root, city = write_dataset(tmp_path / "town", count=2)
     home = tmp_path / "both"

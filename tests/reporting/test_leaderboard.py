@@ -160,3 +160,7 @@ def test_an_entry_under_another_dataset_or_malformed_is_refused(tmp_path):
     moved.write_text(json.dumps({"schema": 1}))
     with pytest.raises(DatasetError, match="'source' is a required property"):
         build_leaderboard(tmp_path)
+    for text in ("[" * 100_000, json.dumps(entry("a", 50.0)).replace('"version": "1"', '"version": NaN')):
+        moved.write_text(text)
+        with pytest.raises(DatasetError, match="not readable as JSON"):
+            build_leaderboard(tmp_path)

@@ -1,3 +1,4 @@
+import copy
 import csv
 import io
 import json
@@ -73,6 +74,35 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
     (tmp_path / "summary.json").write_text(json.dumps([1]))
     with pytest.raises(DatasetError, match="not a run summary"):
         read_summary(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("splits",), -1),
+        (("splits", "in_place", "recall"), [1]),
+        (("splits", "in_place", "recall", "2m-2deg"), {"a": 1}),
+        (("splits", "in_place", "num_failed"), 10**26),
+        (("splits", "in_place", "recall_interval_95"), {"2m-2deg": [1.0]}),
+        (("splits", "in_place", "metrics"), 10**400),
+        (("prior", "in_place", "median_translation_m"), "x"),
+        (("protocol",), {}),
+        (("method", "name"), None),
+        (("schema",), 2),
+    ],
+)
+def test_a_summary_of_another_form_is_one_line(tmp_path, place, value):
+    changed = {**copy.deepcopy(summary("full", 97.9)), "schema": 3, "notes": []}
+    if place == ("schema",):
+        changed["splits"] = 5
+    target = changed
+    for key in place[:-1]:
+        target = target[key]
+    target[place[-1]] = value
+    (tmp_path / "summary.json").write_text(json.dumps(changed))
+    with pytest.raises(DatasetError, match="not a run summary") as fault:
+        read_summary(tmp_path)
+    assert len(fault.value.message) < 600
 
 
 def test_runs_of_one_method_are_told_apart_by_what_differs():

@@ -1,3 +1,4 @@
+import math
 import os
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from lodbench.storage import (
     write_text,
 )
 from lodbench.storage.disk import disk
+from lodbench.storage.json_text import parse_json
 from lodbench.storage.paths import cache_limit_bytes, cache_root, data_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
@@ -190,3 +192,15 @@ def test_a_full_disk_is_told_with_the_file(tmp_path):
         Path("/dev/full").open("wb", buffering=0) as stream,
     ):
         disk().write(stream, b"x", Path("/dev/full"))
+
+
+class TestJson:
+    @pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000])
+    def test_deep_nesting_is_a_value_error(self, text):
+        with pytest.raises(ValueError, match="nested too deeply"):
+            parse_json(text)
+
+    def test_strictly_there_is_no_nan(self):
+        assert math.isnan(parse_json("[NaN]")[0])
+        with pytest.raises(ValueError, match="Infinity is no number of JSON"):
+            parse_json("[-Infinity]", is_strict=True)

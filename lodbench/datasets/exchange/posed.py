@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
+from lodbench.storage.json_text import parse_json
 
 
 class FoundPose(NamedTuple):
@@ -93,15 +93,8 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         DatasetError: The file cannot be read, or is no JSON object of finite numbers.
     """
-
-    def refuse(word: str) -> float:
-        raise ValueError(f"{word} is no number of JSON")
-
     with Place(str(path), "a JSON object"):
-        try:
-            value = json.loads(read_text(path), parse_constant=refuse)
-        except RecursionError as error:
-            raise ValueError("nested too deeply") from error
+        value = parse_json(read_text(path), is_strict=True)
         if not isinstance(value, dict):
             raise ValueError("no JSON object")
     return value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
@@ -17,6 +16,7 @@ from lodbench.datasets.pose_text import read_cameras
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.findings import Findings
 from lodbench.geometry import Camera, Pose
+from lodbench.storage.json_text import parse_json
 
 T = TypeVar("T")
 
@@ -43,7 +43,7 @@ def read_names(path: Path, scene: str, keys: tuple[str, ...]) -> list[str]:
             lines = text.splitlines()[_VISUAL_LANDMARK_LINES if has_head else 0 :]
             names = [line.split()[0] for line in lines if line.strip()]
         else:
-            parts = json.loads(text)
+            parts = parse_json(text)
             names = [name for key in keys for name in parts.get(key, {}).get(scene, ())]
         names = [PurePosixPath(name).name for name in names]
     except (OSError, ValueError, AttributeError, TypeError) as error:

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from lodbench.harness.mask.session import MaskSession
+from lodbench.storage.json_text import parse_json
 
 # No stroke is larger, bytes; and none has more points or a wider brush, pixels.
 _MOST_BYTES, _MOST_POINTS, _MOST_RADIUS = 1 << 20, 20_000, 2_000.0
@@ -71,7 +72,7 @@ class _Handler(BaseHTTPRequestHandler):
             length = int(self.headers.get("Content-Length", "0"))
             if not 0 <= length <= _MOST_BYTES:
                 raise ValueError
-            content = json.loads(self.rfile.read(length) or b"{}")
+            content = parse_json(self.rfile.read(length) or b"{}")
             with self.server.lock:
                 told = self._done(asked, content)
         except (ValueError, KeyError, TypeError):

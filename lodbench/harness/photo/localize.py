@@ -29,6 +29,7 @@ from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted
 from lodbench.segmentation import notes_of
 from lodbench.storage import file_digest, make_folder, write_text
+from lodbench.storage.json_text import parse_json
 
 # What one photo has; masks come with --mask or from a segmenter.
 _GIVEN = frozenset({Input.MASK, Input.IMAGE, Input.TILT, Input.HEIGHT, Input.MAP})
@@ -164,7 +165,7 @@ def _label(out: Path, stem: str, digest: str) -> str:
     for number in itertools.count(1):
         label = stem if number == 1 else f"{stem}_{number}"
         try:
-            if json.loads((out / f"{label}.json").read_text(encoding="utf-8"))["sha256"] == digest:
+            if parse_json((out / f"{label}.json").read_text(encoding="utf-8"))["sha256"] == digest:
                 return label
         except FileNotFoundError:
             if not (out / f"{label}_overlay.png").exists():

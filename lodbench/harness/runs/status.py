@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import json
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.errors import DatasetError
+from lodbench.evaluation.predictions import Prediction
 from lodbench.harness.runs.predict import open_predictions
+from lodbench.storage.json_text import parse_json
 
 PLAN_FILE = "plan.json"
 
@@ -49,19 +51,16 @@ def read_status(folder: Path) -> RunStatus:
     """Returns how far a run is, whether it is going on, was stopped, or is done.
 
     Raises:
-        DatasetError: The folder holds no run.
+        DatasetError: The folder holds no run, or a line of its answers is none.
     """
     try:
-        keys = json.loads((folder / PLAN_FILE).read_text(encoding="utf-8"))["queries"]
+        keys = [str(key) for key in parse_json((folder / PLAN_FILE).read_text(encoding="utf-8"))["queries"]]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{folder} holds no run.", "Name a folder that `lodbench run` made.") from error
     stored = open_predictions(folder, read_only=True)
-    rows = [stored[key] for key in keys if key in stored]
-    failures: dict[str, int] = {}
-    for row in rows:
-        if row["failure"]:
-            failures[row["failure"]] = failures.get(row["failure"], 0) + 1
-    times = [sum(row["seconds"].values()) for row in rows if not row["failure"]]
+    rows = [Prediction.from_json(stored[key], f"{folder}: {key}") for key in keys if key in stored]
+    failures = Counter(row.failure for row in rows if row.failure)
+    times = [sum(row.seconds.values()) for row in rows if not row.failure]
     mean = sum(times) / len(times) if times else 0.0
     # A stopped run may stand beside the tables of an earlier, whole one: rows tell, not files alone.
     is_finished = len(rows) == len(keys) and (folder / "summary.json").is_file()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import io
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +30,7 @@ from lodbench.reporting.summaries import read_summary
 from lodbench.reporting.table_formats import format_html
 from lodbench.reporting.tables import tables_of
 from lodbench.storage import show_formula
+from lodbench.storage.json_text import parse_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -125,7 +125,7 @@ def read_run(folder: str | Path) -> StoredRun:
     return StoredRun(
         folder=folder,
         summary=summary,
-        provenance=_read_json(provenance) if provenance.is_file() else {},
+        provenance=_read_provenance(provenance) if provenance.is_file() else {},
         queries=queries,
         poses={keys[name]: pose for name, pose in found.items() if name in keys},
         strays=tuple(name for name in found if name not in keys),
@@ -142,11 +142,23 @@ def _read(path: Path) -> str:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(_read(path))
+        value = parse_json(_read(path))
     except ValueError as error:
         raise DatasetError(f"{path} is not JSON: {error}.", _FOLDER_HINT) from error
     if not isinstance(value, dict):
         raise DatasetError(f"{path} is no JSON object.", _FOLDER_HINT)
+    return value
+
+
+def _read_provenance(path: Path) -> dict[str, Any]:
+    value = _read_json(path)
+    seconds = value.get("seconds_per_query", {})
+    times = seconds.values() if isinstance(seconds, dict) else ["none"]
+    if not all(time is None or (isinstance(time, int | float) and 0 <= time < math.inf) for time in times):
+        raise DatasetError(f"{path}: seconds_per_query holds no seconds by split.", _FOLDER_HINT)
+    files = value.get("files", {})
+    if not isinstance(files, dict) or not all(isinstance(digest, str) for digest in files.values()):
+        raise DatasetError(f"{path}: files holds no digests by name.", _FOLDER_HINT)
     return value
 
 

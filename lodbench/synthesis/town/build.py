@@ -12,6 +12,7 @@ from lodbench.citymodel import open_scene
 from lodbench.errors import DatasetError
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
+from lodbench.storage.json_text import parse_json
 from lodbench.synthesis.objects.scene_props import write_props
 from lodbench.synthesis.queries import write_queries
 from lodbench.synthesis.town.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text, fine_citygml_text, title
@@ -90,7 +91,7 @@ def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
         DatasetError: Something else does.
     """
     try:
-        manifest = json.loads((root / MANIFEST_FILE).read_text(encoding="utf-8"))
+        manifest = parse_json((root / MANIFEST_FILE).read_text(encoding="utf-8"))
         found = {key: manifest[key] for key in asked}
     except (OSError, ValueError, KeyError, TypeError):
         raise DatasetError(

@@ -14,6 +14,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
 from lodbench.errors import DatasetError
 from lodbench.storage import digest_of, file_digest, make_folder, remove_leftovers, write_text
+from lodbench.storage.json_text import parse_json
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, ViewPlan
 
@@ -89,7 +90,7 @@ def _digests(path: Path) -> dict[str, str]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}

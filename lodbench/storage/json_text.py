@@ -1,0 +1,26 @@
+"""JSON that somebody else may have written."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+
+def parse_json(text: str | bytes, is_strict: bool = False) -> Any:
+    """Returns the value of a JSON text.
+
+    Args:
+        text: One document; bytes are UTF-8.
+        is_strict: Refuse NaN and Infinity, which Python reads and JSON does not know.
+
+    Raises:
+        ValueError: It is no JSON, or is nested more deeply than Python can follow.
+    """
+    try:
+        return json.loads(text, parse_constant=_refuse if is_strict else None)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def _refuse(word: str) -> float:
+    raise ValueError(f"{word} is no number of JSON")
