@@ -102,7 +102,7 @@ def crs_label(name: str) -> tuple[str, bool]:
 @lru_cache(maxsize=64)
 def resolve_crs(name: str) -> KnownCrs | None:
     """Returns the reference system a name stands for, or None when nobody knows it."""
-    from pyproj import CRS
+    from pyproj import CRS, Proj
     from pyproj.exceptions import CRSError
 
     label, is_mapped = crs_label(name)
@@ -124,6 +124,10 @@ def resolve_crs(name: str) -> KnownCrs | None:
         horizontal = crs.to_2d()
         vertical_to_m = crs.axis_info[2].unit_conversion_factor
     if not (horizontal.is_geographic or horizontal.is_projected):
+        return None
+    try:
+        Proj(horizontal)
+    except CRSError:  # WKT may state a projection that PROJ has not
         return None
     return KnownCrs(label, horizontal, vertical_code, vertical_to_m, is_mapped, is_solid)
 

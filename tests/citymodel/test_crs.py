@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 
 from lodbench.citymodel import read_city_model
 from lodbench.citymodel.crs import crs_label, require_crs, resolve_crs
@@ -55,6 +55,11 @@ class TestLabel:
     def test_known_names(self, name: str, label: str) -> None:
         assert crs_label(name)[0] == label
         assert resolve_crs(name) is not None
+
+    def test_a_projection_that_proj_has_not_is_unknown(self) -> None:
+        text = CRS.from_epsg(25832).to_wkt("WKT1_GDAL")
+        assert resolve_crs(text) is not None
+        assert resolve_crs(text.replace("Transverse_Mercator", "Transverse_Mercatoo")) is None
 
     @pytest.mark.parametrize("name", ["", "unknown", "EPSG:99999", "urn:adv:crs:MARS*X", "EPSG:5783"])
     def test_unknown_names(self, name: str) -> None:

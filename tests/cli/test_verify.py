@@ -134,6 +134,14 @@ def test_a_byte_that_changes_no_result_is_caught_by_the_digest(lodbench, run, na
     assert f"{name} is not the file the run wrote" in done.stdout
 
 
+@pytest.mark.parametrize("said", ['"datasex": {', '"dataset": [], "other": {'])
+def test_a_summary_that_names_no_dataset_is_one_line(lodbench, run, said):
+    change(run / "summary.json", r'"dataset": \{', said)
+    done = lodbench("verify", str(run))
+    assert done.returncode == 2
+    assert "summary.json is not a run summary" in done.stderr
+
+
 def test_other_data_is_caught_and_moved_data_is_found(lodbench, made, run, tmp_path):
     moved = Path(shutil.copytree(made[0], tmp_path / "moved"))
     assert lodbench("verify", str(run), "--dataset-root", str(moved)).returncode != 2
