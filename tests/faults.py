@@ -23,6 +23,7 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
 
+import cv2
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 
 from lodbench.cli import main
@@ -97,6 +98,10 @@ def quietly(words: Sequence[str]) -> tuple[int, str]:
         except SystemExit as leaving:
             code = leaving.code if isinstance(leaving.code, int) else 1
     return code, err.getvalue()
+
+
+# A fork has none of its parent's threads, and would wait for those of OpenCV.
+cv2.setNumThreads(1)
 
 
 def apart(work: Callable[[], int]) -> int:
