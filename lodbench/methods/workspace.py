@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
 from lodbench.errors import LodbenchError
+from lodbench.storage import digest_of, write_text
+from lodbench.storage.arrays import file_check
 from lodbench.storage.disk import disk, make_folder
 from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
+_LOGGER = logging.getLogger(__name__)
 _FOLDER = "prepared"
 
 
@@ -18,8 +22,9 @@ class Workspace:
     """A folder that a method's ``prepare`` fills, and finds filled the next time.
 
     Its name stands for all that its content depends on: the method, its parameters, code and weights, the
-    map and the references. So a part that is there is the right one, and is never made again. Every part
-    is there whole or not at all: after a kill the finished ones stay.
+    map and the references. So a part that is there is the right one, and is never made again, unless it
+    is no longer what was written, which is told. Every part is there whole or not at all: after a kill the
+    finished ones stay.
 
     Args:
         folder: The folder; made if it is not there.
@@ -43,8 +48,11 @@ class Workspace:
         if not name or PurePosixPath(name).name != name or name.startswith("."):
             raise LodbenchError(f"{name!r} cannot name a part of a workspace.", "Use a plain file name.")
         path = self.folder / name
-        if not path.exists():
-            self._make(path, make)
+        if path.exists():
+            if _stored_check(path) == _check(path):
+                return path
+            _LOGGER.warning("%s, which a method prepared, is damaged: it is made anew.", path)
+        self._make(path, make)
         return path
 
     def _make(self, path: Path, make: Callable[[Path], None]) -> None:
@@ -55,6 +63,10 @@ class Workspace:
                 raise LodbenchError(
                     f"Nothing was written for the part {path.name}.", "Write to the path given."
                 )
+            # First: who finds the part finds what it must be.
+            write_text(_check_file(path), _check(unfinished), survives_power_cut=False)
+            if path.is_dir():
+                disk().remove(path)
             try:
                 disk().rename(unfinished, path)
             except OSError:
@@ -63,6 +75,25 @@ class Workspace:
                     raise
         finally:
             disk().remove(unfinished)
+
+
+def _check_file(path: Path) -> Path:
+    return path.with_name(f".{path.name}.xxh3")
+
+
+def _stored_check(path: Path) -> str | None:
+    try:
+        return _check_file(path).read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return None
+
+
+def _check(path: Path) -> str:
+    """Returns what tells that a file, or any file of a folder, is damaged."""
+    if path.is_file():
+        return file_check(path)
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    return digest_of([[file.relative_to(path).as_posix(), file_check(file)] for file in files], length=32)
 
 
 def open_workspace(method: str, digest: str) -> Workspace:

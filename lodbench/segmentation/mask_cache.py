@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from lodbench.storage import digest_of, make_folder, write_bytes
 from lodbench.storage.contents import read_content
 from lodbench.storage.paths import cache_root
 
+_LOGGER = logging.getLogger(__name__)
 Probability = NDArray[np.float32]
 _FOLDER = "segmentations"
 
@@ -54,11 +56,9 @@ def _read(path: Path) -> NDArray[np.uint16] | None:
     try:
         with np.load(path, allow_pickle=False) as archive:
             stored = archive["probability"]
-    except (OSError, ValueError, KeyError, EOFError):
+    except FileNotFoundError:
         return None
-    except Exception as error:
-        # zipfile has errors of its own for a file cut short.
-        if type(error).__name__ in ("BadZipFile", "error"):
-            return None
-        raise
+    except Exception as error:  # numpy, zipfile and zlib raise anything over a damaged file
+        _LOGGER.warning("The mask kept in %s is damaged (%s): it is made anew.", path, error)
+        return None
     return np.asarray(stored) if stored.dtype == np.uint16 and stored.ndim == 2 else None

@@ -60,7 +60,7 @@ def map_array(path: Path, digest: str) -> NDArray[Any]:
         OSError: The file is missing.
         ValueError: It is not the file that was written, or no array.
     """
-    if _digest(path) != digest:
+    if file_check(path) != digest:
         raise ValueError(f"{path.name} is not the file that was written")
     try:
         array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -87,7 +87,12 @@ def _write(path: Path, array: NDArray[Any]) -> str:
     return state.hexdigest()
 
 
-def _digest(path: Path) -> str:
+def file_check(path: Path) -> str:
+    """Returns what tells that a file is damaged: 32 hexadecimal digits.
+
+    Raises:
+        OSError: It cannot be read.
+    """
     # Read, not mapped: pages looked at through a map count as the process's memory.
     state, block = xxhash.xxh3_128(), bytearray(_BLOCK_BYTES)
     with path.open("rb", buffering=0) as stream:

@@ -44,7 +44,41 @@ def test_what_fails_leaves_nothing_and_keeps_the_rest(tmp_path):
 
     with pytest.raises(ZeroDivisionError):
         workspace.part("second", fail)
-    assert [path.name for path in tmp_path.iterdir()] == ["first"]
+    assert {path.name for path in tmp_path.iterdir()} == {"first", ".first.xxh3"}
+
+
+@pytest.mark.parametrize("place", [0, 90, -1])
+def test_a_damaged_part_is_told_and_made_anew(tmp_path, caplog, place):
+    workspace, values = Workspace(tmp_path), np.arange(50)
+    path = workspace.part("a.npy", lambda file: np.save(file, values))
+    content = bytearray(path.read_bytes())
+    content[place] ^= 4
+    path.write_bytes(content)
+    again = workspace.part("a.npy", lambda file: np.save(file, values))
+    assert np.load(again).tolist() == values.tolist()
+    assert "a.npy, which a method prepared, is damaged" in caplog.text
+    assert Workspace(tmp_path).part("a.npy", never) == path
+
+
+@pytest.mark.parametrize("damage", ["changed", "gone", "more", "no check"])
+def test_a_folder_with_a_damaged_file_is_made_anew(tmp_path, damage):
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        (folder / "a.txt").write_text("a")
+        (folder / "b.txt").write_text("b")
+
+    workspace = Workspace(tmp_path)
+    part = workspace.part("tiles", make)
+    if damage == "changed":
+        (part / "b.txt").write_text("c")
+    elif damage == "gone":
+        (part / "b.txt").unlink()
+    elif damage == "more":
+        (part / "c.txt").write_text("c")
+    else:
+        (tmp_path / ".tiles.xxh3").unlink()
+    assert sorted(file.read_text() for file in workspace.part("tiles", make).iterdir()) == ["a", "b"]
+    assert workspace.part("tiles", never) == part
 
 
 def test_a_kill_keeps_the_finished_parts(tmp_path):

@@ -1,0 +1,42 @@
+"""Masks kept in the cache: damage of any kind is told, and the mask made anew."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lodbench.segmentation.mask_cache import cached_probability
+from lodbench.storage.paths import cache_root
+
+
+@pytest.fixture
+def photo(tmp_path, monkeypatch):
+    monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
+    path = tmp_path / "photo.jpg"
+    path.write_bytes(b"a photo")
+    return path
+
+
+def test_flipped_bits_never_change_a_mask(photo, caplog):
+    probability = np.linspace(0, 1, 48 * 64, dtype=np.float32).reshape(48, 64)
+    asked: list[bytes] = []
+
+    def compute(content):
+        asked.append(content)
+        return probability
+
+    whole = cached_probability(photo, "network", compute)
+    assert np.abs(whole - probability).max() < 1e-5
+    (file,) = (cache_root() / "segmentations").iterdir()
+    content, told = file.read_bytes(), 0
+    # The archive's and the array's headers, the values and the archive's directory.
+    for place in [*range(240), *range(240, len(content), 37), *range(len(content) - 130, len(content))]:
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << place % 8
+        file.write_bytes(damaged)
+        asked.clear()
+        assert (cached_probability(photo, "network", compute) == whole).all(), place
+        told += bool(asked)
+        assert bool(asked) == ("is damaged" in caplog.text), place
+        caplog.clear()
+    assert told > 300
