@@ -196,6 +196,8 @@ def register_config_sources() -> None:
 
 def explained(error: Exception, config_name: str) -> ConfigError:
     """Returns Hydra's complaint as one line and, for an unknown key, the nearest known ones."""
+    from hydra.errors import OverrideParseException
+
     text = str(error)
     option = re.search(
         r"Could not find '([^']+)/([^'/]+)'[\s\S]*?Available options in '[^']+':([\s\S]*)", text
@@ -213,9 +215,10 @@ def explained(error: Exception, config_name: str) -> ConfigError:
         return ConfigError(
             f"{merged[1]} is of another kind than its setting.", f"lodbench {config_name} --help"
         )
-    for word in sys.argv[1:]:
-        if not word.startswith("-") and not _is_override(word):
-            return _unread(word)
+    if isinstance(error, OverrideParseException):
+        for word in sys.argv[1:]:
+            if not word.startswith("-") and not _is_override(word):
+                return _unread(word)
     return ConfigError(f"The command line cannot be read: {text.splitlines()[0]}", "Settings are key=value.")
 
 
