@@ -48,14 +48,15 @@ class Workspace:
         if not name or PurePosixPath(name).name != name or name.startswith("."):
             raise LodbenchError(f"{name!r} cannot name a part of a workspace.", "Use a plain file name.")
         path = self.folder / name
-        if path.exists():
+        is_damaged = path.exists()
+        if is_damaged:
             if _stored_check(path) == _check(path):
                 return path
             _LOGGER.warning("%s, which a method prepared, is damaged: it is made anew.", path)
-        self._make(path, make)
+        self._make(path, make, is_damaged)
         return path
 
-    def _make(self, path: Path, make: Callable[[Path], None]) -> None:
+    def _make(self, path: Path, make: Callable[[Path], None], is_damaged: bool) -> None:
         unfinished = path.with_name(f".{os.getpid()}.{path.name}")
         try:
             make(unfinished)
@@ -65,7 +66,7 @@ class Workspace:
                 )
             # First: who finds the part finds what it must be.
             write_text(_check_file(path), _check(unfinished), survives_power_cut=False)
-            if path.is_dir():
+            if is_damaged:
                 disk().remove(path)
             try:
                 disk().rename(unfinished, path)

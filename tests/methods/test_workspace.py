@@ -60,6 +60,26 @@ def test_a_damaged_part_is_told_and_made_anew(tmp_path, caplog, place):
     assert Workspace(tmp_path).part("a.npy", never) == path
 
 
+def test_a_folder_that_another_process_made_meanwhile_stays(tmp_path):
+    workspace = Workspace(tmp_path)
+
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        (folder / "a.txt").write_text("a")
+
+    theirs: list[int] = []
+
+    def make_later(folder: Path) -> None:
+        make(tmp_path / ".other")
+        (tmp_path / ".other").rename(tmp_path / "tiles")
+        theirs.append((tmp_path / "tiles").stat().st_ino)
+        make(folder)
+
+    part = workspace.part("tiles", make_later)
+    assert part.stat().st_ino == theirs[0]
+    assert workspace.part("tiles", never) == part
+
+
 @pytest.mark.parametrize("damage", ["changed", "gone", "more", "no check"])
 def test_a_folder_with_a_damaged_file_is_made_anew(tmp_path, damage):
     def make(folder: Path) -> None:
