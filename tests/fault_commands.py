@@ -237,7 +237,7 @@ COMMANDS = [
     Command("track", TRACK),
     Command("mask", _in("mask", PHOTO, "--mask", MASK, "--no-page", "--out", "{}/mask.png", *EXPORTS)),
     Command(
-        "run, a method that prepares",
+        "run, many poses drawn",
         lambda f: ["run", *_data(f), "method=mcloc", "method.steps=1", "executor.threads=1"],
     ),
     Command("compare, a page", _of_run("compare", "RUN", "--format", "html", "--out", "{}/c.html"), (_run,)),
