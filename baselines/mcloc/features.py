@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError
 from lodbench.matching import open_extractor
+from lodbench.matching.roma import roma_encoder_file
 from lodbench.matching.weights import Published, fetched_folder
 from lodbench.segmentation.extras import require
 
@@ -125,9 +127,7 @@ class Dinov2Map:
         height, width = (side // _PATCH * _PATCH for side in pictures.shape[1:3])
         if not height or not width:
             raise ConfigError(f"method.fine_size and coarse_size are at least {_PATCH} px for dinov2.")
-        pixels = pictures[:, :height, :width].astype(np.float32) / np.float32(255)
-        pixels = (pixels - _MEAN) / _SPREAD
-        blob = torch.from_numpy(np.ascontiguousarray(pixels.transpose(0, 3, 1, 2)))
+        blob = torch.from_numpy(_normalised(pictures[:, :height, :width]))
         with torch.inference_mode():
             tokens = self._net(blob).last_hidden_state[:, 1:].numpy()
         tokens = tokens / np.maximum(np.linalg.norm(tokens, axis=2, keepdims=True), 1e-12)
@@ -135,12 +135,82 @@ class Dinov2Map:
         return np.asarray(tokens.reshape(sides), dtype=np.float32)
 
 
+class RomaMap:
+    """Features of the convolutional encoder of RoMa (Edstedt et al., CVPR 2024), one per eight pixels.
+
+    It is VGG-19's first four blocks with batch normalisation, trained with the matcher; of RoMa's weights the
+    file of the matcher is enough, and neither romatch nor torchvision is needed.
+
+    Raises:
+        ConfigError: torch is not installed, or the weights have not been fetched.
+    """
+
+    blocks = ((64, 2), (128, 2), (256, 4), (512, 4))
+
+    def __init__(self, weights: str | None) -> None:
+        require("torch", "torch", "mcloc features=roma")
+        import torch
+
+        from lodbench.segmentation.nets.weights import fill, read_weights
+
+        torch.manual_seed(0)
+        self._file = None if weights == _RANDOM else roma_encoder_file(weights)
+        self._net = self._unfilled()
+        if self._file is not None:
+            name = "encoder.cnn.layers."
+            stored = read_weights(self._file).items()
+            own = {key.removeprefix(name): value for key, value in stored if key.startswith(name)}
+            fill(self._net, own, str(self._file))
+        self._net.eval()
+
+    def _unfilled(self) -> Any:
+        from torch import nn
+
+        layers: list[nn.Module] = []
+        channels = 3
+        for wide, depth in self.blocks:
+            layers += [nn.MaxPool2d(2)] if layers else []
+            for _ in range(depth):
+                layers += [
+                    nn.Conv2d(channels, wide, 3, padding=1),
+                    nn.BatchNorm2d(wide),
+                    nn.ReLU(inplace=True),
+                ]
+                channels = wide
+        return nn.Sequential(*layers)
+
+    def weight_files(self) -> list[Path]:
+        """Returns the file of the matcher's weights."""
+        return [] if self._file is None else [self._file]
+
+    def __call__(self, pictures: Pictures) -> FeatureMaps:
+        """Returns (N, H / 8, W / 8, 512) features."""
+        import torch
+
+        with torch.inference_mode():
+            found = self._net(torch.from_numpy(_normalised(pictures))).numpy()
+        found = found.transpose(0, 2, 3, 1)
+        length = np.maximum(np.linalg.norm(found, axis=3, keepdims=True), 1e-12)
+        return np.asarray(found / length, dtype=np.float32)
+
+
+def _normalised(pictures: Pictures) -> NDArray[np.float32]:
+    """Returns (N, 3, H, W) float32 of (N, H, W, 3) pictures, as networks trained on ImageNet want them."""
+    pixels = (pictures.astype(np.float32) / np.float32(255) - _MEAN) / _SPREAD
+    return np.ascontiguousarray(pixels.transpose(0, 3, 1, 2))
+
+
+_NETWORKS: dict[str, Callable[[str | None], DenseFeatures]] = {
+    "xfeat": XFeatMap,
+    "dinov2": Dinov2Map,
+    "roma": RomaMap,
+}
+
+
 @lru_cache(maxsize=2)
 def open_features(name: str, weights: str | None) -> DenseFeatures:
     """Returns the features of a name, opened once in a process: they may hold a network."""
-    if name == "hog":
-        return Hog()
-    return XFeatMap(weights) if name == "xfeat" else Dinov2Map(weights)
+    return Hog() if name == "hog" else _NETWORKS[name](weights)
 
 
 def similarities(photo: FeatureMaps, renders: FeatureMaps) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from lodbench.errors import ConfigError, nearest_names
 from lodbench.methods.lodlocv2 import Params
 
 MAPS = ("model", "textured")
-FEATURES = ("hog", "xfeat", "dinov2")
+FEATURES = ("hog", "xfeat", "dinov2", "roma")
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,10 +16,10 @@ class McLocParams(Params):
     """Settings of ``method=mcloc``; those not named here are LoD-Loc v2's and mean the same.
 
     Attributes:
-        features: What pictures are compared by: ``hog``, ``xfeat`` or ``dinov2``.
+        features: What pictures are compared by: ``hog``, ``xfeat``, ``dinov2`` or ``roma``.
         map: What is rendered: ``model``, shaded without textures as in the papers' tables, or ``textured``.
-        weights: Of ``xfeat`` a file, of ``dinov2`` a folder or hub id fetched before; ``random`` for random
-            ones, whose rows count for nothing; None for the features' own.
+        weights: Of ``xfeat`` a file, of ``dinov2`` and ``roma`` a folder or hub id fetched before; ``random``
+            for random ones, whose rows count for nothing; None for the features' own.
 
     Raises:
         ConfigError: A value is unknown or out of range.

@@ -57,20 +57,49 @@ def fetched_folder(weights: str | None, published: Published) -> Path:
         ConfigError: It is not there; the message has the id, the expected path, the licence and the size. Or
             its content is another than it is pinned to.
     """
-    place, pinned = _split_pin(weights or published.identity)
-    folder = Path(place).expanduser()
-    if not folder.is_dir():
-        try:
-            folder = hub_folder(place)
-        except ConfigError as error:
-            about = f"{published.licence}; {published.megabytes} MB"
-            raise ConfigError(f"{error.message} ({about})", error.hint) from None
-    if pinned:
+    folder, pins = _located(weights or published.identity, published, "*.safetensors")
+    if pins:
         files = sorted(folder.glob("*.safetensors"))
         if len(files) != 1:
             raise ConfigError(f"{folder} has {len(files)} files *.safetensors to be pinned by one sha256.")
-        _require_content(files[0], pinned)
+        _require_contents(files, pins)
     return folder
+
+
+def fetched_files(weights: str, published: Published, names: tuple[str, ...]) -> list[Path]:
+    """Returns files of a folder of weights by their names.
+
+    Args:
+        weights: A folder, or a hub id fetched before; ``#sha256=HEX+HEX`` behind it pins the first files.
+        published: What its authors publish.
+        names: The files'.
+
+    Raises:
+        ConfigError: As for ``fetched_folder``.
+    """
+    folder, pins = _located(weights, published, names[0])
+    files = [folder / name for name in names]
+    for file in files:
+        if not file.is_file():
+            raise ConfigError(
+                f"{folder} has no {file.name} ({published.licence}; {published.megabytes} MB in all).",
+                f"It belongs to {published.identity}: hf download {published.identity}",
+            )
+    _require_contents(files, pins)
+    return files
+
+
+def _located(weights: str, published: Published, pattern: str) -> tuple[Path, list[str]]:
+    """Returns the folder that a setting means, and what its files are pinned to."""
+    place, pins = _split_pins(weights)
+    folder = Path(place).expanduser()
+    if not folder.is_dir():
+        try:
+            folder = hub_folder(place, pattern)
+        except ConfigError as error:
+            about = f"{published.licence}; {published.megabytes} MB"
+            raise ConfigError(f"{error.message} ({about})", error.hint) from None
+    return folder, pins
 
 
 def named_file(weights: str) -> Path:
@@ -79,24 +108,30 @@ def named_file(weights: str) -> Path:
     Raises:
         ConfigError: There is none, or its content is another.
     """
-    place, pinned = _split_pin(weights)
+    place, pins = _split_pins(weights)
     file = Path(place).expanduser()
     if not file.is_file():
         raise ConfigError(f"There are no weights {file}.", "Check the path.")
-    if pinned:
-        _require_content(file, pinned)
+    _require_contents([file], pins)
     return file
 
 
-def _split_pin(weights: str) -> tuple[str, str]:
-    """Returns where weights are, and the SHA-256 they are pinned to; "" for none."""
-    place, mark, digest = weights.partition("#sha256=")
-    if mark and not re.fullmatch("[0-9a-f]{64}", digest):
-        raise ConfigError(f"{digest!r} is no SHA-256.", "It has 64 digits 0-9 and a-f: sha256sum FILE.")
-    return place, digest
+def _split_pins(weights: str) -> tuple[str, list[str]]:
+    """Returns where weights are, and the SHA-256 that their files are pinned to."""
+    place, mark, digests = weights.partition("#sha256=")
+    pins = digests.split("+") if mark else []
+    for digest in pins:
+        if not re.fullmatch("[0-9a-f]{64}", digest):
+            raise ConfigError(f"{digest!r} is no SHA-256.", "It has 64 digits 0-9 and a-f: sha256sum FILE.")
+    return place, pins
 
 
-def _require_content(file: Path, pinned: str) -> None:
-    found = file_digest(file)
-    if found != pinned:
-        raise ConfigError(f"The weights {file} have the sha256 {found}, not {pinned}.", "Fetch them anew.")
+def _require_contents(files: list[Path], pins: list[str]) -> None:
+    if len(pins) > len(files):
+        raise ConfigError(f"{len(pins)} sha256 pin {', '.join(map(str, files))}.", "One for each file.")
+    for file, pinned in zip(files, pins, strict=False):
+        found = file_digest(file)
+        if found != pinned:
+            raise ConfigError(
+                f"The weights {file} have the sha256 {found}, not {pinned}.", "Fetch them anew."
+            )

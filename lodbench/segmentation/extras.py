@@ -20,6 +20,11 @@ def require(package: str, extra: str, needed_by: str) -> None:
     """
     try:
         import_module(package)
+    except RuntimeError as error:  # torchvision's, where its operators were built for another torch
+        raise ConfigError(
+            f"{needed_by} needs {package}, which does not work beside this torch ({error}).",
+            "Both from one place: pip install torch torchvision --index-url https://download.pytorch.org/whl/cpu",
+        ) from error
     except ImportError as error:
         raise ConfigError(
             f"{needed_by} needs {package}, which is not installed ({error}).",

@@ -175,8 +175,12 @@ def weights_file(weights: str, name: str, setting: str = SETTING) -> Path:
     )
 
 
-def hub_folder(identity: str) -> Path:
+def hub_folder(identity: str, pattern: str = "*.safetensors") -> Path:
     """Returns the local folder of a Hugging Face repository fetched before.
+
+    Args:
+        identity: The repository's.
+        pattern: What files it has at least one of.
 
     Raises:
         ConfigError: It is not there, or without its weights, as where a licence was not accepted; the
@@ -194,6 +198,9 @@ def hub_folder(identity: str) -> Path:
     except Exception as error:
         expected = Path(HF_HUB_CACHE) / f"models--{identity.replace('/', '--')}"
         raise ConfigError(f"The weights {identity} are not at {expected}.", hint) from error
-    if not any(folder.glob("*.safetensors")):
-        raise ConfigError(f"{folder} holds no safetensors of {identity}: fetched in part, or refused.", hint)
+    if not any(folder.glob(pattern)):
+        raise ConfigError(
+            f"{folder} holds no {pattern.removeprefix('*.')} of {identity}: fetched in part, or refused.",
+            hint,
+        )
     return folder
