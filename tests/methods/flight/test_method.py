@@ -13,7 +13,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.flight import FlightMethod, Params, findings
+from lodbench.methods.flight import FlightMethod, Params, building_heights
 from lodbench.methods.flight.joint import State, photo_covariance, solve
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
 from lodbench.methods.flight.roof_parts import RoofParts
@@ -108,7 +108,7 @@ def test_a_building_whose_height_the_map_has_wrong_is_in_doubt(scene):
     ],
 )
 def test_a_height_is_in_doubt_by_its_sigma_and_where_something_stays(higher_m, sigma_m, rise_m, is_in_doubt):
-    assert findings._is_in_doubt(higher_m, sigma_m, rise_m) is is_in_doubt
+    assert building_heights._is_in_doubt(higher_m, sigma_m, rise_m) is is_in_doubt
 
 
 def test_a_flight_of_one_photo_and_one_without_any_building(city_map):

@@ -1,0 +1,237 @@
+"""Heights of roofs from pixels: at its true height a roof looks the same in all photos that show it.
+
+A sweep through space (Collins, "A space-sweep approach to true multi-image matching", CVPR 1996) with the
+map's own roofs for planes: each is moved up and down, and photos are compared where it would be seen. A roof
+among others, which draws no outline in any mask, has a height this way too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.pictures import read_picture
+from lodbench.datasets.query import Query
+from lodbench.geometry import Camera, Pose
+from lodbench.segmentation import binary_mask
+
+Floats = NDArray[np.float64]
+
+# By how much higher than in the map a roof may be, metres.
+HEIGHTS_M: Floats = np.arange(-8.0, 8.01, 0.25)
+_AS_MAPPED = len(HEIGHTS_M) // 2
+# Photos are compared at this width, pixels, blurred a little, for poses are not exact.
+_WIDTH, _BLUR_PX = 640, 0.8
+# A roof is looked at in so many points at most, no closer than this, metres; by so few it is not.
+_MOST_POINTS, _SPACING_M, _FEWEST_POINTS = 144, 0.4, 6
+# Photos of one roof, fewest and most, which is a share of its points, and how near the camera is, metres.
+_FEWEST_PHOTOS, _MOST_PHOTOS, _SHARE, _FURTHEST_M = 3, 16, 0.15, 400.0
+# What stands before a point by more than this hides it, metres.
+_BEFORE_M = 1.0
+# Faces steeper than this are walls: the upward part of their unit normal.
+_FLAT = 0.3
+# Colours are compared as L, a, b of 8 bits with these weights, differences no larger than this count; a point
+# outside the mask counts as a difference of so much.
+_WEIGHTS, _MOST_APART, _OFF_MASK = np.array([1.0, 2.0, 2.0], np.float32), 60.0, 30.0
+# Pixels of one roof err together: N say as much as _ALONE * sqrt(N) of them, and no more than so many do.
+_ALONE, _MOST_PIXELS = 0.3, 2000
+
+
+class RoofCurve(NamedTuple):
+    """What photos say of one roof's height.
+
+    Attributes:
+        nats: (H,) how well each height of ``HEIGHTS_M`` explains them.
+        photos: How many were compared.
+    """
+
+    nats: Floats
+    photos: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    """A photo as roofs are compared in it.
+
+    Attributes:
+        camera: The lens it was found to have, of the picture's size.
+        distortion: Radial, k1.
+        pose: Scene frame.
+        pixels: (H, W, 4) L, a, b and the mask, 8 bits.
+    """
+
+    camera: Camera
+    distortion: float
+    pose: Pose
+    pixels: NDArray[np.uint8]
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """Returns pixels (..., 2) of points (..., 3), the first pixel's centre at 0.5, and depths."""
+        local = (points - self.pose.center) @ self.pose.rotation.T
+        depths = np.maximum(local[..., 2], 0.1)
+        away = local[..., :2] / depths[..., None]
+        away = away * (1.0 + self.distortion * (away**2).sum(axis=-1, keepdims=True))
+        camera = self.camera
+        return away * [camera.fx, camera.fy] + [camera.cx, camera.cy], local[..., 2]
+
+    def holds(self, pixels: Floats, depths: Floats) -> NDArray[np.bool_]:
+        """Returns which pixels it has, a pixel from its edge."""
+        size = np.array([self.camera.width, self.camera.height]) - 1.0
+        return np.asarray(((pixels > 1.0) & (pixels < size)).all(axis=-1) & (depths > 1.0))
+
+
+# A photo, and which points of a roof it shows, (N,).
+_Shown: TypeAlias = tuple[_Picture, NDArray[np.bool_]]
+
+
+def sweep_roofs(
+    queries: Sequence[Query], poses: Sequence[Pose], lens: Floats, city_map: CityMap
+) -> dict[int, RoofCurve]:
+    """Returns how well heights explain the photos, by row of the building.
+
+    Heights are against the map, as poses have it: what all are wrong about alike is in all of them. Buildings
+    that fewer than three photos show are left out, and all where there are no photos.
+
+    Args:
+        queries: The photos.
+        poses: Where they were found to be taken, scene frame.
+        lens: The focal length's change as a share, and the radial distortion k1.
+        city_map: The map.
+    """
+    pictures = [
+        picture
+        for query, pose in zip(queries, poses, strict=True)
+        if (picture := _picture(query, pose, lens)) is not None
+    ]
+    if len(pictures) < _FEWEST_PHOTOS:
+        return {}
+    near = _near(city_map.scene, pictures)
+    roofs = _roofs(city_map.scene, np.flatnonzero(near.sum(axis=0) >= _FEWEST_PHOTOS))
+    seen = _seen(pictures, near, roofs, city_map)
+    return {row: curve for row, photos in seen.items() if (curve := _curve(roofs[row], photos)) is not None}
+
+
+def _picture(query: Query, pose: Pose, lens: Floats) -> _Picture | None:
+    pixels = None if query.image is None else read_picture(query.image)
+    if pixels is None:
+        return None
+    width = min(_WIDTH, pixels.shape[1])
+    camera = query.camera.scaled(width, max(1, round(width * query.camera.height / query.camera.width)))
+    size = camera.width, camera.height
+    small = cv2.GaussianBlur(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), (0, 0), _BLUR_PX)
+    mask = 255 * binary_mask(query.mask, *size).astype(np.uint8)
+    longer = 1.0 + float(lens[0])
+    camera = replace(camera, fx=camera.fx * longer, fy=camera.fy * longer)
+    return _Picture(camera, float(lens[1]), pose, np.dstack([cv2.cvtColor(small, cv2.COLOR_BGR2LAB), mask]))
+
+
+def _near(scene: Scene, pictures: Sequence[_Picture]) -> NDArray[np.bool_]:
+    """Returns (P, B) whether a photo may show the roof of a building of the scene."""
+    filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
+    starts, vertices = scene.vertex_starts[filled], scene.vertices.astype(np.float64)
+    low, high = np.minimum.reduceat(vertices, starts), np.maximum.reduceat(vertices, starts)
+    tops = np.column_stack([0.5 * (low + high)[:, :2], high[:, 2]])
+    near = np.zeros((len(pictures), scene.num_buildings), dtype=np.bool_)
+    for of_photo, picture in zip(near, pictures, strict=True):
+        pixels, depths = picture.project(tops)
+        of_photo[filled] = picture.holds(pixels, depths) & (depths < _FURTHEST_M)
+    return near
+
+
+def _roofs(scene: Scene, buildings: NDArray[np.int64]) -> dict[int, Floats]:
+    """Returns points of roofs, (N, 3), by row of the building; walls alone have none."""
+    roofs = {}
+    for row in buildings.tolist():
+        faces = slice(scene.triangle_starts[row], scene.triangle_starts[row + 1])
+        points = roof_points(scene.vertices[scene.triangles[faces]].astype(np.float64))
+        if len(points) >= _FEWEST_POINTS:
+            roofs[row] = points
+    return roofs
+
+
+def roof_points(triangles: Floats) -> Floats:
+    """Returns points of the upper side of a building, (N, 3), on a grid; its triangles are (T, 3, 3)."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    flat = triangles[np.abs(normals[:, 2]) > _FLAT * np.linalg.norm(normals, axis=1)]
+    if len(flat) == 0:
+        return np.zeros((0, 3))
+    low, high = flat[..., :2].min(axis=(0, 1)), flat[..., :2].max(axis=(0, 1))
+    step = max(_SPACING_M, math.sqrt(float(np.prod(high - low)) / _MOST_POINTS))
+    sides = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
+    places = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 1, 2)
+    a, b, c = (flat[:, k] for k in range(3))
+    ab, ac, ap = (b - a)[:, :2], (c - a)[:, :2], places - a[:, :2]
+    whole = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    along_b = (ap[..., 0] * ac[:, 1] - ap[..., 1] * ac[:, 0]) / whole
+    along_c = (ab[:, 0] * ap[..., 1] - ab[:, 1] * ap[..., 0]) / whole
+    inside = (along_b >= 0) & (along_c >= 0) & (along_b + along_c <= 1)
+    heights = a[:, 2] + along_b * (b - a)[:, 2] + along_c * (c - a)[:, 2]
+    tops = np.where(inside, heights, -np.inf).max(axis=1)
+    return np.asarray(np.column_stack([places[:, 0], tops])[np.isfinite(tops)])
+
+
+def _seen(
+    pictures: Sequence[_Picture], near: NDArray[np.bool_], roofs: Mapping[int, Floats], city_map: CityMap
+) -> dict[int, list[_Shown]]:
+    """Returns by building the photos that show its roof best, and which of its points."""
+    found: dict[int, list[_Shown]] = {row: [] for row in roofs}
+    for picture, of_photo in zip(pictures, near, strict=True):
+        rows = [row for row in np.flatnonzero(of_photo).tolist() if row in roofs]
+        if not rows:
+            continue
+        points, ends = np.concatenate([roofs[row] for row in rows]), np.cumsum([len(roofs[r]) for r in rows])
+        for row, is_seen in zip(rows, np.split(_sees(picture, points, city_map), ends[:-1]), strict=True):
+            if is_seen.mean() >= _SHARE:
+                found[row].append((picture, is_seen))
+    return {
+        row: sorted(photos, key=lambda one: -np.count_nonzero(one[1]))[:_MOST_PHOTOS]
+        for row, photos in found.items()
+        if len(photos) >= _FEWEST_PHOTOS
+    }
+
+
+def _sees(picture: _Picture, points: Floats, city_map: CityMap) -> NDArray[np.bool_]:
+    """Returns which of (N, 3) points of the map a photo shows, at every height they may have."""
+    pixels, depths = picture.project(points)
+    is_seen = picture.holds(pixels, depths) & (depths < _FURTHEST_M)
+    for end_m in (HEIGHTS_M[0], HEIGHTS_M[-1]):
+        is_seen &= picture.holds(*picture.project(points + np.array([0.0, 0.0, end_m])))
+    turn, center = picture.pose.rotation[None], picture.pose.center[None]
+    column, line = pixels[is_seen].astype(np.int64).T
+    before = city_map.depth(picture.camera, turn, center)[0][line, column]
+    is_seen[is_seen] = (before == 0) | (before > depths[is_seen] - _BEFORE_M)
+    return is_seen
+
+
+def _curve(points: Floats, photos: Sequence[_Shown]) -> RoofCurve | None:
+    """Returns how well heights of a roof explain its photos; None where too little is seen often enough."""
+    colours = np.full((len(photos), len(HEIGHTS_M), len(points), 4), np.nan, np.float32)
+    for of_photo, (picture, is_seen) in zip(colours, photos, strict=True):
+        raised = points[is_seen] + HEIGHTS_M[:, None, None] * np.array([0.0, 0.0, 1.0])
+        pixels = (picture.project(raised)[0] - 0.5).astype(np.float32)
+        of_photo[:, is_seen] = cv2.remap(picture.pixels, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR)
+    counts = np.isfinite(colours[:, _AS_MAPPED, :, 0]).sum(axis=0)
+    often = counts >= _FEWEST_PHOTOS
+    if np.count_nonzero(often) < _FEWEST_POINTS:
+        return None
+    colours, counts = colours[:, :, often], counts[often]
+    apart = np.abs(colours[..., :3] - _medians(colours[..., :3], counts)) @ _WEIGHTS
+    differences = np.minimum(apart, _MOST_APART) + _OFF_MASK * (1.0 - colours[..., 3] / 255.0)
+    mean = np.nanmean(differences, axis=(0, 2), dtype=np.float64)
+    independent = _ALONE * math.sqrt(min(int(counts.sum()), _MOST_PIXELS))
+    return RoofCurve(-independent * np.log(np.maximum(mean, 1.0)), len(photos))
+
+
+def _medians(colours: NDArray[np.float32], counts: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Returns the medians over photos, (H, N, C), of those that are finite: so many of each point."""
+    in_order, points = np.sort(colours, axis=0), np.arange(len(counts))
+    low, high = ((counts - step) // 2 for step in (1, 0))
+    return 0.5 * (in_order[low, :, points] + in_order[high, :, points]).swapaxes(0, 1)

@@ -1,0 +1,113 @@
+"""Heights of roofs by pixels: roofs moved in the map are found where the photos have them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.citymap import CityMap
+from lodbench.citymodel import open_scene
+from lodbench.datasets.query import Query
+from lodbench.methods.flight.building_heights import _common, _fused
+from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, roof_points, sweep_roofs
+from lodbench.synthesis.flights.map_changes import MapErrors, change_map
+from lodbench.synthesis.flights.paths import PATHS
+from tests.town import CAMERA, box_obj
+
+LENS = np.zeros(2)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    path = tmp_path_factory.mktemp("world") / "city.obj"
+    path.write_text(box_obj())
+    return open_scene(path)
+
+
+@pytest.fixture(scope="module")
+def photos(world, tmp_path_factory):
+    """Returns an orbit's queries, with pictures of the world, and their poses."""
+    folder, city_map = tmp_path_factory.mktemp("photos"), CityMap(world, threads=1)
+    middle = np.array([*world.vertices[:, :2].mean(axis=0), 0.0])
+    poses = list(PATHS["orbit"](middle, np.random.default_rng(4), 8))[:8]
+    queries = []
+    for k, pose in enumerate(poses):
+        (picture,) = city_map.colour(CAMERA, pose.rotation[None], pose.center[None])
+        # A lawn that is not alike everywhere.
+        lawn = np.random.default_rng(0).normal((60, 90, 50), 4, picture.shape).astype(np.uint8)
+        mask = city_map.render(CAMERA, pose)
+        cv2.imwrite(str(folder / f"{k}.png"), np.where(mask[..., None], picture, lawn)[..., ::-1])
+        queries.append(Query(f"{k}", "all", CAMERA, pose, mask.astype(np.float32), folder / f"{k}.png"))
+    return queries, poses
+
+
+def best_m(curves):
+    return {row: float(HEIGHTS_M[np.argmax(curve.nats)]) for row, curve in curves.items()}
+
+
+def test_a_right_map_s_roofs_are_where_it_has_them(world, photos):
+    found = best_m(sweep_roofs(*photos, LENS, CityMap(world, threads=1)))
+    assert len(found) >= 5
+    assert np.mean([abs(height) <= 0.5 for height in found.values()]) >= 0.9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_roof_that_the_map_has_wrong_is_found_where_photos_show_it(world, photos, seed):
+    wrong, changed = change_map(world, MapErrors(heights=0.3), np.random.default_rng(seed))
+    found = best_m(sweep_roofs(*photos, LENS, CityMap(wrong, threads=1)))
+    ids = {world.building_ids[row]: height for row, height in found.items()}
+    off = [abs(ids[name] + change) for name, change in changed["heights"].items() if name in ids]
+    assert len(off) >= 2
+    assert np.median(off) <= 0.5
+
+
+def test_a_lens_that_is_longer_than_told_is_looked_through(world, photos):
+    queries, poses = photos
+    told = replace(CAMERA, fx=CAMERA.fx / 1.05, fy=CAMERA.fy / 1.05)
+    queries = [replace(query, camera=told) for query in queries]
+    right = best_m(sweep_roofs(queries, poses, np.array([0.05, 0.0]), CityMap(world, threads=1)))
+    assert np.mean([abs(height) <= 0.5 for height in right.values()]) >= 0.9
+
+
+def test_without_photos_or_with_two_of_them_nothing_is_told(world, photos):
+    queries, poses = photos
+    city_map = CityMap(world, threads=1)
+    assert sweep_roofs([replace(query, image=None) for query in queries], poses, LENS, city_map) == {}
+    assert sweep_roofs(queries[:2], poses[:2], LENS, city_map) == {}
+
+
+def test_points_of_a_roof_lie_on_its_upper_side_only():
+    # A gable of 4 m by 6 m, its ridge along y at 5 m, eaves at 3 m, over a floor at 0 m.
+    a, b, c, d, e, f = (0, 0, 3), (4, 0, 3), (4, 6, 3), (0, 6, 3), (2, 0, 5), (2, 6, 5)
+    floor = [[(0, 0, 0), (4, 0, 0), (4, 6, 0)], [(0, 0, 0), (4, 6, 0), (0, 6, 0)]]
+    wall = [[(0, 0, 0), (4, 0, 0), (4, 0, 3)]]
+    roof = [[a, e, f], [a, f, d], [b, c, f], [b, f, e]]
+    points = roof_points(np.array(floor + wall + roof, dtype=np.float64))
+    assert np.allclose(points[:, 2], 5.0 - np.abs(points[:, 0] - 2.0))
+    assert 100 <= len(points) <= 160
+    assert points[:, :2].min() > 0
+    assert (points[:, :2].max(axis=0) < (4, 6)).all()
+
+
+def test_a_building_of_walls_alone_has_no_roof():
+    assert roof_points(np.array([[[0, 0, 0], [4, 0, 0], [4, 0, 3]]], dtype=np.float64)).shape == (0, 3)
+
+
+def test_outlines_choose_between_two_heights_that_pixels_find_alike():
+    nats = -0.5 * np.minimum(((HEIGHTS_M - 3.0) / 0.3) ** 2, ((HEIGHTS_M + 3.0) / 0.3) ** 2)
+    best, sigma = _fused(HEIGHTS_M, nats, (2.5, 1.0), -100.0, 2.0)
+    assert best == pytest.approx(3.0, abs=0.1)
+    assert sigma < 0.8
+    # By itself neither is told.
+    assert _fused(HEIGHTS_M, nats, None, -100.0, 2.0) is None
+
+
+def test_what_all_roofs_are_wrong_about_alike_is_told_by_five_that_are_sharp():
+    nats = -0.5 * ((HEIGHTS_M - 1.5) / 0.3) ** 2
+    curves = {row: RoofCurve(nats, 8) for row in range(5)}
+    assert _common(curves) == 1.5
+    assert _common({row: curves[row] for row in range(4)}) is None
+    assert _common(curves | {5: RoofCurve(np.zeros(len(HEIGHTS_M)), 3)}) == 1.5
