@@ -34,10 +34,6 @@ def keep_kernels_apart(package: Path, parts: tuple[str, ...] = ("",)) -> Path | 
     The folder lies in the package's ``__pycache__``. Where that cannot be written or belongs to another user,
     or where the user has set ``NUMBA_CACHE_DIR``, nothing is done and None returned: numba then finds a place
     by itself. Damaged files, and those that a killed process left, are removed: numba compiles them again.
-
-    Args:
-        package: Folder of the package.
-        parts: Folders in it that hold functions compiled by numba, to look at no more than these.
     """
     configured = os.environ.get("NUMBA_CACHE_DIR")
     if configured and not _NAME.fullmatch(Path(configured).name):

@@ -111,10 +111,6 @@ class PlugIn:
 def find_plugin(group: str, name: str) -> PlugIn:
     """Returns a plug-in, not loaded.
 
-    Args:
-        group: A key of ``KINDS``.
-        name: The plug-in's.
-
     Raises:
         ConfigError: No installed package offers it.
     """

@@ -69,13 +69,6 @@ def measure_accuracy(
 ) -> Report:
     """Returns how well methods find seeded views over a city; ``data`` is the table of ``sweep``.
 
-    Args:
-        views: The city, and what to draw over it.
-        seeds: Of views, masks, priors and methods; each draws views of its own.
-        methods: Which methods.
-        progress: Called after each run: of a seed, a method and a tilt.
-        threads: As for ``sweep``.
-
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
@@ -85,12 +78,7 @@ def measure_accuracy(
 
 
 def report_accuracy(queries: pd.DataFrame, protocol: str) -> Report:
-    """Returns the report of a sweep over methods and tilts.
-
-    Args:
-        queries: As ``sweep`` has them.
-        protocol: What was drawn, in words.
-    """
+    """Returns the report of a sweep over methods and tilts."""
     blocks = blocks_of(queries)
     calibrations = _calibrations(blocks)
     lines = [_table(blocks), f"{protocol}; in brackets the 95 % interval.", *map(_missed, blocks)]

@@ -50,13 +50,6 @@ def measure_causes(
 ) -> Report:
     """Returns what methods find of the same views with causes of errors taken away, at the sensor's tilt.
 
-    Args:
-        cities: What to draw over each.
-        seeds: As for ``measure_accuracy``.
-        methods: Which methods.
-        progress: Called after each run: of a city, a seed, a method and a cause.
-        threads: As for ``sweep``.
-
     Raises:
         DatasetError: No city is left.
     """

@@ -44,13 +44,6 @@ def measure_cities(
 
     A city over which no views can be drawn, or that cannot be read, has no row and is named with its reason.
 
-    Args:
-        cities: What to draw over each.
-        seeds: As for ``measure_accuracy``.
-        methods: Which methods.
-        progress: Called after each run: of a city, a seed, a method and a tilt.
-        threads: As for ``sweep``.
-
     Raises:
         DatasetError: No city is left.
     """

@@ -44,12 +44,6 @@ def measure_budget(
 
     ``data`` is the table of ``sweep`` with the column ``rung``: the setting of the method.
 
-    Args:
-        views: The city, and what to draw over it.
-        seeds: Each draws views of its own.
-        progress: Called after each setting and seed.
-        threads: As for ``sweep``.
-
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """

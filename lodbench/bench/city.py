@@ -84,11 +84,6 @@ def measure_city(city: Path, options: CityOptions | None = None, progress: Progr
     CityGML stands beside the naive way, at the same level of detail; CityJSON beside cjio's export
     to OBJ, all levels, where cjio is installed.
 
-    Args:
-        city: A CityGML, CityJSON or OBJ file.
-        options: What to measure.
-        progress: Called with steps done and their total.
-
     Raises:
         CityModelError: The file cannot be read.
     """
@@ -191,11 +186,6 @@ def _run_memory(small: Path, large: Path, lod: str) -> dict[str, Any]:
 
 def repeat_members(source: Path, target: Path, num_bytes: int) -> None:
     """Writes a large CityGML file: the members of a small one, over and over.
-
-    Args:
-        source: A CityGML file without compression.
-        target: Where to write.
-        num_bytes: Size to reach.
 
     Raises:
         CityModelError: The source has no members.

@@ -52,10 +52,6 @@ def measure_evaluation(options: EvaluationOptions | None = None, progress: Progr
 
     Scored are errors, recalls, medians and intervals of all methods, from their poses to one table; one run
     is read back and summarised, verified, and its page written.
-
-    Args:
-        options: What to measure.
-        progress: Called after each method.
     """
     options = options or EvaluationOptions()
     dataset = _dataset(options)

@@ -60,12 +60,6 @@ def measure_flights(
 ) -> Report:
     """Returns how well a method finds seeded flights, and what they say of drone and map.
 
-    Args:
-        flights: The city, and what to draw over it.
-        seeds: Each draws flights, errors and masks of its own.
-        method: Solves them.
-        progress: Called after each flight.
-
     Raises:
         LodbenchError: The city cannot be read, or no flight can be drawn over it.
     """

@@ -38,13 +38,7 @@ _OUTLINES = (
 
 
 def grown_city(buildings: int, seed: int = 0, progress: Progress = no_progress) -> Scene:
-    """Returns a city of so many blocks on flat ground, the first tile's in the middle.
-
-    Args:
-        buildings: How many.
-        seed: Seed of their shapes, sizes and turns.
-        progress: Called after each tile.
-    """
+    """Returns a city of so many blocks on flat ground, the first tile's in the middle."""
     places = _tile_places(-(-buildings // TILE_BUILDINGS))
     tiles = []
     for k, place in enumerate(places):

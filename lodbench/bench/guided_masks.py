@@ -136,13 +136,6 @@ def measure_guided_masks(
 
     A silhouette is the traced mask itself, moved and turned: what leaves the photo is lost.
 
-    Args:
-        segmenter: Is guided.
-        folder: As of ``measure_photo_masks``.
-        options: How far off, and how often.
-        progress: Called after each photo and disturbance.
-        pictures: Folder for an overlay of each photo's first draw.
-
     Raises:
         DatasetError: There are no photos with buildings, or one has no mask or one of another size.
         QueryFault: A photo or a mask cannot be read.

@@ -64,13 +64,6 @@ def measure_iou_recall(
     columns ``method``, ``tilt``, ``iou``, and in percent ``recall`` with its 95 % interval, ``low`` and
     ``high``.
 
-    Args:
-        views: The city, and what to draw over it.
-        methods: Which methods.
-        progress: Called after each run: of an IoU, a method and a tilt.
-        ious: IoUs of the masks.
-        threads: As for ``sweep``.
-
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """

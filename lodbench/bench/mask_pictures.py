@@ -30,10 +30,6 @@ def draw_sheet(views: pd.DataFrame, title: str) -> dict[str, bytes]:
     """Returns the sheet, ``masks.png``: rows of worst, median and best views.
 
     The true mask's outline is white; what was found beside it is orange, what was missed violet.
-
-    Args:
-        views: As ``report_masks`` wants them.
-        title: Whose masks of what.
     """
     ious = (views["mask shared"] / views["mask union"].clip(lower=1)).rename("iou")
     ordered = views.join(ious).sort_values(["iou", "key"])

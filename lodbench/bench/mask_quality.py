@@ -57,11 +57,6 @@ def measure_masks(
 
     Masks are compared at their own size, thresholded as a run does. Nothing is taken from the cache.
 
-    Args:
-        segmenter: Looks at the photos.
-        options: Which views.
-        progress: Called after each view.
-
     Raises:
         LodbenchError: A set is missing or broken, or the two sets do not show the same views.
     """

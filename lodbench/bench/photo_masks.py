@@ -164,9 +164,6 @@ def labelled_photos(folder: Path) -> list[tuple[Path, Mask]]:
 
     What could not be told counts as no building.
 
-    Args:
-        folder: As of ``traced_photos``.
-
     Raises:
         DatasetError: There are no photos, or one has no mask or one of another size.
         QueryFault: A photo or a mask cannot be read.
@@ -190,11 +187,6 @@ def measure_photo_masks(
     segmenter: PhotoSegmenter, folder: Path, progress: Progress = no_progress
 ) -> PhotoMaskReport:
     """Returns how well a segmenter's masks of real photos agree with traced ones, where these know.
-
-    Args:
-        segmenter: Looks at the photos.
-        folder: As of ``labelled_photos``.
-        progress: Called after each photo.
 
     Raises:
         DatasetError: There are no photos, or one has no mask or one of another size.

@@ -73,10 +73,6 @@ def measure_scale(options: ScaleOptions | None = None, progress: Progress = no_p
     The large city is made and stored in the cache when it is not there. ``data`` is what ``time_views``
     returns.
 
-    Args:
-        options: What to measure.
-        progress: Called after each tile made, then after each view.
-
     Raises:
         DatasetError: Hardly any view keeps its footprint within the core.
         OSError: The cache cannot be written.

@@ -121,11 +121,6 @@ def measure_silhouettes(
 ) -> Report:
     """Returns the time per hypothesis, rendering and IoU together, of the engine and its peers.
 
-    Args:
-        city: City model file.
-        options: What to measure.
-        progress: Called after each view at each size.
-
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """

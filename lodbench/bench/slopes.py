@@ -54,10 +54,6 @@ class SlopeOptions:
 def measure_slopes(options: SlopeOptions | None = None, progress: Progress = no_progress) -> Report:
     """Returns cost over each axis; ``data`` has the columns ``axis``, ``size``, ``cpu_s`` and ``peak_mb``.
 
-    Args:
-        options: How far each axis goes.
-        progress: Called after each point.
-
     Raises:
         DatasetError: Hardly any view keeps its footprint within the city.
         OSError: The cache cannot be written.

@@ -59,10 +59,6 @@ class TracedOptions:
 def open_traced_photos(folder: Path, options: TracedOptions) -> tuple[Dataset, Scene]:
     """Returns the photos that show buildings as a dataset, a split per place, and their maps as one scene.
 
-    Args:
-        folder: As of ``labelled_photos``.
-        options: How wrong the maps are.
-
     Raises:
         DatasetError: As ``labelled_photos``, or no photo shows a building.
         QueryFault: A photo or a mask cannot be read.

@@ -54,11 +54,6 @@ def measure_training_data(
 
     Every figure is taken after one view per process, so that compiling and reading do not count.
 
-    Args:
-        city: City model file.
-        options: What to measure.
-        progress: Called after each figure.
-
     Raises:
         LodbenchError: The city cannot be read, or shows too few buildings.
     """

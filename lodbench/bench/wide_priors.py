@@ -30,12 +30,6 @@ def measure_wide_priors(
 
     ``data`` is what ``pairs_of`` returns.
 
-    Args:
-        views: The city, and what to draw over it; the sensor's tilt is in the priors.
-        seeds: Each draws views of its own.
-        progress: Called after each search and seed.
-        threads: As for ``sweep``.
-
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
     """
@@ -81,12 +75,7 @@ def pairs_of(queries: pd.DataFrame) -> pd.DataFrame:
 
 
 def report_pairs(pairs: pd.DataFrame, title: str) -> Report:
-    """Returns the report of pairs: a line a view, and one that counts them.
-
-    Args:
-        pairs: As ``pairs_of`` returns them.
-        title: City and protocol in words.
-    """
+    """Returns the report of pairs: a line a view, and one that counts them."""
     grid, basins = (float(pairs[f"hypotheses {search}"].mean()) for search in SEARCHES)
     same = int(pairs["is_same"].sum())
     rows = [["", "grid", "basins", "ratio", "grid m", "basins m", "apart m", "apart deg", "same"]]

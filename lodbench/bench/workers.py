@@ -60,10 +60,6 @@ class Timing:
 def measure_workers(options: WorkerOptions | None = None, progress: Progress = no_progress) -> Report:
     """Returns how much faster workers are than a serial run of one thread, and of as many threads.
 
-    Args:
-        options: What is run.
-        progress: Called after each command.
-
     Raises:
         LodbenchError: A run fails, or its bytes are not those of the serial one.
     """

@@ -113,12 +113,7 @@ def open_cached_scene(
 
 
 def open_city(model: CityModel, mesh: CityMesh) -> OpenCity:
-    """Returns a mesh of a model with the findings of both.
-
-    Args:
-        model: The city as read.
-        mesh: One level of it.
-    """
+    """Returns a mesh of a model with the findings of both."""
     counts = Counter(model.findings.counts())
     counts.update(mesh.findings.counts())
     return OpenCity(mesh.scene, dict(sorted(counts.items())), mesh.area_m2, mesh.lost_m2)

@@ -133,9 +133,6 @@ def check_city(model: CityModel) -> CityReport:
 
     Read the model with ``ReadOptions(is_strict=False, has_details=True)``: a bad coordinate is then a finding
     like any other, and solids are there to be looked at.
-
-    Args:
-        model: The city as read.
     """
     start = time.perf_counter()
     found = [_defect(model, item) for item in model.findings.items]

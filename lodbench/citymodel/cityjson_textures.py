@@ -20,11 +20,6 @@ _THEME = "pictures"
 class TextureReader:
     """Reads which pictures lie on the surfaces of geometries, of the default theme or else the first.
 
-    Args:
-        appearance: Of the document or feature that the geometries stand in.
-        pictures: Receives the pictures.
-        source: Name of the file, for messages.
-
     Raises:
         CityModelError: The places on the pictures are no pairs of numbers.
     """
@@ -98,12 +93,7 @@ class TextureReader:
 
 
 class TextureWriter:
-    """Collects the textures of a document or feature.
-
-    Args:
-        polygons: Of the city.
-        names: Name of each picture that is there, by number.
-    """
+    """Collects the textures of a document or feature."""
 
     def __init__(self, polygons: Polygons, names: dict[int, str]) -> None:
         self._polygons, self._names = polygons, names

@@ -40,11 +40,6 @@ def derive_lod1(model: CityModel, roof_height: str, findings: Findings) -> Polyg
     one height, taken over the area of its roofs: ``max`` the highest point, ``median`` and ``p70`` the
     height that half and 70 % of the roof area stay below, ``eave`` the lowest point of the roofs.
 
-    Args:
-        model: A city with a level finer than 1.
-        roof_height: The rule.
-        findings: Receives what was derived, and buildings that gave nothing.
-
     Returns:
         Polygons whose ``lod`` is 0: the only level of a model with ``lods=("1",)``.
 
@@ -86,10 +81,6 @@ def part_blocks(
     model: CityModel, lod: str
 ) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Returns what every building part fills for certain: from its bottom to the lowest of its roof.
-
-    Args:
-        model: A city with objects.
-        lod: One of its levels.
 
     Returns:
         plans: (N,) shapely polygons, local frame.

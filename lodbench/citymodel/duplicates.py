@@ -28,11 +28,6 @@ def drop_repeats(
     solid the surface is kept, whatever the part; of two faces of one kind the first, within a part:
     walls that two parts share are walls of both. Interiors are their own.
 
-    Args:
-        polygons: Clean polygons.
-        building_ids: For the findings.
-        findings: Receives ``DUPLICATE_POLYGON`` for each polygon dropped.
-
     Returns:
         polygons: What is left.
         kept_as: (N,) the index among them of each polygon given, or of what it repeats.

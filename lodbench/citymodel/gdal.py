@@ -171,9 +171,6 @@ def missing_bytes(path: str) -> list[str]:
 
     GDAL reads what is left without a word. The header of ``.shp`` and ``.shx`` says how long each is, that of
     ``.dbf`` how many rows it has.
-
-    Args:
-        path: As for ``read_vector``.
     """
     if not path.lower().endswith(".shp") or not _HEADS[".shp"](peek(path)[0]):
         return []

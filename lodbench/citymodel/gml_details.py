@@ -167,12 +167,6 @@ def _leaves(element: Element) -> dict[str, Any]:
 class SolidReader:
     """Finds the solids of a member and the polygons that close them.
 
-    Args:
-        member: With buildings whose geometry ``walk`` has just collected.
-        walk: Numbers of polygons and ids.
-        table: Receives solids and polygon ids.
-        first_serial: Serial number of the walk's first polygon.
-
     Attributes:
         polygons: The member's polygons by their number in the walk.
     """
@@ -188,13 +182,7 @@ class SolidReader:
                 table.polygon_ids[first_serial + number] = str(gml_id)
 
     def read(self, building: Element, part_of: dict[Element, int], own: int) -> None:
-        """Adds the solids of a building and its parts.
-
-        Args:
-            building: The element.
-            part_of: Objects inside of it, by element.
-            own: Its own object.
-        """
+        """Adds the solids of a building and its parts."""
         for prop in building.iter(*GEOMETRY_PROPERTIES):
             if property_lod(prop.tag) is None:
                 continue

@@ -22,15 +22,7 @@ _INSTALLED = ("BuildingInstallation", "BuildingConstructiveElement", "BuildingFu
 
 
 class GeometryXml:
-    """Writes the geometry of objects of a city.
-
-    Args:
-        model: The city.
-        dialect: The version.
-        polygon_ids: An id for each polygon that XML allows, no two equal.
-        pictures: Where those pictures lie that are kept, by number.
-        notes: Counts what could not be said.
-    """
+    """Writes the geometry of objects of a city."""
 
     def __init__(
         self,

@@ -15,11 +15,7 @@ from lodbench.errors import DatasetError
 
 
 class SurfacePictures:
-    """Gathers what the members of a document say of pictures, and puts it together at its end.
-
-    Args:
-        pictures: Receives the pictures.
-    """
+    """Gathers what the members of a document say of pictures, and puts it together at its end."""
 
     def __init__(self, pictures: PictureTable) -> None:
         self._pictures = pictures

@@ -36,9 +36,6 @@ from lodbench.findings import Findings
 class GeometryWalk:
     """Collects the polygons of buildings into a batch.
 
-    Args:
-        findings: Receives what is empty or not understood.
-
     Attributes:
         batch: The polygons since the batch was last replaced.
         lods: Levels of detail met.

@@ -15,9 +15,6 @@ from lodbench.findings import Findings
 def city_info(model: CityModel) -> dict[str, Any]:
     """Returns a summary made of plain values, ready for JSON.
 
-    Args:
-        model: The city as read.
-
     Returns:
         ``format, version, crs, center_lat_lon`` (degrees, or None without a reference system),
         ``buildings, parts, objects`` (of opted-in layers, type to count), ``extent_m`` (x, y, z

@@ -16,10 +16,6 @@ def unique_ids(ids: Sequence[str], findings: Findings) -> tuple[str, ...]:
 
     An export that merged two buildings of one id would lose one of them.
 
-    Args:
-        ids: As the file has them.
-        findings: Receives ``DUPLICATE_ID``, once per id that repeats.
-
     Example:
         >>> unique_ids(["a", "b", "a"], Findings())
         ('a', 'b', 'a~2')
@@ -43,13 +39,7 @@ def unique_ids(ids: Sequence[str], findings: Findings) -> tuple[str, ...]:
 
 
 def unique_objects(objects: CityObjects, building_ids: tuple[str, ...], findings: Findings) -> CityObjects:
-    """Returns objects of which no two have one id; buildings are called as ``building_ids`` says.
-
-    Args:
-        objects: As the file has them.
-        building_ids: Ids of the buildings, unique already.
-        findings: Receives ``DUPLICATE_ID`` for parts and installations.
-    """
+    """Returns objects of which no two have one id; buildings are called as ``building_ids`` says."""
     ids = list(objects.ids)
     for n, building in enumerate(objects.building.tolist()):
         if objects.parents[n] < 0:

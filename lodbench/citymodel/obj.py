@@ -32,10 +32,6 @@ _SILENT = frozenset({"v", "f", "vt", "vn", "s", "o", "g", "mtllib"})
 def read_obj(stream: BinaryIO, source: str) -> RawCity:
     """Returns the faces of a Wavefront OBJ, grouped into buildings.
 
-    Args:
-        stream: The file's bytes.
-        source: Its name, for messages.
-
     Raises:
         CityModelError: A number is malformed or not finite, a face has fewer than three corners or
             an index out of range (the message names the line), or there is no face.

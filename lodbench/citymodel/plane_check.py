@@ -46,12 +46,7 @@ _MIN_OVERLAP_M2, _MIN_OVERLAP_M = 0.1, 0.1
 
 
 def check_planes(model: CityModel, findings: Findings) -> None:
-    """Adds what is wrong with polygons seen along their normals, each with its number and place.
-
-    Args:
-        model: The city.
-        findings: Receives one finding of a kind per polygon.
-    """
+    """Adds what is wrong with polygons seen along their normals, each with its number and place."""
     import shapely
 
     is_outer = model.polygons.kind != SurfaceKind.INTERIOR
@@ -105,12 +100,7 @@ def check_planes(model: CityModel, findings: Findings) -> None:
 
 
 def check_folds(model: CityModel, findings: Findings) -> None:
-    """Adds polygons with a piece that is turned from their plane although no corner is a centimetre off it.
-
-    Args:
-        model: The city.
-        findings: Receives one finding per polygon.
-    """
+    """Adds polygons with a piece that is turned from their plane although no corner is a centimetre off it."""
     outer = np.flatnonzero(model.polygons.kind != SurfaceKind.INTERIOR)
     for first in range(0, len(outer), CHUNK_POLYGONS):
         own = outer[first : first + CHUNK_POLYGONS]
@@ -139,10 +129,6 @@ def check_parts(model: CityModel, findings: Findings) -> None:
 
     Seen from above, between the lowest point of each part and the lowest point of its roof: what overlaps
     there overlaps whatever the shape of the roofs.
-
-    Args:
-        model: The city.
-        findings: Receives one finding per pair of parts.
     """
     import shapely
 

@@ -144,9 +144,6 @@ def read_about(folder: Path) -> dict[str, Any]:
 def scene_info(folder: Path) -> dict[str, Any]:
     """Returns what is told of a scene, without a look at its arrays: cheap, however large the city.
 
-    Args:
-        folder: As ``lodbench city convert`` writes it.
-
     Returns:
         ``format, crs, lod, buildings, triangles, tiles, extent_m, area_m2, lost_m2, findings,
         finding_objects``; None where an older scene does not say it.

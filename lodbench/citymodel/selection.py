@@ -56,11 +56,6 @@ def polygon_blocks(
     """Yields the chosen polygons by building, some thousand at a time, and how many came before.
 
     A building is never cut, and the buildings ascend.
-
-    Args:
-        polygons: Of a city.
-        chosen: Indices of those to take.
-        block_polygons: How many to a block, more or less.
     """
     building = polygons.building[chosen]
     if np.any(building[1:] < building[:-1]):

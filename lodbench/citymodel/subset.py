@@ -22,12 +22,6 @@ from lodbench.findings import Findings
 def keep_level(model: CityModel, lod: str, roof_height: str | None, findings: Findings) -> CityModel:
     """Returns a city with one level of detail only, derived where it is absent and a rule is given.
 
-    Args:
-        model: The city.
-        lod: As for ``mesh_model``.
-        roof_height: As for ``mesh_model``.
-        findings: Receives what was derived or substituted.
-
     Raises:
         CityModelError: The level is absent.
     """
@@ -55,10 +49,6 @@ def drop_repeats_of_mesh(model: CityModel, findings: Findings) -> CityModel:
 
     A mesh keeps such polygons when it is read, since its triangles are all it has. Other cities lost them
     there, and are returned as they are.
-
-    Args:
-        model: The city.
-        findings: Receives ``DUPLICATE_POLYGON`` for each polygon dropped.
     """
     if model.lods != ("",):
         return model
@@ -108,10 +98,6 @@ def choose_buildings(
 
 def reproject(model: CityModel, crs: str) -> CityModel:
     """Returns a city in another metric reference system; heights stay as they are.
-
-    Args:
-        model: With a reference system.
-        crs: Name of the other one, projected, in metres.
 
     Raises:
         CityModelError: Either system is unknown, the other is not in metres, or points cannot be projected.

@@ -34,12 +34,6 @@ def open_textured_map(
 ) -> TexturedMesh:
     """Returns the textured map of a city's place, in the scene's frame; its notes say how it lay.
 
-    Args:
-        path: As for ``read_textured``.
-        scene: The city it must lie over.
-        up_axis: As for ``read_textured``.
-        options: How to read CityGML.
-
     Raises:
         DatasetError: As for ``read_textured``, or it lies elsewhere.
         CityModelError: As for ``read_textured``.

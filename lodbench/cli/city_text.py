@@ -15,12 +15,7 @@ _MEANINGS = {str(code): code for code in finding_catalogue()}
 
 
 def format_info(name: str, info: dict[str, Any]) -> str:
-    """Returns the data of ``city_info`` as lines of text.
-
-    Args:
-        name: The file.
-        info: What ``city_info`` returned.
-    """
+    """Returns the data of ``city_info`` as lines of text."""
     x, y, z = info["extent_m"]
     place = info["center_lat_lon"]
     noun = "building part" if info["parts"] == 1 else "building parts"
@@ -74,12 +69,7 @@ def crs_in_words(crs: str | None) -> str:
 
 
 def conversion_summary(target: str, done: Conversion) -> dict[str, Any]:
-    """Returns what was written as plain values.
-
-    Args:
-        target: Where it was written.
-        done: What ``convert_city`` returned.
-    """
+    """Returns what was written as plain values."""
     model, mesh = done.model, done.mesh
     findings = {"findings": done.findings.counts(), "finding_objects": done.findings.objects()}
     summary: dict[str, Any] = {

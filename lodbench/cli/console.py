@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 
 
 class PlainStream:
-    """A stream that terminal sequences and other control characters from data do not pass.
-
-    Args:
-        stream: Where all else goes.
-    """
+    """A stream that terminal sequences and other control characters from data do not pass."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

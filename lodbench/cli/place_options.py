@@ -24,12 +24,7 @@ def add_city_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
-    """Adds the options that say where a photo was taken, roughly.
-
-    Args:
-        parser: Receives them.
-        title: Of the group in the help.
-    """
+    """Adds the options that say where a photo was taken, roughly."""
     place = parser.add_argument_group(title)
     place.add_argument("--lat", type=float, metavar="DEG", help="latitude, WGS 84")
     place.add_argument("--lon", type=float, metavar="DEG", help="longitude, WGS 84")

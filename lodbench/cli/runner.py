@@ -55,12 +55,7 @@ def offer_methods(argv: Sequence[str]) -> None:
 
 
 def remote_checks(name: str, words: Sequence[str]) -> Iterator[Check]:
-    """Yields what there is to say of a method in another Python.
-
-    Args:
-        name: The method's.
-        words: Its settings, and the runner's.
-    """
+    """Yields what there is to say of a method in another Python."""
     told = {key: value for key, value in option_pairs(words).items() if key.startswith(_PREFIX)}
     runner = to_params(
         {"name": SUBPROCESS, **{key.removeprefix(_PREFIX): value for key, value in told.items()}},

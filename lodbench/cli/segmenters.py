@@ -39,10 +39,6 @@ def named_segmenter(values: Mapping[str, Any]) -> Made | None:
 def default_segmenter(dataset: Dataset, wanted: Collection[Input] = frozenset({Input.MASK})) -> Made:
     """Returns the segmenter of a dataset where none is named; prints which, and why.
 
-    Args:
-        dataset: What is to be segmented.
-        wanted: What is looked at of what it makes.
-
     Raises:
         DatasetError: Masks are needed, and the dataset has neither masks nor photos.
     """

@@ -36,13 +36,7 @@ class Group(NamedTuple):
 
 
 def help_text(command: str, config_name: str, words: Sequence[str]) -> str:
-    """Returns the help of a command; of groups that the words choose, the chosen one's settings.
-
-    Args:
-        command: As typed.
-        config_name: Its file in ``conf``.
-        words: Overrides.
-    """
+    """Returns the help of a command; of groups that the words choose, the chosen one's settings."""
     header, footer = _frame(config_name)
     chosen = dict(word.split("=", 1) for word in words if re.fullmatch(r"\w+=[\w.-]+", word))
     groups = groups_of(config_name)

@@ -22,11 +22,6 @@ def fetch(
 
     An interrupted download goes on where it stopped: its beginning waits beside it, as ``.part``.
 
-    Args:
-        download: What to fetch.
-        root: Folder that its path is below.
-        progress: Called with the bytes that are there and their total.
-
     Raises:
         DatasetError: The server cannot be reached, sends more than the file has, or something else; or
             another file stands in its place. Nothing is left under the file's name then.
@@ -75,7 +70,7 @@ class _Resumed:
     Args:
         target: Where the file will be; what is there of it lies beside.
         num_bytes: Size of the file: no byte more is taken.
-        progress: As for ``fetch``.
+        progress: Called with the bytes that are there and their total.
     """
 
     def __init__(self, target: Path, num_bytes: int, progress: Callable[[int, int], None] | None) -> None:

@@ -48,9 +48,6 @@ def split_flights(photos: Sequence[tuple[Path, PhotoMetadata]]) -> list[Flight]:
     Photos of a folder and a camera are one flight unless quarter of an hour passes between two whose names
     follow each other. A clock that runs against the order of names is not believed. Flights of one camera
     that go on in another folder, as memory cards have it after 999 photos, are one.
-
-    Args:
-        photos: Files and what they state.
     """
     groups: dict[tuple[Path, tuple[object, ...]], list[int]] = {}
     for row, (path, stated) in enumerate(photos):

@@ -90,11 +90,6 @@ def open_workers(
 ) -> Iterator[Workers]:
     """Opens the workers of an executor for some rounds of work; ``serial`` is this process.
 
-    Args:
-        executor: Where.
-        prepare: Module-level function, called once in each worker before its first item.
-        prepare_with: Its arguments.
-
     Raises:
         WorkersGone: The scheduler is not there.
     """

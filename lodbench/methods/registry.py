@@ -37,11 +37,7 @@ class ConfiguredMethod:
         return ConfiguredMethod(self.kind, method.params_for_prior(prior))
 
     def for_tilt(self, tilt: str) -> ConfiguredMethod:
-        """Returns the same, told that priors have the true tilt where they do, if it asks.
-
-        Args:
-            tilt: The protocol's: ``prior`` or ``truth``.
-        """
+        """Returns the same, told that priors have the true tilt where they do, if it asks."""
         method = self.make()
         if tilt != "truth" or not isinstance(method, SupportsTrueTilt):
             return self

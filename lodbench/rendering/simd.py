@@ -26,12 +26,7 @@ F64 = ir.DoubleType()
 
 
 class Vector:
-    """Eight values of one LLVM type; operators act lane by lane, a plain number stands for all lanes.
-
-    Args:
-        builder: Where instructions go.
-        value: An LLVM vector of ``LANES`` elements.
-    """
+    """Eight values of one LLVM type; operators act lane by lane, a plain number stands for all lanes."""
 
     __slots__ = ("builder", "value")
 
@@ -132,14 +127,7 @@ class Vector:
 
 
 class Memory:
-    """The data of a C-contiguous numba array, read and written by LLVM index.
-
-    Args:
-        context: Numba's target context.
-        builder: Where instructions go.
-        array_type: Numba type of the array.
-        array: LLVM value of the array.
-    """
+    """The data of a C-contiguous numba array, read and written by LLVM index."""
 
     __slots__ = ("builder", "data")
 
@@ -195,12 +183,7 @@ def constant_index(number: int) -> Any:
 
 
 class Running:
-    """A value that a loop updates (LLVM keeps it in a register).
-
-    Args:
-        builder: Where instructions go.
-        start: Its first LLVM value.
-    """
+    """A value that a loop updates (LLVM keeps it in a register)."""
 
     __slots__ = ("builder", "slot")
 

@@ -23,11 +23,7 @@ class BudgetPoint(NamedTuple):
 
 
 def draw_calibration(curves: Mapping[str, Calibration]) -> dict[str, bytes]:
-    """Returns the reliability diagram beside the risk over coverage, as PNG and SVG.
-
-    Args:
-        curves: By the name to show.
-    """
+    """Returns the reliability diagram beside the risk over coverage, as PNG and SVG."""
 
     def draw(figure: Figure) -> None:
         left, right = figure.subplots(1, 2)
@@ -55,9 +51,6 @@ def draw_budget(panels: Mapping[str, Mapping[str, Sequence[BudgetPoint]]]) -> di
     """Returns recall over poses drawn, panels side by side, one line a method, as PNG and SVG.
 
     A method that draws none is a dashed line.
-
-    Args:
-        panels: By title: what was measured; then by the name to show, fewest poses first.
     """
 
     def draw(figure: Figure) -> None:

@@ -33,13 +33,7 @@ _STYLE: dict[Any, Any] = {
 
 
 def draw_figure(width_in: float, height_in: float, draw: Callable[[Figure], None]) -> dict[str, bytes]:
-    """Returns a figure as ``{"png": ..., "svg": ...}``.
-
-    Args:
-        width_in: Width in inches.
-        height_in: Height in inches.
-        draw: Fills the empty figure.
-    """
+    """Returns a figure as ``{"png": ..., "svg": ...}``."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

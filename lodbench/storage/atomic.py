@@ -74,10 +74,6 @@ def new_folder(path: Path, survives_power_cut: bool = True) -> Iterator[Path]:
     process killed between two renames leaves both under hidden names. What killed processes left of the
     same folder is removed.
 
-    Args:
-        path: The folder; its parent must be there.
-        survives_power_cut: As for ``write_bytes``.
-
     Raises:
         OSError: The parent folder is missing or not writable; nothing is left behind then.
     """
@@ -100,12 +96,7 @@ def new_folder(path: Path, survives_power_cut: bool = True) -> Iterator[Path]:
 
 
 def remove_leftovers(folder: Path, of: str = "") -> None:
-    """Removes what killed processes were writing in a folder; what living ones write is left alone.
-
-    Args:
-        folder: Where to look, not below it.
-        of: Only what was to get this name.
-    """
+    """Removes what killed processes were writing in a folder; what living ones write is left alone."""
     if not folder.is_dir():
         return
     for path in sorted(folder.iterdir()):

@@ -29,13 +29,7 @@ LABEL_CODE = (instance_degradation, mask_degradation, mask_error_fields)
 
 
 def textured_map_of_demo(root: Path, seed: int, look: str) -> Path:
-    """Returns the textured map of a demo's town, made first if it is not there: minutes, once.
-
-    Args:
-        root: The demo's folder.
-        seed: Of its town.
-        look: Of its town.
-    """
+    """Returns the textured map of a demo's town, made first if it is not there: minutes, once."""
 
     def write(folder: Path) -> None:
         scene = open_scene(root / CITY_FILE, lod="1")
@@ -48,11 +42,6 @@ def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
     """Returns the folder of a demo's labels, ``SPLIT/STEM.png``, made first if it is not there.
 
     They are the buildings seen at the truth, as wrong as a network's, and fill the demo's masks.
-
-    Args:
-        demo: The demo, as opened.
-        city: The town as it is, in full detail.
-        seed: Of the town.
     """
 
     def write(folder: Path) -> None:

@@ -19,13 +19,6 @@ def with_photos(
 
     A query's name becomes that of a JPEG file.
 
-    Args:
-        queries: In the scene's frame.
-        scene: The city as photos show it.
-        camera: Of the photos.
-        look: A name of ``conf/training``.
-        seed: Of surroundings and looks.
-
     Raises:
         ConfigError: There is no such look.
     """

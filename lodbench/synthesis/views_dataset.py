@@ -109,11 +109,6 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
 
     Query i depends on the seed, the area and i only: asking for more keeps the first ones.
 
-    Args:
-        scene: What masks are drawn from.
-        renderer: Renders it.
-        params: What to draw.
-
     Raises:
         DatasetError: No views can be drawn over the city.
     """

@@ -79,11 +79,6 @@ def train_network(
     The folder ``params.out`` then holds ``checkpoint.pt``, ``curves.png``, ``training.json`` and the
     weights as the segmenter loads them.
 
-    Args:
-        segmenter: Whose network.
-        params: How.
-        tell: Called with a line at a time: what is trained on, and each epoch as it ends.
-
     Raises:
         LodbenchError: torch is missing, the data is at fault, or the folder holds another training.
     """

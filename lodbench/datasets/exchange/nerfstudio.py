@@ -27,9 +27,6 @@ _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 def read_nerfstudio(path: Path) -> Iterator[FoundPose]:
     """Yields the frames of a ``transforms.json``, in the frame before ``applied_transform``.
 
-    Args:
-        path: The file, or the folder it lies in.
-
     Raises:
         DatasetError: The file is missing or malformed, or a camera model cannot be read.
     """

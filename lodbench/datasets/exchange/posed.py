@@ -38,12 +38,7 @@ def numbers_of(pose: Pose) -> list[float]:
 
 
 class Place:
-    """Names the place and the layout in whatever goes wrong inside a ``with`` block.
-
-    Args:
-        where: File and line.
-        layout: What should stand there.
-    """
+    """Names the place and the layout in whatever goes wrong inside a ``with`` block."""
 
     def __init__(self, where: str, layout: str) -> None:
         self._where, self._layout = where, layout

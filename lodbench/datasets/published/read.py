@@ -53,10 +53,6 @@ class SplitContent:
 def read_split(files: SplitFiles, findings: Findings) -> SplitContent:
     """Returns the queries of a split.
 
-    Args:
-        files: Its files; truth and cameras are there.
-        findings: Receives what does not fit together.
-
     Raises:
         DatasetError: A file is malformed, or repeats a name that may occur once.
     """

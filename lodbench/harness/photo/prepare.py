@@ -73,10 +73,6 @@ class PreparedPhoto:
 def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedPhoto:
     """Returns what a method needs of a photo.
 
-    Args:
-        request: The photo, and what goes before what it states.
-        requires: What the method requires.
-
     Raises:
         LodbenchError: The photo, its metadata, mask or camera is missing or not fit.
     """

@@ -14,9 +14,6 @@ from lodbench.geometry import Pose
 def frame_on_earth(crs: str | None) -> MapFrame:
     """Returns the frame that sidecars are written in.
 
-    Args:
-        crs: Of the city.
-
     Raises:
         DatasetError: Nobody knows where on Earth the city is.
     """
@@ -29,10 +26,6 @@ def frame_on_earth(crs: str | None) -> MapFrame:
 
 def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:
     """Writes ``PHOTO.xmp`` beside each photo; returns a line that says how many, and which were left alone.
-
-    Args:
-        placed: Photos and their poses in the city's coordinates.
-        crs: Of these.
 
     Raises:
         DatasetError: Nobody knows where on Earth the city is.

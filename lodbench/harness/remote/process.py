@@ -30,10 +30,6 @@ class ProcessFault(Exception):
 class Child:
     """A process of another Python, asked one thing at a time; it and all it starts are one process group.
 
-    Args:
-        command: What starts it.
-        environment: Its environment variables.
-
     Raises:
         LodbenchError: It cannot be started.
     """

@@ -59,9 +59,6 @@ def packed(message: Any) -> bytes:
 def unpacked(read: Read) -> Any:
     """Returns the next message.
 
-    Args:
-        read: Returns the next bytes of it.
-
     Raises:
         MalformedMessage: It is none, or too large.
     """

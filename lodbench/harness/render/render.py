@@ -102,10 +102,6 @@ class Shot:
 def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Rendered:
     """Draws every pose and returns the files.
 
-    Args:
-        params: What to render.
-        options: How to read the city; ``params.crs`` goes before its ``crs``.
-
     Raises:
         LodbenchError: An input is missing or malformed, a pose has no camera or no photo, the renderer
             cannot draw the kind, or the textured map lies elsewhere; nothing is written then.

@@ -20,9 +20,6 @@ def budget_panels(runs: Sequence[StoredRun]) -> dict[str, Curves]:
     Runs of a method are one line, fewest poses first; but those whose settings in words differ
     (``features=hog``, ``features=xfeat``) are lines of their own, named so. Where runs differ in their number
     of queries, names say it.
-
-    Args:
-        runs: Finished, with a truth.
     """
     worded = _differing_words(runs)
     counted = len({_counts(run) for run in runs}) > 1

@@ -31,13 +31,7 @@ def require_same_queries(first: StoredRun, second: StoredRun) -> str:
 def paired_comparison(
     first: StoredRun, second: StoredRun, thresholds: Sequence[Threshold]
 ) -> list[Comparison]:
-    """Returns the tests of each split: recall at each threshold, and the median errors.
-
-    Args:
-        first: A run.
-        second: Another over the same queries (see ``require_same_queries``).
-        thresholds: Where to compare recall.
-    """
+    """Returns the tests of each split: recall at each threshold, and the median errors."""
     found = []
     for split in first.summary["splits"]:
         scored = of_split(first.queries, split)

@@ -25,13 +25,7 @@ Floats = NDArray[np.float64]
 
 
 def pages_of_run(verdict: Verdict, scene: Scene, tilt: str) -> dict[str, str]:
-    """Returns the pages of a run's flights, by the name of the file of what each says.
-
-    Args:
-        verdict: The run, verified, its dataset open.
-        scene: The map.
-        tilt: The run's: which prior it had.
-    """
+    """Returns the pages of a run's flights, by the name of the file of what each says."""
     found = flight_findings(verdict)
     return {name: _page_of_sequence(verdict, scene, tilt, name, said) for name, said in found.items()}
 

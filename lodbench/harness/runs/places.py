@@ -63,14 +63,7 @@ def draw_places(verdict: Verdict, scene: Scene | None, tilt: str, view: str) -> 
 
 
 def view_of_run(verdict: Verdict, scene: Scene, tilt: str, title: str) -> str:
-    """Returns a run in three dimensions: one HTML file of city, cameras and photos; "" without a camera.
-
-    Args:
-        verdict: The run.
-        scene: Its city.
-        tilt: Which prior it had.
-        title: Of the page.
-    """
+    """Returns a run in three dimensions: one HTML file of city, cameras and photos; "" without a camera."""
     cameras = []
     for number, entry in enumerate(verdict.entries):
         prior, estimate, truth = (

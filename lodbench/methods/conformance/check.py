@@ -39,15 +39,7 @@ def check_class(
     read: Callable[[Mapping[str, Any]], Any],
     where: str,
 ) -> Iterator[Check]:
-    """Yields what there is to say of a method's class, its parameters and its configuration.
-
-    Args:
-        kind: What the entry point names.
-        name: The entry point's name.
-        load: Returns the method's section of a run's configuration; None if there is none.
-        read: Makes parameters from such a section.
-        where: The file that should hold it.
-    """
+    """Yields what there is to say of a method's class, its parameters and its configuration."""
     yield _checked("plug-in", "name", lambda: right_name(kind, name))
     yield _checked("plug-in", "inputs", lambda: known_inputs(kind))
     parameters = _checked("plug-in", "parameters", lambda: frozen_parameters(kind, name))
@@ -57,11 +49,7 @@ def check_class(
 
 
 def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
-    """Yields what there is to say of a method's answers to the trial.
-
-    Args:
-        make: Makes the method anew, as a run does.
-    """
+    """Yields what there is to say of a method's answers to the trial."""
     with tempfile.TemporaryDirectory() as folder:
         try:
             method = make()

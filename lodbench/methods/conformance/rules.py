@@ -23,12 +23,7 @@ _TOLERANCE = 1e-9
 
 
 class Violation(Exception):
-    """A rule is not kept.
-
-    Args:
-        detail: What is wrong.
-        hint: What to do about it.
-    """
+    """A rule is not kept."""
 
     def __init__(self, detail: str, hint: str = "") -> None:
         super().__init__(detail)

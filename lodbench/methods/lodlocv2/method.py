@@ -57,11 +57,7 @@ class PoseScorer:
 
 
 class LodLocV2:
-    """The paper's method. Pitch and roll stay the prior's throughout.
-
-    Args:
-        params: The search's; their fit decides whether queries need a mask or a photo.
-    """
+    """The paper's method. Pitch and roll stay the prior's throughout."""
 
     params_type = Params
     name = "lodlocv2"
@@ -94,14 +90,7 @@ class LodLocV2:
 def search(
     scorer_at: Callable[[tuple[int, int]], Scoring], prior: Pose, params: Params, streams: Streams
 ) -> Estimate:
-    """Returns the best pose by grid and filter, whatever poses are scored by.
-
-    Args:
-        scorer_at: Returns the scoring at a working size: width and height, pixels.
-        prior: Its tilt is every pose's.
-        params: The search's.
-        streams: Random numbers of the query.
-    """
+    """Returns the best pose by grid and filter, whatever poses are scored by."""
     started = time.perf_counter()
     best = Particles(prior.center[None], np.array([prior.euler.yaw_deg]), np.zeros(1))
     seconds: dict[str, float] = {}

@@ -49,11 +49,6 @@ def change_map(
 ) -> tuple[Scene, dict[str, Any]]:
     """Returns a scene that is wrong, and how.
 
-    Args:
-        scene: The map as it is.
-        errors: What to do to it.
-        generator: Random numbers.
-
     Returns:
         The scene; and ``heights`` (metres that a building is higher in the map than it was, by id),
         ``missing`` and ``extra`` (ids).

@@ -22,11 +22,6 @@ PHOTO_SIZE = (1204, 902)
 class FlightPhotographer:
     """Draws photos of one city, whose surroundings stay the same from flight to flight.
 
-    Args:
-        scene: The city as photos show it.
-        look: A name of ``conf/training``.
-        seed: Of surroundings and looks.
-
     Raises:
         ConfigError: There is no such look.
     """
@@ -39,13 +34,7 @@ class FlightPhotographer:
     def with_photos(
         self, queries: Sequence[SyntheticQuery], camera: Camera, flight: int
     ) -> list[SyntheticQuery]:
-        """Returns a flight's queries with photos: one sun, exposures apart; names become those of JPEGs.
-
-        Args:
-            queries: In the scene's frame.
-            camera: The flight's true one; photos are of its size.
-            flight: Its number.
-        """
+        """Returns a flight's queries with photos: one sun, exposures apart; names become those of JPEGs."""
         light, _ = draw_look(self._ranges, random_stream(self._seed, "flight", flight, "look"))
         pictured = []
         for query in queries:

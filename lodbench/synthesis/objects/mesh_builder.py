@@ -13,11 +13,7 @@ Tint = NDArray[np.float64] | tuple[float, float, float]
 
 
 class MeshBuilder:
-    """Collects triangles, and numbers the objects they belong to.
-
-    Args:
-        num_buildings: Numbers that are taken already.
-    """
+    """Collects triangles, and numbers the objects they belong to."""
 
     def __init__(self, num_buildings: int) -> None:
         self._num_buildings = num_buildings

@@ -17,11 +17,7 @@ _SHIFT = 4
 
 
 class Occupancy:
-    """A grid over a square around the town's middle; cells hold 1 + the number of whoever is there.
-
-    Args:
-        reach_m: Half the side of the square; nobody stands beyond.
-    """
+    """A grid over a square around the town's middle; cells hold 1 + the number of whoever is there."""
 
     def __init__(self, reach_m: float) -> None:
         self._reach_m = reach_m

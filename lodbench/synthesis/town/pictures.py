@@ -42,13 +42,7 @@ _OF_THE_DAY = (
 
 
 class Photographer:
-    """Takes the photos of a town.
-
-    Args:
-        town: The town.
-        scene: Its LoD3 scene.
-        props: What stands in it, its buildings included.
-    """
+    """Takes the photos of a town."""
 
     def __init__(self, town: Town, scene: Scene, props: SceneProps) -> None:
         self._town = town

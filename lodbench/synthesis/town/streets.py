@@ -109,12 +109,7 @@ def draw_streets(generator: np.random.Generator, rings: float = 1.0) -> StreetPl
 
 
 class _Divider:
-    """Cuts land into blocks, and remembers the streets it cut them with.
-
-    Args:
-        generator: Source of chance.
-        rings: How strongly streets lean towards rings and spokes, 0 to 1.
-    """
+    """Cuts land into blocks, and remembers the streets it cut them with."""
 
     def __init__(self, generator: np.random.Generator, rings: float) -> None:
         self._generator, self._rings = generator, rings

@@ -24,13 +24,7 @@ Picture = NDArray[np.uint8]
 
 
 def write_sheet(params: GenerateParams, views: Sequence[PlannedView], path: Path) -> None:
-    """Writes picture, mask and overlay of eight views, evenly chosen, side by side.
-
-    Args:
-        params: What was generated.
-        views: All views, finished.
-        path: The sheet, a PNG beside the folders of the splits.
-    """
+    """Writes picture, mask and overlay of eight views, evenly chosen, side by side."""
     chosen = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, _VIEWS).round().astype(int))]
     strips = [_strip(params, view, path.parent, params.sheet) for view in chosen]
     strips += [np.full_like(strips[0], 255)] * (-len(strips) % _PER_ROW)

@@ -59,11 +59,6 @@ def generate_training_data(
     Every file of a view depends on the settings, the inputs and its name only, not on the workers or on
     where an earlier run was stopped.
 
-    Args:
-        params: What to generate.
-        options: How to read the city; ``params.crs`` goes before its ``crs``.
-        executor: Where views are drawn; processes of this machine if None.
-
     Raises:
         LodbenchError: An input is at fault, no view can be taken, the folder holds another set, or the
             disk is full; finished files stay, and the same command goes on from there.
@@ -104,11 +99,6 @@ def world_parts(
     params: GenerateParams, city: Scene, picture: Scene
 ) -> tuple[PictureParts, Surroundings, tuple[str, ...]]:
     """Returns what workers draw from, the surroundings made up for it, and notes for the reader.
-
-    Args:
-        params: What to generate.
-        city: The city of the masks.
-        picture: The city as pictures show it.
 
     Raises:
         LodbenchError: The terrain, the props or the textured mesh cannot be read or lies elsewhere.

@@ -84,12 +84,6 @@ def plan_views(
 ) -> ViewPlan:
     """Returns the views to write; with a limit, a random choice of them.
 
-    Args:
-        params: What to generate.
-        scene: The city of the masks.
-        ground: Its ground.
-        progress: Called for every candidate looked at.
-
     Raises:
         DatasetError: No view is left.
     """

@@ -57,12 +57,7 @@ class PictureParts:
 
 
 class ViewWriter:
-    """Draws and writes the files of views.
-
-    Args:
-        params: What to generate.
-        parts: The city and its surroundings.
-    """
+    """Draws and writes the files of views."""
 
     def __init__(self, params: GenerateParams, parts: PictureParts) -> None:
         self._params, self._camera = params, params.camera

@@ -48,9 +48,6 @@ class Place:
 def joined(wanted: str) -> Iterator[Place]:
     """Gives the place of this process among those that ``torchrun`` started; alone without it.
 
-    Args:
-        wanted: A torch device, or ``auto``.
-
     Raises:
         ConfigError: The device is not there.
     """
