@@ -41,16 +41,7 @@ _GLOSSARY = (
 
 
 class Block(NamedTuple):
-    """What one method made of all views under one tilt.
-
-    Attributes:
-        tilt: ``truth`` or ``prior``.
-        method: Its name.
-        is_only: Whether no other method ran.
-        queries: Its rows.
-        found: Their summary.
-        prior: That of their priors.
-    """
+    """What one method made of all views under one tilt."""
 
     tilt: str
     method: str

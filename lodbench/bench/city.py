@@ -22,6 +22,7 @@ from typing import Any
 from lodbench.bench.city_peers import naive_mesh, project_plainly, project_tuned, time_cjio
 from lodbench.bench.city_tiles import measure_tiles
 from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
+from lodbench.bench.options import option
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.mesh_writer import obj_text
 from lodbench.citymodel.model import CityModel
@@ -56,22 +57,13 @@ print(json.dumps({"before": before, "peak": peak, "arrays": arrays, "buildings":
 
 @dataclass(frozen=True, slots=True)
 class CityOptions:
-    """What to measure.
+    """What to measure; with tiles nothing else is."""
 
-    Attributes:
-        lod: Level of detail for the reading figures; None for the lowest with walls.
-        repeats: Passes; the fastest counts.
-        large_mb: Size of the file made for the memory figure by repeating the city; 0 leaves it out.
-        tiles: How many tiles of the city's buildings to make one scene of; 0 for none, and no other figures
-            where it is more.
-        workers: Processes for the tiles; None for one per core.
-    """
-
-    lod: str | None = None
-    repeats: int = 5
-    large_mb: int = 137
-    tiles: int = 0
-    workers: int | None = None
+    lod: str | None = option(None, "level of detail, or finest (lowest with walls)")
+    repeats: int = option(5, "passes, the fastest counts")
+    tiles: int = option(0, "instead: make one scene of so many tiles of its buildings; 0 for none")
+    workers: int | None = option(None, "processes for the tiles (one per core)", parse=int)
+    large_mb: int = option(137, "size of the city repeated, for the memory figure; 0 for none")
 
     def __post_init__(self) -> None:
         if self.repeats < 1 or self.large_mb < 0 or self.tiles < 0:

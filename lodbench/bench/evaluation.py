@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
+from lodbench.bench.options import SEED, option
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError
@@ -30,17 +31,11 @@ _SPLIT = "all"
 
 @dataclass(frozen=True, slots=True)
 class EvaluationOptions:
-    """What to measure.
+    """What to measure."""
 
-    Attributes:
-        num_queries: Queries; 2,192 are UAVD4L's larger split.
-        num_methods: Methods scored on all of them.
-        seed: Seed of poses and errors.
-    """
-
-    num_queries: int = 2192
-    num_methods: int = 100
-    seed: int = 0
+    num_queries: int = option(2192, "as the largest published split", flag="queries")
+    num_methods: int = option(100, "scored on all of them", flag="methods")
+    seed: int = option(0, SEED)
 
     def __post_init__(self) -> None:
         if min(self.num_queries, self.num_methods) < 1:

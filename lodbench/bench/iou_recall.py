@@ -26,14 +26,7 @@ IOUS = tuple(round(0.3 + 0.1 * step, 1) for step in range(8))
 
 
 class Reported(NamedTuple):
-    """A row of the paper's Table 4: UAVD4L-LoDv2, real photos, networks fine-tuned on the same data.
-
-    Attributes:
-        network: Its name.
-        iou: Of its masks.
-        recall: Within 2 m and 2 deg, percent.
-        is_in_trajectory: Whether on the in-trajectory split.
-    """
+    """A row of the paper's Table 4: UAVD4L-LoDv2, real photos, networks fine-tuned on the same data."""
 
     network: str
     iou: float

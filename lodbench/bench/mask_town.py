@@ -22,12 +22,7 @@ _SEED = 7
 
 
 class TownSets(NamedTuple):
-    """Two training sets of the same views.
-
-    Attributes:
-        data: Photos, and masks of all that stands there.
-        visible: Masks of what trees and cars leave visible.
-    """
+    """Two training sets of the same views."""
 
     data: Path
     visible: Path

@@ -37,14 +37,7 @@ from lodbench.storage import random_stream
 
 @dataclass(frozen=True, slots=True)
 class RealOptions:
-    """What to measure.
-
-    Attributes:
-        priors: Priors drawn around each photo's truth.
-        prior: How far off.
-        is_published_too: Whether the dataset's own prior is tried as well.
-        seed: Of the priors and of the methods' searches.
-    """
+    """What to measure."""
 
     priors: int = 20
     prior: UniformPrior = UniformPrior()  # noqa: RUF009 - frozen

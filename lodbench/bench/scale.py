@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.grown_city import TILE_BUILDINGS, grown_city, open_grown_city
+from lodbench.bench.options import SEED, option
 from lodbench.bench.scene_opening import Opening, open_apart
 from lodbench.bench.silhouettes import SilhouetteOptions, Swarm, make_swarm
 from lodbench.citymodel.scene import Scene
@@ -45,20 +46,16 @@ class ScaleOptions:
     """What to measure.
 
     Attributes:
-        buildings: Of the large city, of which the first 1,000 are the core.
-        num_views: Seeded views of each kind: footprint inside the core, and to the horizon.
-        hypotheses: Around each view.
         horizon_hypotheses: Around each view to the horizon, which shows a good part of the whole city.
         repeats: Passes over each view, the cities in turn; the fastest counts.
-        seed: Of city, views and hypotheses.
     """
 
-    buildings: int = 1_000_000
-    num_views: int = 10
-    hypotheses: int = 400
+    buildings: int = option(1_000_000, "of the large city, its core the first 1,000; a million takes 1.7 GB")
+    num_views: int = option(10, "seeded views of each kind: in the core, to the horizon", flag="views")
+    hypotheses: int = option(400, "around each view")
     horizon_hypotheses: int = 13
     repeats: int = 3
-    seed: int = 0
+    seed: int = option(0, SEED)
 
     def __post_init__(self) -> None:
         if self.buildings < TILE_BUILDINGS:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.bench.figures import Progress, Report, load_in_words, no_progress
+from lodbench.bench.options import SEED, option, words
 from lodbench.bench.silhouette_report import HORIZON, STEEP, report_silhouettes
 from lodbench.citymodel import Scene, open_scene
 from lodbench.datasets.priors import UniformPrior
@@ -43,26 +44,23 @@ class SilhouetteOptions:
     """What to measure.
 
     Attributes:
-        num_views: Seeded views over the city, pitch 20 to 60 degrees from nadir.
-        num_horizon: Views with pitch 60 to 75, at the first size; 0 for none.
-        hypotheses: Hypotheses around each view.
         sizes: Widths and heights of the masks, pixels.
         threads: Thread counts of the engine; () for one thread and one per core.
-        peers: Renderers to stand beside; one that is absent is reported as such.
         peer_hypotheses: Hypotheses around each view for peers, the first of ours: they are slow.
         repeats: Passes over each view, peers included; the fastest counts.
-        seed: Seed of views and hypotheses.
     """
 
-    num_views: int = 20
-    num_horizon: int = 10
-    hypotheses: int = 2000
+    num_views: int = option(20, "seeded views, pitch 20 to 60 degrees from nadir", flag="views")
+    num_horizon: int = option(10, "with pitch 60 to 75, reported apart; 0 for none", flag="horizon-views")
+    hypotheses: int = option(2000, "around each view")
     sizes: tuple[tuple[int, int], ...] = (FINE_SIZE, (301, 224))
     threads: tuple[int, ...] = ()
-    peers: tuple[str, ...] = ("pyrender", "open3d")
+    peers: tuple[str, ...] = option(
+        ("pyrender", "open3d"), "renderers to stand beside, comma-separated", parse=words
+    )
     peer_hypotheses: int = 20
     repeats: int = 3
-    seed: int = 0
+    seed: int = option(0, SEED)
 
     def __post_init__(self) -> None:
         if min(self.num_views, self.hypotheses, self.peer_hypotheses, self.repeats) < 1:
@@ -96,13 +94,7 @@ class Swarm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contender:
-    """A renderer to time.
-
-    Attributes:
-        scorer: The renderer.
-        threads: The engine's threads; None for a peer.
-        count: Hypotheses it scores around each view.
-    """
+    """A renderer to time."""
 
     scorer: Scorer
     threads: int | None

@@ -14,6 +14,7 @@ import numpy as np
 
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.grown_city import TILE_BUILDINGS
+from lodbench.bench.options import SEED, option
 from lodbench.bench.slope_points import Reach, points_within
 from lodbench.errors import ConfigError
 from lodbench.reporting.aligned_text import format_columns
@@ -25,23 +26,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SlopeOptions:
-    """How far each axis goes.
+    """How far each axis goes: by tens from the least, workers by doubling."""
 
-    Attributes:
-        hypotheses: Most hypotheses of a query, from 100 by tens.
-        buildings: Most buildings, from 1,000 by tens; a million takes 1.7 GB of the cache.
-        tiled: Most buildings compiled from CityGML tiles, from 1,000 by tens; a million takes 3 GB of disk.
-        queries: Most queries whose answers are stored and read back, from 10 by tens.
-        workers: Most processes, from 1 by doubling.
-        seed: Of city, views and hypotheses.
-    """
-
-    hypotheses: int = 100_000
-    buildings: int = 100_000
-    tiled: int = 10_000
-    queries: int = 10_000
-    workers: int = 4
-    seed: int = 0
+    hypotheses: int = option(100_000, "most of a query, from 100")
+    buildings: int = option(100_000, "most of a city, from 1,000; a million takes 1.7 GB of the cache")
+    tiled: int = option(10_000, "most compiled from CityGML tiles, from 1,000; a million takes 3 GB of disk")
+    queries: int = option(10_000, "most of a run, stored and read back, from 10")
+    workers: int = option(4, "most processes")
+    seed: int = option(0, SEED)
 
     def __post_init__(self) -> None:
         tiles = self.buildings // TILE_BUILDINGS, self.tiled // 1000

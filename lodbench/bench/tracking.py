@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress, plain_report
+from lodbench.bench.options import option
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.photo_pose import RoughPlace
@@ -31,17 +32,11 @@ _OFF_M, _OFF_DEG = np.array([4.0, -5.0, 6.0]), 3.0
 
 @dataclass(frozen=True, slots=True)
 class TrackingOptions:
-    """What to draw.
+    """What to draw."""
 
-    Attributes:
-        frames: Of each flight.
-        size: Width and height, pixels.
-        look: A name of ``conf/training``.
-    """
-
-    frames: int = 60
+    frames: int = option(60, "of each flight")
     size: tuple[int, int] = (640, 480)
-    look: str = "varied"
+    look: str = option("varied", "of the frames: plain, varied or hard")
 
 
 def measure_tracking(

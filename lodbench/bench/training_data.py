@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress, plain_report
+from lodbench.bench.options import SEED, option
 from lodbench.bench.scene_opening import resident_mb
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
@@ -28,19 +29,12 @@ from lodbench.synthesis.training_data.view_writer import PictureParts, ViewWrite
 
 @dataclass(frozen=True, slots=True)
 class TrainingDataOptions:
-    """What to measure.
+    """What to measure."""
 
-    Attributes:
-        views: Views of each figure; masks alone take ten times as many.
-        workers: Processes; None for one per core.
-        props: Scene props to picture, or None to make them up.
-        seed: Seed of views and looks.
-    """
-
-    views: int = 24
-    workers: int | None = None
-    props: Path | None = None
-    seed: int = 0
+    views: int = option(24, "photos of each size; ten times as many masks")
+    workers: int | None = option(None, "processes (one per core)", parse=int)
+    props: Path | None = option(None, "scene props to picture; made up without", parse=Path)  # noqa: RUF009
+    seed: int = option(0, SEED)
 
     def __post_init__(self) -> None:
         if self.views < 2:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.bench.figures import Figure, Progress, Report, load_in_words, no_progress
+from lodbench.bench.options import option
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.reporting.aligned_text import format_columns
 
@@ -25,19 +26,12 @@ _SAME = ("poses.txt", "queries.csv", "summary.json")
 
 @dataclass(frozen=True, slots=True)
 class WorkerOptions:
-    """What is run.
+    """What is run."""
 
-    Attributes:
-        queries: Of the demo.
-        workers: Processes, of one thread each; and threads of the serial run that stands beside them.
-        method: The method.
-        repeats: Rounds of all commands in turn; the fastest of each counts.
-    """
-
-    queries: int = 200
-    workers: int = 2
-    method: str = "lodlocv2"
-    repeats: int = 2
+    queries: int = option(200, "of the demo")
+    workers: int = option(2, "processes of one thread each, beside as many threads of a serial run")
+    method: str = option("lodlocv2", "the method")
+    repeats: int = option(2, "rounds of all commands in turn, the fastest counts")
 
     def __post_init__(self) -> None:
         if min(self.queries, self.repeats) < 1 or self.workers < 2:
@@ -46,12 +40,7 @@ class WorkerOptions:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What one way to run took.
-
-    Attributes:
-        whole_s: The command, seconds.
-        queries_s: Its queries alone.
-    """
+    """What one way to run took."""
 
     whole_s: float
     queries_s: float

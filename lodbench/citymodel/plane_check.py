@@ -100,7 +100,7 @@ def check_planes(model: CityModel, findings: Findings) -> None:
 
 
 def check_folds(model: CityModel, findings: Findings) -> None:
-    """Adds polygons with a piece that is turned from their plane although no corner is a centimetre off it."""
+    """Adds polygons with a piece turned from their plane although no corner is a centimetre off it."""
     outer = np.flatnonzero(model.polygons.kind != SurfaceKind.INTERIOR)
     for first in range(0, len(outer), CHUNK_POLYGONS):
         own = outer[first : first + CHUNK_POLYGONS]

@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.bench.figures import Report
+from lodbench.bench.options import add_options, options_of
 from lodbench.bench.reconstructions import Noise, measure_reconstructions
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
+from lodbench.cli.bench_views import seeds
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.execution import ProgressCallback
 from lodbench.synthesis.flights.dataset import FlightsParams
 from lodbench.synthesis.flights.paths import PATHS
 
 
-def add_uses(actions: Any) -> tuple[argparse.ArgumentParser, ...]:
-    """Adds both; returns their parsers."""
+def add_uses(actions: Any) -> None:
+    """Adds both."""
     placed = actions.add_parser("georeference", help="reconstructions of seeded flights, placed by masks")
     placed.add_argument("--photos", type=int, default=16, help="of each flight (16)")
     placed.add_argument("--mask-iou", type=float, default=0.88, help="of the degraded masks (0.88)")
@@ -26,17 +28,11 @@ def add_uses(actions: Any) -> tuple[argparse.ArgumentParser, ...]:
     placed.add_argument("--map-lod", help="level of detail to place it in (the lowest)")
     placed.add_argument("--mask-lod", help="that masks are drawn from, or finest (the map's)")
     tracked = actions.add_parser("tracking", help="drawn frames from pixels to poses, and how many a second")
-    tracked.add_argument("--frames", type=int, default=60, help="of each flight (60)")
-    tracked.add_argument("--look", default="varied", help="of the frames: plain, varied or hard (varied)")
+    add_options(tracked, TrackingOptions)
     tracked.add_argument("--segmenter", default="compact", metavar="NAME", help="(compact)")
     for action in (placed, tracked):
         action.add_argument("--city", type=Path, required=True, help="city model")
-        action.add_argument("--seeds", type=_seeds, default=[0], help="comma-separated (0)")
-    return placed, tracked
-
-
-def _seeds(text: str) -> list[int]:
-    return [int(word) for word in text.split(",")]
+        action.add_argument("--seeds", type=seeds, default="0", help="comma-separated (0)")
 
 
 def measure_georeference(options: argparse.Namespace, steps: ProgressCallback) -> Report:
@@ -54,5 +50,5 @@ def measure_georeference(options: argparse.Namespace, steps: ProgressCallback) -
 
 def measure_track(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     """Returns how fast and how well frames are tracked."""
-    asked = TrackingOptions(frames=options.frames, look=options.look)
+    asked = options_of(options, TrackingOptions)
     return measure_tracking(options.city, options.seeds, segmenter_of(options.segmenter), asked, steps)

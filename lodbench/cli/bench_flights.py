@@ -10,7 +10,7 @@ from typing import Any
 from lodbench.bench.figures import Report
 from lodbench.bench.flights import measure_flights
 from lodbench.bench.joint_solves import measure_joint_solves
-from lodbench.errors import ConfigError
+from lodbench.cli.bench_views import seeds, whole_numbers
 from lodbench.execution import ProgressCallback
 from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.flight.params import RELATIVE_POSES
@@ -24,7 +24,9 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
         "flights", help="whole flights: recall, constants of the drone, errors of the map, calibration"
     )
     parser.add_argument("--city", type=Path, required=True, help="city model")
-    parser.add_argument("--seeds", default="0", help="comma-separated, each with flights of its own (0)")
+    parser.add_argument(
+        "--seeds", type=seeds, default="0", help="comma-separated, each with flights of its own (0)"
+    )
     parser.add_argument("--flights", type=int, default=2, help="of each seed (2)")
     parser.add_argument("--photos", type=int, default=20, help="of each flight (20)")
     parser.add_argument("--path", choices=tuple(PATHS), help="how they fly (all of them in turn)")
@@ -36,7 +38,10 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
     parser.add_argument("--focal", type=float, default=0.0, help="focal lengths off by up to this share (0)")
     parser.add_argument("--shared-height", type=float, default=28.0, help="heights off by up to, metres (28)")
     parser.add_argument(
-        "--joint", metavar="COUNTS", help="time the joint solve of so many photos instead, as 100,250,500"
+        "--joint",
+        metavar="COUNTS",
+        type=_counts,
+        help="time joint solves of so many photos, as 100,250",
     )
     parser.add_argument("--memory", action="store_true", help="of --joint too, which takes longer")
     for name, what in (
@@ -50,7 +55,6 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
 
 def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     """Returns what the command measures."""
-    seeds = _whole_numbers("Seeds", options.seeds, "Write --seeds 0,1,2")
     flights = FlightsParams(
         city_model=str(options.city),
         num_flights=options.flights,
@@ -68,14 +72,10 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     )
     method = FlightMethod(Params(relative_poses=options.relative_poses))
     if options.joint is None:
-        return measure_flights(flights, seeds, method, steps)
-    sizes = _whole_numbers("Numbers of photos", options.joint, "Write --joint 100,250,500")
-    flights = replace(flights, flights_seed=seeds[0], path=flights.path or "orbit")
-    return measure_joint_solves(flights, sizes, method, traces_memory=options.memory, progress=steps)
+        return measure_flights(flights, options.seeds, method, steps)
+    flights = replace(flights, flights_seed=options.seeds[0], path=flights.path or "orbit")
+    return measure_joint_solves(flights, options.joint, method, traces_memory=options.memory, progress=steps)
 
 
-def _whole_numbers(what: str, text: str, hint: str) -> list[int]:
-    try:
-        return [int(word) for word in text.split(",")]
-    except ValueError as error:
-        raise ConfigError(f"{what} are whole numbers, not {text!r}.", hint) from error
+def _counts(text: str) -> list[int]:
+    return whole_numbers("Numbers of photos", text, "Write --joint 100,250,500")

@@ -52,13 +52,7 @@ def main(argv: Sequence[str]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class ConfigCard:
-    """The card of a dataset that is no published one: ``dataset/NAME.md`` beside its configuration.
-
-    Attributes:
-        text: All of it.
-        title: Of its head, or else the name.
-        counts: Queries by split, of its head.
-    """
+    """The card of a dataset that is no published one: ``dataset/NAME.md`` beside its configuration."""
 
     text: str
     title: str

@@ -99,14 +99,7 @@ _NOT_OWN = (
 
 @dataclass(frozen=True, slots=True)
 class _Opened:
-    """What may be opened for a run.
-
-    Attributes:
-        config: Its configuration, without paths that it names and nobody vouches for.
-        root: Where its dataset lies, or None.
-        city: Where its city lies, or None.
-        is_own: Whether the user made the run, and so named the paths.
-    """
+    """What may be opened for a run."""
 
     config: dict[str, Any]
     root: str | None

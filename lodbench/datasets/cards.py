@@ -14,13 +14,7 @@ from lodbench.errors import DatasetError
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """What a reader must know before results on a dataset mean anything.
-
-    Attributes:
-        name: Of the dataset.
-        head: The YAML head: publisher, licence, splits, citation, ...; each value is JSON on one line.
-        text: All of the card, its head too.
-    """
+    """What a reader must know before results on a dataset mean anything."""
 
     name: str
     head: dict[str, Any]

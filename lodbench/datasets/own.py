@@ -51,14 +51,7 @@ class OwnImage:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was written, and what was not.
-
-    Attributes:
-        folder: The dataset.
-        names: Images in it.
-        undistorted: How many photos or masks were undistorted.
-        left_out: Name and reason of each image that is not in it.
-    """
+    """What was written, and what was not."""
 
     folder: Path
     names: tuple[str, ...]

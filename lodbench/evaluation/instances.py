@@ -10,14 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class InstanceMatches:
-    """How buildings that were found go with those that are there; sums over photos are `+`.
-
-    Attributes:
-        matched: Pairs whose IoU is above one half: each building has one at most.
-        iou_sum: Of their IoUs.
-        found: Buildings found.
-        true: Buildings there.
-    """
+    """How buildings that were found go with those that are there; sums over photos are `+`."""
 
     matched: int = 0
     iou_sum: float = 0.0

@@ -59,16 +59,7 @@ class Agreement(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """One number of two runs on one split.
-
-    Attributes:
-        split: Name of the split.
-        name: The number.
-        unit: Its unit.
-        first: The first run's.
-        second: The second run's.
-        test: Whether they differ.
-    """
+    """One number of two runs on one split."""
 
     split: str
     name: str

@@ -39,13 +39,7 @@ _PRINTED = (*LABELS, "T.e./R.e.", "IoU")
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Entries that stand together.
-
-    Attributes:
-        title: What they have in common.
-        entries: Entries, best first where they rank, else in the order of their paper or file.
-        ranks: Their ranks, None where they do not rank.
-    """
+    """Entries that stand together."""
 
     title: str
     entries: tuple[Entry, ...]

@@ -13,13 +13,7 @@ Floats = NDArray[np.float64]
 
 
 class BuildingBoxes(NamedTuple):
-    """Boxes along the axes around buildings; those without triangles are left out.
-
-    Attributes:
-        low: (B, 3) least coordinates, local metres.
-        high: (B, 3) greatest coordinates.
-        building: (B,) number of each in the scene.
-    """
+    """Boxes along the axes around buildings; those without triangles are left out."""
 
     low: Floats
     high: Floats

@@ -54,15 +54,7 @@ PACKAGE = "package"
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What came out of a training.
-
-    Attributes:
-        weights: The file a segmenter loads.
-        history: Per epoch: loss, learning rate, and IoUs where validated.
-        validated_on: What the validation views are.
-        views: Views trained on.
-        started_at: Epochs that were there already.
-    """
+    """What came out of a training."""
 
     weights: Path
     history: list[dict[str, float]]

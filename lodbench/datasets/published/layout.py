@@ -56,17 +56,7 @@ class SplitFiles:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What is there of a dataset.
-
-    Attributes:
-        spec: The dataset.
-        root: Where it was looked for.
-        splits: The splits that are there, in order.
-        city_model: The city model, or None.
-        unreadable_city: A city model in a format that is not read, or None.
-        textured_map: A textured map, or None.
-        references: A folder of posed pictures, or None.
-    """
+    """What is there of a dataset."""
 
     spec: PublishedSpec
     root: Path

@@ -39,12 +39,7 @@ _SYNTHETIC_NAME = re.compile(r"(-?\d+)@(-?\d+)@(-?\d+)@(-?\d+)@(-?\d+)@(-?\d+)")
 
 @dataclass(frozen=True, slots=True)
 class SplitContent:
-    """The queries of one split, as its files have them.
-
-    Attributes:
-        entries: In the order of the split's file, or of the true poses.
-        truth: True poses by ``Entry.key``.
-    """
+    """The queries of one split, as its files have them."""
 
     entries: tuple[Entry, ...]
     truth: dict[str, Pose]

@@ -51,13 +51,7 @@ class SplitSpec:
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """Where publishers host a part.
-
-    Attributes:
-        what: What it is.
-        url: Address for people.
-        how: What to do there.
-    """
+    """Where publishers host a part."""
 
     what: str
     url: str
@@ -66,14 +60,7 @@ class Host:
 
 @dataclass(frozen=True, slots=True)
 class Download:
-    """A file with an address that does not change.
-
-    Attributes:
-        url: Its address.
-        path: Where it goes below the root.
-        sha256: Of its content.
-        num_bytes: Its size.
-    """
+    """A file with an address that does not change."""
 
     url: str
     path: str

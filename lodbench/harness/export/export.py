@@ -20,14 +20,7 @@ DATASET, CITY, CRS = "dataset", "city", "crs"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
-    """What a format is given; what it does not require may be None.
-
-    Attributes:
-        run: The run; its poses are in the dataset's coordinates.
-        dataset: The run's, opened: cameras, priors, truth, pictures.
-        city: The scene of the run's city.
-        crs: Reference system of the poses.
-    """
+    """What a format is given; what it does not require may be None."""
 
     run: StoredRun
     dataset: Dataset | None = None
@@ -74,13 +67,7 @@ class ExportFormat(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written.
-
-    Attributes:
-        path: File or folder.
-        count: Poses in it.
-        without_pose: Names of queries that have none.
-    """
+    """What was written."""
 
     path: Path
     count: int

@@ -11,14 +11,7 @@ from lodbench.reporting.flight_words import constants_in_words, map_in_words
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightAnswer:
-    """What became of a flight.
-
-    Attributes:
-        name: ``flight 1``, and so on.
-        photos: Its files, those left out aside.
-        taken: With what and when, and what is odd about it, in sentences.
-        findings: What its photos say besides where they were taken; see ``findings_of`` of the method.
-    """
+    """What became of a flight."""
 
     name: str
     photos: tuple[Path, ...]

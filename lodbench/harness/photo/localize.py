@@ -69,13 +69,7 @@ def inputs_of(method: Method) -> frozenset[str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenMap:
-    """The city of a request.
-
-    Attributes:
-        city: Its scene, and what was met in reading it.
-        frame: Its coordinates on Earth, where their reference system is known.
-        renderer: Draws its outlines.
-    """
+    """The city of a request."""
 
     city: OpenCity
     frame: MapFrame | None

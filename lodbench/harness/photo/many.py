@@ -61,14 +61,7 @@ class PhotoAnswer:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What became of many photos.
-
-    Attributes:
-        photos: One answer each, in the order asked.
-        flights: They were taken on, where that was looked for.
-        folder: Written to.
-        number: At the end of the names of files written; 1 for none.
-    """
+    """What became of many photos."""
 
     photos: tuple[PhotoAnswer, ...]
     flights: tuple[FlightAnswer, ...]

@@ -61,14 +61,7 @@ class OwnRequest:
 
 @dataclass(frozen=True, slots=True)
 class OwnDataset:
-    """What was made.
-
-    Attributes:
-        written: The folder and its images.
-        has_truth: Whether there are true poses.
-        num_priors: How many images have a rough pose.
-        notes: What the reader should know.
-    """
+    """What was made."""
 
     written: Written
     has_truth: bool

@@ -71,12 +71,7 @@ class RenderParams:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """What was drawn.
-
-    Attributes:
-        files: What was written: what the views share, then the views in the order of the poses.
-        notes: What was met in the city.
-    """
+    """What was drawn."""
 
     files: tuple[Path, ...]
     notes: tuple[str, ...]
@@ -84,14 +79,7 @@ class Rendered:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One view asked for.
-
-    Attributes:
-        name: Of the image.
-        pose: World to camera, in the city's coordinates.
-        camera: Pinhole, at the size to draw.
-        photo: The photo, or None.
-    """
+    """One view asked for."""
 
     name: str
     pose: Pose

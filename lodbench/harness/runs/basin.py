@@ -27,12 +27,7 @@ _AXES = {
 
 @dataclass(frozen=True, slots=True)
 class Basin:
-    """The runs of a basin.
-
-    Attributes:
-        protocol: The protocol, in words.
-        steps: Rows of the tables and their runs.
-    """
+    """The runs of a basin."""
 
     protocol: tuple[str, ...]
     steps: list[tuple[BasinStep, Run]]

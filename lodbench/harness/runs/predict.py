@@ -43,23 +43,7 @@ def open_predictions(folder: Path, read_only: bool = False) -> Ledger:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Work:
-    """What a process needs to answer queries: the city is opened there, from the cache.
-
-    Attributes:
-        method: What finds poses.
-        dataset: Where the queries come from.
-        segmenter: Makes the masks.
-        renderer: Name of the renderer.
-        threads: Threads of the renderer; None for one per core.
-        tilt: As for ``Preparation``.
-        needs: As for ``Preparation``.
-        seed: Of the random streams.
-        params: The method's parameters, as JSON values.
-        inputs: Digests of the run's inputs.
-        folder: The run's.
-        contents: SHA-256 of the files that are read again for single queries.
-        stream_names: As for ``RunSettings``.
-    """
+    """What a process needs to answer queries: the city is opened there, from the cache."""
 
     method: Method
     dataset: Dataset

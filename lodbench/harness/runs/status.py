@@ -16,16 +16,7 @@ PLAN_FILE = "plan.json"
 
 @dataclass(frozen=True, slots=True)
 class RunStatus:
-    """How far a run is.
-
-    Attributes:
-        folder: The run folder.
-        num_queries: Queries the run has.
-        num_done: Of these, with a row.
-        failures: Failed ones so far, by reason.
-        seconds_per_query: Mean time of an answered query; 0 if there is none yet.
-        is_finished: Whether the run has written its tables.
-    """
+    """How far a run is."""
 
     folder: Path
     num_queries: int

@@ -58,15 +58,7 @@ _SPECKLES_M, _GROUND_M = 25.0, 160.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A map, and queries with exact masks.
-
-    Attributes:
-        city_map: The map, on one thread.
-        queries: Each with a photo.
-        truths: Their true poses, scene frame; no method sees them.
-        references: Pictures of the place.
-        folder: For what methods prepare.
-    """
+    """A map, and queries with exact masks."""
 
     city_map: CityMap
     queries: tuple[Query, ...]
@@ -83,13 +75,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialAnswers:
-    """What a method answered in the trial.
-
-    Attributes:
-        trial: The trial.
-        by_name: By the queries' names.
-        seconds: Wall time per query.
-    """
+    """What a method answered in the trial."""
 
     trial: Trial
     by_name: dict[str, Estimate | QueryFault] = field(default_factory=dict)

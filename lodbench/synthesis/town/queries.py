@@ -53,13 +53,7 @@ _ATTEMPTS = 50
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DemoSplit:
-    """The queries of one split.
-
-    Attributes:
-        name: ``in_place`` or ``out_of_place``.
-        queries: In flight order.
-        rejections: Views thrown away for showing too few or too many buildings.
-    """
+    """The queries of one split."""
 
     name: str
     queries: tuple[SyntheticQuery, ...]

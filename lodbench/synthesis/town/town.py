@@ -28,18 +28,7 @@ _REACH_M = 640.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Town:
-    """A town in local metres, x east, y north, its middle at the origin; heights above sea level.
-
-    Attributes:
-        seed: What it grew from.
-        look: What it looks like.
-        buildings: Its buildings, those pulled down before the photos included, block by block from the
-            middle outward.
-        streets: Its street plan.
-        districts: District of each block of ``streets``.
-        terrain: Its ground.
-        occupancy: Which building stands where.
-    """
+    """A town in local metres, x east, y north, its middle at the origin; heights above sea level."""
 
     seed: int
     look: TownLook

@@ -34,15 +34,7 @@ from lodbench.synthesis.training_data.view_writer import PictureParts, ViewWrite
 
 @dataclass(frozen=True, slots=True)
 class Generated:
-    """What was generated.
-
-    Attributes:
-        out: The folder.
-        views: Number of views by split.
-        resumed: How many of them were there already.
-        skipped: Candidates not taken, by reason.
-        notes: What was met in the city.
-    """
+    """What was generated."""
 
     out: Path
     views: dict[str, int]

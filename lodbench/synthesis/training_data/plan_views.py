@@ -30,13 +30,7 @@ BELOW_GROUND, TWO_REGIONS = "below the ground", "two regions in view"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedView:
-    """One view to write.
-
-    Attributes:
-        split: ``train``, ``val`` or ``test``.
-        name: Of its files, without ending.
-        pose: In the scene's frame.
-    """
+    """One view to write."""
 
     split: str
     name: str
@@ -50,13 +44,7 @@ class PlannedView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewPlan:
-    """What will be written.
-
-    Attributes:
-        views: In the order of the candidates.
-        skipped: How many candidates were not taken, by reason.
-        candidates: How many there were.
-    """
+    """What will be written."""
 
     views: tuple[PlannedView, ...]
     skipped: dict[str, int]

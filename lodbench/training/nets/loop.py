@@ -28,14 +28,7 @@ _LONGEST_GRADIENT = 5.0
 
 @dataclass
 class State:
-    """What a training is made of at any time.
-
-    Attributes:
-        net: The network, on its device.
-        optimizers: Of its trainable weights, each weight in one of them.
-        epoch: Epochs done.
-        history: Per epoch: mean loss, learning rate and, where validated, IoUs.
-    """
+    """What a training is made of at any time."""
 
     net: nn.Module
     optimizers: list[torch.optim.Optimizer]

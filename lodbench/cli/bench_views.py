@@ -1,0 +1,146 @@
+"""`lodbench bench accuracy`, `budget` and `wide-priors`: sweeps over seeded views of a city."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from lodbench.bench.accuracy import measure_accuracy
+from lodbench.bench.accuracy_causes import measure_causes
+from lodbench.bench.accuracy_cities import measure_cities
+from lodbench.bench.budget import measure_budget
+from lodbench.bench.figures import Report
+from lodbench.bench.options import SEED
+from lodbench.bench.wide_priors import measure_wide_priors
+from lodbench.errors import ConfigError
+from lodbench.execution import ProgressCallback
+from lodbench.methods.registry import make_method
+from lodbench.synthesis.map_and_camera_errors import World
+from lodbench.synthesis.views_dataset import AREAS, ViewsParams
+
+_WORLD = (
+    "how what is seen differs from the map: shared_roofs and hidden_feet in metres, focal as a share, "
+    "tilt as a factor on the told one"
+)
+
+
+def add_views(actions: Any) -> None:
+    """Adds the three parsers."""
+    accuracy = actions.add_parser("accuracy", help="recall of methods on synthetic views of a real model")
+    accuracy.add_argument("--views", type=int, default=200, help="seeded views (200)")
+    accuracy.add_argument("--method", default="lodlocv2", help="methods, comma-separated (lodlocv2)")
+    accuracy.add_argument("--pictures", type=Path, help="folder for reliability and risk over coverage")
+    why = "why poses are not found: causes of errors taken away, one a column"
+    accuracy.add_argument("--causes", action="store_true", help=why)
+    several = "city model, repeat for a table of several; the demo town"
+    accuracy.add_argument("--city", type=Path, action="append", help=several)
+    budget = actions.add_parser("budget", help="recall of both methods over the hypotheses they may render")
+    budget.add_argument("--views", type=int, default=50, help="seeded views (50)")
+    budget.add_argument("--pictures", type=Path, help="folder for the picture")
+    beside = "basins beside the full grid, pose by pose: --prior-range 50 to 200"
+    wide = actions.add_parser("wide-priors", help=beside)
+    wide.add_argument("--views", type=int, default=6, help="seeded views (6)")
+    for action in (budget, wide):
+        add_city(action)
+    for action in (accuracy, budget, wide):
+        _add_drawing(action.add_argument)
+
+
+def _add_drawing(add: Any) -> None:
+    """Adds the options of what is drawn."""
+    add("--seed", type=int, default=0, help=f"{SEED} (0)")
+    add("--seeds", type=seeds, help="seeds, comma-separated, each with views of its own; instead of --seed")
+    add("--mask-iou", type=float, default=0.88, help="of the degraded masks (0.88)")
+    tilt = "prior's tilt error, +- degrees (1.0)"
+    add("--tilt-width", "--tilt-deg", type=float, default=1.0, help=tilt)
+    add("--prior-range", type=float, help="prior's error along x, y and z, +- metres (10, 10, 30)")
+    add("--prior-height", type=float, help="prior's error along z, +- metres")
+    add("--area", choices=AREAS, help="half of the city to look at (all of it)")
+    drawn = "level of detail that views and masks are drawn from, or finest (the map's)"
+    add("--mask-lod", help=drawn)
+    add("--map-lod", help="level of detail that is searched (the lowest)")
+    add("--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave")
+    add("--world", default="", metavar="NAME=VALUE,...", help=_WORLD)
+
+
+def add_city(parser: argparse.ArgumentParser) -> None:
+    """Adds the option that ``city_file`` reads."""
+    parser.add_argument("--city", type=Path, help="city model; the demo town if not given")
+
+
+def city_file(given: argparse.Namespace) -> Path:
+    """Returns the city asked for, or the demo town's."""
+    return _or_demo(given.city)
+
+
+def _or_demo(city: Path | None) -> Path:
+    if city is not None:
+        return city
+    from lodbench.synthesis.demo import DemoParams, open_demo
+    from lodbench.synthesis.town.build import CITY_FILE
+
+    return open_demo(DemoParams()).root / CITY_FILE
+
+
+def accuracy(given: argparse.Namespace, steps: ProgressCallback) -> Report:
+    """Returns what methods find, of one city, of several, or with causes of errors taken away."""
+    methods = [make_method(name) for name in given.method.split(",")]
+    drawn = [_views(given, city) for city in given.city or [None]]
+    seeded = _seeds(given)
+    if given.causes:
+        return measure_causes(drawn, seeded, methods, steps)
+    if len(drawn) == 1:
+        return measure_accuracy(drawn[0], seeded, methods, steps)
+    return measure_cities(drawn, seeded, methods, steps)
+
+
+def budget(given: argparse.Namespace, steps: ProgressCallback) -> Report:
+    """Returns what more hypotheses find."""
+    return measure_budget(_views(given, given.city), _seeds(given), steps)
+
+
+def wide_priors(given: argparse.Namespace, steps: ProgressCallback) -> Report:
+    """Returns where basins and the full grid end."""
+    return measure_wide_priors(_views(given, given.city), _seeds(given), steps)
+
+
+def _views(given: argparse.Namespace, city: Path | None) -> ViewsParams:
+    return ViewsParams(
+        city_model=str(_or_demo(city)),
+        num_views=given.views,
+        mask_iou=given.mask_iou,
+        tilt_deg=given.tilt_width,
+        range_m=given.prior_range,
+        height_m=given.prior_height,
+        area=given.area,
+        lod=given.map_lod,
+        mask_lod=given.mask_lod,
+        roof_height=given.roof_height,
+        world=World.parse(given.world),
+    )
+
+
+def _seeds(given: argparse.Namespace) -> list[int]:
+    return given.seeds or [given.seed]
+
+
+def whole_numbers(what: str, text: str, hint: str) -> list[int]:
+    """Returns the whole numbers of a comma-separated text.
+
+    Raises:
+        ConfigError: It holds another word.
+    """
+    try:
+        return [int(word) for word in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"{what} are whole numbers, not {text!r}.", hint) from error
+
+
+def seeds(text: str) -> list[int]:
+    """Returns seeds as typed.
+
+    Raises:
+        ConfigError: One is no whole number.
+    """
+    return whole_numbers("Seeds", text, "Write --seeds 0,1,2")
