@@ -22,7 +22,7 @@ from lodbench.harness.track.track import Track, TrackRequest, track
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream, write_bytes
 from lodbench.synthesis.queries import SyntheticQuery
-from lodbench.synthesis.view_photos import with_photos
+from lodbench.synthesis.view_photos import Photographer
 from lodbench.synthesis.view_sampling import RGB_CAMERA, view_of
 
 # Frames per second; metres per second and degrees per second of the flight; what its first pose is off by.
@@ -105,7 +105,7 @@ def _drawn(scene: Scene, seed: int, options: TrackingOptions) -> list[SyntheticQ
         target = middle + _SPEED_M * (time_s - 0.5 * options.frames / _RATE) * ahead
         pose = view_of(target, height_m + 2.0 * np.sin(time_s), angles)
         queries.append(SyntheticQuery(f"frame_{k:06d}", pose, pose, none, 1.0))
-    return with_photos(queries, scene, RGB_CAMERA.scaled(*options.size), options.look, seed)
+    return Photographer(scene, options.look, seed).views(queries, RGB_CAMERA.scaled(*options.size))
 
 
 def _tracked(

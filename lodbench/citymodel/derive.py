@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from lodbench.citymodel.triangulate import MAX_CORNERS, triangulate
 from lodbench.errors import CityModelError, ConfigError
 from lodbench.findings import Findings
 
-RoofHeight = Literal["median", "max", "p70", "eave"]
 ROOF_HEIGHTS: dict[str, float] = {"median": 0.5, "max": 1.0, "p70": 0.7, "eave": 0.0}
 
 # Faces flatter than this against the vertical (cosine) are roofs or floors, the others walls.

@@ -11,7 +11,6 @@ XLINK_HREF = "{http://www.w3.org/1999/xlink}href"
 GML_IDS = ("{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id")
 
 MEMBERS = ("cityObjectMember", "featureMember", "featureMembers", "member", "appearanceMember")
-BUILDINGS = ("{*}Building",)
 # City objects inside others, by their names in CityJSON.
 NESTED_TYPES = {
     "BuildingPart": "BuildingPart",

@@ -47,12 +47,7 @@ class RunOptions:
 
 @dataclass(frozen=True, slots=True)
 class PathParams:
-    """Where results go.
-
-    Attributes:
-        runs: Folder that run folders are made in.
-        data_root: Folder of the published datasets; None for ``LODBENCH_DATA`` or the user's own.
-    """
+    """Where results go."""
 
     runs: str = "runs"
     data_root: str | None = None

@@ -57,20 +57,7 @@ _LAYOUT_HINT = (
 
 @dataclass(frozen=True, slots=True)
 class FolderParams:
-    """Settings of ``dataset=folder``.
-
-    Attributes:
-        root: The folder.
-        city_model: City model: a file, an archive, or a folder of tiles; None for the one that
-            ``dataset.json`` names, if it is there, and else to score poses only.
-        lod: Level of detail to localise against; None for the lowest.
-        crs: CRS of the city model, where its file says none or a wrong one.
-        roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
-        name: Name to report.
-        references: Folder of posed pictures of the place, or None; see ``read_references``.
-        textured_map: Textured map of the place: a mesh, CityGML with appearances, or a folder of tiles.
-        layers: What to see besides buildings: ``bridges``, ``vegetation`` and so on, see ``LAYERS``.
-    """
+    """Settings of ``dataset=folder``, told in ``conf/dataset/folder.yaml``."""
 
     root: str
     city_model: str | None = None

@@ -20,17 +20,7 @@ QUERIES, HYPOTHESES = "queries", "hypotheses"
 
 @dataclass(frozen=True, slots=True)
 class ExecutorParams:
-    """How the work is spread; results do not depend on it.
-
-    Attributes:
-        name: ``serial``, ``process`` or ``dask``.
-        workers: Processes; None for one per core. Of a scheduler at an address, what it has.
-        threads: Threads of the engine in each process, None for the cores divided by the workers.
-        address: Dask's scheduler, ``tcp://HOST:8786``, or None for a cluster of its own on this machine.
-        patience_s: Seconds without any result after which workers count as hung and are replaced.
-        share: What workers share: ``queries``, or ``hypotheses`` of one query after the other, for a few
-            queries with grids of many thousands.
-    """
+    """How the work is spread, as ``conf/executor`` says; results do not depend on it."""
 
     name: str = SERIAL
     workers: int | None = None

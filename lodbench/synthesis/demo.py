@@ -15,15 +15,7 @@ from lodbench.storage.paths import cache_root
 
 @dataclass(frozen=True, slots=True)
 class DemoParams:
-    """Settings of ``dataset=demo``, the town to test on.
-
-    Attributes:
-        name: Name to report.
-        num_queries: Queries over both splits.
-        town_seed: Seed of the town, its queries, priors and masks.
-        look: What it looks like: ``test`` or ``train``.
-        lod: Level of detail to localise against: "1", "2" or "3".
-    """
+    """Settings of ``dataset=demo``, the town to test on; told in ``conf/dataset/demo.yaml``."""
 
     name: str = "demo"
     num_queries: int = 40

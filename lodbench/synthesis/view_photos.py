@@ -1,33 +1,58 @@
-"""Drawn photos of seeded views: a city among made-up ground, trees and cars, in a named look."""
+"""Drawn photos of seeded views and flights: a city among made-up ground, trees and cars, in a named look."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera
 from lodbench.storage import random_stream
-from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
+from lodbench.synthesis.photo import CameraResponse, Look, PhotoRenderer, draw_look, look_ranges
 from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.surroundings.surroundings import make_surroundings
 
+# What photos are drawn at, pixels.
+PHOTO_SIZE = (1204, 902)
 
-def with_photos(
-    queries: list[SyntheticQuery], scene: Scene, camera: Camera, look: str, seed: int
-) -> list[SyntheticQuery]:
-    """Returns queries with photos; the photo of one depends on the seed and its name only.
 
-    A query's name becomes that of a JPEG file.
+class Photographer:
+    """Draws photos of one city, whose surroundings stay the same; a photo depends on seed and names only.
+
+    Args:
+        scene: The city as photos show it.
+        look: A name of ``conf/training``.
+        seed: Of surroundings and looks.
 
     Raises:
         ConfigError: There is no such look.
     """
-    ranges = look_ranges(look)
-    made = make_surroundings(scene, seed)
-    renderer = PhotoRenderer(scene, made.props, made.land_cover)
-    pictured = []
-    for query in queries:
-        light, response = draw_look(ranges, random_stream(seed, "views", "look", query.name))
-        photo = renderer.jpeg(camera, query.truth, light, response)
-        pictured.append(replace(query, name=f"{query.name}.jpg", photo=photo))
-    return pictured
+
+    def __init__(self, scene: Scene, look: str, seed: int) -> None:
+        self._ranges, self._seed = look_ranges(look), seed
+        made = make_surroundings(scene, seed)
+        self._renderer = PhotoRenderer(scene, made.props, made.land_cover)
+
+    def views(self, queries: Sequence[SyntheticQuery], camera: Camera) -> list[SyntheticQuery]:
+        """Returns queries (scene frame) with photos, each in its own light; names become those of JPEGs."""
+        return self._taken(queries, camera, lambda name: self._look("views", "look", name))
+
+    def flight(self, queries: Sequence[SyntheticQuery], camera: Camera, number: int) -> list[SyntheticQuery]:
+        """Returns a flight's queries with photos: one sun, exposures apart; else as ``views``."""
+        light = self._look("flight", number, "look")[0]
+        return self._taken(queries, camera, lambda name: (light, self._look("look", name)[1]))
+
+    def _look(self, *stream: str | int) -> tuple[Look, CameraResponse]:
+        return draw_look(self._ranges, random_stream(self._seed, *stream))
+
+    def _taken(
+        self,
+        queries: Sequence[SyntheticQuery],
+        camera: Camera,
+        look_of: Callable[[str], tuple[Look, CameraResponse]],
+    ) -> list[SyntheticQuery]:
+        photos = (self._renderer.jpeg(camera, query.truth, *look_of(query.name)) for query in queries)
+        return [
+            replace(query, name=f"{query.name}.jpg", photo=photo)
+            for query, photo in zip(queries, photos, strict=True)
+        ]

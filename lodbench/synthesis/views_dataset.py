@@ -28,7 +28,7 @@ from lodbench.synthesis.map_and_camera_errors import World
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
 from lodbench.synthesis.queries import SyntheticQuery, write_queries
-from lodbench.synthesis.view_photos import with_photos
+from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
 # Raised whenever the same settings would draw something else.
@@ -37,32 +37,11 @@ SPLIT = "views"
 # The halves of a city's bounding box: tune on one, report on the other.
 AREAS = ("west", "east", "south", "north")
 _FACTS_FILE = "drawn.json"
-# Width and height of drawn photos.
-_PHOTO_SIZE = (1204, 902)
 
 
 @dataclass(frozen=True, slots=True)
 class ViewsParams:
-    """Settings of ``dataset=views``.
-
-    Attributes:
-        city_model: City model: a file, an archive, or a folder of tiles.
-        num_views: Views over the city; asking for more keeps the first ones.
-        mask_iou: IoU of each query mask with the silhouette at the truth.
-        tilt_deg: Half width of the priors' error in pitch and in roll, degrees.
-        range_m: Half width of their error along x, y and z, metres; None for the published ones.
-        height_m: The same along z alone; None for ``range_m``.
-        area: The half of the city that views look at the middle of, one of ``AREAS``; None for all of it.
-        views_seed: Seed of views, masks, priors and photos.
-        look: What photos look like, a name of ``conf/training``; None for views without photos.
-        lod: Level of detail to localise against; None for the lowest.
-        mask_lod: Level of detail that views and masks are drawn from; None for ``lod``.
-        crs: CRS of the city model, where its file says none or a wrong one.
-        roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
-        name: Name to report.
-        layers: What to see besides buildings, see ``LAYERS``.
-        world: How what is seen differs from the map.
-    """
+    """Settings of ``dataset=views``, told in ``conf/dataset/views.yaml``."""
 
     city_model: str
     num_views: int = 100
@@ -156,8 +135,8 @@ def open_views(params: ViewsParams) -> Dataset:
         queries, rejections = draw_queries(scene, renderer, params)
         camera = RGB_CAMERA
         if params.look is not None:
-            camera = RGB_CAMERA.scaled(*_PHOTO_SIZE)
-            queries = with_photos(queries, scene, camera, params.look, params.views_seed)
+            camera = RGB_CAMERA.scaled(*PHOTO_SIZE)
+            queries = Photographer(scene, params.look, params.views_seed).views(queries, camera)
         with new_folder(root) as building:
             write_queries(building / SPLIT, queries, camera, scene.origin)
             write_text(building / _FACTS_FILE, json.dumps({"rejections": rejections, "mask_lod": scene.lod}))

@@ -33,50 +33,9 @@ _BOUNDS = {
 
 @dataclass(frozen=True, slots=True)
 class TrainParams:
-    """How a network is trained; the defaults are the paper's.
+    """How a network is trained, setting by setting as ``conf/train.yaml`` and ``conf/schedule`` say.
 
-    Attributes:
-        data: Training set of ``lodbench generate-training-data``, or a folder of such sets.
-        val_data: Set whose views validate; None for the ``val`` views of ``data``, and where it has none,
-            every twentieth of its training views, held out.
-        city: City model of a dataset of posed photos, where its own ``dataset.json`` names none.
-        unlabelled: Folders of photos to learn from besides, labelled by the weights of ``init``.
-        negatives: Folders of photos without buildings: learnt as they are, and, with ``augment=strong``, as
-            ground and roofs of drawn views.
-        traced: Folders of photos with masks traced by hand (``PLACE/photos``, ``PLACE/masks``), to learn
-            from besides.
-        traced_share: Share of the views of an epoch that they are repeated to.
-        out: Folder of checkpoints, curves and weights.
-        epochs: Passes over the training views.
-        optimizer: ``adamw``, the paper's; or ``muon`` for the kernels of convolutions and AdamW for the rest:
-            a small network from scratch learns several times faster.
-        lr: Highest learning rate; it falls to ``lr_end`` along half a cosine.
-        muon_lr: Highest learning rate of Muon; it falls as ``lr`` does.
-        encoder_rate: Share of the learning rates at which an encoder learns that had weights before; 0
-            leaves it as it is.
-        lr_end: Learning rate at the end.
-        warmup: Share of the steps in which it rises to ``lr``.
-        weight_decay: Of AdamW.
-        batch: Pictures per step, over all devices.
-        size: Long side that views are brought to, pixels; 0 leaves them as they are.
-        crop: Side of the random square that a step sees; 0 for the whole view, brought to
-            ``size`` x ``size`` as the paper does.
-        scale: Range of the random scale of a crop.
-        augment: ``full`` (light, colour, blur, noise, turns, left for right), ``strong`` (other paints and
-            sensors besides, see ``other_appearance``) or ``flips`` (SAM2-UNet's own).
-        one_band: Share of pictures that ``full`` turns into those of one band, tones bent or inverted.
-        weighting: ``paper``: pixels near outlines weigh up to six times in both losses; ``released``: in
-            the IoU loss only, which is what the published code computes.
-        precision: ``bfloat16`` for mixed precision; ``auto`` takes it on GPUs that have it.
-        device: ``auto``, ``cpu``, ``cuda``, ...
-        threads: Threads of torch on a CPU; the result depends on it in the last digits.
-        seed: Of weights, order and augmentation.
-        val_every: Epochs between validations and checkpoints.
-        resume: Whether to go on from the checkpoint in ``out``.
-        init: Weights to start from: a file, ``package`` for those in the package, or None for random ones.
-        average: Checkpoints of trainings that went out from the same weights: the mean of theirs and this
-            one's is what is stored at the end, as averaged.safetensors too.
-        tensorboard: Whether to log for TensorBoard as well.
+    The defaults are the paper's.
 
     Raises:
         ConfigError: A value is out of range; the message names it.

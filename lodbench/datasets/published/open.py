@@ -24,19 +24,7 @@ _FRAMES = ("auto", ENU, SHIFTED_ECEF)
 
 @dataclass(frozen=True, slots=True)
 class PublishedParams:
-    """Settings of a published dataset.
-
-    Attributes:
-        name: Which one.
-        root: The folder it was unpacked in; None for the user's data folder.
-        city_model: The city model; None to look for the names it is known by.
-        frame: ``auto``: told by the walls and cameras; ``enu`` or ``shifted_ecef`` to say it.
-        prior_file: Name of the file of priors in each split's folder; None for the first known one.
-        origin: Easting, northing and height that the local frame's zero has, to place photos by their
-            GPS; the publishers withhold that of UAVD4L-LoD.
-        textured_map: Textured map in the city model's frame; None for ``MODEL/textured`` where it is there.
-        references: Folder of posed pictures; None for ``references`` beside the splits where it is there.
-    """
+    """Settings of a published dataset, told in ``conf/dataset/swiss_epfl.yaml``."""
 
     name: str
     root: str | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, write_geojson
@@ -26,91 +26,72 @@ if TYPE_CHECKING:
 _POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
 
 
-class Colmap:
-    """COLMAP's text model."""
+class _Poses:
+    """A format of poses alone, written by a function of poses and path."""
 
-    file_name = "colmap"
-    requires = (DATASET,)
-
-    def write(self, export: Export, path: Path) -> None:
-        """Writes a folder of cameras and images."""
-        write_colmap(export.poses(), path)
-
-
-class Kapture:
-    """kapture's sensors and trajectories."""
-
-    file_name = "kapture"
-    requires = (DATASET,)
+    requires: tuple[str, ...] = ()
+    writer: ClassVar[Any]
 
     def write(self, export: Export, path: Path) -> None:
-        """Writes a folder of cameras and trajectories."""
-        write_kapture(export.poses(), path)
+        """Writes the file or folder."""
+        type(self).writer(export.poses(), path)
 
 
-class Nerfstudio:
-    """nerfstudio's ``transforms.json``."""
+class Colmap(_Poses):
+    """COLMAP's text model: a folder of cameras and images."""
 
-    file_name = "transforms.json"
-    requires = (DATASET,)
-
-    def write(self, export: Export, path: Path) -> None:
-        """Writes cameras and camera-to-world matrices."""
-        write_nerfstudio(export.poses(), path)
+    file_name, requires, writer = "colmap", (DATASET,), write_colmap
 
 
-class Tum:
-    """The trajectories of the TUM benchmark."""
+class Kapture(_Poses):
+    """kapture's folder of sensors and trajectories."""
 
-    file_name = "poses.tum"
-    requires = ()
-
-    def write(self, export: Export, path: Path) -> None:
-        """Writes a line per pose, camera to world."""
-        write_tum(export.poses(), path)
+    file_name, requires, writer = "kapture", (DATASET,), write_kapture
 
 
-class VisualLocalization:
-    """The lines that visuallocalization.net takes."""
+class Nerfstudio(_Poses):
+    """nerfstudio's ``transforms.json``: cameras and camera-to-world matrices."""
 
-    file_name = "visuallocalization.txt"
-    requires = ()
+    file_name, requires, writer = "transforms.json", (DATASET,), write_nerfstudio
 
-    def write(self, export: Export, path: Path) -> None:
-        """Writes a line per pose, world to camera."""
-        write_lines(export.poses(), path)
+
+class Tum(_Poses):
+    """The trajectories of the TUM benchmark: a line per pose, camera to world."""
+
+    file_name, writer = "poses.tum", write_tum
+
+
+class VisualLocalization(_Poses):
+    """The lines that visuallocalization.net takes: a pose each, world to camera."""
+
+    file_name, writer = "visuallocalization.txt", write_lines
+
+
+class Pix4D(_Poses):
+    """Pix4D's calibrated external camera parameters: centre, omega, phi, kappa."""
+
+    file_name, writer = "calibrated_external_camera_parameters.txt", write_pix4d
 
 
 class Metashape:
-    """The reference text that Metashape imports."""
+    """The reference text that Metashape imports: centre, yaw, pitch, roll."""
 
     file_name = "metashape_reference.txt"
     requires = (CRS,)
 
     def write(self, export: Export, path: Path) -> None:
-        """Writes a line per pose: centre, yaw, pitch, roll."""
+        """Writes a line per pose."""
         write_metashape(export.poses(), path, export.crs)
 
 
-class Pix4D:
-    """Pix4D's calibrated external camera parameters."""
-
-    file_name = "calibrated_external_camera_parameters.txt"
-    requires = ()
-
-    def write(self, export: Export, path: Path) -> None:
-        """Writes a line per pose: centre, omega, phi, kappa."""
-        write_pix4d(export.poses(), path)
-
-
 class Odm:
-    """OpenDroneMap's ``geo.txt``."""
+    """OpenDroneMap's ``geo.txt``: centre, omega, phi, kappa."""
 
     file_name = "geo.txt"
     requires = (CRS,)
 
     def write(self, export: Export, path: Path) -> None:
-        """Writes the reference system, and a line per pose: centre, omega, phi, kappa."""
+        """Writes the reference system, and a line per pose."""
         write_odm(export.poses(), path, export.crs)
 
 

@@ -30,13 +30,7 @@ _START_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class RunnerParams:
-    """Where a method runs.
-
-    Attributes:
-        name: ``here``, in this process, or ``subprocess``.
-        python: Of a subprocess: its Python, which has lodbench and the method's package installed.
-        timeout_s: Of a subprocess: longest time for one query, seconds; then it is stopped and started anew.
-        prepare_timeout_s: Of a subprocess: longest time to prepare, once per dataset, seconds.
+    """Where a method runs, as ``conf/runner`` says.
 
     Raises:
         ConfigError: A value is unknown, missing or out of range.

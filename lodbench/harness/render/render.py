@@ -36,23 +36,7 @@ _TEXTURED = (("colour", None), ("colour", "raster"), ("colour", "pyrender"))
 
 @dataclass(frozen=True, slots=True)
 class RenderParams:
-    """What to render.
-
-    Attributes:
-        city: City model file.
-        poses: Pose file, world to camera, in the city's coordinates.
-        intrinsics: Camera file, by the same names.
-        out: Folder for the pictures.
-        kind: One of ``KINDS``: silhouette, depth, label, colour, overlay, instance.
-        renderer: Name of the renderer, or None for the one that suits the kind.
-        images: Folder of photos named as the poses, for ``overlay``; None for plain grey.
-        lod: Level of detail, or None for the lowest.
-        crs: CRS override, or None.
-        roof_height: Rule by which an absent level 1 is derived, or None.
-        textured_map: Textured map to draw ``colour`` from, see ``open_textured_map``; or None.
-        size: Width and height to scale to, or None for the camera's own.
-        layers: What to draw besides buildings, see ``LAYERS``.
-    """
+    """What to render."""
 
     city: str
     poses: str

@@ -27,9 +27,10 @@ from lodbench.storage.paths import cache_root
 from lodbench.synthesis.flights.errors import SensorErrors, moved
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map
 from lodbench.synthesis.flights.paths import PATHS
-from lodbench.synthesis.flights.photos import PHOTO_SIZE, FlightPhotographer, reconstruct
+from lodbench.synthesis.flights.reconstruction import reconstruct
 from lodbench.synthesis.mask_degradation import degrade_mask, mask_iou
 from lodbench.synthesis.queries import SyntheticQuery, write_queries
+from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewCheck, target_near
 
 # Raised whenever the same settings would draw something else.
@@ -43,35 +44,7 @@ _MOST_TRIES = 200
 
 @dataclass(frozen=True, slots=True)
 class FlightsParams:
-    """Settings of ``dataset=flights``; all errors are half widths of uniform draws.
-
-    Attributes:
-        city_model: City model: a file, an archive, or a folder of tiles.
-        num_flights: Flights over the city; asking for more keeps the first ones.
-        num_photos: Photos of each.
-        path: How it goes over the place: grid, orbit, facade or corridor; all of them in turn if None.
-        mask_iou: IoU of each query mask with the silhouette at the truth.
-        shared_m: Error of all of a flight's positions, east and north, metres.
-        own_m: Error of each photo's position, east, north and up, metres.
-        shared_height_m: Error of all of a flight's heights, metres.
-        shared_tilt_deg: Error of the gimbal's pitch and roll, degrees.
-        own_tilt_deg: The same of each photo.
-        shared_yaw_deg: Error of the compass, degrees.
-        own_yaw_deg: The same of each photo.
-        focal: Share by which a flight's focal length may be off.
-        distortion: Radial distortion of a flight's lens that nobody tells of (k1 of normalised coordinates).
-        wrong_heights: Share of the map's buildings whose height is wrong by 1.5 to 5 m.
-        missing: Share of buildings that the map lacks.
-        extra: Share of buildings that stand in the map only.
-        flights_seed: Seed of everything.
-        look: Photos are drawn in this look of ``conf/training``: plain, varied or hard; None for none.
-        reconstruct: Whether COLMAP reconstructs each flight from its photos (pycolmap).
-        lod: Level of detail to localise against; None for the lowest.
-        mask_lod: Level of detail that masks are drawn from; None for ``lod``.
-        crs: CRS of the city model, where its file says none or a wrong one.
-        roof_height: Rule by which an absent level 1 is derived: median, max, p70 or eave.
-        name: Name to report.
-    """
+    """Settings of ``dataset=flights``, told in its ``conf``; errors are half widths of uniform draws."""
 
     city_model: str
     num_flights: int = 4
@@ -171,14 +144,12 @@ def _draw(params: FlightsParams, world: Scene, folder: Path) -> None:
     """Writes all flights as one split of a folder."""
     renderer = make_renderer("silhouette", world, None)
     told = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(*PHOTO_SIZE)
-    photographer = None
-    if params.look is not None:
-        photographer = FlightPhotographer(world, params.look, params.flights_seed)
+    photographer = None if params.look is None else Photographer(world, params.look, params.flights_seed)
     queries, sequences = [], {}
     for flight in range(params.num_flights):
         name, taken = f"flight_{flight:02d}", draw_flight(params, world, renderer, flight)
         if photographer is not None:
-            taken = photographer.with_photos(taken, drone_errors(params, flight).camera(told), flight)
+            taken = photographer.flight(taken, drone_errors(params, flight).camera(told), flight)
         if params.reconstruct:
             reconstruct(taken, told, folder / SPLIT / RECONSTRUCTION_FOLDER / name)
         queries += taken

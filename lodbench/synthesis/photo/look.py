@@ -39,32 +39,7 @@ _LIMITS: dict[str, Range] = {
 class LookRanges:
     """From what the look of a picture is drawn: each value uniform between two bounds, ends included.
 
-    Attributes:
-        sun_elevation_deg: Height of the sun above the horizon.
-        sun_azimuth_deg: Where it stands, clockwise from grid north.
-        sun_share: Share of the light that comes from the sun: 0 an overcast sky without shadows.
-        sun_warmth: Colour of the sun, -1 bluish to 1 orange.
-        haze_range_m: Distance at which two thirds of the contrast are lost.
-        sky_white: How white the sky is at the zenith, 0 deep blue to 1 overcast.
-        dryness: Grass and leaves from green, 0, to straw, 1.
-        texture: Strength of the patterns on all surfaces.
-        tint_jitter: How far an object's base colour strays, share of full brightness.
-        dirt: Strength of stains on walls, roofs and roads.
-        windows: Share of facades that have windows.
-        window_light: How light window panes are.
-        storey_m: Height of a storey.
-        window_spacing_m: Distance between window axes.
-        skylights: Share of places on pitched roofs taken by skylights and solar panels.
-        roof_units: Share of places on flat roofs taken by machines and hatches.
-        exposure: Factor of the brightness.
-        contrast: Power of the tone curve around middle grey.
-        saturation: Of colours, 0 grey.
-        white_balance: Red against blue.
-        vignette: Darkening of the corners.
-        blur_px: Standard deviation of the lens, pixels.
-        noise: Standard deviation of the sensor at middle grey, share of white.
-        jpeg_quality: Of the file, where it is a JPEG.
-        repaint: Share of objects in a colour of the built-in palettes, whatever their own.
+    ``conf/training/varied.yaml`` says what each is.
 
     Raises:
         ConfigError: A range is not ascending, or out of bounds.

@@ -40,50 +40,7 @@ _BOUNDS = {
 
 @dataclass(frozen=True, slots=True)
 class GenerateParams:
-    """What to generate.
-
-    Attributes:
-        city: City model; its silhouettes are the masks.
-        out: Folder of the data set.
-        lod: Level of detail of the masks, or None for the lowest with walls.
-        picture_lod: Level of detail of the pictures, or None for that of the masks.
-        crs: CRS override, or None.
-        roof_height: Rule by which an absent level 1 is derived, or None.
-        texture_model: Textured mesh to picture instead of the city: OBJ, glTF or PLY; or None.
-        texture_up: Axis that points up in it; ``auto`` is y for glTF and z for the others.
-        props: Scene props to picture around the city (and, if they hold them, instead of its
-            buildings), or None to make up ground, roads, trees and cars.
-        terrain: Raster of ground heights, or None to take them from the bases of the buildings.
-        renderer: ``raster``, or ``pyrender`` for textured meshes.
-        sampling: ``grid`` over the city; ``random`` around its buildings; ``anywhere`` on its land; along a
-            ``trajectory``; around ``priors``.
-        pitch: Pitches, degrees: 0 looks straight down, 90 at the horizon.
-        pitch_from: ``nadir``, or ``horizon`` for pitches counted down from the horizon.
-        height: Heights above the ground, metres.
-        yaw: Yaws, degrees counter-clockwise from grid north (for a trajectory: from ahead), or None
-            for eight (ahead only).
-        spacing_m: Distance of cameras on the grid or the trajectory; None for half the height.
-        count: Draws for ``random`` and ``anywhere``; draws around each pose for ``priors``.
-        poses: Pose file for ``trajectory`` and ``priors``, world to camera, in the city's coordinates.
-        prior_m: Half width of the draws around priors, east, north and up, metres.
-        prior_deg: Half width of yaw, pitch and roll.
-        limit: At most so many views, chosen at random; None for all.
-        size: Width and height of the pictures, pixels.
-        fov_deg: Horizontal field of view.
-        min_buildings: Least share of the picture that buildings take; 0 takes views without any, too.
-        val_share: Share of the buildings in the validation region.
-        test_share: Share of the buildings in the test region.
-        overlap: Share of a picture that buildings of another region may take.
-        images: Whether pictures are written.
-        labels: Whether building ids are written, 16 bits.
-        depth: Whether depth is written, 16 bits, centimetres.
-        occluders_in_mask: Whether trees and cars are cut out of the masks.
-        naming: ``index``, or ``pose`` for X@Y@Z@PITCH@YAW@ROLL.
-        format: Of the pictures, ``jpg`` or ``png``.
-        sheet: Width of a picture on the contact sheet, pixels.
-        workers: Processes on this machine; None for the executor's number, or one per core.
-        seed: Seed of everything drawn.
-        look: From what the look of each picture is drawn.
+    """What to generate, setting by setting as ``conf/generate-training-data.yaml`` says.
 
     Raises:
         ConfigError: A value is out of range; the message names it.

@@ -1,47 +1,15 @@
-"""Drawn photos of a flight, taken on one day with one camera, and COLMAP's reconstruction of them."""
+"""COLMAP's reconstruction of a flight's drawn photos."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera
-from lodbench.storage import make_folder, random_stream
-from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
+from lodbench.storage import make_folder
 from lodbench.synthesis.queries import SyntheticQuery
-from lodbench.synthesis.surroundings.surroundings import make_surroundings
-
-# What photos are drawn at; as for ``dataset=views``.
-PHOTO_SIZE = (1204, 902)
-
-
-class FlightPhotographer:
-    """Draws photos of one city, whose surroundings stay the same from flight to flight.
-
-    Raises:
-        ConfigError: There is no such look.
-    """
-
-    def __init__(self, scene: Scene, look: str, seed: int) -> None:
-        self._ranges, self._seed = look_ranges(look), seed
-        made = make_surroundings(scene, seed)
-        self._renderer = PhotoRenderer(scene, made.props, made.land_cover)
-
-    def with_photos(
-        self, queries: Sequence[SyntheticQuery], camera: Camera, flight: int
-    ) -> list[SyntheticQuery]:
-        """Returns a flight's queries with photos: one sun, exposures apart; names become those of JPEGs."""
-        light, _ = draw_look(self._ranges, random_stream(self._seed, "flight", flight, "look"))
-        pictured = []
-        for query in queries:
-            _, response = draw_look(self._ranges, random_stream(self._seed, "look", query.name))
-            photo = self._renderer.jpeg(camera, query.truth, light, response)
-            pictured.append(replace(query, name=f"{query.name}.jpg", photo=photo))
-        return pictured
 
 
 def reconstruct(queries: Sequence[SyntheticQuery], camera: Camera, folder: Path) -> None:
