@@ -90,10 +90,10 @@ def _placed(flights: FlightsParams, noise: Noise) -> list[float]:
         folder = Path(name)
         write_reconstruction(dataset, folder, noise, flights.flights_seed)
         request = GeoreferenceRequest(
-            folder / "model",
-            dataset.city_model,
-            folder / "out",
-            make_method("flight"),
+            model=folder / "model",
+            city=dataset.city_model,
+            out=folder / "out",
+            method=make_method("flight"),
             masks=masks.parent,
             start=folder / "rough.txt",
             lod=dataset.lod,

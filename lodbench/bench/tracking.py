@@ -126,9 +126,9 @@ def _tracked(
             write_bytes(folder / "frames" / query.file_name, query.photo)
         return track(
             TrackRequest(
-                Footage(folder / "frames", rate=_RATE),
-                city,
-                folder / "out",
+                footage=Footage(folder / "frames", rate=_RATE),
+                city=city,
+                out=folder / "out",
                 camera=RGB_CAMERA.scaled(*options.size),
                 given=RoughPlace(
                     heading_deg=heading_from_yaw(yaw) + _OFF_DEG, pitch_deg=pitch - 90.0, roll_deg=roll

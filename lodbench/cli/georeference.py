@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import add_city_options, add_height_options, height_options
+from lodbench.cli.place_options import add_height_options, add_map_options, city_settings
 from lodbench.cli.segmenters import segmenter_of
-from lodbench.cli.source_profiles import load_profile
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.choice import FOR_PHOTOS
@@ -60,20 +59,14 @@ def main(argv: Sequence[str]) -> int:
     method = make_method(asked.method)
     if not isinstance(method, SupportsFlights):
         raise ConfigError(f"--method {asked.method} solves no flights.", "Leave --method out.")
-    profile = load_profile(asked.source, asked.option, asked.crs)
     request = GeoreferenceRequest(
+        **city_settings(asked),
         model=asked.model,
-        city=asked.city,
-        out=asked.out,
         method=method,
         images=asked.images,
         masks=asked.masks,
         segmenter=None if asked.masks is not None else segmenter_of(asked.segmenter or FOR_PHOTOS),
         start=asked.start,
-        heights=height_options(asked),
-        lod=asked.lod or profile.lod,
-        options=profile.options,
-        roof_height=asked.roof_height,
         seed=asked.seed,
     )
     if asked.sidecars:
@@ -124,11 +117,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("model", type=Path, metavar="COLMAP_MODEL", help="folder with cameras and images")
-    parser.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
-    add_city_options(parser)
-    parser.add_argument(
-        "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
-    )
+    add_map_options(parser)
     parser.add_argument(
         "--images", type=Path, metavar="DIR", help="the model's photos, as the drone stored them"
     )

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 from lodbench.cli.localize_text import describe, describe_many
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import (
-    add_city_options,
     add_height_options,
+    add_map_options,
     add_rough_pose_options,
-    given_camera,
-    height_options,
+    city_settings,
+    rough_settings,
 )
 from lodbench.cli.segmenters import segmenter_of
-from lodbench.cli.source_profiles import load_profile, option_pairs
+from lodbench.cli.source_profiles import option_pairs
 from lodbench.errors import ConfigError
 from lodbench.segmentation.choice import FOR_PHOTOS
 
@@ -128,29 +128,13 @@ def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Meth
 
 
 def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
-    from lodbench.datasets.photo_pose import RoughPlace
     from lodbench.harness.photo.request import PhotoRequest
 
     segmenter = None
     if asked.mask is None and masks is None and "mask" in method.requires:
         segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
-    profile = load_profile(asked.source, asked.option, asked.crs)
-    return PhotoRequest(
-        photo=photo,
-        city=asked.city,
-        out=asked.out,
-        mask=asked.mask,
-        segmenter=segmenter,
-        camera=given_camera(asked.camera),
-        given=RoughPlace(asked.lat, asked.lon, asked.height, asked.heading, asked.pitch, asked.roll),
-        center=None if asked.center is None else tuple(asked.center),
-        heights=height_options(asked),
-        lod=asked.lod or profile.lod,
-        options=profile.options,
-        roof_height=asked.roof_height,
-        method=method,
-        seed=asked.seed,
-    )
+    own = {"photo": photo, "mask": asked.mask, "segmenter": segmenter, "method": method, "seed": asked.seed}
+    return PhotoRequest(**city_settings(asked), **rough_settings(asked), **own)
 
 
 def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
@@ -207,11 +191,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="PHOTO|DIR",
         help="JPEG, PNG or TIFF, as the drone stored them",
     )
-    parser.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
-    add_city_options(parser)
-    parser.add_argument(
-        "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
-    )
+    add_map_options(parser)
     parser.add_argument("--mask", type=Path, metavar="FILE", help="the photo's buildings in white")
     parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of many photos, named as these")
     parser.add_argument(
@@ -222,7 +202,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_rough_pose_options(parser, "rough pose, before what the photo says")
     add_height_options(parser)
-    parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
     parser.add_argument(
         "--method",
         metavar="NAME",

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from typing import get_args
+from pathlib import Path
+from typing import Any, get_args
 
-from lodbench.datasets.photo_pose import HeightOptions, HeightSource
+from lodbench.cli.source_profiles import load_profile
+from lodbench.datasets.photo_pose import HeightOptions, HeightSource, RoughPlace
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.geometry import Camera
@@ -23,8 +25,40 @@ def add_city_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_map_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the city model, which must be named, and how to read it."""
+    parser.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
+    add_city_options(parser)
+    parser.add_argument(
+        "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
+    )
+
+
+def city_settings(asked: argparse.Namespace) -> dict[str, Any]:
+    """Returns what a ``CityRequest`` takes of ``add_map_options``, ``add_height_options`` and ``--out``."""
+    profile = load_profile(asked.source, asked.option, asked.crs)
+    return {
+        "city": asked.city,
+        "out": asked.out,
+        "heights": height_options(asked),
+        "lod": asked.lod or profile.lod,
+        "options": profile.options,
+        "roof_height": asked.roof_height,
+    }
+
+
+def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
+    """Returns what a ``RoughRequest`` takes of ``add_rough_pose_options`` and ``--camera``."""
+    return {
+        "camera": given_camera(asked.camera),
+        "given": RoughPlace(asked.lat, asked.lon, asked.height, asked.heading, asked.pitch, asked.roll),
+        "center": None if asked.center is None else tuple(asked.center),
+    }
+
+
 def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
-    """Adds the options that say where a photo was taken, roughly."""
+    """Adds the options that say where a photo was taken, roughly, and with which camera."""
+    parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
     place = parser.add_argument_group(title)
     place.add_argument("--lat", type=float, metavar="DEG", help="latitude, WGS 84")
     place.add_argument("--lon", type=float, metavar="DEG", help="longitude, WGS 84")

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import (
-    add_city_options,
     add_height_options,
+    add_map_options,
     add_rough_pose_options,
-    given_camera,
-    height_options,
+    city_settings,
+    rough_settings,
 )
 from lodbench.cli.segmenters import segmenter_of
-from lodbench.cli.source_profiles import load_profile
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.choice import FOR_PHOTOS
@@ -45,7 +44,6 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    from lodbench.datasets.photo_pose import RoughPlace
     from lodbench.harness.track.frames import Footage
     from lodbench.harness.track.track import TrackRequest, track
 
@@ -60,23 +58,9 @@ def main(argv: Sequence[str]) -> int:
         segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
         if not hasattr(segmenter, "probability"):
             raise ConfigError(f"--segmenter {asked.segmenter} looks at no frames.", f"{FOR_PHOTOS} does.")
-    profile = load_profile(asked.source, asked.option, asked.crs)
-    done = track(
-        TrackRequest(
-            footage=Footage(asked.footage, asked.every, asked.fps),
-            city=asked.city,
-            out=asked.out,
-            camera=given_camera(asked.camera),
-            given=RoughPlace(asked.lat, asked.lon, asked.height, asked.heading, asked.pitch, asked.roll),
-            center=None if asked.center is None else tuple(asked.center),
-            heights=height_options(asked),
-            masks=asked.masks,
-            segmenter=segmenter,
-            lod=asked.lod or profile.lod,
-            options=profile.options,
-            roof_height=asked.roof_height,
-        )
-    )
+    footage = Footage(asked.footage, asked.every, asked.fps)
+    own = {"footage": footage, "masks": asked.masks, "segmenter": segmenter}
+    done = track(TrackRequest(**city_settings(asked), **rough_settings(asked), **own))
     sys.stdout.write(_as_json(done) if asked.json else describe(done))
     if all(frame.pose is None for frame in done.frames):
         return 1
@@ -132,11 +116,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "footage", type=Path, metavar="VIDEO|DIR", help="what OpenCV reads, or photos in turn"
     )
-    parser.add_argument("--city", type=Path, required=True, metavar="FILE", help="city model")
-    add_city_options(parser)
-    parser.add_argument(
-        "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
-    )
+    add_map_options(parser)
     parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of the frames, named as these")
     parser.add_argument("--segmenter", metavar="NAME", help=f"makes masks instead ({FOR_PHOTOS})")
     parser.add_argument(
@@ -146,7 +126,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--fps", type=float, metavar="RATE", help="frames per second, before what they say")
     add_rough_pose_options(parser, "rough pose of the first frame, before what it says")
     add_height_options(parser)
-    parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
     parser.add_argument("--out", type=Path, default=Path("tracked"), metavar="DIR", help="(tracked)")
     parser.add_argument("--json", action="store_true", help="for machines")
     return parser

@@ -3,51 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.posed import FoundPose
-from lodbench.datasets.photo_pose import HeightOptions
 from lodbench.geometry.similarity import FittedSimilarity
+from lodbench.harness.requests import CityRequest
 from lodbench.methods import Method
-from lodbench.segmentation import Segmenter
 
 
-@dataclass(frozen=True, slots=True)
-class GeoreferenceRequest:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeoreferenceRequest(CityRequest):
     """A reconstruction, and what is known of where it is.
 
     Attributes:
         model: Folder of a COLMAP model.
-        city: City model.
-        out: Folder to write.
         method: Solves flights.
         images: Folder that the model's names are relative to; None where nothing is read from photos.
         masks: Folder of masks of the photos as stored, or None for the segmenter.
-        segmenter: Makes masks where there is no folder of them.
         start: Rough poses in the city's coordinates, in any known format, or a similarity that this command
             wrote; None for what the photos state.
-        heights: How the drone's heights become the city's.
-        lod: Level of detail, or None for the lowest.
-        options: How to read the city.
-        roof_height: Rule by which an absent level 1 is derived, or None.
         seed: Of the search.
     """
 
     model: Path
-    city: Path
-    out: Path
     method: Method
     images: Path | None = None
     masks: Path | None = None
-    segmenter: Segmenter | None = None
     start: Path | None = None
-    heights: HeightOptions = field(default_factory=HeightOptions)
-    lod: str | None = None
-    options: ReadOptions = field(default_factory=ReadOptions)
-    roof_height: str | None = None
     seed: int = 0
 
 

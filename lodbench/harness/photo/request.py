@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -10,51 +10,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.map_frame import Place
-from lodbench.datasets.photo_pose import HeightOptions, RoughPlace
 from lodbench.evaluation import PoseError
 from lodbench.geometry import Camera, Pose
+from lodbench.harness.requests import RoughRequest
 from lodbench.methods import Method
 from lodbench.reporting.answers import UNTRUSTED, trust_word
-from lodbench.segmentation import Segmenter
 
 _SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
 
 
-@dataclass(frozen=True, slots=True)
-class PhotoRequest:
-    """What to localise, and how; what is None is taken from the photo's metadata.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotoRequest(RoughRequest):
+    """What to localise, and how.
 
     Attributes:
         photo: The photo.
-        city: City model.
-        out: Folder for the overlay and the map.
         mask: Building mask of the photo as it is stored, white = building; goes before the segmenter.
-        segmenter: Makes the mask where none is given.
-        camera: Intrinsics of the photo as it is stored, lens distortion included.
-        given: Rough place and angles that go before the photo's.
-        center: Rough place in the city's coordinates (east, north, up, metres); goes before all others.
-        heights: How the drone's heights become the city's.
-        lod: Level of detail, or None for the lowest.
-        options: How to read the city.
-        roof_height: Rule by which an absent level 1 is derived, or None.
         method: How to localise; LoD-Loc v2 by default.
         seed: Seed of the search.
     """
 
     photo: Path
-    city: Path
-    out: Path
     mask: Path | None = None
-    segmenter: Segmenter | None = None
-    camera: Camera | None = None
-    given: RoughPlace = field(default_factory=RoughPlace)
-    center: tuple[float, float, float] | None = None
-    heights: HeightOptions = field(default_factory=HeightOptions)
-    lod: str | None = None
-    options: ReadOptions = field(default_factory=ReadOptions)
-    roof_height: str | None = None
     method: Method | None = None
     seed: int = 0
 

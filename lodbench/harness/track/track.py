@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, write_geojson
 from lodbench.datasets.exchange.lines import write_lines
@@ -20,53 +19,34 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, pose_at, pose_from_photo
+from lodbench.datasets.photo_pose import pose_at, pose_from_photo
 from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.requests import RoughRequest
 from lodbench.harness.track.frames import Footage, MaskMaker, with_masks
 from lodbench.methods.tracking import Frame, Params, Tracker
 from lodbench.methods.tracking.tracker import LOST
-from lodbench.segmentation import Segmenter, notes_of
+from lodbench.segmentation import notes_of
 from lodbench.storage import hide_formula, make_folder, write_text
 
 TABLE_FILE, MAP_FILE, POSES_FILE = "track.csv", "track.geojson", "poses.txt"
 
 
-@dataclass(frozen=True, slots=True)
-class TrackRequest:
-    """What to track, and where it starts.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackRequest(RoughRequest):
+    """What to track, and where its first frame is.
 
     Attributes:
         footage: The frames.
-        city: City model.
-        out: Folder to write.
-        camera: Of the frames as stored; None for what the first photo states.
-        given: Rough place and angles of the first frame, before what the first photo states.
-        center: Rough place in the city's coordinates; before all others.
-        heights: How the drone's heights become the city's.
-        masks: Folder of masks named as the frames, or None for the segmenter.
-        segmenter: A network that looks at pixels.
-        lod: Level of detail, or None for the lowest.
-        options: How to read the city.
-        roof_height: Rule by which an absent level 1 is derived, or None.
+        masks: Folder of masks named as the frames, or None for the segmenter, a network that looks at pixels.
         params: Of the tracker.
     """
 
     footage: Footage
-    city: Path
-    out: Path
-    camera: Camera | None = None
-    given: RoughPlace = field(default_factory=RoughPlace)
-    center: tuple[float, float, float] | None = None
-    heights: HeightOptions = field(default_factory=HeightOptions)
     masks: Path | None = None
-    segmenter: Segmenter | None = None
-    lod: str | None = None
-    options: ReadOptions = field(default_factory=ReadOptions)
-    roof_height: str | None = None
     params: Params = field(default_factory=Params)
 
 

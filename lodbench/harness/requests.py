@@ -1,0 +1,49 @@
+"""What requests to find photos in a city have in common; what is None is taken from the photos themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lodbench.citymodel.options import ReadOptions
+from lodbench.datasets.photo_pose import HeightOptions, RoughPlace
+from lodbench.geometry import Camera
+from lodbench.segmentation import Segmenter
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CityRequest:
+    """A city model, how it is read, and how photos are laid on it.
+
+    Attributes:
+        city: City model.
+        out: Folder to write.
+        segmenter: Makes masks where there are none.
+        heights: How the drone's heights become the city's.
+        lod: Level of detail, or None for the lowest.
+        options: How to read the city.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+    """
+
+    city: Path
+    out: Path
+    segmenter: Segmenter | None = None
+    heights: HeightOptions = field(default_factory=HeightOptions)
+    lod: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    roof_height: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoughRequest(CityRequest):
+    """Besides, what is known of a photo before what it states.
+
+    Attributes:
+        camera: Intrinsics of the photo as stored, lens distortion included.
+        given: Rough place and angles.
+        center: Rough place in the city's coordinates (east, north, up, metres); goes before all others.
+    """
+
+    camera: Camera | None = None
+    given: RoughPlace = field(default_factory=RoughPlace)
+    center: tuple[float, float, float] | None = None
