@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from lodbench.citymodel.layers import LAYERS
 from lodbench.cli.parser import Parser
@@ -34,6 +35,13 @@ options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
 """
 
 
+_ACTIONS = {
+    "info": "format, place, levels of detail, counts, areas, findings",
+    "check": "every defect with its building, and where the area went; exit code 1 if data was lost",
+    "convert": "write it as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or for lodbench (.scene)",
+}
+
+
 def city_parser() -> argparse.ArgumentParser:
     """Returns the parser of `lodbench city`."""
     raw = argparse.RawDescriptionHelpFormatter
@@ -41,93 +49,51 @@ def city_parser() -> argparse.ArgumentParser:
         "lodbench city", description="Look into a city model.", epilog=_EXAMPLES, formatter_class=raw
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="info|check|convert")
-    for name, help_ in (
-        ("info", "format, place, levels of detail, counts, areas, findings"),
-        ("check", "every defect with its building, and where the area went; exit code 1 if data was lost"),
-        (
-            "convert",
-            "write it as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or for lodbench (.scene)",
-        ),
-    ):
+    for name, about in _ACTIONS.items():
         action = actions.add_parser(
-            name, help=help_, description=help_, epilog=_EXAMPLES, formatter_class=raw
+            name, help=about, description=about, epilog=_EXAMPLES, formatter_class=raw
         )
         if name == "convert":
-            action.add_argument(
-                "files",
-                nargs="+",
-                type=Path,
-                metavar="FILE",
-                help="city models, read as one; without -o the last one is OUT",
-            )
-            action.add_argument("-o", "--out", type=Path, metavar="OUT", help="its ending names the format")
+            _add_convert(action.add_argument)
         else:
-            action.add_argument(
-                "file", type=Path, metavar="FILE", help="file, archive, folder of tiles or scene"
-            )
+            what = "file, archive, folder of tiles or scene"
+            action.add_argument("file", type=Path, metavar="FILE", help=what)
         if name == "check":
-            action.add_argument(
-                "--geojson",
-                type=Path,
-                metavar="OUT",
-                help="write the findings as points, for QGIS",
-            )
-        if name == "convert":
-            action.add_argument(
-                "--tiles", type=float, metavar="M", help="write squares of this side, and their index"
-            )
-            action.add_argument(
-                "--executor", choices=("serial", "process", "dask"), default="process",
-                help="where the tiles of a .scene are read (process)",
-            )  # fmt: skip
-            action.add_argument(
-                "--textures",
-                action="store_true",
-                help="keep the pictures of surfaces (.gml, .json, .jsonl, .glb, .obj)",
-            )
-            action.add_argument("--workers", type=int, help="how many processes (one per core)")
-            action.add_argument("--address", help="of Dask's scheduler")
-            action.add_argument(
-                "--lod",
-                help="the one level to write, or finest: each building's own (meshes: lowest; CityJSON: all)",
-            )
-            action.add_argument(
-                "--citygml", choices=("2.0", "3.0"), default="2.0", help="version of a .gml (2.0)"
-            )
-            action.add_argument("--to-crs", metavar="CRS", help="project to another system in metres")
-            action.add_argument(
-                "--id", action="append", default=[], help="only the building of this id; may be repeated"
-            )
-            action.add_argument(
-                "--bbox",
-                nargs=4,
-                type=float,
-                metavar=("W", "S", "E", "N"),
-                help="only buildings whose middle lies inside, in the system written",
-            )
-            action.add_argument(
-                "--where",
-                action="append",
-                default=[],
-                metavar="ATTRIBUTE=VALUE",
-                help="only buildings with this attribute, or with a part that has it; may be repeated",
-            )
-            action.add_argument(
-                "--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave"
-            )
-        action.add_argument("--crs", help="CRS of the coordinates, where the file says none or a wrong one")
-        action.add_argument(
-            "--source", default="folder", metavar="PROFILE", help="publisher, as in run source=PROFILE"
-        )
-        action.add_argument(
-            "--option", action="append", default=[], metavar="KEY=VALUE", help="see below; may be repeated"
-        )
-        action.add_argument(
-            "--layers",
-            type=lambda text: tuple(text.split(",")),
-            default=(),
-            metavar="NAME,...",
-            help=f"also: {', '.join(LAYERS)}",
-        )
+            points = "write the findings as points, for QGIS"
+            action.add_argument("--geojson", type=Path, metavar="OUT", help=points)
+        _add_reading(action.add_argument)
         action.add_argument("--json", action="store_true", help="for machines")
     return parser
+
+
+def _add_convert(add: Any) -> None:
+    """Adds what is written, and how."""
+    files = "city models, read as one; without -o the last one is OUT"
+    add("files", nargs="+", type=Path, metavar="FILE", help=files)
+    add("-o", "--out", type=Path, metavar="OUT", help="its ending names the format")
+    add("--tiles", type=float, metavar="M", help="write squares of this side, and their index")
+    where = "where the tiles of a .scene are read (process)"
+    add("--executor", choices=("serial", "process", "dask"), default="process", help=where)
+    pictures = "keep the pictures of surfaces (.gml, .json, .jsonl, .glb, .obj)"
+    add("--textures", action="store_true", help=pictures)
+    add("--workers", type=int, help="how many processes (one per core)")
+    add("--address", help="of Dask's scheduler")
+    one = "the one level to write, or finest: each building's own (meshes: lowest; CityJSON: all)"
+    add("--lod", help=one)
+    add("--citygml", choices=("2.0", "3.0"), default="2.0", help="version of a .gml (2.0)")
+    add("--to-crs", metavar="CRS", help="project to another system in metres")
+    add("--id", action="append", default=[], help="only the building of this id; may be repeated")
+    inside = "only buildings whose middle lies inside, in the system written"
+    add("--bbox", nargs=4, type=float, metavar=("W", "S", "E", "N"), help=inside)
+    having = "only buildings with this attribute, or with a part that has it; may be repeated"
+    add("--where", action="append", default=[], metavar="ATTRIBUTE=VALUE", help=having)
+    add("--roof-height", metavar="RULE", help="derive an absent LoD1: median, max, p70 or eave")
+
+
+def _add_reading(add: Any) -> None:
+    """Adds how the files are read."""
+    add("--crs", help="CRS of the coordinates, where the file says none or a wrong one")
+    add("--source", default="folder", metavar="PROFILE", help="publisher, as in run source=PROFILE")
+    add("--option", action="append", default=[], metavar="KEY=VALUE", help="see below; may be repeated")
+    also = f"also: {', '.join(LAYERS)}"
+    add("--layers", type=lambda text: tuple(text.split(",")), default=(), metavar="NAME,...", help=also)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -81,29 +81,9 @@ def train_network(
     for path in params.average:
         if not Path(path).expanduser().is_file():
             raise ConfigError(f"There are no weights {path}.", "average=[OUT/checkpoint.pt,...].")
-    data, val_data = Path(params.data).expanduser(), params.val_data
-    out = Path(params.out).expanduser()
+    data, out = Path(params.data).expanduser(), Path(params.out).expanduser()
     make_folder(out)
-    learns = getattr(segmenter, "learns", MASKS)
-    if learns != MASKS:
-        _require_labels(segmenter, params, data)
-    if is_posed(data):
-        learnt, held_out = posed_samples(data, out / SILHOUETTES, params.city), []
-    else:
-        learnt, held_out = (find_samples(data, split, learns) for split in ("train", "val"))
-    train, val, source = split_samples(
-        learnt, held_out, Path(val_data).expanduser() if val_data else None, learns
-    )
-    if params.unlabelled:
-        train = train + _pseudo_labelled(segmenter, params, out)
-    if params.negatives:
-        folders = [Path(folder).expanduser() for folder in params.negatives]
-        train = train + ground_samples(segmenter.params.size, folders, out / NEGATIVES)
-    if params.traced:
-        photos = traced_samples(
-            segmenter.params.size, [Path(folder).expanduser() for folder in params.traced]
-        )
-        train = train + repeated(photos, params.traced_share, len(train))
+    train, val, source = _samples(segmenter, params, data, out)
     tell(f"{len(train)} views to train on, {len(val)} to validate on: {source}")
     record = _record(segmenter, params, data, train, val, source)
     started_at: list[int] = []
@@ -121,6 +101,34 @@ def train_network(
     finished = record | {"history": history, "weights": {weights.name: file_digest(weights)}}
     write_text(out / MANIFEST_FILE, _json(finished))
     return Trained(weights, history, source, len(train), started_at[0])
+
+
+def _samples(
+    segmenter: TrainableSegmenter, params: TrainParams, data: Path, out: Path
+) -> tuple[list[Sample], list[Sample], str]:
+    """Returns the views to train on, those to validate on, and what the latter are."""
+    learns = getattr(segmenter, "learns", MASKS)
+    if learns != MASKS:
+        _require_labels(segmenter, params, data)
+    if is_posed(data):
+        learnt, held_out = posed_samples(data, out / SILHOUETTES, params.city), []
+    else:
+        learnt, held_out = (find_samples(data, split, learns) for split in ("train", "val"))
+    val_data = Path(params.val_data).expanduser() if params.val_data else None
+    train, val, source = split_samples(learnt, held_out, val_data, learns)
+    if params.unlabelled:
+        train = train + _pseudo_labelled(segmenter, params, out)
+    size = segmenter.params.size
+    if params.negatives:
+        train = train + ground_samples(size, _folders(params.negatives), out / NEGATIVES)
+    if params.traced:
+        photos = traced_samples(size, _folders(params.traced))
+        train = train + repeated(photos, params.traced_share, len(train))
+    return train, val, source
+
+
+def _folders(names: Sequence[str]) -> list[Path]:
+    return [Path(name).expanduser() for name in names]
 
 
 def _require_labels(segmenter: TrainableSegmenter, params: TrainParams, data: Path) -> None:
@@ -148,7 +156,7 @@ def _pseudo_labelled(segmenter: TrainableSegmenter, params: TrainParams, out: Pa
     if not isinstance(segmenter, PhotoSegmenter) or not str(params.init).endswith(".onnx"):
         raise ConfigError("Only networks in ONNX files label photos.", "init=FILE.onnx, or init=package.")
     teacher = type(segmenter)(replace(settings, weights=params.init))
-    return pseudo_samples(teacher, [Path(f).expanduser() for f in params.unlabelled], out / PSEUDO_LABELS)
+    return pseudo_samples(teacher, _folders(params.unlabelled), out / PSEUDO_LABELS)
 
 
 def _epoch_line(row: dict[str, float], epochs: int) -> str:

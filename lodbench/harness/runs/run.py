@@ -23,6 +23,7 @@ from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.evaluate import evaluate
+from lodbench.evaluation.predictions import Prediction
 from lodbench.execution.executor import PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.lock import only_one_in
@@ -98,32 +99,13 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     Raises:
         LodbenchError: A fault of the dataset or the settings, before any work is done.
     """
-    if settings.limit is not None and settings.limit < 1:
-        raise ConfigError(f"limit={settings.limit} is not a number of queries.")
-    require_writable(settings.runs_root)
-    if settings.executor.name == PROCESS:
-        # Workers import while this process opens the city.
-        expect_workers((predict.__module__, type(method).__module__, type(segmenter).__module__))
-    splits = select_splits(dataset, settings.splits)
-    entries = chosen_entries(dataset, splits, settings.limit)
-    require_tilt(settings.tilt, dataset)
-    load_plugin("renderers", settings.renderer)
-    require_run_inputs(method, segmenter, dataset, entries)
-    dataset = with_inputs(dataset, required_inputs(method, segmenter))
-    # Once more: what was made for single queries is theirs.
-    entries = chosen_entries(dataset, splits, settings.limit)
-    require_pictures(dataset, entries, method, segmenter)
-    scene, dataset = _open_city(dataset)
-    require_same_place(dataset, entries, scene)
-    require_direction(dataset, entries, scene)
-    textured, dataset = _open_textured(dataset, scene)
-    city_map = CityMap(scene, settings.renderer, settings.threads, textured)
+    dataset, splits, entries, city_map, textured = _opened(method, dataset, segmenter, settings)
     needs = made_inputs(method)
     if looks_at_photos(method, segmenter):
         needs |= {Input.IMAGE}
-    preparation = Preparation(dataset, scene, segmenter, settings.tilt, needs, city_map)
+    preparation = Preparation(dataset, city_map.scene, segmenter, settings.tilt, needs, city_map)
     inputs = {
-        "scene": scene_digest(scene),
+        "scene": scene_digest(city_map.scene),
         "queries": queries_digest(dataset, entries),
         "priors": prior_digest(entries),
         "code": code_digest(method, segmenter),
@@ -148,23 +130,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         known_contents(),
         settings.stream_names,
     )
-    with only_one_in(folder):
-        remove_leftovers(folder)
-        plan = {"queries": [entry.key for entry in entries]}
-        write_text(folder / PLAN_FILE, json.dumps(plan, indent=0) + "\n")
-        stored = open_predictions(folder)
-        resumed = sum(entry.key in stored for entry in entries)
-        try:
-            prepare_method(method, work.params, inputs, city_map, dataset.references, folder)
-            predictions = predict(
-                work, preparation, city_map, entries, settings.executor, settings.retries_failed
-            )
-        except ConfigError:
-            _remove_unused(folder)
-            raise
-        if len(stored) < len(entries):
-            with remembered_contents():
-                _require_unchanged(inputs, _read_inputs(method, segmenter, dataset, entries), folder)
+    predictions, resumed = _answered(method, work, preparation, city_map, entries, folder, settings)
     priors = {entry.key: preparation.prior(entry) for entry in entries}
     return Run(
         folder=folder,
@@ -174,11 +140,69 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         predictions=predictions,
         queries=evaluate(entries, predictions, dataset.truth, priors, city_map, settings.tilt),
         inputs=inputs,
-        lod=scene.lod,
+        lod=city_map.scene.lod,
         preparation=preparation,
         scorer=city_map,
         resumed=resumed,
     )
+
+
+def _opened(
+    method: Method, dataset: Dataset, segmenter: Segmenter, settings: RunSettings
+) -> tuple[Dataset, tuple[str, ...], tuple[Entry, ...], CityMap, TexturedMesh | None]:
+    """Returns the dataset with all that is required, its splits and queries, and the map, all checked."""
+    if settings.limit is not None and settings.limit < 1:
+        raise ConfigError(f"limit={settings.limit} is not a number of queries.")
+    require_writable(settings.runs_root)
+    if settings.executor.name == PROCESS:
+        # Workers import while this process opens the city.
+        expect_workers((predict.__module__, type(method).__module__, type(segmenter).__module__))
+    splits = select_splits(dataset, settings.splits)
+    entries = chosen_entries(dataset, splits, settings.limit)
+    require_tilt(settings.tilt, dataset)
+    load_plugin("renderers", settings.renderer)
+    require_run_inputs(method, segmenter, dataset, entries)
+    dataset = with_inputs(dataset, required_inputs(method, segmenter))
+    # Once more: what was made for single queries is theirs.
+    entries = chosen_entries(dataset, splits, settings.limit)
+    require_pictures(dataset, entries, method, segmenter)
+    scene, dataset = _open_city(dataset)
+    require_same_place(dataset, entries, scene)
+    require_direction(dataset, entries, scene)
+    textured, dataset = _open_textured(dataset, scene)
+    city_map = CityMap(scene, settings.renderer, settings.threads, textured)
+    return dataset, splits, entries, city_map, textured
+
+
+def _answered(
+    method: Method,
+    work: Work,
+    preparation: Preparation,
+    city_map: CityMap,
+    entries: tuple[Entry, ...],
+    folder: Path,
+    settings: RunSettings,
+) -> tuple[dict[str, Prediction], int]:
+    """Returns the answers, those of an earlier process among them, and how many these are."""
+    with only_one_in(folder):
+        remove_leftovers(folder)
+        plan = {"queries": [entry.key for entry in entries]}
+        write_text(folder / PLAN_FILE, json.dumps(plan, indent=0) + "\n")
+        stored = open_predictions(folder)
+        resumed = sum(entry.key in stored for entry in entries)
+        try:
+            prepare_method(method, work.params, work.inputs, city_map, work.dataset.references, folder)
+            predictions = predict(
+                work, preparation, city_map, entries, settings.executor, settings.retries_failed
+            )
+        except ConfigError:
+            _remove_unused(folder)
+            raise
+        if len(stored) < len(entries):
+            with remembered_contents():
+                now = _read_inputs(method, work.segmenter, work.dataset, entries)
+                _require_unchanged(work.inputs, now, folder)
+    return predictions, resumed
 
 
 def _read_inputs(
