@@ -23,33 +23,27 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = actions.add_parser(
         "flights", help="whole flights: recall, constants of the drone, errors of the map, calibration"
     )
-    parser.add_argument("--city", type=Path, required=True, help="city model")
-    parser.add_argument(
-        "--seeds", type=seeds, default="0", help="comma-separated, each with flights of its own (0)"
-    )
-    parser.add_argument("--flights", type=int, default=2, help="of each seed (2)")
-    parser.add_argument("--photos", type=int, default=20, help="of each flight (20)")
-    parser.add_argument("--path", choices=tuple(PATHS), help="how they fly (all of them in turn)")
-    parser.add_argument("--map-lod", help="level of detail that is searched (the lowest)")
-    parser.add_argument("--mask-lod", help="level of detail that photos show, or finest (the map's)")
-    parser.add_argument("--look", help="draw photos in this look: plain, varied or hard (none)")
-    parser.add_argument("--reconstruct", action="store_true", help="by COLMAP, from the photos (pycolmap)")
-    parser.add_argument("--relative-poses", choices=RELATIVE_POSES, default="auto", help="(auto)")
-    parser.add_argument("--focal", type=float, default=0.0, help="focal lengths off by up to this share (0)")
-    parser.add_argument("--shared-height", type=float, default=28.0, help="heights off by up to, metres (28)")
-    parser.add_argument(
-        "--joint",
-        metavar="COUNTS",
-        type=_counts,
-        help="time joint solves of so many photos, as 100,250",
-    )
-    parser.add_argument("--memory", action="store_true", help="of --joint too, which takes longer")
+    add = parser.add_argument
+    add("--city", type=Path, required=True, help="city model")
+    add("--seeds", type=seeds, default="0", help="comma-separated, each with flights of its own (0)")
+    add("--flights", type=int, default=2, help="of each seed (2)")
+    add("--photos", type=int, default=20, help="of each flight (20)")
+    add("--path", choices=tuple(PATHS), help="how they fly (all of them in turn)")
+    add("--map-lod", help="level of detail that is searched (the lowest)")
+    add("--mask-lod", help="level of detail that photos show, or finest (the map's)")
+    add("--look", help="draw photos in this look: plain, varied or hard (none)")
+    add("--reconstruct", action="store_true", help="by COLMAP, from the photos (pycolmap)")
+    add("--relative-poses", choices=RELATIVE_POSES, default="auto", help="(auto)")
+    add("--focal", type=float, default=0.0, help="focal lengths off by up to this share (0)")
+    add("--shared-height", type=float, default=28.0, help="heights off by up to, metres (28)")
+    add("--joint", metavar="COUNTS", type=_counts, help="time joint solves of so many photos, as 100,250")
+    add("--memory", action="store_true", help="of --joint too, which takes longer")
     for name, what in (
         ("wrong-heights", "are wrong by 1.5 to 5 m"),
         ("missing", "lack"),
         ("extra", "are extra"),
     ):
-        parser.add_argument(f"--{name}", type=float, default=0.0, help=f"share of buildings that {what} (0)")
+        add(f"--{name}", type=float, default=0.0, help=f"share of buildings that {what} (0)")
     return parser
 
 

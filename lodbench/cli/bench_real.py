@@ -36,26 +36,25 @@ def add_real(actions: Any) -> argparse.ArgumentParser:
         epilog=_MORE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    add = parser.add_argument
     photos = parser.add_mutually_exclusive_group(required=True)
     photos.add_argument("--query", type=Path, metavar="DIR", help="photos and poses, as dataset=folder")
     photos.add_argument(
         "--photos", type=Path, metavar="DIR", help="photos and traced masks, which make the map"
     )
-    parser.add_argument("--city", type=Path, metavar="FILE", help="city model; needed with --query")
-    parser.add_argument(
-        "--map-error", type=float, default=0.5, metavar="M", help="of maps made of traced masks (0.5)"
-    )
-    parser.add_argument("--lod", help="level of detail to localise against (the lowest)")
-    parser.add_argument("--crs", help="of the city model, where its file says none")
-    parser.add_argument("--method", default="region", help="methods, comma-separated (region)")
-    parser.add_argument("--segmenter", metavar="NAME", help="for methods that want a mask (as a run chooses)")
-    parser.add_argument("--priors", type=int, default=20, help="drawn around each photo's truth (20)")
-    parser.add_argument("--prior-range", type=float, default=10.0, metavar="M", help="+- east and north (10)")
-    parser.add_argument("--prior-height", type=float, default=30.0, metavar="M", help="+- up (30)")
-    parser.add_argument("--prior-yaw", type=float, default=7.5, metavar="DEG", help="+- (7.5)")
-    parser.add_argument("--prior-tilt", type=float, default=1.0, metavar="DEG", help="+- pitch and roll (1)")
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="folder for a picture of the basins")
-    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
+    add("--city", type=Path, metavar="FILE", help="city model; needed with --query")
+    add("--map-error", type=float, default=0.5, metavar="M", help="of maps made of traced masks (0.5)")
+    add("--lod", help="level of detail to localise against (the lowest)")
+    add("--crs", help="of the city model, where its file says none")
+    add("--method", default="region", help="methods, comma-separated (region)")
+    add("--segmenter", metavar="NAME", help="for methods that want a mask (as a run chooses)")
+    add("--priors", type=int, default=20, help="drawn around each photo's truth (20)")
+    add("--prior-range", type=float, default=10.0, metavar="M", help="+- east and north (10)")
+    add("--prior-height", type=float, default=30.0, metavar="M", help="+- up (30)")
+    add("--prior-yaw", type=float, default=7.5, metavar="DEG", help="+- (7.5)")
+    add("--prior-tilt", type=float, default=1.0, metavar="DEG", help="+- pitch and roll (1)")
+    add("--pictures", type=Path, metavar="DIR", help="folder for a picture of the basins")
+    add("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     return parser
 
 

@@ -42,19 +42,12 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
         epilog=_MORE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "--segmenter", metavar="NAME", help="that looks at photos (compact; of --photos efficient_unet)"
-    )
-    parser.add_argument(
-        "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
-    )
-    parser.add_argument(
-        "--data", type=Path, metavar="SET", help="training set, or folder of sets; else a town"
-    )
-    parser.add_argument(
-        "--photos", type=Path, metavar="DIR", help="real photos with traced masks: PLACE/photos, PLACE/masks"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("--segmenter", metavar="NAME", help="that looks at photos (compact; of --photos efficient_unet)")
+    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
+    add("--data", type=Path, metavar="SET", help="training set, or folder of sets; else a town")
+    add("--photos", type=Path, metavar="DIR", help="real photos with traced masks: PLACE/photos, PLACE/masks")
+    add(
         "--guided-by",
         action="append",
         default=[],
@@ -62,23 +55,21 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
         metavar="PX,DEG",
         help="of --photos: segmenter=map_guided with a silhouette so far off (px of 1200); may be repeated",
     )
-    parser.add_argument(
+    add(
         "--blocks",
         action="store_true",
         help="also simplified to blocks, a tenth of the buildings gone or added",
     )
-    parser.add_argument("--draws", type=int, default=4, help="silhouettes of each photo (4)")
-    parser.add_argument("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
-    parser.add_argument(
-        "--instances", action="store_true", help="of --data: how well single buildings are told apart"
-    )
-    parser.add_argument("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
-    parser.add_argument("--town", default="test", help="test or train: views made on first use (test)")
-    parser.add_argument("--city", type=Path, help="measure recall over the IoU of masks on views of it")
-    parser.add_argument("--method", default="lodlocv2", help="methods of --city, comma-separated (lodlocv2)")
-    parser.add_argument("--views", type=int, help="of the town (80), or of the city (50)")
-    parser.add_argument("--seed", type=int, default=0, help="of the city's views")
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="folder for a picture")
+    add("--draws", type=int, default=4, help="silhouettes of each photo (4)")
+    add("--grabcut", action="store_true", help="measure OpenCV's GrabCut beside it")
+    add("--instances", action="store_true", help="of --data: how well single buildings are told apart")
+    add("--visible", type=Path, metavar="SET", help="the same with occluders_in_mask=true")
+    add("--town", default="test", help="test or train: views made on first use (test)")
+    add("--city", type=Path, help="measure recall over the IoU of masks on views of it")
+    add("--method", default="lodlocv2", help="methods of --city, comma-separated (lodlocv2)")
+    add("--views", type=int, help="of the town (80), or of the city (50)")
+    add("--seed", type=int, default=0, help="of the city's views")
+    add("--pictures", type=Path, metavar="DIR", help="folder for a picture")
     return parser
 
 

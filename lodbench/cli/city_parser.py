@@ -38,7 +38,7 @@ options, as --option KEY=VALUE (their meaning: lodbench.citymodel.ReadOptions):
 _ACTIONS = {
     "info": "format, place, levels of detail, counts, areas, findings",
     "check": "every defect with its building, and where the area went; exit code 1 if data was lost",
-    "convert": "write it as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or for lodbench (.scene)",
+    "convert": "write it as CityJSON (.json, .jsonl), CityGML (.gml), .glb, .ply, .obj or lodbench's .scene",
 }
 
 

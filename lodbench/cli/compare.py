@@ -120,24 +120,23 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
-    parser.add_argument("--format", choices=sorted(FORMATS), default="text", help="html is a whole page")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write there, and not to the terminal")
-    parser.add_argument(
+    add = parser.add_argument
+    add("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
+    add("--format", choices=sorted(FORMATS), default="text", help="html is a whole page")
+    add("--out", type=Path, metavar="FILE", help="write there, and not to the terminal")
+    add(
         "--columns",
         nargs="+",
         default=["paper"],
         metavar="COLUMNS",
         help=f"what to show (paper): {', '.join(sorted(COLUMNS))}, or any number by its name in CSV",
     )
-    parser.add_argument(
-        "--thresholds", nargs="+", default=[], metavar="M/DEG", help="where to measure recall (2/2 3/3 5/5)"
-    )
-    parser.add_argument("--free", nargs="+", choices=_FREE, default=[], help="what may differ within a table")
-    parser.add_argument(
+    add("--thresholds", nargs="+", default=[], metavar="M/DEG", help="where to measure recall (2/2 3/3 5/5)")
+    add("--free", nargs="+", choices=_FREE, default=[], help="what may differ within a table")
+    add(
         "--over-seeds", action="store_true", help="one row for runs that differ in their seed: mean +- spread"
     )
-    parser.add_argument(
+    add(
         "--budget",
         type=Path,
         metavar="FOLDER",

@@ -62,14 +62,13 @@ def _add_actions(actions: Any) -> None:
     imported = actions.add_parser(
         "import", help="a dataset from another program's poses", epilog=_IMPORT_EPILOG, formatter_class=raw
     )
-    imported.add_argument("format", metavar="FORMAT", help="see below")
-    imported.add_argument("poses", type=Path, metavar="SOURCE", help="file or folder in that format")
-    imported.add_argument("folder", type=Path, metavar="DIR", help="new folder")
-    imported.add_argument(
-        "--images", type=Path, metavar="DIR", help="photos; without it poses and cameras only"
-    )
-    imported.add_argument("--cameras", type=Path, metavar="FILE", help="cameras, as in intrinsic.txt")
-    imported.add_argument(
+    add = imported.add_argument
+    add("format", metavar="FORMAT", help="see below")
+    add("poses", type=Path, metavar="SOURCE", help="file or folder in that format")
+    add("folder", type=Path, metavar="DIR", help="new folder")
+    add("--images", type=Path, metavar="DIR", help="photos; without it poses and cameras only")
+    add("--cameras", type=Path, metavar="FILE", help="cameras, as in intrinsic.txt")
+    add(
         "--city", type=Path, metavar="FILE", help="city model: to check where the cameras are, and for priors"
     )
     add_city_options(imported)

@@ -116,20 +116,17 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("model", type=Path, metavar="COLMAP_MODEL", help="folder with cameras and images")
+    add = parser.add_argument
+    add("model", type=Path, metavar="COLMAP_MODEL", help="folder with cameras and images")
     add_map_options(parser)
-    parser.add_argument(
-        "--images", type=Path, metavar="DIR", help="the model's photos, as the drone stored them"
-    )
-    parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of the photos, named as these")
-    parser.add_argument("--segmenter", metavar="NAME", help=f"makes masks instead ({FOR_PHOTOS})")
-    parser.add_argument("--start", type=Path, metavar="FILE", help="rough poses, or similarity.json")
+    add("--images", type=Path, metavar="DIR", help="the model's photos, as the drone stored them")
+    add("--masks", type=Path, metavar="DIR", help="masks of the photos, named as these")
+    add("--segmenter", metavar="NAME", help=f"makes masks instead ({FOR_PHOTOS})")
+    add("--start", type=Path, metavar="FILE", help="rough poses, or similarity.json")
     add_height_options(parser)
-    parser.add_argument("--method", default="flight", metavar="NAME", help="solves flights (flight)")
-    parser.add_argument("--sidecars", action="store_true", help="write PHOTO.xmp beside each of --images")
-    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
-    parser.add_argument(
-        "--out", type=Path, default=Path("georeferenced"), metavar="DIR", help="(georeferenced)"
-    )
-    parser.add_argument("--json", action="store_true", help="for machines")
+    add("--method", default="flight", metavar="NAME", help="solves flights (flight)")
+    add("--sidecars", action="store_true", help="write PHOTO.xmp beside each of --images")
+    add("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
+    add("--out", type=Path, default=Path("georeferenced"), metavar="DIR", help="(georeferenced)")
+    add("--json", action="store_true", help="for machines")
     return parser

@@ -184,7 +184,8 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "photos",
         type=Path,
         nargs="+",
@@ -192,34 +193,22 @@ def _parser() -> argparse.ArgumentParser:
         help="JPEG, PNG or TIFF, as the drone stored them",
     )
     add_map_options(parser)
-    parser.add_argument("--mask", type=Path, metavar="FILE", help="the photo's buildings in white")
-    parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of many photos, named as these")
-    parser.add_argument(
-        "--segmenter", metavar="NAME", help=f"makes the mask, for methods that want one ({FOR_PHOTOS})"
-    )
-    parser.add_argument(
-        "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
-    )
+    add("--mask", type=Path, metavar="FILE", help="the photo's buildings in white")
+    add("--masks", type=Path, metavar="DIR", help="masks of many photos, named as these")
+    add("--segmenter", metavar="NAME", help=f"makes the mask, for methods that want one ({FOR_PHOTOS})")
+    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
     add_rough_pose_options(parser, "rough pose, before what the photo says")
     add_height_options(parser)
-    parser.add_argument(
+    add(
         "--method",
         metavar="NAME",
         help="flight; of one photo region, with --mask or --segmenter contour_alignment",
     )
-    parser.add_argument(
-        "--method-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
-    )
-    parser.add_argument("--each-alone", action="store_true", help="solve each photo of many by itself")
-    parser.add_argument(
-        "--reconstruction", type=Path, metavar="COLMAP_MODEL", help="of a flight: ties its photos together"
-    )
-    parser.add_argument(
-        "--sidecars",
-        action="store_true",
-        help="write PHOTO.xmp beside each photo that is to be trusted",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
-    parser.add_argument("--out", type=Path, default=Path("localized"), metavar="DIR", help="(localized)")
-    parser.add_argument("--json", action="store_true", help="for machines")
+    add("--method-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
+    add("--each-alone", action="store_true", help="solve each photo of many by itself")
+    add("--reconstruction", type=Path, metavar="COLMAP_MODEL", help="of a flight: ties its photos together")
+    add("--sidecars", action="store_true", help="write PHOTO.xmp beside each photo that is to be trusted")
+    add("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
+    add("--out", type=Path, default=Path("localized"), metavar="DIR", help="(localized)")
+    add("--json", action="store_true", help="for machines")
     return parser

@@ -79,20 +79,17 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("photo", type=Path, metavar="PHOTO", help="as it is stored")
+    add = parser.add_argument
+    add("photo", type=Path, metavar="PHOTO", help="as it is stored")
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--mask", type=Path, metavar="FILE", help="start from this mask: white is building")
     start.add_argument(
         "--import", dest="polygons", type=Path, metavar="FILE", help="start from polygons of LabelMe or COCO"
     )
     start.add_argument("--segmenter", metavar="NAME", help="else from its mask (efficient_unet)")
-    parser.add_argument(
-        "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
-    )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="where to save it (PHOTO_mask.png)")
-    parser.add_argument(
-        "--export", action="append", default=[], choices=_FORMATS, help="polygons beside it; may be repeated"
-    )
-    parser.add_argument("--no-page", dest="page", action="store_false", help="save at once, without a page")
-    parser.add_argument("--port", type=int, default=0, help="of the page (any that is free)")
+    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
+    add("--out", type=Path, metavar="FILE", help="where to save it (PHOTO_mask.png)")
+    add("--export", action="append", default=[], choices=_FORMATS, help="polygons beside it; may be repeated")
+    add("--no-page", dest="page", action="store_false", help="save at once, without a page")
+    add("--port", type=int, default=0, help="of the page (any that is free)")
     return parser

@@ -60,15 +60,14 @@ def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
     """Adds the options that say where a photo was taken, roughly, and with which camera."""
     parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
     place = parser.add_argument_group(title)
-    place.add_argument("--lat", type=float, metavar="DEG", help="latitude, WGS 84")
-    place.add_argument("--lon", type=float, metavar="DEG", help="longitude, WGS 84")
-    place.add_argument("--height", type=float, metavar="M", help="in the city's heights")
-    place.add_argument("--heading", type=float, metavar="DEG", help="clockwise from true north")
-    place.add_argument("--pitch", type=float, metavar="DEG", help="0 at the horizon, -90 straight down")
-    place.add_argument("--roll", type=float, metavar="DEG", help="about the optical axis")
-    place.add_argument(
-        "--center", type=float, nargs=3, metavar=("E", "N", "UP"), help="in the city's own coordinates"
-    )
+    add = place.add_argument
+    add("--lat", type=float, metavar="DEG", help="latitude, WGS 84")
+    add("--lon", type=float, metavar="DEG", help="longitude, WGS 84")
+    add("--height", type=float, metavar="M", help="in the city's heights")
+    add("--heading", type=float, metavar="DEG", help="clockwise from true north")
+    add("--pitch", type=float, metavar="DEG", help="0 at the horizon, -90 straight down")
+    add("--roll", type=float, metavar="DEG", help="about the optical axis")
+    add("--center", type=float, nargs=3, metavar=("E", "N", "UP"), help="in the city's own coordinates")
 
 
 def add_height_options(parser: argparse.ArgumentParser) -> None:

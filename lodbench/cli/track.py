@@ -113,19 +113,16 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "footage", type=Path, metavar="VIDEO|DIR", help="what OpenCV reads, or photos in turn"
-    )
+    add = parser.add_argument
+    add("footage", type=Path, metavar="VIDEO|DIR", help="what OpenCV reads, or photos in turn")
     add_map_options(parser)
-    parser.add_argument("--masks", type=Path, metavar="DIR", help="masks of the frames, named as these")
-    parser.add_argument("--segmenter", metavar="NAME", help=f"makes masks instead ({FOR_PHOTOS})")
-    parser.add_argument(
-        "--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated"
-    )
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every Nth frame (1)")
-    parser.add_argument("--fps", type=float, metavar="RATE", help="frames per second, before what they say")
+    add("--masks", type=Path, metavar="DIR", help="masks of the frames, named as these")
+    add("--segmenter", metavar="NAME", help=f"makes masks instead ({FOR_PHOTOS})")
+    add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
+    add("--every", type=int, default=1, metavar="N", help="take every Nth frame (1)")
+    add("--fps", type=float, metavar="RATE", help="frames per second, before what they say")
     add_rough_pose_options(parser, "rough pose of the first frame, before what it says")
     add_height_options(parser)
-    parser.add_argument("--out", type=Path, default=Path("tracked"), metavar="DIR", help="(tracked)")
-    parser.add_argument("--json", action="store_true", help="for machines")
+    add("--out", type=Path, default=Path("tracked"), metavar="DIR", help="(tracked)")
+    add("--json", action="store_true", help="for machines")
     return parser
