@@ -10,8 +10,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from lodbench.citymap import CityMap
@@ -19,19 +17,13 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
-from lodbench.geometry import EulerAngles, Pose
+from lodbench.geometry import Pose
 from lodbench.methods.contour_alignment import ContourAlignment, Params
-from lodbench.methods.contour_alignment.alignment import Aligner, Residuals, _distance, signed_distance
-from lodbench.methods.contour_alignment.likelihood import _weights, deal_out
-from lodbench.methods.contour_alignment.outline import OutlinePoints, edges_in_reach, sample_outline
+from lodbench.methods.contour_alignment.alignment import Aligner, _distance, signed_distance
 from lodbench.methods.contour_alignment.pose_vector import (
     pose_from_vector,
-    rotation_derivatives,
-    turn_per_angle,
     vector_from_pose,
 )
-from lodbench.methods.contour_alignment.refinement import Mode, Refined
-from lodbench.methods.contour_alignment.uncertainty import answer_of, probability_within
 from lodbench.methods.contour_alignment.world_errors import TRACKS
 from lodbench.methods.measured_calls import localize_query
 from lodbench.storage import random_stream
@@ -40,10 +32,6 @@ from tests.town import CAMERA
 STREAMS = partial(random_stream, 0, "test")
 # Masks and map are exact: half a pixel of noise is more than they have, and no roof is wrong.
 SMALL = Params(coarse_size=(160, 120), fine_size=(320, 240), noise_px=0.5, roof_m=0.0)
-
-vectors = st.tuples(
-    *[st.floats(-200, 200)] * 3, st.floats(0, 80), st.floats(-10, 10), st.floats(-180, 180)
-).map(np.array)
 
 
 def tilted(pose: Pose, offset: tuple[float, ...]) -> Pose:
@@ -63,108 +51,6 @@ def tilted_queries(city_map, truths):
 @pytest.fixture(scope="module")
 def estimates(tilted_queries, city_map):
     return [ContourAlignment(SMALL).localize(query, city_map, STREAMS) for query in tilted_queries]
-
-
-class TestPoseVector:
-    @given(vectors)
-    def test_there_and_back(self, vector):
-        np.testing.assert_allclose(vector_from_pose(pose_from_vector(vector))[:5], vector[:5], atol=1e-8)
-
-    @given(vectors)
-    @settings(deadline=None)
-    def test_derivatives_are_those_of_finite_differences(self, vector):
-        derivatives = rotation_derivatives(vector)
-        for k in range(3):
-            step = np.zeros(6)
-            step[3 + k] = 1e-3
-            ahead, behind = (pose_from_vector(vector + sign * step).rotation for sign in (1, -1))
-            np.testing.assert_allclose(derivatives[k], (ahead - behind) / 2e-3, atol=1e-8)
-
-    @given(vectors, st.tuples(*[st.floats(-0.05, 0.05)] * 3))
-    @settings(deadline=None)
-    def test_small_angles_turn_by_what_evaluation_measures(self, vector, angles):
-        turned = pose_from_vector(vector + np.array([0, 0, 0, *angles]))
-        measured = pose_error(turned, pose_from_vector(vector)).rotation_deg
-        assert np.linalg.norm(turn_per_angle(vector) @ angles) == pytest.approx(measured, abs=1e-4)
-
-
-@pytest.fixture(scope="module")
-def seen(scene, city_map, truths):
-    pose = truths[0]
-    edges = edges_in_reach(scene, CAMERA, pose, 10.0, 5.0)
-    derivatives = rotation_derivatives(vector_from_pose(pose))
-    return sample_outline(edges, CAMERA, pose, derivatives, city_map.render(CAMERA, pose), 2.0), pose
-
-
-class TestOutline:
-    def test_points_lie_on_the_silhouette_s_outline(self, seen, city_map):
-        points, pose = seen
-        distance = signed_distance(city_map.render(CAMERA, pose))
-        columns, rows = points.pixels.astype(int).T
-        assert len(points) > 200
-        assert np.abs(distance[rows, columns]).max() < 2.0
-        outside = (points.pixels + 1.5 * points.normals).astype(int)
-        assert np.mean(distance[outside[:, 1], outside[:, 0]] < 0) > 0.97
-
-    def test_lengths_add_up_to_the_outline(self, seen, city_map):
-        points, pose = seen
-        mask = city_map.render(CAMERA, pose)
-        # Steps between pixels of unlike value, 4/pi of the length on average over directions.
-        steps = np.count_nonzero(mask[1:] ^ mask[:-1]) + np.count_nonzero(mask[:, 1:] ^ mask[:, :-1])
-        assert points.lengths.sum() == pytest.approx(steps * np.pi / 4, rel=0.12)
-
-    def test_moves_are_those_of_finite_differences(self, seen):
-        points, pose = seen
-        vector = vector_from_pose(pose)
-        depth = 100.0
-        rays = np.column_stack(
-            [(points.pixels - [CAMERA.cx, CAMERA.cy]) / [CAMERA.fx, CAMERA.fy], np.ones(len(points))]
-        )
-        world = pose.center + depth * rays @ pose.rotation
-        for k in range(6):
-            step = np.zeros(6)
-            step[k] = 1e-4
-            ahead, behind = (pose_from_vector(vector + sign * step) for sign in (1, -1))
-            pixels = [CAMERA.project(world @ p.rotation.T + p.translation) for p in (ahead, behind)]
-            expected = (pixels[0] - pixels[1]) / 2e-4
-            if k >= 3:  # Turns move a pixel alike at every depth; shifts by its inverse.
-                np.testing.assert_allclose(points.moves[:, k], expected, atol=1e-4)
-            else:
-                cosines = (
-                    (points.moves[:, k] * expected).sum(axis=1)
-                    / np.linalg.norm(points.moves[:, k], axis=1)
-                    / np.linalg.norm(expected, axis=1)
-                )
-                np.testing.assert_allclose(cosines, 1.0, atol=1e-6)
-
-    def test_a_longer_lens_moves_points_away_from_the_middle(self, seen):
-        points, _ = seen
-        expected = 0.01 * (points.pixels - [CAMERA.cx, CAMERA.cy])
-        np.testing.assert_allclose(points.moves[:, 6], expected, atol=1e-9)
-
-    def test_roof_and_base_together_lift_a_building_as_the_camera_sinks(self, seen):
-        points, _ = seen
-        lifted = points.moves[:, 7] + points.moves[:, 8]
-        np.testing.assert_allclose(lifted, -points.moves[:, 2], atol=1e-9)
-
-    def test_a_part_of_the_city_gives_what_all_of_it_gives(self, scene, city_map, truths):
-        pose = truths[0]
-        derivatives = rotation_derivatives(vector_from_pose(pose))
-        counts = []
-        for reach_m in (1.0, 1000.0):
-            edges = edges_in_reach(scene, CAMERA, pose, reach_m, 1.0)
-            silhouette = city_map.render(CAMERA, pose)
-            counts.append(sample_outline(edges, CAMERA, pose, derivatives, silhouette, 3.0).pixels)
-        np.testing.assert_array_equal(*counts)
-
-    def test_room_grows_with_the_outline(self, scene, city_map, truths):
-        pose = truths[0]
-        edges = edges_in_reach(scene, CAMERA, pose, 10.0, 5.0)
-        derivatives, silhouette = rotation_derivatives(vector_from_pose(pose)), city_map.render(CAMERA, pose)
-        fine = sample_outline(edges, CAMERA, pose, derivatives, silhouette, 0.02)
-        assert len(fine) > 1 << 14
-        coarse = sample_outline(edges, CAMERA, pose, derivatives, silhouette, 1.0)
-        assert fine.lengths.sum() == pytest.approx(coarse.lengths.sum(), rel=0.03)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -318,75 +204,6 @@ class TestMethod:
             ContourAlignment(SMALL).localize(query, city_map, STREAMS)
 
 
-class TestWeights:
-    """Points off by as much, outside the mask and inside, seen with outlines of several qualities."""
-
-    @staticmethod
-    def weights(noise_px, params):
-        distances = np.array([-9.0, -3.0, 3.0, 9.0])
-        agreement = np.ones(4)
-        here = Residuals(None, distances, None, agreement, 1.0, 1.0)
-        slopes = np.zeros((4, 10))
-        return _weights(here, slopes, distances, noise_px, TRACKS[0][0][0], params)
-
-    def test_what_a_rough_mask_misses_counts_less_than_what_it_adds(self):
-        far_out, out, within, far_within = self.weights(4.0, Params())
-        assert far_out < out < within
-        assert far_out < 0.5 * far_within
-        np.testing.assert_array_equal(
-            self.weights(4.0, Params(hidden_sigmas=3.0)), [far_within, within, within, far_within]
-        )
-
-    def test_a_fine_mask_misses_as_much_as_it_adds(self):
-        far_out, out, within, far_within = self.weights(1.7, Params())
-        assert (far_out, out) == (far_within, within)
-
-    @given(st.floats(0.5, 5.9))
-    def test_no_outline_changes_its_side_at_once(self, noise_px):
-        one, other = (self.weights(noise_px + more, Params()) for more in (0.0, 1e-6))
-        np.testing.assert_allclose(one, other, rtol=1e-4)
-
-
-class TestDealing:
-    @pytest.mark.parametrize("largest", [3, 128, 300])
-    def test_every_point_is_dealt_once_and_small_buildings_stay_whole(self, largest):
-        generator = np.random.default_rng(largest)
-        building = np.repeat(np.arange(30), generator.integers(1, largest + 1, 30))
-        count = len(building)
-        outline = OutlinePoints(
-            generator.uniform(0, 400, (count, 2)), np.zeros((count, 2)), np.ones(count),
-            np.zeros((count, 9, 2)), building, np.zeros((count, 2)),
-        )  # fmt: skip
-        here = Residuals(outline, np.zeros(count), np.zeros((count, 9)), np.ones(count), 1.0, 1.0)
-        chunks = deal_out(here).chunks
-        assert sorted(np.concatenate(chunks)) == list(range(count))
-        assert max(len(chunk) for chunk in chunks) <= 128
-        for number, size in enumerate(np.bincount(building)):
-            if size <= 128:
-                assert sum(number in building[chunk] for chunk in chunks) == 1
-
-
-class TestCertainty:
-    VECTOR = vector_from_pose(Pose.from_euler(EulerAngles(40, 1, 20), [0, 0, 100]))
-
-    def test_agrees_with_the_distribution_of_a_length(self):
-        # A centre with 1 m along each axis is within 2 m with the probability of chi, three degrees.
-        spread = np.diag([1.0, 1.0, 1.0, 1e-8, 1e-8, 1e-8])
-        assert probability_within(spread, self.VECTOR) == pytest.approx(0.7385, abs=0.03)
-
-    def test_falls_with_the_spread_of_either_part(self):
-        sizes = [0.2, 0.7, 1.5, 4.0]
-        for part in (slice(0, 3), slice(3, 6)):
-            said = []
-            for size in sizes:
-                spread = np.full(6, 1e-4)
-                spread[part] = size**2
-                said.append(probability_within(np.diag(spread), self.VECTOR))
-            assert said == sorted(said, reverse=True)
-            assert said[0] == 1.0
-            assert said[-1] < 0.15
-
-
 class TestParams:
     def test_reaches_what_a_prior_leaves_open(self):
         params = Params().for_prior(
@@ -426,25 +243,3 @@ class TestParams:
         default = Params()
         assert stored.keys() == {field.name for field in fields(default)}
         assert Params(**stored) == default
-
-
-class TestAlternatives:
-    """Hypotheses that put the camera elsewhere are told, those of one place as one, with their weight."""
-
-    def mixture(self, *places: tuple[float, float]) -> Refined:
-        modes = tuple(
-            Mode(TRACKS[0][0][k], False, False, np.array([east, *[0.0] * 9]), 25.0 * np.eye(10), -float(k))
-            for k, (east, _) in enumerate(places)
-        )
-        weights = np.array([weight for _, weight in places])
-        return Refined(np.array([0.0, 0.0, 100.0, 30.0, 0.0, 10.0, 0.0]), modes, weights, 0.9)
-
-    def test_weights_of_one_place_are_added(self):
-        answer = answer_of(self.mixture((0.0, 0.6), (10.0, 0.2), (10.5, 0.15), (-20.0, 0.05)))
-        np.testing.assert_allclose(answer.alternative_probabilities, [0.35, 0.05])
-        np.testing.assert_allclose([pose.center[0] for pose in answer.alternatives], [10.0, -20.0])
-        assert answer.probability == pytest.approx(0.6, abs=0.02)
-
-    def test_the_unlikely_and_the_near_are_none(self):
-        answer = answer_of(self.mixture((0.0, 0.7), (1.0, 0.29), (30.0, 0.01)))
-        assert answer.alternatives == answer.alternative_probabilities == ()
