@@ -24,13 +24,7 @@ class SurfacePictures:
         self._surfaces: dict[int, tuple[str, ...]] = {}
 
     def read_member(self, member: Element, polygons: dict[Element, int], first_serial: int) -> None:
-        """Adds the appearances of a member, and the ids of its polygons and their rings.
-
-        Args:
-            member: Any element.
-            polygons: Its polygons by number among those of the batch.
-            first_serial: Serial number of the first of the batch.
-        """
+        """Adds the appearances of a member, and the ids of its polygons and their rings."""
         read_appearances(member, self._found, self._pictures.folder)
         above: dict[Element | None, tuple[str, ...]] = {None: ()}
         for element, number in polygons.items():

@@ -25,9 +25,6 @@ class Workspace:
     map and the references. So a part that is there is the right one, and is never made again, unless it
     is no longer what was written, which is told. Every part is there whole or not at all: after a kill the
     finished ones stay.
-
-    Args:
-        folder: The folder; made if it is not there.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -99,10 +96,6 @@ def _check(path: Path) -> str:
 
 def open_workspace(method: str, digest: str) -> Workspace:
     """Returns the workspace of a method for a content, below the cache; the longest unused make room for it.
-
-    Args:
-        method: The method's name.
-        digest: Of all that its content depends on.
     """
     root = cache_root() / _FOLDER
     workspace = Workspace(root / f"{method}-{digest}")

@@ -57,10 +57,6 @@ class Watch:
     """Ends the process, saying why, if what it watches takes too long.
 
     A driver that hangs cannot be interrupted; all that was finished before is on disk by then.
-
-    Args:
-        patience_s: How long is too long.
-        step_s: How often to look.
     """
 
     def __init__(self, patience_s: float = _PATIENCE_S, step_s: float = 1.0) -> None:

@@ -24,12 +24,6 @@ def opened_session(
 ) -> MaskSession:
     """Returns the session of a photo, started from the first that is given; from an empty mask without any.
 
-    Args:
-        photo: The photo's file.
-        mask: Of the photo's aspect, white is building.
-        polygons: LabelMe's or COCO's JSON.
-        segmenter: Looks at the photo.
-
     Raises:
         LodbenchError: The photo, the mask or the polygons cannot be read, or do not fit each other.
     """

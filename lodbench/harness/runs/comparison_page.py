@@ -25,15 +25,7 @@ def comparison_page(
     thresholds: Sequence[Threshold],
     beside: Path,
 ) -> str:
-    """Returns the page.
-
-    Args:
-        runs: The runs.
-        names: What each is called.
-        tables: Of those with a truth.
-        thresholds: Where recall is compared.
-        beside: Folder the page will lie in; links to the runs' own pages are relative to it.
-    """
+    """Returns the page."""
     scored = [(run, name) for run, name in zip(runs, names, strict=True) if has_truth(run.queries).any()]
     curves = {split: _curves(scored, split) for split in _splits(scored)}
     pictures = [

@@ -17,11 +17,6 @@ def reconstruct(queries: Sequence[SyntheticQuery], camera: Camera, folder: Path)
 
     Photos that COLMAP does not register are not in it.
 
-    Args:
-        queries: With photos.
-        camera: What is told of the camera, of the photos' size.
-        folder: Receives the model as text.
-
     Raises:
         ConfigError: pycolmap is not installed.
         DatasetError: COLMAP finds no model.
