@@ -95,8 +95,7 @@ def _check(path: Path) -> str:
 
 
 def open_workspace(method: str, digest: str) -> Workspace:
-    """Returns the workspace of a method for a content, below the cache; the longest unused make room for it.
-    """
+    """Returns the workspace of a method for a content, in the cache; the longest unused make room for it."""
     root = cache_root() / _FOLDER
     workspace = Workspace(root / f"{method}-{digest}")
     mark_used(workspace.folder)
