@@ -29,21 +29,17 @@ _CITIES = (".gml", ".xml", ".citygml")
 _GREY = 170
 
 
-def open_textured_map(
-    path: Path, scene: Scene, up_axis: str = "auto", options: ReadOptions | None = None
-) -> TexturedMesh:
+def open_textured_map(path: Path, scene: Scene, options: ReadOptions | None = None) -> TexturedMesh:
     """Returns the textured map of a city's place, in the scene's frame; its notes say how it lay.
 
     Raises:
         DatasetError: As for ``read_textured``, or it lies elsewhere.
         CityModelError: As for ``read_textured``.
     """
-    mesh = read_textured(path, up_axis, options)
+    mesh = read_textured(path, options=options)
     offset, note = offset_to_city(mesh, scene, path.name)
     moved = mesh.shifted(offset)
-    return TexturedMesh(
-        moved.corners, moved.uv, moved.picture, moved.colours, moved.pictures, (note, *moved.notes)
-    )
+    return replace(moved, notes=(note, *moved.notes))
 
 
 def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None = None) -> TexturedMesh:

@@ -49,7 +49,7 @@ def write_overlays(result: Result, preparation: Preparation, renderer: Renderer)
     return written
 
 
-def chosen_queries(queries: pd.DataFrame, split: str, count: int = COUNT) -> dict[str, pd.DataFrame]:
+def chosen_queries(queries: pd.DataFrame, split: str) -> dict[str, pd.DataFrame]:
     """Returns the ``best`` and the ``worst`` queries of a split, most extreme first; no query is both."""
     mine = queries[queries["split"] == split]
     if has_truth(mine).any():
@@ -57,7 +57,7 @@ def chosen_queries(queries: pd.DataFrame, split: str, count: int = COUNT) -> dic
     else:
         # Without a truth the method's own score has to do.
         mine = mine[is_answered(mine)].sort_values(["score", "query"], ascending=[False, True])
-    return {"best": mine[:count], "worst": mine[max(count, len(mine) - count) :][::-1]}
+    return {"best": mine[:COUNT], "worst": mine[max(COUNT, len(mine) - COUNT) :][::-1]}
 
 
 def overlay_name(split: str, kind: str, rank: int, name: str) -> str:

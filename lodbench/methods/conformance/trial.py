@@ -66,10 +66,10 @@ class Trial:
     references: tuple[Reference, ...]
     folder: Path
 
-    def prepared(self, method: Method, workspace: str = "workspace") -> Method:
-        """Returns a method that has prepared, if it does, in a workspace of that name."""
+    def prepared(self, method: Method) -> Method:
+        """Returns a method that has prepared, if it does."""
         if isinstance(method, SupportsPrepare):
-            method.prepare(self.city_map, self.references, Workspace(self.folder / workspace))
+            method.prepare(self.city_map, self.references, Workspace(self.folder / "workspace"))
         return method
 
 

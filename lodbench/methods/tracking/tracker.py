@@ -79,7 +79,6 @@ class Tracker:
         camera: Pinhole of all frames.
         start: Rough pose of the first frame, scene frame, as wrong as a drone's sensors.
         params: How.
-        first: How the first frame is found from there; by default as any single photo.
     """
 
     def __init__(
@@ -88,10 +87,8 @@ class Tracker:
         camera: Camera,
         start: Pose,
         params: Params | None = None,
-        first: PhotoParams | None = None,
     ) -> None:
         self._map, self._camera, self.params = city_map, camera, params or Params()
-        self._first = first or PhotoParams()
         self._vector: Floats = vector_from_pose(start)
         self._motion: Floats = np.zeros(6)
         self._time_s: float | None = None
@@ -103,7 +100,7 @@ class Tracker:
         if not (frame.mask >= 0.5).any():
             return self._keep(frame, _Place(self._predicted(frame), 0.0), LOST)
         if self._time_s is None:
-            found = self._searched(frame, self._vector, self._first)
+            found = self._searched(frame, self._vector, PhotoParams())
             return self._keep(frame, found, TRACKED if found.iou >= self.params.least_iou else LOST)
         predicted = self._predicted(frame)
         if not self._lost:
