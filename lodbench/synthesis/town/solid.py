@@ -50,6 +50,14 @@ class Solid:
         """Returns the height from its lowest to its highest point."""
         return float(np.ptp(self.points[:, 2]))
 
+    def faces_with_openings(self) -> list[tuple[int, list[int]]]:
+        """Returns the numbers of all faces that are no openings, each with those of its own."""
+        openings: dict[int, list[int]] = {k: [] for k, face in enumerate(self.faces) if face.host is None}
+        for k, face in enumerate(self.faces):
+            if face.host is not None:
+                openings[face.host].append(k)
+        return list(openings.items())
+
 
 @dataclass(slots=True)
 class SolidBuilder:
