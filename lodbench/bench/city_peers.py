@@ -114,7 +114,11 @@ def _naive_triangles(rings: list[NDArray[np.float64]], project: Projection) -> N
 
 
 def time_cjio(path: Path) -> tuple[float, float] | str:
-    """Returns the seconds cjio's OBJ export takes and the area of its triangles, or why it cannot run."""
+    """Returns the seconds cjio's OBJ export takes and the area of its triangles, or why it cannot run.
+
+    Args:
+        path: A CityJSON file.
+    """
     program = shutil.which("cjio")
     if program is None:
         return "cjio is not installed"

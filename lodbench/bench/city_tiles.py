@@ -28,7 +28,14 @@ _TILE_BUILDINGS = 5
 
 
 def measure_tiles(model: CityModel, tiles: int, folder: Path, workers: int | None) -> list[Figure]:
-    """Returns the figures of so many tiles."""
+    """Returns the figures of so many tiles.
+
+    Args:
+        model: The city whose first buildings every tile has.
+        tiles: How many.
+        folder: An empty one, for tiles and scene.
+        workers: Processes; None for one per core.
+    """
     own = keep_buildings(model, np.arange(len(model.building_ids)) < _TILE_BUILDINGS)
     (folder / "tiles").mkdir()
     size_mb = write_tiles(own, tiles, folder / "tiles") / 1e6

@@ -63,6 +63,14 @@ def measure_real(
     ``data`` has the columns of ``report_real``; pictures are of basins, and of the median answer of each
     method to each photo.
 
+    Args:
+        dataset: Photos with poses.
+        scene: Their city.
+        segmenter: Makes masks for methods that want one, once per photo.
+        methods: What to measure, told the width of the prior.
+        options: Which priors.
+        progress: Called after each answer.
+
     Raises:
         DatasetError: No photo has a pose.
     """

@@ -44,6 +44,12 @@ def measure_reconstructions(
 ) -> Report:
     """Returns how far off the cameras of georeferenced reconstructions are, flight by flight.
 
+    Args:
+        flights: The city and its flights; of each seed one is drawn, or if no path is named one of each kind.
+        seeds: Each draws flights of its own.
+        noise: Of the reconstructions.
+        progress: Called after each flight.
+
     Raises:
         LodbenchError: The city cannot be read, or a flight cannot be drawn.
     """

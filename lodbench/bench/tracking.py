@@ -46,7 +46,15 @@ def measure_tracking(
     options: TrackingOptions,
     progress: Progress = no_progress,
 ) -> Report:
-    """Returns how fast, and how far off, the frames of drawn flights are tracked."""
+    """Returns how fast, and how far off, the frames of drawn flights are tracked.
+
+    Args:
+        city: City model.
+        seeds: Each draws a flight.
+        segmenter: Makes the masks.
+        options: What to draw.
+        progress: Called after each flight.
+    """
     scene = open_cached_city(city, lod="finest").scene
     tracks, errors, sigmas_m, probabilities, lost = [], [], [], [], 0
     for number, seed in enumerate(seeds):

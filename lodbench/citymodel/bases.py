@@ -24,6 +24,13 @@ def move_bases(
     heights: for sources such as Open City Model whose buildings all stand at 0. ``sunk`` lifts
     everything within ``sunk_m`` of a building's lowest point to that height: for sources such as
     swissBUILDINGS3D whose walls reach below the terrain.
+
+    Args:
+        polygons: In metres, not yet in the local frame.
+        building_ids: For the findings.
+        label: Reference system of the points.
+        options: What to do.
+        findings: Receives what was done, and buildings outside the terrain.
     """
     points = polygons.points
     if options.base == "as_given" or len(points) == 0:

@@ -167,6 +167,11 @@ def metric_crs(known: KnownCrs, longitude_deg: float, latitude_deg: float) -> st
 
     The UTM zone is in the datum of the data where EPSG has one (ETRS89, NAD83), else in WGS 84.
 
+    Args:
+        known: The system the coordinates are in; geographic, or projected in feet.
+        longitude_deg: Of the middle of the data.
+        latitude_deg: Likewise.
+
     Returns:
         A label with the vertical part of ``known``.
     """

@@ -40,7 +40,13 @@ class Appearances:
 
 
 def read_appearances(member: Element, found: Appearances, folder: TextureFolder) -> None:
-    """Adds what a member of the file says; what a surface was given first stays."""
+    """Adds what a member of the file says; what a surface was given first stays.
+
+    Args:
+        member: Any element.
+        found: Receives it.
+        folder: Where world files lie beside the pictures.
+    """
     for texture in member.iter("{*}ParameterizedTexture"):
         _read_parameterized(texture, found)
     for texture in member.iter("{*}GeoreferencedTexture"):

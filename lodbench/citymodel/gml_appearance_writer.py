@@ -14,14 +14,27 @@ _THEME = "pictures"
 
 
 class AppearanceXml:
-    """Collects the rings of polygons with pictures while these are written."""
+    """Collects the rings of polygons with pictures while these are written.
+
+    Args:
+        polygons: Of the city.
+        dialect: The version of CityGML.
+        names: Name of each picture that is there, by number.
+    """
 
     def __init__(self, polygons: Polygons, dialect: Dialect, names: dict[int, str]) -> None:
         self._polygons, self._dialect, self._names = polygons, dialect, names
         self._found: dict[int, dict[str, list[tuple[str, str]]]] = defaultdict(lambda: defaultdict(list))
 
     def add(self, polygon: int, polygon_id: str, ring: int, points: slice) -> str | None:
-        """Returns the id that a ring gets because a picture lies on it, or None."""
+        """Returns the id that a ring gets because a picture lies on it, or None.
+
+        Args:
+            polygon: Its polygon.
+            polygon_id: And that one's id.
+            ring: Which of its rings.
+            points: The ring's points among those of the city.
+        """
         picture, uv = self._polygons.picture, self._polygons.uv
         if picture is None or uv is None or int(picture[polygon]) not in self._names:
             return None

@@ -45,6 +45,12 @@ def read_batch(
 ) -> PolygonArrays:
     """Returns the polygons of a batch as arrays.
 
+    Args:
+        batch: Texts and structure, in document order.
+        building_ids: Ids by building number, for messages.
+        findings: Receives dropped polygons and rings without heights.
+        is_strict: Whether a bad coordinate is an error; else its polygon is dropped with a finding.
+
     Raises:
         CityModelError: ``is_strict`` and a coordinate is not a finite number, or a count does not
             fit the dimension; the message names the building.

@@ -28,7 +28,13 @@ def text_of(value: Any) -> str:
 
 
 def properties_of(attributes: dict[str, Any], type_: str, dialect: Dialect) -> Iterator[Property]:
-    """Yields an object's attributes as properties of CityGML, in no order: generic ones where it has none."""
+    """Yields an object's attributes as properties of CityGML, in no order: generic ones where it has none.
+
+    Args:
+        attributes: As ``CityObjects.attributes`` has them.
+        type_: The object's.
+        dialect: The version.
+    """
     known = _known(dialect, type_ in ("Building", "BuildingPart"))
     for name, value in attributes.items():
         if name == "address" and type_ in ("Building", "BuildingPart"):

@@ -16,6 +16,10 @@ def unique_ids(ids: Sequence[str], findings: Findings) -> tuple[str, ...]:
 
     An export that merged two buildings of one id would lose one of them.
 
+    Args:
+        ids: As the file has them.
+        findings: Receives ``DUPLICATE_ID``, once per id that repeats.
+
     Example:
         >>> unique_ids(["a", "b", "a"], Findings())
         ('a', 'b', 'a~2')

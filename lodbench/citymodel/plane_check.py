@@ -46,7 +46,12 @@ _MIN_OVERLAP_M2, _MIN_OVERLAP_M = 0.1, 0.1
 
 
 def check_planes(model: CityModel, findings: Findings) -> None:
-    """Adds what is wrong with polygons seen along their normals, each with its number and place."""
+    """Adds what is wrong with polygons seen along their normals, each with its number and place.
+
+    Args:
+        model: The city.
+        findings: Receives one finding of a kind per polygon.
+    """
     import shapely
 
     is_outer = model.polygons.kind != SurfaceKind.INTERIOR
@@ -129,6 +134,10 @@ def check_parts(model: CityModel, findings: Findings) -> None:
 
     Seen from above, between the lowest point of each part and the lowest point of its roof: what overlaps
     there overlaps whatever the shape of the roofs.
+
+    Args:
+        model: The city.
+        findings: Receives one finding per pair of parts.
     """
     import shapely
 

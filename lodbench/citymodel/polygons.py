@@ -164,6 +164,12 @@ def _bring_to_metres(
 ) -> str | None:
     """Brings all points, in place, to metres of one reference system: that of the first polygon.
 
+    Args:
+        polygons: In the coordinates of the file.
+        srs: (N,) the reference system of each, as in ``RawCity``.
+        raw: Names and findings.
+        options: ``crs``, ``axis_order``, ``origin``.
+
     Returns:
         The label of that system, or None where there is none.
     """

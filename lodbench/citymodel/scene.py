@@ -77,6 +77,9 @@ class SceneBuilder:
     Points are rounded to float32 first, so "equal" means equal as stored. Triangles that lose a
     corner when equal points become one vertex have no area in float32 and are left out; buildings may
     end up empty.
+
+    Args:
+        building_ids: One id per building.
     """
 
     def __init__(self, building_ids: tuple[str, ...]) -> None:
@@ -163,7 +166,13 @@ def build_scene(
 def _merge(
     points: NDArray[np.float32], triangles: NDArray[np.int64], building: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Returns the vertices and triangles of whole buildings, and the building of each of both."""
+    """Returns the vertices and triangles of whole buildings, and the building of each of both.
+
+    Args:
+        points: (P, 3).
+        triangles: (T, 3) indices into ``points``.
+        building: (T,) ascending.
+    """
     corners = points[triangles].reshape(-1, 3) + np.float32(0)  # no -0.0
     corner_building = np.repeat(building, 3)
     numbers, first = number_rows([corner_building.astype(np.uint64), *point_bits(corners)])

@@ -29,7 +29,15 @@ def check_composites(
     shell_solid: Ints,
     overlapping: set[tuple[int, int]],
 ) -> None:
-    """Reports composite solids whose solids do not all hang together by faces that they share."""
+    """Reports composite solids whose solids do not all hang together by faces that they share.
+
+    Args:
+        report: Receives a finding per composite.
+        faces: Of all shells.
+        solids: Of the city.
+        shell_solid: Solid of each shell.
+        overlapping: Pairs of solids that cut each other, which are connected, if for the wrong reason.
+    """
     solid_of = shell_solid[faces.shell]
     for composite in np.unique(solids.composite[solids.composite >= 0]).tolist():
         members = np.flatnonzero(solids.composite == composite)
@@ -83,6 +91,12 @@ def check_insides(report: ShellReport, faces: SolidFaces, solids: Solids, cut: s
 
     Points inside are joined where the way between them is free; holes that touch nothing cut nothing, so that
     only solids with a shell that touches another are looked at.
+
+    Args:
+        report: Receives a finding per solid.
+        faces: Of all shells.
+        solids: Of the city.
+        cut: Pairs of shells that cut each other, which are told already.
     """
     for solid in np.flatnonzero(np.diff(solids.shell_starts) > 1).tolist():
         shells = range(int(solids.shell_starts[solid]), int(solids.shell_starts[solid + 1]))

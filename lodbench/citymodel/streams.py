@@ -69,7 +69,12 @@ class BoundedStream(io.RawIOBase):
 
 
 class CountedStream(io.RawIOBase):
-    """A stream that tells how many bytes have been read from it."""
+    """A stream that tells how many bytes have been read from it.
+
+    Args:
+        stream: Where the bytes come from.
+        report: Called with the number of bytes after each read.
+    """
 
     def __init__(self, stream: BinaryIO, report: Callable[[int], None]) -> None:
         super().__init__()

@@ -99,6 +99,10 @@ def choose_buildings(
 def reproject(model: CityModel, crs: str) -> CityModel:
     """Returns a city in another metric reference system; heights stay as they are.
 
+    Args:
+        model: With a reference system.
+        crs: Name of the other one, projected, in metres.
+
     Raises:
         CityModelError: Either system is unknown, the other is not in metres, or points cannot be projected.
     """

@@ -40,6 +40,10 @@ def cut_into_tiles(model: CityModel, size_m: float) -> list[Tile]:
     A building is in the tile where the middle of its bounding box lies, whole; one without a surface is in
     the first tile.
 
+    Args:
+        model: The city.
+        size_m: Side of a tile, metres, a whole number.
+
     Raises:
         CityModelError: The side is no length.
     """

@@ -44,7 +44,12 @@ def find_column(names: Sequence[str], asked: str | None, known: Sequence[str]) -
 
 
 class Columns:
-    """The attribute columns of a vector file."""
+    """The attribute columns of a vector file.
+
+    Args:
+        table: Column name to values, one per footprint.
+        count: Number of footprints.
+    """
 
     def __init__(self, table: dict[str, NDArray[np.generic]], count: int) -> None:
         self._table = table

@@ -11,7 +11,14 @@ from lodbench.findings import Findings
 
 
 def surfaces_as_read(polygons: WkbPolygons, ids: list[str], source: str, crs: str | None) -> RawCity:
-    """Returns polygons with heights as surfaces of level 2, one building per geometry."""
+    """Returns polygons with heights as surfaces of level 2, one building per geometry.
+
+    Args:
+        polygons: With at least one ring.
+        ids: One per geometry; those without a polygon are no buildings.
+        source: Name of the file.
+        crs: Its reference system.
+    """
     used, building = np.unique(np.asarray(polygons.owner, np.int64), return_inverse=True)
     count = len(building)
     return RawCity(

@@ -69,7 +69,12 @@ def crs_in_words(crs: str | None) -> str:
 
 
 def conversion_summary(target: str, done: Conversion) -> dict[str, Any]:
-    """Returns what was written as plain values."""
+    """Returns what was written as plain values.
+
+    Args:
+        target: Where it was written.
+        done: What ``convert_city`` returned.
+    """
     model, mesh = done.model, done.mesh
     findings = {"findings": done.findings.counts(), "finding_objects": done.findings.objects()}
     summary: dict[str, Any] = {

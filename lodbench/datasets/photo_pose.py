@@ -144,6 +144,12 @@ def pose_from_photo(
 ) -> Pose:
     """Returns the pose that a photo's metadata states, in the city's coordinates.
 
+    Args:
+        photo: What the photo states.
+        frame: The city's coordinates.
+        heights: How the drone's heights become the city's.
+        given: What is known better, or not in the photo.
+
     Raises:
         DatasetError: The position, a height or the heading is neither in the photo nor given; or the
             height cannot be converted.

@@ -43,6 +43,11 @@ def sees(camera: Camera, pose: Pose, corners: Points) -> bool:
 def require_direction(dataset: Dataset, entries: Sequence[Entry], scene: Scene) -> None:
     """Makes sure that true poses and priors are not camera to world where world to camera is meant.
 
+    Args:
+        dataset: The dataset; poses are in its frame.
+        entries: The queries to look at.
+        scene: The city, whose origin is in the same frame.
+
     Raises:
         DatasetError: They see the city only when read in the other direction.
     """

@@ -29,7 +29,16 @@ _CONNECT_S = 30
 
 
 class DaskWorkers:
-    """Workers of a cluster, as ``Processes`` are of this machine."""
+    """Workers of a cluster, as ``Processes`` are of this machine.
+
+    Args:
+        client: Dask's.
+        address: The scheduler's, for messages.
+        prepare: Module-level function, called once in each worker before its first item.
+        prepare_with: Its arguments.
+        workers: How many are asked for, where none has come yet.
+        patience_s: Seconds without any result after which the workers count as hung.
+    """
 
     def __init__(
         self,

@@ -20,6 +20,12 @@ FURTHEST_M = 2000.0
 def open_city(path: Path, lod: str | None, options: ReadOptions, roof_height: str | None) -> OpenCity:
     """Returns one level of detail of a city, drawing progress on a terminal while it is read.
 
+    Args:
+        path: A file, an archive, a folder of tiles, or a scene.
+        lod: Level of detail; None for the lowest with walls.
+        options: How to read.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+
     Raises:
         CityModelError: The city cannot be read, or has no building at that level.
     """
@@ -33,7 +39,12 @@ def scene_digest(scene: Scene) -> str:
 
 
 def distance_outside_m(pose: Pose, scene: Scene) -> float:
-    """Returns how far outside the city's bounding rectangle a camera is, metres; 0 above the city."""
+    """Returns how far outside the city's bounding rectangle a camera is, metres; 0 above the city.
+
+    Args:
+        pose: In the city's own coordinates.
+        scene: The city.
+    """
     low, high = (corner + scene.origin for corner in scene.extent_m)
     beside = np.maximum(np.maximum(low - pose.center, pose.center - high), 0.0)[:2]
     return float(np.hypot(beside[0], beside[1]))

@@ -37,7 +37,11 @@ class ConfiguredMethod:
         return ConfiguredMethod(self.kind, method.params_for_prior(prior))
 
     def for_tilt(self, tilt: str) -> ConfiguredMethod:
-        """Returns the same, told that priors have the true tilt where they do, if it asks."""
+        """Returns the same, told that priors have the true tilt where they do, if it asks.
+
+        Args:
+            tilt: The protocol's: ``prior`` or ``truth``.
+        """
         method = self.make()
         if tilt != "truth" or not isinstance(method, SupportsTrueTilt):
             return self

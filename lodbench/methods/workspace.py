@@ -25,6 +25,9 @@ class Workspace:
     map and the references. So a part that is there is the right one, and is never made again, unless it
     is no longer what was written, which is told. Every part is there whole or not at all: after a kill the
     finished ones stay.
+
+    Args:
+        folder: The folder; made if it is not there.
     """
 
     def __init__(self, folder: Path) -> None:

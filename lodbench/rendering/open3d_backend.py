@@ -20,6 +20,10 @@ class Open3dRenderer:
 
     Rays are float32, so edges differ from the raster rule's by a pixel here and there.
 
+    Args:
+        scene: The city, local metric frame.
+        threads: Worker threads; None for one per core.
+
     Raises:
         RenderingError: Open3D or a system library it needs is absent.
     """

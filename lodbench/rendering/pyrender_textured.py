@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 class PyrenderTextured:
     """Renders a textured mesh with OpenGL, as its textures are.
 
+    Args:
+        mesh: The mesh, local metric frame.
+
     Raises:
         RenderingError: pyrender or an EGL driver is absent.
     """
@@ -53,6 +56,11 @@ class PyrenderTextured:
 
     def colours(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.uint8]:
         """Returns (N, H, W, 3) RGB pictures of N views; pale where there is nothing.
+
+        Args:
+            camera: Pinhole of all views.
+            rotations: (N, 3, 3) cam_from_world.
+            centers: (N, 3) camera centres, local metres.
 
         Raises:
             RenderingError: The camera has lens distortion or is wider or higher than 8192 pixels, a pose

@@ -100,6 +100,11 @@ class RasterRenderer:
     def depths(self, camera: Camera, rotations: Floats, centers: Floats) -> NDArray[np.float32]:
         """Returns (N, H, W) depths of N views, as ``depth`` gives each.
 
+        Args:
+            camera: Pinhole of all views.
+            rotations: (N, 3, 3) cam_from_world.
+            centers: (N, 3) camera centres, local metres.
+
         Raises:
             RenderingError: As for ``draw``, or a pose is not finite.
         """

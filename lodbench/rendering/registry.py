@@ -36,6 +36,11 @@ def renderers_with(ability: str) -> tuple[str, ...]:
 def open_renderer(name: str, scene: Scene, threads: int | None = None) -> Renderer:
     """Returns the renderer of a name, with all it can do.
 
+    Args:
+        name: An entry point under ``lodbench.renderers``: a class that is made from a scene and threads.
+        scene: The city.
+        threads: Worker threads, None for one per core; pyrender and the reference use their own.
+
     Raises:
         ConfigError: There is no such renderer, or it is broken.
         RenderingError: A library the renderer needs is absent.

@@ -44,6 +44,10 @@ class SilhouetteRenderer:
     The scene is prepared once (edges, bounding spheres), one of a large city on disk for good. Rendering
     holds no state of its own, and the result does not depend on the number of threads or on how
     hypotheses are batched. Each thread keeps its working memory, which every view leaves cleared.
+
+    Args:
+        scene: The city, local metric frame.
+        threads: Worker threads; None for one per core.
     """
 
     name = "silhouette"

@@ -103,7 +103,16 @@ def texture_light(row, x, y, z, pixel_m, charts):  # type: ignore[no-untyped-def
 
 @per_pixel
 def texture_colour(row, x, y, z, pixel_m, charts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the RGB of a textured triangle at a point, 0 to 255."""
+    """Returns the RGB of a textured triangle at a point, 0 to 255.
+
+    Args:
+        row: Of the triangle in the charts.
+        x: Point, east, local metres.
+        y: North.
+        z: Up.
+        pixel_m: Size of a pixel there.
+        charts: Charts.
+    """
     start, slope = charts.start, charts.slope
     dx, dy, dz = x - start[row, 0, 1], y - start[row, 1, 1], z - start[row, 2, 1]
     a = start[row, 0, 0] + slope[row, 0, 0] * dx + slope[row, 0, 1] * dy + slope[row, 0, 2] * dz

@@ -22,7 +22,12 @@ _BAND = 256
 
 
 class TexturedRenderer:
-    """Renders a textured mesh: the nearest triangle of two by two samples per pixel, then its texture."""
+    """Renders a textured mesh: the nearest triangle of two by two samples per pixel, then its texture.
+
+    Args:
+        mesh: In the scene's local metric frame.
+        threads: Worker threads; None for one per core.
+    """
 
     def __init__(self, mesh: TexturedMesh, threads: int | None = None) -> None:
         order, starts = triangle_groups(mesh.corners)

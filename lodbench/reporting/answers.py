@@ -23,7 +23,12 @@ _WORDS = ((0.9, "good"), (TRUSTED_PROBABILITY, "doubtful"), (0.0, UNTRUSTED))
 
 
 def format_answers(queries: pd.DataFrame, predictions: Mapping[str, Prediction]) -> str:
-    """Returns position, angles, score, probability and a word of trust per query, as aligned text."""
+    """Returns position, angles, score, probability and a word of trust per query, as aligned text.
+
+    Args:
+        queries: As ``lodbench.evaluation.queries`` has them.
+        predictions: By the index of the queries; poses in the dataset's frame.
+    """
     head = ["", "x m", "y m", "z m", "pitch deg", "yaw deg", "score", "probability", "trust"]
     lines = [_cells(str(key), predictions[str(key)]) for key in queries.index]
     answered = sum(predictions[str(key)].pose is not None for key in queries.index)

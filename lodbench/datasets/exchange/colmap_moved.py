@@ -24,6 +24,11 @@ def write_moved_colmap(model: Path, similarity: Similarity, folder: Path) -> Non
     Tracks, colours, errors and points of pictures stay as they are. Rigs and frames of COLMAP 4 are left out:
     without them COLMAP takes each image for a rig of its own.
 
+    Args:
+        model: Folder of ``cameras``, ``images`` and, where there are points, ``points3D``.
+        similarity: From the model to the map.
+        folder: To write.
+
     Raises:
         DatasetError: A file is missing, cut off or malformed, or the folder is the model's own.
     """

@@ -62,6 +62,13 @@ def footprint_feature(
 ) -> dict[str, Any] | None:
     """Returns the part of a level ground that a picture shows, as a polygon; None if it shows none.
 
+    Args:
+        frame: The map's coordinates.
+        camera: Pinhole of the picture.
+        pose: In the map's coordinates.
+        ground_m: Height of the ground, in the city's heights.
+        properties: Of the feature.
+
     Beyond 600 m, and above the horizon, it is cut off at 600 m.
     """
     height = float(pose.center[2]) - ground_m

@@ -24,7 +24,13 @@ _NAMESPACES = {
 
 
 def write_sidecar(photo: Path, pose: Pose, frame: MapFrame) -> Path | None:
-    """Writes ``PHOTO.xmp`` beside a photo; None where another program's is there, which is left alone."""
+    """Writes ``PHOTO.xmp`` beside a photo; None where another program's is there, which is left alone.
+
+    Args:
+        photo: The file.
+        pose: In the city's coordinates.
+        frame: These on Earth.
+    """
     path = photo.with_suffix(".xmp")
     if path.exists() and _TOOL not in path.read_text(encoding="utf-8", errors="replace"):
         return None

@@ -43,7 +43,13 @@ CONFIGURED = {"segmenters": "segmenter", "datasets": "dataset", "priors": "prior
 def check_plugin(
     plug_in: PlugIn, config: Mapping[str, Any] | None = None, sample: Path | None = None
 ) -> Iterator[Check]:
-    """Yields what there is to say of a plug-in, up to the first fault that others would follow from."""
+    """Yields what there is to say of a plug-in, up to the first fault that others would follow from.
+
+    Args:
+        plug_in: The plug-in.
+        config: What its file of configuration says; None where there is none.
+        sample: A file in the format that a reader reads.
+    """
     try:
         part = plug_in.load()
     except LodbenchError as error:

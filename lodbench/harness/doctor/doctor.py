@@ -34,7 +34,11 @@ NETWORKS = ("compact", "compact_instances", "efficient_unet")
 
 
 def examine(timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:
-    """Returns everything there is to know; takes some seconds."""
+    """Returns everything there is to know; takes some seconds.
+
+    Args:
+        timeout_s: How long each trial in a process of its own may take.
+    """
     checks = [*_machine(), *_packages(), *_folders()]
     trials = [("machine", "numba", True)]
     trials += [("renderers", name, is_base) for name, is_base in RENDERER_TRIALS.items()]

@@ -67,7 +67,14 @@ def contradictions(scene: Scene, findings: Mapping[str, Any]) -> list[tuple[dict
 def contradiction_features(
     scene: Scene, frame: MapFrame, findings: Mapping[str, Any], flight: str
 ) -> list[dict[str, Any]]:
-    """Returns what a flight contradicts in the map, as features of GeoJSON."""
+    """Returns what a flight contradicts in the map, as features of GeoJSON.
+
+    Args:
+        scene: The map.
+        frame: Its coordinates on Earth.
+        findings: Of the flight.
+        flight: Its name.
+    """
     features = []
     for said, outline in contradictions(scene, findings):
         rings = [[_on_earth(ring, frame) for ring in polygon] for polygon in outline]

@@ -25,7 +25,14 @@ SIMILARITY_FILE = "similarity.json"
 def write_georeferenced(
     placed: Georeferenced, request: GeoreferenceRequest, scene: Scene, frame: MapFrame | None
 ) -> Georeferenced:
-    """Writes a placed reconstruction; returns it with what was written, and what was not and why."""
+    """Writes a placed reconstruction; returns it with what was written, and what was not and why.
+
+    Args:
+        placed: What to write.
+        request: Names the model and the folder.
+        scene: The map.
+        frame: Its coordinates on Earth, where they are known.
+    """
     out, cameras, crs = request.out, list(placed.cameras), placed.crs
     make_folder(out)
     writers: dict[str, tuple[str, Callable[[Path], None]]] = {

@@ -12,7 +12,13 @@ from lodbench.findings import Findings
 
 
 def check_photos(dataset: Dataset, with_pixels: bool, findings: Findings) -> None:
-    """Adds what is wrong with a dataset's photos and masks to findings."""
+    """Adds what is wrong with a dataset's photos and masks to findings.
+
+    Args:
+        dataset: As opened.
+        with_pixels: Whether to decode every photo; their headers are read in any case.
+        findings: Receives them, under the queries' names.
+    """
     for entry in dataset.entries:
         if entry.mask is not None and entry.camera is not None:
             fault = mask_fault(entry.mask, (entry.camera.width, entry.camera.height))

@@ -19,7 +19,14 @@ from lodbench.reporting.page import Picture
 def page_of_photos(
     flight: FlightAnswer, names: Mapping[Path, str], answers: Sequence[PhotoAnswer], scene: Scene
 ) -> str:
-    """Returns the page of a flight whose photos `lodbench localize` found."""
+    """Returns the page of a flight whose photos `lodbench localize` found.
+
+    Args:
+        flight: The flight.
+        names: Of all photos, by file.
+        answers: Of all photos.
+        scene: The map.
+    """
     mine = [answer for answer in answers if answer.flight == flight.name]
     placed = {names[answer.photo]: (answer, answer.found) for answer in mine if answer.found is not None}
     photos = [

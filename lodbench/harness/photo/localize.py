@@ -99,7 +99,15 @@ def write_answer(
     prior: Pose,
     estimate: Estimate,
 ) -> LocalizedPhoto:
-    """Writes a photo's overlay, map and numbers, never over those of another photo; returns the answer."""
+    """Writes a photo's overlay, map and numbers, never over those of another photo; returns the answer.
+
+    Args:
+        photo: The photo.
+        view: Its pixels.
+        place: The map.
+        prior: In the city's coordinates.
+        estimate: Likewise.
+    """
     request, name, features = photo.request, photo.request.photo.name, []
     scene, frame = place.scene, place.frame
     if frame is not None:

@@ -27,6 +27,10 @@ def frame_on_earth(crs: str | None) -> MapFrame:
 def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:
     """Writes ``PHOTO.xmp`` beside each photo; returns a line that says how many, and which were left alone.
 
+    Args:
+        placed: Photos and their poses in the city's coordinates.
+        crs: Of these.
+
     Raises:
         DatasetError: Nobody knows where on Earth the city is.
     """

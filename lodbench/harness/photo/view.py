@@ -12,7 +12,13 @@ from lodbench.storage import write_text
 
 
 def write_view(path: Path, request: PhotoRequest, found: Sequence[LocalizedPhoto]) -> None:
-    """Writes a page of city, photos, rough and found poses."""
+    """Writes a page of city, photos, rough and found poses.
+
+    Args:
+        path: The page.
+        request: What was asked: its city.
+        found: The answers, one at least.
+    """
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     origin = city.scene.origin
     cameras = [

@@ -58,6 +58,11 @@ class RemoteMethod:
 
     A process that dies, hangs or writes nonsense is one query's failure; the next starts another.
 
+    Args:
+        settings: The method's ``name`` and what differs from its defaults.
+        runner: The other Python.
+        tilt: The protocol's, ``prior`` or ``truth``.
+
     Attributes:
         name: The method's.
         requires: What it needs.

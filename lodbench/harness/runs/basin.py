@@ -54,7 +54,12 @@ class Basin:
 
 
 def write_basin(basin: Basin, grid: CostGrid | None) -> Path:
-    """Writes the tables, the pictures and the protocol of a basin; returns their folder."""
+    """Writes the tables, the pictures and the protocol of a basin; returns their folder.
+
+    Args:
+        basin: The finished runs.
+        grid: Where to measure the cost around the truth; None for no maps.
+    """
     first = basin.steps[0][1]
     name = digest_of([run.folder.name for _, run in basin.steps])
     folder = first.folder.parent.parent / "basin" / f"{first.folder.parent.name}-{name}"

@@ -31,7 +31,13 @@ def require_same_queries(first: StoredRun, second: StoredRun) -> str:
 def paired_comparison(
     first: StoredRun, second: StoredRun, thresholds: Sequence[Threshold]
 ) -> list[Comparison]:
-    """Returns the tests of each split: recall at each threshold, and the median errors."""
+    """Returns the tests of each split: recall at each threshold, and the median errors.
+
+    Args:
+        first: A run.
+        second: Another over the same queries (see ``require_same_queries``).
+        thresholds: Where to compare recall.
+    """
     found = []
     for split in first.summary["splits"]:
         scored = of_split(first.queries, split)

@@ -52,6 +52,14 @@ def prepare_method(
 ) -> None:
     """Lets a method prepare, if it does, in the workspace of this content; a second time it finds it filled.
 
+    Args:
+        method: The method.
+        params: Its parameters, as JSON values.
+        inputs: Digests of the run's inputs.
+        city_map: The map.
+        references: Posed pictures in the dataset's frame.
+        folder: The run's, for the traceback of a fault.
+
     Raises:
         LodbenchError: It cannot prepare: in the method's words, or, for a fault of its code, with the
             traceback's file.

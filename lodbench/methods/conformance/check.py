@@ -39,7 +39,15 @@ def check_class(
     read: Callable[[Mapping[str, Any]], Any],
     where: str,
 ) -> Iterator[Check]:
-    """Yields what there is to say of a method's class, its parameters and its configuration."""
+    """Yields what there is to say of a method's class, its parameters and its configuration.
+
+    Args:
+        kind: What the entry point names.
+        name: The entry point's name.
+        load: Returns the method's section of a run's configuration; None if there is none.
+        read: Makes parameters from such a section.
+        where: The file that should hold it.
+    """
     yield _checked("plug-in", "name", lambda: right_name(kind, name))
     yield _checked("plug-in", "inputs", lambda: known_inputs(kind))
     parameters = _checked("plug-in", "parameters", lambda: frozen_parameters(kind, name))

@@ -90,7 +90,14 @@ class LodLocV2:
 def search(
     scorer_at: Callable[[tuple[int, int]], Scoring], prior: Pose, params: Params, streams: Streams
 ) -> Estimate:
-    """Returns the best pose by grid and filter, whatever poses are scored by."""
+    """Returns the best pose by grid and filter, whatever poses are scored by.
+
+    Args:
+        scorer_at: Returns the scoring at a working size: width and height, pixels.
+        prior: Its tilt is every pose's.
+        params: The search's.
+        streams: Random numbers of the query.
+    """
     started = time.perf_counter()
     best = Particles(prior.center[None], np.array([prior.euler.yaw_deg]), np.zeros(1))
     seconds: dict[str, float] = {}

@@ -17,7 +17,13 @@ _TEXTURED = int(TEXTURED)
 
 @per_pixel
 def sky_colour(up, towards_sun, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the linear RGB of the sky in a direction."""
+    """Returns the linear RGB of the sky in a direction.
+
+    Args:
+        up: Sine of its elevation.
+        towards_sun: Cosine of its angle to the sun.
+        look: Look.
+    """
     height = min(1.0, max(0.0, up)) ** 0.45
     colour = mix(look.haze_rgb, look.zenith_rgb, height)
     glow = max(0.0, towards_sun) ** 24.0

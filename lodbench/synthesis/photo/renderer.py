@@ -107,6 +107,9 @@ class PhotoRenderer:
 class PyrenderPhotos:
     """Renders photos of a textured mesh with OpenGL; no sun and no haze, which textures have already.
 
+    Args:
+        mesh: The mesh, local metric frame.
+
     Raises:
         RenderingError: pyrender or an EGL driver is absent.
     """

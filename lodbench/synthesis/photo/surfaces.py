@@ -80,7 +80,19 @@ def _glass(number, i, j, look):  # type: ignore[no-untyped-def]  # noqa: ANN001,
 
 @per_pixel
 def _facade(colour, place, triangle, number, x, y, z, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns the colour of a wall with windows, and the share of sky it mirrors."""
+    """Returns the colour of a wall with windows, and the share of sky it mirrors.
+
+    Args:
+        colour: Of the wall.
+        place: (T, 7), see ``Skin.place``.
+        triangle: Number of the triangle.
+        number: Of the building.
+        x: Point, east, local metres.
+        y: North.
+        z: Up.
+        pixel_m: Size of a pixel there.
+        look: Look.
+    """
     along = x * place[triangle, 0] + y * place[triangle, 1] - place[triangle, 2]
     width, up = np.float64(place[triangle, 3]), z - place[triangle, 4]
     rise = np.float64(place[triangle, 5] - place[triangle, 4])

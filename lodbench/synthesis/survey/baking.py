@@ -19,6 +19,11 @@ def baked(layout: Layout, corners: Floats, shading: tuple[Any, ...]) -> NDArray[
     """Returns the (H, W, 3) linear RGB of a layout's picture; 0 where no triangle lies.
 
     Later triangles lie on earlier ones. Each is painted a texel further than it reaches, below all others.
+
+    Args:
+        layout: Triangles on the picture.
+        corners: (T, 3, 3) of all triangles, metres.
+        shading: (skin, look, cover, sun map, palettes).
     """
     width, height = layout.size
     light = np.zeros((height, width, 3), dtype=np.float32)

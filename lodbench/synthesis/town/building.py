@@ -93,7 +93,15 @@ class Building:
 def construct_all(
     named: Sequence[tuple[str, Plan]], seed: int, look: TownLook, terrain: Terrain, occupancy: Occupancy
 ) -> list[Building]:
-    """Returns the buildings of all plans."""
+    """Returns the buildings of all plans.
+
+    Args:
+        named: Identifiers and plans; their order is that of ``occupancy``.
+        seed: The town's.
+        look: The town's.
+        terrain: The ground.
+        occupancy: Who stands where.
+    """
     return [
         _construct(name, plan, Neighbourhood(k, occupancy, terrain, _annex_m(plan)), seed)
         for k, (name, plan) in enumerate((name, restyled(name, plan, seed, look)) for name, plan in named)

@@ -26,7 +26,14 @@ _LEAST_ROW_M = 8.0
 
 
 def closed_block(ring: Points, district: str, storeys: int, generator: np.random.Generator) -> list[Plan]:
-    """Returns row houses all around a block, or nothing where its shape leaves no courtyard."""
+    """Returns row houses all around a block, or nothing where its shape leaves no courtyard.
+
+    Args:
+        ring: The building line, (N, 2).
+        district: Name of the district.
+        storeys: Usual number of storeys.
+        generator: Source of chance.
+    """
     depth = float(generator.uniform(10.5, 13.0))
     if inset(ring, depth + COURTYARD_M / 2) is None:
         return []

@@ -28,7 +28,13 @@ _PARK_EVERY, _PARK_FIRST = 17, 5
 
 
 def district_of(block: Block, to_river: Points, estate_turn: float) -> str:
-    """Returns the district of a block: rings around the middle, an estate and works at the edge."""
+    """Returns the district of a block: rings around the middle, an estate and works at the edge.
+
+    Args:
+        block: The block.
+        to_river: (2,) unit direction from the middle of town to the river.
+        estate_turn: Where the estate lies, radians from the direction away from the river.
+    """
     x, y = block.center
     radius = float(np.hypot(x, y))
     if block.beyond_river:
@@ -49,7 +55,14 @@ def building_line(block: Block, district: str) -> Points | None:
 
 
 def build_up(number: int, ring: Points, district: str, generator: np.random.Generator) -> list[Plan]:
-    """Returns what stands on a block."""
+    """Returns what stands on a block.
+
+    Args:
+        number: The block's number, from the middle of town outward.
+        ring: Its building line, (N, 2).
+        district: Its district.
+        generator: Source of chance.
+    """
     if district == "old town":
         return _old_town_block(ring, generator)
     if district == "inner town":

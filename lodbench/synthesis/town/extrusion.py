@@ -74,6 +74,13 @@ class Strip:
 class Body:
     """An extruded building while it is built: its faces by place, so that details can cut into them.
 
+    Args:
+        strip: Its plan.
+        roof: Its roof.
+        base_m: Height it stands on.
+        overhang_m: How far a roof without hips stands out over the walls below its eaves.
+        per_metre: Precision of its points.
+
     Attributes:
         walls: Faces by side (``outer``, ``inner``, ``first``, ``last``) and wing.
         slopes: Roof faces by wing and place in the roof's profile.

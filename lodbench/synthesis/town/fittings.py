@@ -22,7 +22,14 @@ def eaves(storeys: int, generator: np.random.Generator) -> float:
 
 
 def town_roof(eave_m: float, depth_m: float, generator: np.random.Generator, modern: float) -> Roof:
-    """Returns the roof of a house in a row."""
+    """Returns the roof of a house in a row.
+
+    Args:
+        eave_m: Height of the eaves.
+        depth_m: Depth of the house.
+        generator: Source of chance.
+        modern: Share of flat roofs.
+    """
     draw = float(generator.random())
     if draw < modern:
         return flat(eave_m + 0.8)

@@ -47,7 +47,14 @@ OLD_LANES = Style(1.15, (2, 3), (0.8, 3.5), 1.2, 0.7, 0.1)
 def houses_along_streets(
     ring: Points, district: str, style: Style, generator: np.random.Generator
 ) -> list[Plan]:
-    """Returns houses on every side of a block."""
+    """Returns houses on every side of a block.
+
+    Args:
+        ring: The building line, (N, 2).
+        district: Name of the district.
+        style: How it is built up.
+        generator: Source of chance.
+    """
     block = _Houses(ring, district, style, generator)
     lengths = np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1)
     for along, start, length in zip(edge_directions(ring), ring, lengths, strict=True):

@@ -51,6 +51,11 @@ def generate_training_data(
     Every file of a view depends on the settings, the inputs and its name only, not on the workers or on
     where an earlier run was stopped.
 
+    Args:
+        params: What to generate.
+        options: How to read the city; ``params.crs`` goes before its ``crs``.
+        executor: Where views are drawn; processes of this machine if None.
+
     Raises:
         LodbenchError: An input is at fault, no view can be taken, the folder holds another set, or the
             disk is full; finished files stay, and the same command goes on from there.

@@ -15,6 +15,10 @@ from lodbench.segmentation.nets.weights import fill, read_weights
 def average_into(net: nn.Module, others: Sequence[Path]) -> None:
     """Gives a network the mean of its own weights and those of others (Wortsman et al., ICML 2022).
 
+    Args:
+        net: Changed in place.
+        others: Checkpoints of trainings of the same network that went out from the same weights.
+
     Raises:
         ConfigError: A file is missing or holds weights of another network.
     """

@@ -77,7 +77,18 @@ def fit(
     identity: str,
     after_epoch: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> None:
-    """Trains from the state's epoch to the last; checkpoints go to ``params.out``."""
+    """Trains from the state's epoch to the last; checkpoints go to ``params.out``.
+
+    Args:
+        state: Where to start; changed in place.
+        params: How to train.
+        train: Views to train on.
+        val: Views to validate on.
+        stride: Sides of whole pictures are padded to multiples of this.
+        place: Of this process among others.
+        identity: What the checkpoint must match to be taken up.
+        after_epoch: Called on rank 0 with each new row of the history.
+    """
     steps = steps_per_epoch(len(train), params.batch)
     model = place.wrapped(state.net)
     label = f"epochs {state.epoch + 1} to {params.epochs}"

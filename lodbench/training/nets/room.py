@@ -17,6 +17,10 @@ _PER_LEARNING = 3
 def require_room(net: nn.Module, shape: tuple[int, int, int, int]) -> None:
     """Makes sure that a step over a batch fits into memory beside the network, which is there already.
 
+    Args:
+        net: As it will be trained.
+        shape: (B, 3, H, W) of a batch.
+
     Raises:
         ConfigError: It does not.
     """

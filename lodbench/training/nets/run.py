@@ -36,7 +36,17 @@ def run_training(
     keep: Callable[[History], None],
     started_at: list[int],
 ) -> tuple[History, Path]:
-    """Trains and returns the history and the weights' file."""
+    """Trains and returns the history and the weights' file.
+
+    Args:
+        segmenter: Knows how to build its network and how to store its weights.
+        params: How to train.
+        train: Views to train on.
+        val: Views to validate on.
+        identity: Digest that a checkpoint must bear to be taken up.
+        keep: Called with the history so far after each epoch, and at the end.
+        started_at: Filled with the number of epochs that were there already.
+    """
     out = Path(params.out).expanduser()
     _make_deterministic(params)
     with joined(params.device) as place:

@@ -34,6 +34,10 @@ def adapt_norms(net: nn.Module, batches: Iterable[Tensor]) -> None:
     While it trains, a network normalises by the batch at hand. Weights from other pictures, or from an export
     that has folded the statistics away, would answer something else at once; so scale and shift of each
     normalisation take up the difference.
+
+    Args:
+        net: Changed in place.
+        batches: (B, 3, H, W) pictures.
     """
     norms = {norm: _Moments() for norm in net.modules() if isinstance(norm, nn.BatchNorm2d)}
     if not norms:
