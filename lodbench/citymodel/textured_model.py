@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,14 +47,6 @@ def textured_model(model: CityModel, hint: str = "Leave out --textures.") -> Tex
     used, numbers = np.unique(np.where(has_place, picture[result.polygon], NO_PICTURE), return_inverse=True)
     is_bare = int(used[0] == NO_PICTURE)
     paths = [model.pictures.files[n] for n in used[is_bare:].tolist()]
-    folders = [(path, TextureFolder(path.parent, path.parent)) for path in paths]
-    pixels = sum(int(np.prod(folder.size(path.name))) for path, folder in folders)
-    if pixels > MAX_ALL_PIXELS:
-        raise DatasetError(
-            f"The pictures of {model.source} have {pixels / 1e9:.1f} gigapixels; {MAX_ALL_PIXELS / 1e9:.1f} "
-            "are held at once.",
-            "Take tiles of it, or save the pictures smaller; CityJSON and CityGML copy them as they are.",
-        )
     colours = np.array([(_GREY, _GREY, _GREY), *model.pictures.colours], np.uint8)
     colour = colours[np.maximum(FIRST_COLOUR + 1 - picture[result.polygon], 0)]
     return TexturedMesh(
@@ -60,9 +54,22 @@ def textured_model(model: CityModel, hint: str = "Leave out --textures.") -> Tex
         np.where(has_place[:, None, None], places, 0.0),
         (numbers.reshape(-1) - is_bare).astype(np.int32),
         np.repeat(colour[:, None], 3, axis=1),
-        tuple(folder.picture(path.name) for path, folder in folders),
+        _pictures(paths, model.source),
         model.pictures.notes,
     )
+
+
+def _pictures(paths: list[Path], source: str) -> tuple[NDArray[np.uint8], ...]:
+    """Returns pictures, (H, W, 3) RGB, if all together are few enough to be held."""
+    folders = [(path, TextureFolder(path.parent, path.parent)) for path in paths]
+    pixels = sum(int(np.prod(folder.size(path.name))) for path, folder in folders)
+    if pixels > MAX_ALL_PIXELS:
+        raise DatasetError(
+            f"The pictures of {source} have {pixels / 1e9:.1f} gigapixels; {MAX_ALL_PIXELS / 1e9:.1f} "
+            "are held at once.",
+            "Take tiles of it, or save the pictures smaller; CityJSON and CityGML copy them as they are.",
+        )
+    return tuple(folder.picture(path.name) for path, folder in folders)
 
 
 def _lies_on_a_picture(polygons: Polygons, picture: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -46,16 +46,7 @@ def main(argv: Sequence[str]) -> int:
     from lodbench.methods.protocol import SupportsFlights
     from lodbench.methods.registry import make_method
 
-    for name in ("model", "images", "masks"):
-        folder = getattr(asked, name)
-        if folder is not None and not folder.is_dir():
-            raise DatasetError(f"{folder} is no folder.", "Check the path.")
-    if asked.start is not None and not asked.start.exists():
-        raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
-    if asked.masks is None and asked.images is None:
-        raise ConfigError("There is nothing to place the model by.", "Give --masks DIR, or --images DIR.")
-    if asked.sidecars and asked.images is None:
-        raise ConfigError("--sidecars are written beside photos.", "Name their folder with --images.")
+    _require_given(asked)
     method = make_method(asked.method)
     if not isinstance(method, SupportsFlights):
         raise ConfigError(f"--method {asked.method} solves no flights.", "Leave --method out.")
@@ -80,6 +71,19 @@ def main(argv: Sequence[str]) -> int:
         line = write_sidecars([(file, pose) for file, pose in files if file is not None], placed.crs)
         sys.stderr.write(f"lodbench: sidecars: {line}\n")
     return 0
+
+
+def _require_given(asked: argparse.Namespace) -> None:
+    for name in ("model", "images", "masks"):
+        folder = getattr(asked, name)
+        if folder is not None and not folder.is_dir():
+            raise DatasetError(f"{folder} is no folder.", "Check the path.")
+    if asked.start is not None and not asked.start.exists():
+        raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
+    if asked.masks is None and asked.images is None:
+        raise ConfigError("There is nothing to place the model by.", "Give --masks DIR, or --images DIR.")
+    if asked.sidecars and asked.images is None:
+        raise ConfigError("--sidecars are written beside photos.", "Name their folder with --images.")
 
 
 def describe(placed: Georeferenced) -> str:

@@ -117,19 +117,10 @@ def dask_workers(
         raise ConfigError(
             "executor=dask needs Dask, which is not installed.", "pip install 'lodbench[cluster]'"
         ) from error
-    # Workers in processes of their own, of one thread: the engine has threads itself.
     own = None
     try:
         if address is None:
-            # The dashboard can be seen from this machine alone.
-            with _ctrl_c_for_this_thread():
-                own = distributed.LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    dashboard_address="127.0.0.1:8787",
-                    # Workers that die are told in lines of ours; a stopped run would print dozens.
-                    silence_logs=logging.ERROR,
-                )
+            own = _own_cluster(distributed, workers)
         try:
             client = distributed.Client(address or own, timeout=_CONNECT_S)
         except OSError as error:
@@ -145,6 +136,19 @@ def dask_workers(
     finally:
         if own is not None:
             own.close()
+
+
+def _own_cluster(distributed: Any, workers: int) -> Any:
+    """Returns a cluster of processes of one thread (the engine has threads itself) on this machine."""
+    with _ctrl_c_for_this_thread():
+        return distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            # The dashboard can be seen from this machine alone.
+            dashboard_address="127.0.0.1:8787",
+            # Workers that die are told in lines of ours; a stopped run would print dozens.
+            silence_logs=logging.ERROR,
+        )
 
 
 @contextmanager
