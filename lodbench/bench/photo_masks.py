@@ -65,14 +65,7 @@ class PhotoMask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoMaskReport:
-    """What was measured.
-
-    Attributes:
-        segmenter: Its name and the start of its weights' digest.
-        data: Name of the folder.
-        photos: By place and name.
-        notes: What the segmenter says of itself: on which photos it learnt, above all.
-    """
+    """What was measured."""
 
     segmenter: str
     data: str

@@ -49,15 +49,7 @@ def check_target(target: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """What was written.
-
-    Attributes:
-        target: Where.
-        model: The city written: its buildings, levels and polygons.
-        mesh: The mesh written, with its account of area; None where the polygons are written.
-        findings: What was met on the way, reading included.
-        left_out: A line for each thing the format could not say.
-    """
+    """What was written."""
 
     target: Path
     model: CityModel

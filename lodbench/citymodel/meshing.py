@@ -20,12 +20,7 @@ from lodbench.findings import Findings
 
 
 class NothingToMesh(CityModelError):
-    """A level of detail whose polygons make no triangle.
-
-    Attributes:
-        area_m2: Newell area of the polygons, all of it lost.
-        findings: Why.
-    """
+    """A level of detail whose polygons make no triangle."""
 
     def __init__(self, source: str, lod: str, area_m2: float, findings: Findings) -> None:
         super().__init__(

@@ -29,13 +29,7 @@ _Z = 1.959963984540054
 
 
 class PairedTest(NamedTuple):
-    """Whether a number differs between two runs over the same queries.
-
-    Attributes:
-        difference: Second run less the first.
-        interval: 95 % interval of it.
-        p: Two-sided p value.
-    """
+    """Whether a number differs between runs: the second's less the first's, 95 % interval, two-sided p."""
 
     difference: float
     interval: Interval

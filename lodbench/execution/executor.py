@@ -54,11 +54,7 @@ class ExecutorParams:
 
 
 class Workers(Protocol):
-    """Those who do work, in as many rounds as they are given.
-
-    Attributes:
-        count: How many work at a time.
-    """
+    """Those who do work, in as many rounds as they are given."""
 
     count: int
 

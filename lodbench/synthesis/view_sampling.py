@@ -70,12 +70,7 @@ class ViewSampling:
 
 @dataclass(frozen=True, slots=True)
 class SampledViews:
-    """Views drawn over a city.
-
-    Attributes:
-        poses: The accepted views, in order.
-        rejections: How many draws were thrown away on the way.
-    """
+    """Views drawn over a city."""
 
     poses: tuple[Pose, ...]
     rejections: int

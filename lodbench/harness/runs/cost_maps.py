@@ -23,16 +23,7 @@ _SIZE = (301, 224)
 
 @dataclass(frozen=True, slots=True)
 class CostGrid:
-    """Offsets from the truth: half widths and steps.
-
-    Attributes:
-        xy_m: Half width of the square in x and y.
-        xy_step_m: Its step.
-        z_m: Half width along z.
-        z_step_m: Its step.
-        yaw_deg: Half width in yaw.
-        yaw_step_deg: Its step.
-    """
+    """Offsets from the truth: half widths and steps: half widths and steps."""
 
     xy_m: float = 50.0
     xy_step_m: float = 2.5

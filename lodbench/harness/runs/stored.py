@@ -42,11 +42,7 @@ _LATER = {"probability", "covariance"}
 
 @dataclass(frozen=True, slots=True)
 class PictureFile:
-    """A PNG on disk, which a notebook shows in its place.
-
-    Attributes:
-        path: The file.
-    """
+    """A PNG on disk, which a notebook shows in its place."""
 
     path: Path
 

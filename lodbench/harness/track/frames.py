@@ -117,15 +117,7 @@ def _clocks(photos: list[Path]) -> list[float] | None:
 
 @dataclass(slots=True)
 class MaskMaker:
-    """Masks of frames, from a folder or by a network.
-
-    Attributes:
-        camera: Of the frames as stored, lens included.
-        pinhole: What is tracked.
-        folder: Of masks named as the frames; goes before the segmenter.
-        segmenter: Makes them.
-        seconds: Spent so far.
-    """
+    """Masks of frames, from a folder or by a network."""
 
     camera: Camera
     pinhole: Camera
