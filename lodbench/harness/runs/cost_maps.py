@@ -23,7 +23,7 @@ _SIZE = (301, 224)
 
 @dataclass(frozen=True, slots=True)
 class CostGrid:
-    """Offsets from the truth: half widths and steps: half widths and steps."""
+    """Offsets from the truth: half widths and steps."""
 
     xy_m: float = 50.0
     xy_step_m: float = 2.5
