@@ -127,6 +127,19 @@ class TestTheMethod:
             apart = np.abs(starts[:, [0, 1, 2, 5]] - starts[i, [0, 1, 2, 5]]) / steps
             assert (np.delete(apart, i, axis=0).max(axis=1) > 1.5).all()
 
+    def test_the_answer_is_a_mean_unless_told(self, city_map, photographed, truths):
+        query, truth = photographed[2], truths[2]
+        without_lines = replace(FAST, lines_weight=0.0)
+        best, mean = (
+            Region(replace(without_lines, mean_pixels=pixels)).localize(query, city_map, streams())
+            for pixels in (0.0, 500.0)
+        )
+        apart = pose_error(mean.pose, best.pose)
+        assert 0.0 < apart.translation_m < 1.0
+        assert pose_error(mean.pose, truth).translation_m < 1.0
+        # How sure the answer is comes from what the best pose shows.
+        assert mean.probability == best.probability
+
     def test_a_prior_s_width_sets_the_search(self):
         wide = Region().params_for_prior(UniformPrior(50.0, 40.0, 30.0, 30.0, 2.0, 2.0))
         assert (wide.range_x_m, wide.range_y_m, wide.range_z_m, wide.range_yaw_deg) == (

@@ -21,6 +21,7 @@ from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
 from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams
+from lodbench.methods.region.averaging import posterior_mean
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.lines import aligned_by_lines
 from lodbench.methods.region.map_errors import covariance_under_map_errors
@@ -77,6 +78,7 @@ class Region:
         vector = modes[0].cloud.mean
         nats: Callable[[Floats], Floats] = final.nats
         apart_m, sharpness = TYPICAL_LINES
+        is_by_lines = False
         if params.lines_weight > 0:
             # Lines say what edges say, and more: the regions join them without.
             regions = final.with_edges(0.0)
@@ -84,13 +86,15 @@ class Region:
             apart_m, sharpness = NO_LINES
             if lines is not None:
                 apart_m, sharpness = float(np.linalg.norm((lines.vector - vector)[:3])), lines.sharpness
-            if lines is not None and sharpness >= params.least_sharpness:
+            is_by_lines = lines is not None and sharpness >= params.least_sharpness
+            if lines is not None and is_by_lines:
                 vector, nats = lines.vector, lines.nats
         information = information_at(nats, vector, final, around)
         prior, outline = final.prior_information(), around.outline(vector, final)
         if_map_is_right: Floats = np.asarray(np.linalg.inv(information + prior))
         covariance = covariance_under_map_errors(information, prior, outline)
         offset, half_widths = final.offsets(vector[None])[0], params.half_widths()
+        # Of the best pose: its fit and its lines say whether it is the right one, which no mean changes.
         signs = Signs(
             probability_within(if_map_is_right, vector),
             apart_m,
@@ -98,6 +102,8 @@ class Region:
             float(judge.fits(vector[None])[0]),
             max(0.0, float(abs(offset[2]) / half_widths[2]) - 1.0),
         )
+        if params.mean_pixels > 0 and not is_by_lines:
+            vector = posterior_mean(self._mean_evidence(query, city_map, photo), vector, covariance)
         finished = time.perf_counter()
         return Estimate(
             pose=pose_from_vector(vector),
@@ -111,7 +117,7 @@ class Region:
             covariance=covariance,
             probability=share_of_best(modes) * trust_of(signs),
             alternatives=tuple(pose_from_vector(mode.cloud.mean) for mode in modes[1:]),
-            notes=beyond_range(offset, if_map_is_right, half_widths),
+            notes=beyond_range(final.offsets(vector[None])[0], if_map_is_right, half_widths),
         )
 
     def _evidence(
@@ -119,6 +125,11 @@ class Region:
     ) -> Evidence:
         size = _size(query.camera, width)
         return Evidence(query, city_map, PhotoFit(photo, size, self.params, is_coarse), self.params)
+
+    def _mean_evidence(self, query: Query, city_map: CityMap, photo: NDArray[np.uint8]) -> Evidence:
+        params = replace(self.params, effective_pixels=self.params.mean_pixels)
+        fit = PhotoFit(photo, _size(query.camera, params.mean_width), params, is_coarse=False)
+        return Evidence(query, city_map, fit, params)
 
 
 def _size(camera: Camera, width: int) -> tuple[int, int]:

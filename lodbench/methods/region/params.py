@@ -13,7 +13,7 @@ from lodbench.rendering.raster_rule import GUARD_PX
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 _AT_LEAST_0 = (
     *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
-    *("judging_edge_weight", "lines_weight", "least_sharpness"),
+    *("judging_edge_weight", "mean_pixels", "lines_weight", "least_sharpness"),
 )
 _POSITIVE = ("stride_m", "stride_z_m", "stride_yaw_deg", "coarse_spread_px", "fine_spread_px", "edge_blur_px")
 
@@ -50,6 +50,8 @@ class Params:
         judging_edge_weight: The same where one of the tops is chosen: one large silhouette parts a photo well
             in many wrong places, but no edges lie along it.
         edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
+        mean_width: Width of silhouettes where the answer becomes the mean of the posterior, pixels.
+        mean_pixels: How many independent pixels a photo is worth there; 0 leaves the answer at the best pose.
         lines_width: Width of the photo where the model's lines are laid over its edges, pixels.
         lines_weight: What a pixel of line is worth, independent pixels; 0 leaves lines out.
         least_sharpness: How sharply edges must fall off beside the lines for the map to count as exact, 0 to
@@ -81,12 +83,14 @@ class Params:
     coarse_edge_weight: float = 4.0
     judging_edge_weight: float = 20.0
     edge_blur_px: float = 1.0
+    mean_width: int = 452
+    mean_pixels: float = 500.0
     lines_width: int = 640
     lines_weight: float = 0.1
     least_sharpness: float = 0.7
 
     def __post_init__(self) -> None:
-        for name in ("coarse_width", "fine_width", "lines_width"):
+        for name in ("coarse_width", "fine_width", "mean_width", "lines_width"):
             if not 16 <= getattr(self, name) <= GUARD_PX:
                 raise ConfigError(f"method.{name} is 16 to {GUARD_PX} px, not {getattr(self, name)}.")
         for name in (*_RANGES, *_AT_LEAST_0):

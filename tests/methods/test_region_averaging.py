@@ -1,0 +1,66 @@
+"""The mean of the posterior, against integrals of densities whose axes are independent."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lodbench.methods.region.averaging import posterior_mean
+
+X = np.linspace(-8.0, 8.0, 4001)
+MODE, COVARIANCE = np.full(6, 0.3), np.diag([4.0, 1.0, 2.0, 0.5, 0.5, 1.0])
+
+
+class Independent:
+    """An evidence of which each number is independent of the others."""
+
+    def __init__(self, log_density):
+        self.log_density = log_density
+
+    def log_posterior(self, vectors):
+        return self.log_density(vectors).sum(axis=1)
+
+    def means(self):
+        """Returns the (6,) means by integrating each axis by itself."""
+        logs = self.log_density(np.repeat(X[:, None], 6, axis=1))
+        weights = np.exp(logs - logs.max(axis=0))
+        return (weights * X[:, None]).sum(axis=0) / weights.sum(axis=0)
+
+
+def gaussian(vectors):
+    return -0.5 * (vectors - np.array([1.0, -0.5, 0.0, 0.6, 0.3, 0.0])) ** 2 / np.diagonal(COVARIANCE)
+
+
+def bumpy(vectors):
+    """A wide hill whose top is a bump far down its side."""
+    return -0.5 * vectors**2 + 1.5 * np.exp(-0.5 * ((vectors - 1.2) / 0.1) ** 2)
+
+
+def one_sided(vectors):
+    """Steep below its top at 0, gentle above."""
+    return np.where(vectors < 0.0, -2.0 * vectors**2, -0.3 * vectors**2)
+
+
+@pytest.mark.parametrize("density", [gaussian, bumpy, one_sided])
+def test_it_is_the_integral_s(density):
+    evidence = Independent(density)
+    found = posterior_mean(evidence, MODE, COVARIANCE)
+    spread = np.sqrt(np.diagonal(COVARIANCE))
+    assert (np.abs(found - evidence.means()) < 0.2 * spread).all()
+
+
+def test_the_mean_of_a_bumpy_hill_is_not_its_top():
+    found = posterior_mean(Independent(bumpy), np.full(6, 1.2), COVARIANCE)
+    assert np.abs(found - Independent(bumpy).means()).max() < 0.3
+    assert (found < 0.6).all()
+
+
+def test_a_direction_that_is_held_stays():
+    held = np.diag([4.0, 1.0, 2.0, 1e-12, 1e-12, 1.0])
+    found = posterior_mean(Independent(gaussian), MODE, held)
+    np.testing.assert_allclose(found[3:5], MODE[3:5], atol=1e-5)
+
+
+def test_it_draws_the_same_every_time():
+    first, second = (posterior_mean(Independent(bumpy), MODE, COVARIANCE) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
