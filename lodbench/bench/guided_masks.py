@@ -49,7 +49,16 @@ class GuidedOptions:
 
 
 class GuidedPhoto(NamedTuple):
-    """What became of one photo's silhouettes: IoUs with the traced mask, one of each draw."""
+    """What became of one photo's silhouettes: IoUs with the traced mask, one of each draw.
+
+    Attributes:
+        place: Folder of the place.
+        name: Of the photo.
+        guide: Of the silhouettes.
+        found: Of the segmenter's masks.
+        grabcut: Of GrabCut's; empty where it was not asked.
+        seconds: CPU time per mask.
+    """
 
     place: str
     name: str
@@ -61,7 +70,15 @@ class GuidedPhoto(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GuidedMaskReport:
-    """What was measured."""
+    """What was measured.
+
+    Attributes:
+        segmenter: Its name.
+        data: Name of the folder.
+        draws: Silhouettes of each photo.
+        photos: By disturbance.
+        num_empty: Photos without buildings, which no silhouette can guide.
+    """
 
     segmenter: str
     data: str

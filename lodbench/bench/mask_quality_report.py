@@ -25,7 +25,14 @@ KINDS = {
 
 
 class IouSummary(NamedTuple):
-    """Overlaps of many views."""
+    """Overlaps of many views.
+
+    Attributes:
+        mean: Mean of the views' IoUs.
+        mean_interval: 95 % interval of it, by bootstrap over views.
+        pooled: IoU of all pixels together.
+        pooled_interval: Likewise.
+    """
 
     mean: float
     mean_interval: Interval

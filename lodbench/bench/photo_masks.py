@@ -65,7 +65,14 @@ class PhotoMask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoMaskReport:
-    """What was measured."""
+    """What was measured.
+
+    Attributes:
+        segmenter: Its name and the start of its weights' digest.
+        data: Name of the folder.
+        photos: By place and name.
+        notes: What the segmenter says of itself: on which photos it learnt, above all.
+    """
 
     segmenter: str
     data: str

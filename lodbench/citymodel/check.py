@@ -40,7 +40,14 @@ class FindingRow:
 
 @dataclass(frozen=True, slots=True)
 class FoundDefect:
-    """One finding, with where it is."""
+    """One finding, with where it is.
+
+    Attributes:
+        building: Id of the building, or "".
+        detail: In words.
+        polygon: Id of the polygon at fault in the file, its number where it has none, or "".
+        place: A point of it, (x, y, z) in the city's coordinates, or None.
+    """
 
     building: str
     detail: str
@@ -60,7 +67,15 @@ class LevelAreas:
 
 @dataclass(frozen=True, slots=True)
 class CityReport:
-    """The outcome of a check."""
+    """The outcome of a check.
+
+    Attributes:
+        source: The file or folder.
+        rows: Errors first, then warnings, then infos, each by code.
+        areas: Per level of detail.
+        crs: Reference system of the places, or None.
+        seconds: What the check took.
+    """
 
     source: str
     rows: tuple[FindingRow, ...]

@@ -20,7 +20,12 @@ from lodbench.findings import Findings
 
 
 class NothingToMesh(CityModelError):
-    """A level of detail whose polygons make no triangle."""
+    """A level of detail whose polygons make no triangle.
+
+    Attributes:
+        area_m2: Newell area of the polygons, all of it lost.
+        findings: Why.
+    """
 
     def __init__(self, source: str, lod: str, area_m2: float, findings: Findings) -> None:
         super().__init__(

@@ -25,7 +25,16 @@ _JPEG_QUALITY = 95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnImage:
-    """One image to put into a dataset."""
+    """One image to put into a dataset.
+
+    Attributes:
+        name: As its source calls it; folders and spaces do not survive in a dataset.
+        camera: Of the photo as stored, lens distortion included.
+        prior: Rough pose in the city's coordinates, or None.
+        truth: True pose, or None.
+        photo: Its file, or None.
+        mask: Building mask of the photo as stored, or None.
+    """
 
     name: str
     camera: Camera

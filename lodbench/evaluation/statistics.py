@@ -29,7 +29,13 @@ _Z = 1.959963984540054
 
 
 class PairedTest(NamedTuple):
-    """Whether a number differs between runs: the second's less the first's, 95 % interval, two-sided p."""
+    """Whether a number differs between two runs over the same queries.
+
+    Attributes:
+        difference: Second run less the first.
+        interval: 95 % interval of it.
+        p: Two-sided p value.
+    """
 
     difference: float
     interval: Interval

@@ -54,7 +54,11 @@ class ExecutorParams:
 
 
 class Workers(Protocol):
-    """Those who do work, in as many rounds as they are given."""
+    """Those who do work, in as many rounds as they are given.
+
+    Attributes:
+        count: How many work at a time.
+    """
 
     count: int
 

@@ -22,7 +22,12 @@ def enu_from_ecef_rotation(lat_deg: float, lon_deg: float) -> Matrix:
 
 @dataclass(frozen=True, slots=True)
 class ShiftedEcef:
-    """ECEF coordinates minus those of an origin: metric, but with the earth's axis as z."""
+    """ECEF coordinates minus those of an origin: metric, but with the earth's axis as z.
+
+    Attributes:
+        lat_deg: Geodetic latitude of the origin.
+        lon_deg: Longitude of the origin.
+    """
 
     lat_deg: float
     lon_deg: float

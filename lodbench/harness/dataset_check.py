@@ -37,7 +37,21 @@ _SAME_MEDIAN = 0.10
 
 @dataclass(frozen=True, slots=True)
 class SplitReport:
-    """What a split holds."""
+    """What a split holds.
+
+    Attributes:
+        name: Its name.
+        queries: Number of queries.
+        expected: The number the paper's percentages imply, or the card says; or None.
+        truths: Queries with a true pose.
+        priors: Queries with a prior.
+        photos: Queries with a photo.
+        masks: Queries with a mask.
+        prior: Median errors of the priors, or None without any.
+        paper_prior: The paper's, or None.
+        height_m: Lowest, median and highest camera above the city's lowest point; None without a city.
+        pitch_deg: Lowest, median and highest pitch from nadir; None without true poses.
+    """
 
     name: str
     queries: int
@@ -54,7 +68,14 @@ class SplitReport:
 
 @dataclass(frozen=True, slots=True)
 class DatasetReport:
-    """The outcome of a check."""
+    """The outcome of a check.
+
+    Attributes:
+        dataset: The dataset.
+        splits: One report each.
+        city: What the city model is, in words.
+        findings: Those of reading it, and of the check.
+    """
 
     dataset: Dataset
     splits: tuple[SplitReport, ...]

@@ -42,7 +42,16 @@ Steps = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class TileJob:
-    """What is made of every tile."""
+    """What is made of every tile.
+
+    Attributes:
+        path: Folder or archive of the tiles.
+        parts: Folder for what is made of them.
+        lod: Level asked for, or None for the lowest that has walls.
+        roof_height: Rule by which an absent level 1 is derived, or None.
+        options: How to read.
+        crs: Reference system that all tiles go to; "" until the first one is read.
+    """
 
     path: str
     parts: str

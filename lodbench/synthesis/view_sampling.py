@@ -70,7 +70,12 @@ class ViewSampling:
 
 @dataclass(frozen=True, slots=True)
 class SampledViews:
-    """Views drawn over a city."""
+    """Views drawn over a city.
+
+    Attributes:
+        poses: The accepted views, in order.
+        rejections: How many draws were thrown away on the way.
+    """
 
     poses: tuple[Pose, ...]
     rejections: int

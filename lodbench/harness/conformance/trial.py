@@ -26,7 +26,18 @@ CAMERA = Camera(310, 230, 231.0, 229.0, 156.5, 113.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tried:
-    """A plug-in, and what it is tried on."""
+    """A plug-in, and what it is tried on.
+
+    Attributes:
+        part: The class or function of its entry point.
+        name: Its name.
+        config: Its section of the configuration; empty for kinds that have none, None where there is none.
+        make: Makes it anew from that, for kinds that are made from parameters.
+        folder: An empty folder.
+        scene: The blocks.
+        dataset: Photos, masks, priors and truth; the scene's frame is the dataset's.
+        sample: A file that the user named, for readers of formats.
+    """
 
     part: Any
     name: str

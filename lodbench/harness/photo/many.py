@@ -27,7 +27,14 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class PhotoAnswer:
-    """What became of one of many photos."""
+    """What became of one of many photos.
+
+    Attributes:
+        photo: The file.
+        found: The answer, or None.
+        failure: Why there is none, or "".
+        flight: It was taken on, where that was looked for.
+    """
 
     photo: Path
     found: LocalizedPhoto | None

@@ -50,7 +50,15 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of picture."""
+    """A kind of picture.
+
+    Attributes:
+        default: The renderer that is taken unless one is asked for.
+        ability: The function of renderers that can draw it.
+        write: Draws and writes a view; returns its files.
+        check: Raises a LodbenchError if a scene cannot be drawn so.
+        prepare: Writes what all views of a scene share to the folder; returns its files.
+    """
 
     default: str
     ability: str

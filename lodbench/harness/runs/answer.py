@@ -36,7 +36,16 @@ _ENDS_RUN = (ConfigError, InputChanged, WorkersGone)
 
 @dataclass(slots=True)
 class Asked:
-    """A query on its way to a prediction."""
+    """A query on its way to a prediction.
+
+    Attributes:
+        entry: As the dataset stores it.
+        streams: Its random numbers.
+        query: As the method sees it, once it is made.
+        prepare_s: How long that took, seconds.
+        estimate: The method's, if there is one.
+        failure: Why there is none.
+    """
 
     entry: Entry
     streams: Streams

@@ -42,7 +42,11 @@ _LATER = {"probability", "covariance"}
 
 @dataclass(frozen=True, slots=True)
 class PictureFile:
-    """A PNG on disk, which a notebook shows in its place."""
+    """A PNG on disk, which a notebook shows in its place.
+
+    Attributes:
+        path: The file.
+    """
 
     path: Path
 

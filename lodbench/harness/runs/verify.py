@@ -49,7 +49,16 @@ _RELATIVE = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What verifying a run found."""
+    """What verifying a run found.
+
+    Attributes:
+        stored: The run.
+        differences: One line each; empty if all numbers follow.
+        notes: What could not be looked at, and why.
+        is_weak: True if the truth was not there, so that errors were taken as written.
+        dataset: The dataset, or None.
+        entries: The queries scored; empty without the dataset.
+    """
 
     stored: StoredRun
     differences: tuple[str, ...]

@@ -117,7 +117,15 @@ def _clocks(photos: list[Path]) -> list[float] | None:
 
 @dataclass(slots=True)
 class MaskMaker:
-    """Masks of frames, from a folder or by a network."""
+    """Masks of frames, from a folder or by a network.
+
+    Attributes:
+        camera: Of the frames as stored, lens included.
+        pinhole: What is tracked.
+        folder: Of masks named as the frames; goes before the segmenter.
+        segmenter: Makes them.
+        seconds: Spent so far.
+    """
 
     camera: Camera
     pinhole: Camera

@@ -19,7 +19,14 @@ from lodbench.synthesis.surroundings.trees_and_cars import park_cars, plant_tree
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """What was made up around a city."""
+    """What was made up around a city.
+
+    Attributes:
+        view: The city from above.
+        ground: Ground heights.
+        land_cover: What covers the ground.
+        props: Ground, trees and cars, in the scene's frame.
+    """
 
     view: TopView
     ground: Ground

@@ -27,7 +27,15 @@ _LOOK_OUT_M = 0.9
 
 @dataclass(frozen=True, slots=True)
 class WindowStyle:
-    """The windows of one building, metres."""
+    """The windows of one building, metres.
+
+    Attributes:
+        width: Of a window.
+        height: Of a window.
+        sill: Above the floor.
+        spacing: From window to window.
+        storey: From floor to floor.
+    """
 
     width: float
     height: float
@@ -57,7 +65,14 @@ class Wall:
 
 @dataclass(frozen=True, slots=True)
 class Neighbourhood:
-    """What decides where a building can have windows."""
+    """What decides where a building can have windows.
+
+    Attributes:
+        number: The building's in ``occupancy``.
+        occupancy: Who stands where.
+        terrain: The ground.
+        annex_m: Height up to which its own annexes stand before its walls.
+    """
 
     number: int
     occupancy: Occupancy

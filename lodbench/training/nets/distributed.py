@@ -15,7 +15,13 @@ from lodbench.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where this process stands."""
+    """Where this process stands.
+
+    Attributes:
+        rank: Number of the process; 0 validates and writes.
+        ranks: How many there are.
+        device: What it computes on.
+    """
 
     rank: int
     ranks: int
