@@ -33,7 +33,10 @@ def chosen_segmenter(
         labelled = sum(entry.instances is not None for entry in dataset.entries)
         if labelled:
             return "instances", f"{labelled} of {total} queries have labels of single buildings"
-        return "map_instances", "the method asks for single buildings, and the dataset has no labels of them"
+        return (
+            "compact_instances",
+            "the method asks for single buildings, and the dataset has no labels of them",
+        )
     if dataset.segmenter is not None:
         return dataset.segmenter, f"as {dataset.name} says"
     total = len(dataset.entries)

@@ -55,7 +55,7 @@ def town(tmp_path_factory):
 
 def test_a_run_hands_them_to_who_asks(town):
     dataset, scene = town
-    assert chosen_segmenter(dataset, {Input.INSTANCES})[0] == "map_instances"
+    assert chosen_segmenter(dataset, {Input.INSTANCES})[0] == "compact_instances"
     segmenter = MapInstances(MapInstancesParams(size=320))
     segmenter.segment = lambda entry: (cv2.imread(str(entry.image), 0) > 0).astype(np.float32)
     preparation = Preparation(dataset, scene, segmenter, "prior", frozenset({Input.INSTANCES}))
