@@ -33,7 +33,12 @@ _SCALE = 0.037
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What a reconstruction's poses are off by, each by itself: standard deviations along each axis."""
+    """What a reconstruction's poses are off by, each by itself: standard deviations along each axis.
+
+    Attributes:
+        place_m: Of places, metres.
+        turn_deg: Of directions, degrees.
+    """
 
     place_m: float = 0.1
     turn_deg: float = 0.05

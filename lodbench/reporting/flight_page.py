@@ -21,7 +21,16 @@ MAX_PICTURES = 240
 
 
 class PhotoOnPage(NamedTuple):
-    """A photo of a flight that was placed."""
+    """A photo of a flight that was placed.
+
+    Attributes:
+        spot: On the map.
+        moved_m: How far from where the drone said it was.
+        turned_deg: Likewise.
+        sigma_m: Standard deviation of its place, in space, where the method knows it.
+        probability: That it is within 2 m and 2 degrees, where the method knows it.
+        score: Of the method.
+    """
 
     spot: Spot
     moved_m: float | None

@@ -30,7 +30,17 @@ _KINDS = ("prior", "estimate", "truth")
 
 
 class ViewedCamera(NamedTuple):
-    """A photo and its camera; poses in the scene's local frame, None where there is none."""
+    """A photo and where its camera is said to be; poses in the scene's local frame, None where there is none.
+
+    Attributes:
+        key: Of the query, or the photo's name.
+        facts: What is told of it, by name.
+        camera: Its intrinsics; the lens is taken for a pinhole.
+        prior: The rough pose.
+        estimate: The pose found.
+        truth: The true pose.
+        photo: A JPEG of it as the camera sees it (``photo_jpeg``), or None.
+    """
 
     key: str
     facts: Mapping[str, str]

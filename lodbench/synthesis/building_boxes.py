@@ -13,7 +13,13 @@ Floats = NDArray[np.float64]
 
 
 class BuildingBoxes(NamedTuple):
-    """Boxes along the axes around buildings; those without triangles are left out."""
+    """Boxes along the axes around buildings; those without triangles are left out.
+
+    Attributes:
+        low: (B, 3) least coordinates, local metres.
+        high: (B, 3) greatest coordinates.
+        building: (B,) number of each in the scene.
+    """
 
     low: Floats
     high: Floats

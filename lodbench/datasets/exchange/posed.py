@@ -12,7 +12,14 @@ from lodbench.storage.json_text import parse_json
 
 
 class FoundPose(NamedTuple):
-    """A posed image of a file."""
+    """A posed image of a file.
+
+    Attributes:
+        name: As written.
+        where: The file and line it stood at.
+        pose: World to camera.
+        camera: Intrinsics of the picture, lens distortion included; None where the format has none.
+    """
 
     name: str
     where: str

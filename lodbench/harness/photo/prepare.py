@@ -30,7 +30,16 @@ from lodbench.segmentation.masks import read_mask
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedPhoto:
-    """What is known of a photo before the city is."""
+    """What is known of a photo before the city is.
+
+    Attributes:
+        request: What is asked of it.
+        stated: What its metadata say.
+        camera: Of the photo as stored, lens included.
+        camera_source: Where the camera's numbers came from.
+        pinhole: The camera that is localised.
+        mask: (H, W) probability of building as the pinhole sees it; None where no mask is looked at.
+    """
 
     request: PhotoRequest
     stated: PhotoMetadata

@@ -35,7 +35,15 @@ _MOST = 65535
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One picture to write."""
+    """One picture to write.
+
+    Attributes:
+        renderer: Can draw the kind, see ``choose_renderer``.
+        camera: Pinhole.
+        pose: In the scene's frame.
+        path: The picture's file, without its suffix.
+        photo: The photo taken there, or None.
+    """
 
     renderer: Renderer
     camera: Camera

@@ -63,7 +63,14 @@ class Rendered:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One view asked for."""
+    """One view asked for.
+
+    Attributes:
+        name: Of the image.
+        pose: World to camera, in the city's coordinates.
+        camera: Pinhole, at the size to draw.
+        photo: The photo, or None.
+    """
 
     name: str
     pose: Pose

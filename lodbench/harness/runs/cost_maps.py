@@ -47,7 +47,17 @@ class CostGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CostMaps:
-    """IoU with the query mask at offsets from the truth, averaged over queries."""
+    """IoU with the query mask at offsets from the truth, averaged over queries.
+
+    Attributes:
+        grid: The offsets.
+        num_queries: Queries averaged over.
+        xy: (Y, X) mean IoU.
+        z: (Z,) mean IoU.
+        z_spread: (Z,) standard deviation over queries.
+        yaw: (A,) mean IoU.
+        yaw_spread: (A,) standard deviation over queries.
+    """
 
     grid: CostGrid
     num_queries: int

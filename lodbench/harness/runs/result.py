@@ -18,7 +18,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Result:
-    """Rows and all that the tables and artefacts say about where they came from."""
+    """Rows and all that the tables and artefacts say about where they came from.
+
+    Attributes:
+        folder: The run folder.
+        config: The resolved configuration.
+        dataset: The dataset.
+        splits: Splits scored, in order.
+        predictions: What was answered, by ``Entry.key``.
+        queries: One row per query (``lodbench.evaluation.queries``).
+        inputs: Digests of what went in.
+        lod: Level of detail localised against; None where no city was opened or it has no name.
+    """
 
     folder: Path
     config: dict[str, Any]

@@ -23,7 +23,15 @@ PART = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Some hypotheses of a call."""
+    """Some hypotheses of a call.
+
+    Attributes:
+        which: Their places in the call.
+        camera: Pinhole.
+        rotations: (N, 3, 3) cam_from_world.
+        centers: (N, 3) camera centres, scene metres.
+        fit: What they are compared with.
+    """
 
     which: NDArray[np.int64]
     camera: Camera

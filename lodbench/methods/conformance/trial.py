@@ -58,7 +58,15 @@ _SPECKLES_M, _GROUND_M = 25.0, 160.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A map, and queries with exact masks."""
+    """A map, and queries with exact masks.
+
+    Attributes:
+        city_map: The map, on one thread.
+        queries: Each with a photo.
+        truths: Their true poses, scene frame; no method sees them.
+        references: Pictures of the place.
+        folder: For what methods prepare.
+    """
 
     city_map: CityMap
     queries: tuple[Query, ...]

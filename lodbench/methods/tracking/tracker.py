@@ -35,7 +35,13 @@ TRACKED, FOUND, LOST = "tracked", "found again", "lost"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A frame to track."""
+    """A frame to track.
+
+    Attributes:
+        name: Of the frame.
+        time_s: When it was taken, seconds.
+        mask: (H, W) probability of building.
+    """
 
     name: str
     time_s: float

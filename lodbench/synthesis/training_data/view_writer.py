@@ -27,7 +27,15 @@ _MOST = 65535
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureParts:
-    """What a worker draws from."""
+    """What a worker draws from.
+
+    Attributes:
+        scene: The city of the masks.
+        picture_scene: The city as pictures show it, in the same frame.
+        props: Its surroundings.
+        cover: Its land cover, or None where props say all.
+        texture_offset: (3,) what brings the textured mesh into the scene's frame, or None without one.
+    """
 
     scene: Scene
     picture_scene: Scene
