@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,16 @@ from lodbench.methods.region.uncertainty import information_at, share_of_best
 Floats = NDArray[np.float64]
 
 
+class _Chosen(NamedTuple):
+    """The best pose, (6,), the likelihood that it is best by, and what the model's lines say of it."""
+
+    vector: Floats
+    nats: Callable[[Floats], Floats]
+    is_by_lines: bool
+    apart_m: float
+    sharpness: float
+
+
 class Region:
     """Finds the pose whose silhouette splits the photo into two regions that look most unlike each other."""
 
@@ -52,7 +63,7 @@ class Region:
         return replace(self.params, range_tilt_deg=0.0)
 
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
-        """Returns the most probable pose.
+        """Returns the mean of the poses around the most probable one; by lines of an exact map, that one.
 
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
@@ -60,10 +71,7 @@ class Region:
         started = time.perf_counter()
         photo = query_photo(query)
         params = self.params
-        reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
-        turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
-        edges = edges_in_reach(city_map.scene, query.camera, query.prior, reach_m, turn_deg)
-        around = Surroundings(edges, city_map, params)
+        around = self._surroundings(query, city_map)
         search = self._evidence(query, city_map, photo, params.coarse_width, is_coarse=True)
         starts, best = grid_starts(query, search, params)
         tops = climbed(starts, search, around, params.coarse_generations, params.coarse_spread_px, streams)
@@ -75,20 +83,9 @@ class Region:
             raise QueryFault("no outline of a building is in view of any pose that fits")
         judge = final.with_edges(params.judging_edge_weight)
         modes = judged(modes, judge)
-        vector = modes[0].cloud.mean
-        nats: Callable[[Floats], Floats] = final.nats
-        apart_m, sharpness = TYPICAL_LINES
-        is_by_lines = False
-        if params.lines_weight > 0:
-            # Lines say what edges say, and more: the regions join them without.
-            regions = final.with_edges(0.0)
-            lines = aligned_by_lines(photo, query, city_map, vector, regions, around, params, streams)
-            apart_m, sharpness = NO_LINES
-            if lines is not None:
-                apart_m, sharpness = float(np.linalg.norm((lines.vector - vector)[:3])), lines.sharpness
-            is_by_lines = lines is not None and sharpness >= params.least_sharpness
-            if lines is not None and is_by_lines:
-                vector, nats = lines.vector, lines.nats
+        vector, nats, is_by_lines, apart_m, sharpness = self._on_lines(
+            photo, query, city_map, modes[0].cloud.mean, final, around, streams
+        )
         information = information_at(nats, vector, final, around)
         prior, outline = final.prior_information(), around.outline(vector, final)
         if_map_is_right: Floats = np.asarray(np.linalg.inv(information + prior))
@@ -119,6 +116,36 @@ class Region:
             alternatives=tuple(pose_from_vector(mode.cloud.mean) for mode in modes[1:]),
             notes=beyond_range(final.offsets(vector[None])[0], if_map_is_right, half_widths),
         )
+
+    def _surroundings(self, query: Query, city_map: CityMap) -> Surroundings:
+        params = self.params
+        reach_m = math.hypot(params.range_x_m, params.range_y_m, params.range_z_m)
+        turn_deg = params.range_yaw_deg + 2.0 * params.range_tilt_deg
+        edges = edges_in_reach(city_map.scene, query.camera, query.prior, reach_m, turn_deg)
+        return Surroundings(edges, city_map, params)
+
+    def _on_lines(
+        self,
+        photo: NDArray[np.uint8],
+        query: Query,
+        city_map: CityMap,
+        vector: Floats,
+        final: Evidence,
+        around: Surroundings,
+        streams: Streams,
+    ) -> _Chosen:
+        """Returns the pose by the model's lines where the photo shows the map to be exact, else the same."""
+        if self.params.lines_weight <= 0:
+            return _Chosen(vector, final.nats, False, *TYPICAL_LINES)
+        # Lines say what edges say, and more: the regions join them without.
+        regions = final.with_edges(0.0)
+        lines = aligned_by_lines(photo, query, city_map, vector, regions, around, self.params, streams)
+        if lines is None:
+            return _Chosen(vector, final.nats, False, *NO_LINES)
+        apart_m = float(np.linalg.norm((lines.vector - vector)[:3]))
+        if lines.sharpness < self.params.least_sharpness:
+            return _Chosen(vector, final.nats, False, apart_m, lines.sharpness)
+        return _Chosen(lines.vector, lines.nats, True, apart_m, lines.sharpness)
 
     def _evidence(
         self, query: Query, city_map: CityMap, photo: NDArray[np.uint8], width: int, is_coarse: bool
