@@ -7,10 +7,11 @@ truth (docs/adr/0044).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.methods.region.evidence import Evidence
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
@@ -22,14 +23,22 @@ _POSES, _ROUNDS = 512, 3
 _WIDTH, _KEPT = 1.1, 0.3
 
 
-def posterior_mean(evidence: Evidence, vector: Floats, covariance: Floats) -> Floats:
+def posterior_mean(
+    nats: Callable[[Floats], Floats],
+    log_prior: Callable[[Floats], Floats],
+    share: float,
+    vector: Floats,
+    covariance: Floats,
+) -> Floats:
     """Returns the mean of the posterior around a pose, (6,).
 
     By adaptive importance sampling: poses are drawn from a Gaussian and weigh what the posterior is over its
     density; the next Gaussian is theirs (Bugallo et al., "Adaptive importance sampling", 2017).
 
     Args:
-        evidence: What photo and prior say.
+        nats: (N, 6) poses to the (N,) logarithm of the photo's likelihood, up to a constant.
+        log_prior: The same of the prior.
+        share: Of the likelihood's nats that count.
         vector: (6,) the best pose.
         covariance: (6, 6) how far the mean may be from it.
     """
@@ -41,7 +50,7 @@ def posterior_mean(evidence: Evidence, vector: Floats, covariance: Floats) -> Fl
         half = generator.standard_normal((_POSES // 2, 6))
         moves = np.concatenate([half, -half])
         poses = means[-1] + _WIDTH * moves * np.sqrt(np.maximum(squares, 0.0)) @ axes.T
-        logs = evidence.log_posterior(poses) + 0.5 * (moves**2).sum(axis=1)
+        logs = share * nats(poses) + log_prior(poses) + 0.5 * (moves**2).sum(axis=1)
         weights = np.exp(logs - logs.max())
         weights /= weights.sum()
         means.append(weights @ poses)

@@ -63,7 +63,7 @@ class Region:
         return replace(self.params, range_tilt_deg=0.0)
 
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
-        """Returns the mean of the poses around the most probable one; by lines of an exact map, that one.
+        """Returns the mean of the poses around the most probable one, weighed by photo and prior.
 
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
@@ -99,8 +99,10 @@ class Region:
             float(judge.fits(vector[None])[0]),
             max(0.0, float(abs(offset[2]) / half_widths[2]) - 1.0),
         )
-        if params.mean_pixels > 0 and not is_by_lines:
-            vector = posterior_mean(self._mean_evidence(query, city_map, photo), vector, covariance)
+        if params.mean_pixels > 0:
+            if not is_by_lines:
+                nats = self._evidence(query, city_map, photo, params.mean_width, is_coarse=False).nats
+            vector = posterior_mean(nats, final.log_prior, params.mean_share(), vector, covariance)
         finished = time.perf_counter()
         return Estimate(
             pose=pose_from_vector(vector),
@@ -152,11 +154,6 @@ class Region:
     ) -> Evidence:
         size = _size(query.camera, width)
         return Evidence(query, city_map, PhotoFit(photo, size, self.params, is_coarse), self.params)
-
-    def _mean_evidence(self, query: Query, city_map: CityMap, photo: NDArray[np.uint8]) -> Evidence:
-        params = replace(self.params, effective_pixels=self.params.mean_pixels)
-        fit = PhotoFit(photo, _size(query.camera, params.mean_width), params, is_coarse=False)
-        return Evidence(query, city_map, fit, params)
 
 
 def _size(camera: Camera, width: int) -> tuple[int, int]:

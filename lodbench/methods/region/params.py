@@ -51,7 +51,8 @@ class Params:
             in many wrong places, but no edges lie along it.
         edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
         mean_width: Width of silhouettes where the answer becomes the mean of the posterior, pixels.
-        mean_pixels: How many independent pixels a photo is worth there; 0 leaves the answer at the best pose.
+        mean_pixels: How many independent pixels a photo is worth there, ``effective_pixels`` at most; 0
+            leaves the answer at the best pose.
         lines_width: Width of the photo where the model's lines are laid over its edges, pixels.
         lines_weight: What a pixel of line is worth, independent pixels; 0 leaves lines out.
         least_sharpness: How sharply edges must fall off beside the lines for the map to count as exact, 0 to
@@ -121,6 +122,10 @@ class Params:
         place = (self.range_x_m, self.range_y_m, self.range_z_m)
         turn = (self.range_tilt_deg, self.range_tilt_deg, self.range_yaw_deg)
         return (*(max(0.5 * w, 1e-3) for w in place), *(max(0.5 * w, 1e-4) for w in turn))
+
+    def mean_share(self) -> float:
+        """Returns which share of the search's nats count in the mean of the posterior."""
+        return self.mean_pixels / max(self.mean_pixels, self.effective_pixels)
 
     def prior_sigmas(self) -> tuple[float, ...]:
         """Returns the standard deviations of the prior's x, y, z, pitch, roll and yaw.
