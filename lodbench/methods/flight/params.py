@@ -144,7 +144,8 @@ class Params:
 
     def region(self) -> RegionParams:
         """Returns the same for photos that are found by their pixels."""
-        return replace(RegionParams(), **self._ranges())
+        # The best pose: what one photo leaves open the others tell, so no mean is taken yet.
+        return replace(RegionParams(), mean_pixels=0.0, **self._ranges())
 
     def _ranges(self) -> dict[str, Any]:
         plane = 2.0 * (self.shared_m + self.own_m)
