@@ -86,10 +86,18 @@ def join_textured(parts: Sequence[TexturedMesh]) -> TexturedMesh:
     )
 
 
-def offset_to_city(mesh: TexturedMesh, scene: Scene, name: str) -> tuple[Floats, str]:
+def offset_to_city(
+    mesh: TexturedMesh, scene: Scene, name: str, cure: str = "glTF is read with y up, other files with z up."
+) -> tuple[Floats, str]:
     """Returns what brings a mesh into a scene's frame, (3,) metres, and what was found out about it.
 
     Its coordinates may be the city's, or the scene's local ones; where it lies over the city decides.
+
+    Args:
+        mesh: In the coordinates of its file.
+        scene: The city.
+        name: The file's, for messages.
+        cure: What else to say where it lies elsewhere: it may lie on its side.
 
     Raises:
         DatasetError: It lies over the city in neither.
@@ -106,7 +114,7 @@ def offset_to_city(mesh: TexturedMesh, scene: Scene, name: str) -> tuple[Floats,
     raise DatasetError(
         f"{name} is not where the city is: their plans overlap {', '.join(found)}. It spans x "
         f"{box[:, 0].min():.0f} to {box[:, 0].max():.0f}, y {box[:, 1].min():.0f} to {box[:, 1].max():.0f}.",
-        "Move it into the city's coordinates, or set texture_up=y or z if it lies on its side.",
+        f"Move it into the city's coordinates. {cure}",
     )
 
 

@@ -329,5 +329,6 @@ def test_a_map_is_set_over_its_city(tmp_path):
     mesh = open_textured_map(write_obj(tmp_path), scene)
     np.testing.assert_allclose(mesh.corners.reshape(-1, 3).min(axis=0) + scene.origin, [0, 0, 7], atol=1e-6)
     assert "overlap" in mesh.notes[0]
-    with pytest.raises(DatasetError, match="not where the city is"):
+    with pytest.raises(DatasetError, match="not where the city is") as told:
         open_textured_map(write_obj(tmp_path, shift=(500.0, 0, 0)), scene)
+    assert "texture_up" not in told.value.hint  # a setting of training data alone

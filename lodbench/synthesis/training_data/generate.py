@@ -106,7 +106,9 @@ def world_parts(
     if params.texture_model is not None:
         model = Path(params.texture_model).expanduser()
         mesh = read_textured(model, params.texture_up)
-        offset, note = offset_to_city(mesh, city, model.name)
+        offset, note = offset_to_city(
+            mesh, city, model.name, "If it lies on its side, set texture_up=y or z."
+        )
         parts, notes = PictureParts(city, picture, None, None, offset), (note,)
     elif params.props is not None:
         parts = PictureParts(city, picture, read_props(Path(params.props).expanduser()), None)
