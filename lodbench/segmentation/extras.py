@@ -20,10 +20,14 @@ def require(package: str, extra: str, needed_by: str) -> None:
     """
     try:
         import_module(package)
-    except RuntimeError as error:  # torchvision's, where its operators were built for another torch
+    except RuntimeError as error:
+        if package != "torchvision":
+            raise
+        # Its operators were built for another torch.
         raise ConfigError(
             f"{needed_by} needs {package}, which does not work beside this torch ({error}).",
-            "Both from one place: pip install torch torchvision --index-url https://download.pytorch.org/whl/cpu",
+            "Both from one place, for CPUs: "
+            "pip install torch torchvision --index-url https://download.pytorch.org/whl/cpu",
         ) from error
     except ImportError as error:
         raise ConfigError(

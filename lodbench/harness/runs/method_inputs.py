@@ -14,7 +14,7 @@ from lodbench.errors import ConfigError, LodbenchError
 from lodbench.execution.one_blas_thread import on_one_blas_thread
 from lodbench.methods import Method
 from lodbench.methods.measured_calls import weight_files
-from lodbench.methods.protocol import SupportsPrepare
+from lodbench.methods.protocol import SupportsFlights, SupportsPrepare
 from lodbench.methods.workspace import open_workspace
 from lodbench.storage import digest_of, make_folder, write_text
 from lodbench.storage.contents import content_digest
@@ -34,8 +34,10 @@ def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) ->
     inputs = {}
     if weights:
         inputs["weights"] = digest_of([content_digest(file) for file in weights])
-    if Input.IMAGE in requires:
-        inputs["images"] = digest_of([[entry.key, content_digest(entry.image)] for entry in entries])
+    # Methods for flights look at photos where there are any.
+    shown = [entry for entry in entries if Input.IMAGE in requires or entry.image is not None]
+    if shown and (Input.IMAGE in requires or isinstance(method, SupportsFlights)):
+        inputs["images"] = digest_of([[entry.key, content_digest(entry.image)] for entry in shown])
     if Input.REFERENCES in requires:
         inputs["references"] = digest_of([_identity(reference) for reference in dataset.references])
     return inputs

@@ -29,6 +29,8 @@ _SHARP, _FEWEST_SHARP = 1.2, 5
 _PEAK_M, _LOWER_M = 1.0, 1.0
 # Outlines are wrong altogether (a tree, a neighbour) this often, and then by so many metres.
 _ASTRAY, _ASTRAY_M = 0.05, 4.0
+# Pixels have a say where outlines lie within the heights looked at by so many standard deviations.
+_BEYOND = 1.0
 
 
 class BuildingHeight(NamedTuple):
@@ -64,7 +66,7 @@ def building_heights(
     found = {}
     for row in sorted({*by_outlines, *(curves if common is not None else ())}):
         photos, height = 0, by_outlines.get(row)
-        if common is not None and row in curves:
+        if common is not None and row in curves and _is_sharp(curves[row]):
             lowest = min(_LOWEST_M - float(rises[row]), -_LOWER_M)
             both = _fused(HEIGHTS_M - common, curves[row].nats, height, lowest, params.roof_m)
             if both is not None:
@@ -79,6 +81,11 @@ def _fused(
     heights: Floats, nats: Floats, by_outlines: tuple[float, float] | None, lowest: float, roof_m: float
 ) -> tuple[float, float] | None:
     """Returns the best height, metres, and its standard deviation; None if it is not told."""
+    if by_outlines is not None:
+        # What outlines place beyond the heights that are looked at is theirs alone.
+        reach = np.array([-_BEYOND, _BEYOND]) * by_outlines[1] + by_outlines[0]
+        if reach[0] < heights[0] or reach[1] > heights[-1]:
+            return by_outlines
     if by_outlines is None:
         beforehand = -np.log1p((heights / roof_m) ** 2)
     else:
@@ -97,12 +104,12 @@ def _fused(
 
 def _common(curves: Mapping[int, RoofCurve]) -> float | None:
     """Returns by how much all roofs are higher than the map as poses have it, metres; None if few tell."""
-    sharp = [
-        HEIGHTS_M[np.argmax(curve.nats)]
-        for curve in curves.values()
-        if curve.nats.max() - np.median(curve.nats) > _SHARP
-    ]
+    sharp = [HEIGHTS_M[np.argmax(curve.nats)] for curve in curves.values() if _is_sharp(curve)]
     return float(np.median(sharp)) if len(sharp) >= _FEWEST_SHARP else None
+
+
+def _is_sharp(curve: RoofCurve) -> bool:
+    return bool(curve.nats.max() - np.median(curve.nats) > _SHARP)
 
 
 def _is_in_doubt(higher_m: float, sigma_m: float, rise_m: float) -> bool:

@@ -15,6 +15,7 @@ from typing import NamedTuple, TypeAlias
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from lodbench.citymap import CityMap
 from lodbench.citymodel.scene import Scene
@@ -36,8 +37,8 @@ _MOST_POINTS, _SPACING_M, _FEWEST_POINTS = 144, 0.4, 6
 _FEWEST_PHOTOS, _MOST_PHOTOS, _SHARE, _FURTHEST_M = 3, 16, 0.15, 400.0
 # What stands before a point by more than this hides it, metres.
 _BEFORE_M = 1.0
-# Faces steeper than this are walls: the upward part of their unit normal.
-_FLAT = 0.3
+# Faces steeper than this are walls: the upward part of their unit normal. So many are looked at at once.
+_FLAT, _TRIANGLES = 0.3, 2048
 # Colours are compared as L, a, b of 8 bits with these weights, differences no larger than this count; a point
 # outside the mask counts as a difference of so much.
 _WEIGHTS, _MOST_APART, _OFF_MASK = np.array([1.0, 2.0, 2.0], np.float32), 60.0, 30.0
@@ -73,12 +74,13 @@ class _Picture:
     pose: Pose
     pixels: NDArray[np.uint8]
 
-    def project(self, points: Floats) -> tuple[Floats, Floats]:
+    def project(self, points: Floats, distortion: float | None = None) -> tuple[Floats, Floats]:
         """Returns pixels (..., 2) of points (..., 3), the first pixel's centre at 0.5, and depths."""
         local = (points - self.pose.center) @ self.pose.rotation.T
         depths = np.maximum(local[..., 2], 0.1)
         away = local[..., :2] / depths[..., None]
-        away = away * (1.0 + self.distortion * (away**2).sum(axis=-1, keepdims=True))
+        bent = self.distortion if distortion is None else distortion
+        away = away * (1.0 + bent * (away**2).sum(axis=-1, keepdims=True))
         camera = self.camera
         return away * [camera.fx, camera.fy] + [camera.cx, camera.cy], local[..., 2]
 
@@ -114,7 +116,8 @@ def sweep_roofs(
     if len(pictures) < _FEWEST_PHOTOS:
         return {}
     near = _near(city_map.scene, pictures)
-    roofs = _roofs(city_map.scene, np.flatnonzero(near.sum(axis=0) >= _FEWEST_PHOTOS))
+    rows, counts = np.unique(np.concatenate(near), return_counts=True)
+    roofs = _roofs(city_map.scene, rows[counts >= _FEWEST_PHOTOS])
     seen = _seen(pictures, near, roofs, city_map)
     return {row: curve for row, photos in seen.items() if (curve := _curve(roofs[row], photos)) is not None}
 
@@ -133,16 +136,18 @@ def _picture(query: Query, pose: Pose, lens: Floats) -> _Picture | None:
     return _Picture(camera, float(lens[1]), pose, np.dstack([cv2.cvtColor(small, cv2.COLOR_BGR2LAB), mask]))
 
 
-def _near(scene: Scene, pictures: Sequence[_Picture]) -> NDArray[np.bool_]:
-    """Returns (P, B) whether a photo may show the roof of a building of the scene."""
+def _near(scene: Scene, pictures: Sequence[_Picture]) -> list[NDArray[np.int64]]:
+    """Returns by photo the rows of the buildings whose roofs it may show, ascending."""
     filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
+    if len(filled) == 0:
+        return [filled for _ in pictures]
     starts, vertices = scene.vertex_starts[filled], scene.vertices.astype(np.float64)
     low, high = np.minimum.reduceat(vertices, starts), np.maximum.reduceat(vertices, starts)
     tops = np.column_stack([0.5 * (low + high)[:, :2], high[:, 2]])
-    near = np.zeros((len(pictures), scene.num_buildings), dtype=np.bool_)
-    for of_photo, picture in zip(near, pictures, strict=True):
-        pixels, depths = picture.project(tops)
-        of_photo[filled] = picture.holds(pixels, depths) & (depths < _FURTHEST_M)
+    tree, near = cKDTree(tops), []
+    for picture in pictures:
+        around = np.array(sorted(tree.query_ball_point(picture.pose.center, _FURTHEST_M)), dtype=np.int64)
+        near.append(filled[around[picture.holds(*picture.project(tops[around]))]])
     return near
 
 
@@ -167,24 +172,34 @@ def roof_points(triangles: Floats) -> Floats:
     step = max(_SPACING_M, math.sqrt(float(np.prod(high - low)) / _MOST_POINTS))
     sides = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
     places = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 1, 2)
-    a, b, c = (flat[:, k] for k in range(3))
+    tops = np.full(len(places), -np.inf)
+    for first in range(0, len(flat), _TRIANGLES):
+        tops = np.maximum(tops, _heights_over(flat[first : first + _TRIANGLES], places))
+    return np.asarray(np.column_stack([places[:, 0], tops])[np.isfinite(tops)])
+
+
+def _heights_over(triangles: Floats, places: Floats) -> Floats:
+    """Returns (N,) the greatest height of (T, 3, 3) triangles over (N, 1, 2) places, -inf over none."""
+    a, b, c = (triangles[:, k] for k in range(3))
     ab, ac, ap = (b - a)[:, :2], (c - a)[:, :2], places - a[:, :2]
     whole = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
     along_b = (ap[..., 0] * ac[:, 1] - ap[..., 1] * ac[:, 0]) / whole
     along_c = (ab[:, 0] * ap[..., 1] - ab[:, 1] * ap[..., 0]) / whole
     inside = (along_b >= 0) & (along_c >= 0) & (along_b + along_c <= 1)
     heights = a[:, 2] + along_b * (b - a)[:, 2] + along_c * (c - a)[:, 2]
-    tops = np.where(inside, heights, -np.inf).max(axis=1)
-    return np.asarray(np.column_stack([places[:, 0], tops])[np.isfinite(tops)])
+    return np.asarray(np.where(inside, heights, -np.inf).max(axis=1))
 
 
 def _seen(
-    pictures: Sequence[_Picture], near: NDArray[np.bool_], roofs: Mapping[int, Floats], city_map: CityMap
+    pictures: Sequence[_Picture],
+    near: Sequence[NDArray[np.int64]],
+    roofs: Mapping[int, Floats],
+    city_map: CityMap,
 ) -> dict[int, list[_Shown]]:
     """Returns by building the photos that show its roof best, and which of its points."""
     found: dict[int, list[_Shown]] = {row: [] for row in roofs}
     for picture, of_photo in zip(pictures, near, strict=True):
-        rows = [row for row in np.flatnonzero(of_photo).tolist() if row in roofs]
+        rows = [row for row in of_photo.tolist() if row in roofs]
         if not rows:
             continue
         points, ends = np.concatenate([roofs[row] for row in rows]), np.cumsum([len(roofs[r]) for r in rows])
@@ -205,7 +220,9 @@ def _sees(picture: _Picture, points: Floats, city_map: CityMap) -> NDArray[np.bo
     for end_m in (HEIGHTS_M[0], HEIGHTS_M[-1]):
         is_seen &= picture.holds(*picture.project(points + np.array([0.0, 0.0, end_m])))
     turn, center = picture.pose.rotation[None], picture.pose.center[None]
-    column, line = pixels[is_seen].astype(np.int64).T
+    # The map is drawn through a pinhole.
+    straight = picture.project(points[is_seen], 0.0)[0].astype(np.int64)
+    column, line = np.clip(straight, 0, [picture.camera.width - 1, picture.camera.height - 1]).T
     before = city_map.depth(picture.camera, turn, center)[0][line, column]
     is_seen[is_seen] = (before == 0) | (before > depths[is_seen] - _BEFORE_M)
     return is_seen

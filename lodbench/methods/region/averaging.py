@@ -49,7 +49,9 @@ def posterior_mean(
         squares, axes = np.linalg.eigh(spread)
         half = generator.standard_normal((_POSES // 2, 6))
         moves = np.concatenate([half, -half])
-        poses = means[-1] + _WIDTH * moves * np.sqrt(np.maximum(squares, 0.0)) @ axes.T
+        # The symmetric root: it does not depend on the signs that a library of linear algebra gives axes.
+        root = (axes * np.sqrt(np.maximum(squares, 0.0))) @ axes.T
+        poses = means[-1] + _WIDTH * moves @ root
         logs = share * nats(poses) + log_prior(poses) + 0.5 * (moves**2).sum(axis=1)
         weights = np.exp(logs - logs.max())
         weights /= weights.sum()

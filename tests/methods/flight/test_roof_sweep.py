@@ -105,6 +105,29 @@ def test_outlines_choose_between_two_heights_that_pixels_find_alike():
     assert _fused(HEIGHTS_M, nats, None, -100.0, 2.0) is None
 
 
+def test_a_height_by_outlines_beyond_those_that_pixels_look_at_stays():
+    nats = -0.5 * (HEIGHTS_M / 0.3) ** 2
+    assert _fused(HEIGHTS_M, nats, (10.0, 0.5), -100.0, 2.0) == (10.0, 0.5)
+    assert _fused(HEIGHTS_M - 3.0, nats, (6.0, 0.5), -100.0, 2.0) == (6.0, 0.5)
+
+
+def test_points_of_a_roof_are_the_same_however_many_triangles_are_looked_at_at_once(monkeypatch):
+    generator = np.random.default_rng(0)
+    corners = generator.uniform(0, 20, (50, 1, 2)) + generator.uniform(-2, 2, (50, 3, 2))
+    triangles = np.concatenate([corners, generator.uniform(3, 3.5, (50, 3, 1))], axis=2)
+    whole = roof_points(triangles)
+    monkeypatch.setattr("lodbench.methods.flight.roof_sweep._TRIANGLES", 7)
+    assert len(whole) > 10
+    assert np.array_equal(roof_points(triangles), whole)
+
+
+def test_photos_that_cannot_be_read_are_as_none(world, photos, tmp_path):
+    queries, poses = photos
+    (tmp_path / "broken.jpg").write_bytes(b"no picture")
+    broken = [replace(query, image=tmp_path / "broken.jpg") for query in queries]
+    assert sweep_roofs(broken, poses, LENS, CityMap(world, threads=1)) == {}
+
+
 def test_what_all_roofs_are_wrong_about_alike_is_told_by_five_that_are_sharp():
     nats = -0.5 * ((HEIGHTS_M - 1.5) / 0.3) ** 2
     curves = {row: RoofCurve(nats, 8) for row in range(5)}
