@@ -14,6 +14,10 @@ class GrowingArray:
     Unlike blocks kept in a list and joined at the end, the rows exist once: large pieces of memory
     grow by moving pages, and freed blocks do not stay behind between others that live on.
 
+    Args:
+        dtype: Of the rows.
+        row_shape: Shape of one row, ``()`` for plain numbers.
+
     Example:
         >>> array = GrowingArray(np.int32)
         >>> array.extend(np.array([1, 2]))

@@ -23,7 +23,14 @@ from lodbench.reporting.table_formats import format_text
 
 @dataclass(frozen=True, slots=True)
 class BasinOptions:
-    """The settings of the command that are not a run's."""
+    """The settings of the command that are not a run's.
+
+    Attributes:
+        ranges: Half widths in x, y and z, metres.
+        yaw_ranges: Half widths in yaw, degrees.
+        limits: Queries per split by range; None for ``limit`` in all.
+        maps: Whether to measure the cost around the truth.
+    """
 
     ranges: list[float] = field(default_factory=list)
     yaw_ranges: list[float] = field(default_factory=list)

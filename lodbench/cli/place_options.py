@@ -48,7 +48,7 @@ def city_settings(asked: argparse.Namespace) -> dict[str, Any]:
 
 
 def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
-    """Returns what a ``RoughRequest`` takes of ``add_rough_pose_options`` and ``--camera``."""
+    """Returns what a ``RoughRequest`` takes of ``add_rough_pose_options``."""
     return {
         "camera": given_camera(asked.camera),
         "given": RoughPlace(asked.lat, asked.lon, asked.height, asked.heading, asked.pitch, asked.roll),

@@ -47,7 +47,7 @@ class RunOptions:
 
 @dataclass(frozen=True, slots=True)
 class PathParams:
-    """Where results go."""
+    """Where results go, and where datasets lie: None for ``LODBENCH_DATA`` or the user's own folder."""
 
     runs: str = "runs"
     data_root: str | None = None

@@ -20,7 +20,11 @@ QUERIES, HYPOTHESES = "queries", "hypotheses"
 
 @dataclass(frozen=True, slots=True)
 class ExecutorParams:
-    """How the work is spread, as ``conf/executor`` says; results do not depend on it."""
+    """How the work is spread, as ``conf/executor`` says; results do not depend on it.
+
+    Attributes:
+        workers: Processes; None for one per core. Of a scheduler at an address, what it has.
+    """
 
     name: str = SERIAL
     workers: int | None = None

@@ -39,7 +39,13 @@ _PRINTED = (*LABELS, "T.e./R.e.", "IoU")
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Entries that stand together."""
+    """Entries that stand together.
+
+    Attributes:
+        title: What they have in common.
+        entries: Best first; those of a paper's table in its order.
+        ranks: By entry; None does not rank.
+    """
 
     title: str
     entries: tuple[Entry, ...]

@@ -24,13 +24,6 @@ class Photographer:
         look: A name of ``conf/training``.
         seed: Of surroundings and looks.
 
-    Args:
-        queries: In the scene's frame.
-        scene: The city as photos show it.
-        camera: Of the photos.
-        look: A name of ``conf/training``.
-        seed: Of surroundings and looks.
-
     Raises:
         ConfigError: There is no such look.
     """

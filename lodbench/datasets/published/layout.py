@@ -56,7 +56,11 @@ class SplitFiles:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What is there of a dataset."""
+    """What is there of a dataset: None for what is not.
+
+    Attributes:
+        unreadable_city: A city model in a format that is not read.
+    """
 
     spec: PublishedSpec
     root: Path

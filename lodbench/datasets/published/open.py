@@ -24,7 +24,7 @@ _FRAMES = ("auto", ENU, SHIFTED_ECEF)
 
 @dataclass(frozen=True, slots=True)
 class PublishedParams:
-    """Settings of a published dataset, told in ``conf/dataset/swiss_epfl.yaml``."""
+    """Settings of a published dataset, told in ``conf/dataset/uavd4l_lod.yaml``."""
 
     name: str
     root: str | None = None

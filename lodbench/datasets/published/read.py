@@ -39,7 +39,7 @@ _SYNTHETIC_NAME = re.compile(r"(-?\d+)@(-?\d+)@(-?\d+)@(-?\d+)@(-?\d+)@(-?\d+)")
 
 @dataclass(frozen=True, slots=True)
 class SplitContent:
-    """The queries of one split, as its files have them."""
+    """The queries of one split, as its files have them; ``truth`` by ``Entry.key``."""
 
     entries: tuple[Entry, ...]
     truth: dict[str, Pose]

@@ -36,7 +36,7 @@ _TEXTURED = (("colour", None), ("colour", "raster"), ("colour", "pyrender"))
 
 @dataclass(frozen=True, slots=True)
 class RenderParams:
-    """What to render."""
+    """What to render, as ``conf/render.yaml`` says."""
 
     city: str
     poses: str
@@ -55,7 +55,13 @@ class RenderParams:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """What was drawn."""
+    """What was drawn.
+
+    Attributes:
+        files: What the views share, then the views in the order of the poses; of a textured map the
+            views, then their poses and cameras.
+        notes: What was met in the city.
+    """
 
     files: tuple[Path, ...]
     notes: tuple[str, ...]

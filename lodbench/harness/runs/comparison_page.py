@@ -25,7 +25,7 @@ def comparison_page(
     thresholds: Sequence[Threshold],
     beside: Path,
 ) -> str:
-    """Returns the page."""
+    """Returns the page, which will lie in the folder ``beside``: links to the runs' pages start there."""
     scored = [(run, name) for run, name in zip(runs, names, strict=True) if has_truth(run.queries).any()]
     curves = {split: _curves(scored, split) for split in _splits(scored)}
     pictures = [

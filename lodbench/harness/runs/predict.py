@@ -43,7 +43,12 @@ def open_predictions(folder: Path, read_only: bool = False) -> Ledger:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Work:
-    """What a process needs to answer queries: the city is opened there, from the cache."""
+    """What a process needs to answer queries: the city is opened there, from the cache.
+
+    Attributes:
+        threads: Of the renderer; None for one per core.
+        contents: SHA-256 of the files that are read again for single queries.
+    """
 
     method: Method
     dataset: Dataset

@@ -16,7 +16,7 @@ PLAN_FILE = "plan.json"
 
 @dataclass(frozen=True, slots=True)
 class RunStatus:
-    """How far a run is."""
+    """How far a run is; ``seconds_per_query`` is the mean of answered queries, 0 if there is none yet."""
 
     folder: Path
     num_queries: int

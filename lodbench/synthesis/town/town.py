@@ -28,7 +28,12 @@ _REACH_M = 640.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Town:
-    """A town in local metres, x east, y north, its middle at the origin; heights above sea level."""
+    """A town in local metres, x east, y north, its middle at the origin; heights above sea level.
+
+    Attributes:
+        buildings: Block by block from the middle outward, those pulled down before the photos included.
+        districts: District of each block of ``streets``.
+    """
 
     seed: int
     look: TownLook
