@@ -17,7 +17,7 @@ from lodbench.storage import random_stream
 Floats = NDArray[np.float64]
 
 # Poses of a round, even, and how many rounds there are; the mean is that of all but the first.
-_POSES, _ROUNDS = 512, 3
+_POSES, _ROUNDS = 1024, 3
 # Draws lie a little wider than what they stand for, and part of each round's width stays from the one before:
 # tails that no draw reaches are lost.
 _WIDTH, _KEPT = 1.1, 0.3
