@@ -58,7 +58,7 @@ def test_the_method_ends_nearer_with_lines(city_map, queries, truths, shaded, tm
         path = tmp_path / f"{number}.png"
         cv2.imwrite(str(path), shaded[number])
         for weight, found in errors.items():
-            method = Region(Params(fine_width=200, starts=4, modes=2, lines_weight=weight))
+            method = Region(Params(fine_width=200, starts=4, modes=2, lines_weight=weight, mean_pixels=0))
             photographed = replace(query, building_probability=None, image=path)
             estimate = method.localize(photographed, city_map, partial(random_stream, 0, "test"))
             found.append(pose_error(estimate.pose, truth).translation_m)
