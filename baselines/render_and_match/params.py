@@ -32,7 +32,8 @@ class RenderAndMatchParams:
         width: Of the photo as it is matched, pixels; at most its own.
         canvas: Size of a view against the photo's, in each direction: what the prior's error moves out of the
             picture is still in the view.
-        threshold_px: A match this far off at most speaks for a pose; pixels at ``width``.
+        threshold_px: A match this far off at most speaks for a pose; pixels at ``width``; None for what suits
+            method and matcher, 8 where that was not measured.
         min_inliers: Fewer matches than this are no answer.
         oracle_matches: Correspondences of ``matcher=oracle`` in a view.
         oracle_noise_px: Standard deviation of their error, pixels at ``width``.
@@ -54,7 +55,7 @@ class RenderAndMatchParams:
     rounds: int = 2
     width: int = 1204
     canvas: float = 1.3
-    threshold_px: float = 8.0
+    threshold_px: float | None = None
     min_inliers: int = 12
     oracle_matches: int = 1000
     oracle_noise_px: float = 1.0
@@ -74,5 +75,7 @@ class RenderAndMatchParams:
             raise ConfigError("method.views and rounds are at least 1, min_inliers at least 4.")
         if not 64 <= self.width <= 8192 or not 1.0 <= self.canvas <= 4.0 or not self.spread_m >= 0:
             raise ConfigError("method.width is 64 to 8192 px, method.canvas 1 to 4, method.spread_m >= 0.")
-        if not self.threshold_px > 0 or not self.oracle_noise_px >= 0 or not 0 <= self.oracle_outliers < 1:
-            raise ConfigError("method.threshold_px is > 0, oracle_noise_px >= 0, oracle_outliers in [0, 1).")
+        if self.threshold_px is not None and not self.threshold_px > 0:
+            raise ConfigError(f"method.threshold_px is above 0, or null, not {self.threshold_px}.")
+        if not self.oracle_noise_px >= 0 or not 0 <= self.oracle_outliers < 1:
+            raise ConfigError("method.oracle_noise_px >= 0, oracle_outliers in [0, 1).")

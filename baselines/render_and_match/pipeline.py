@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import lru_cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,16 +35,23 @@ from .view import View, canvas_camera, views_around
 
 Floats = NDArray[np.float64]
 
+# A match this far off at most speaks for a pose, where nothing was measured; pixels.
+_THRESHOLD_PX = 8.0
+
 
 class RenderAndMatch(ABC):
     """Localises by matching a photo with rendered views; what a view shows is the subclass's business.
 
     Its score is the number of matches that the pose explains.
+
+    Attributes:
+        thresholds_px: By matcher, what ``params.threshold_px`` is where it is not given.
     """
 
     params_type: ClassVar[type[RenderAndMatchParams]]
     name: ClassVar[str]
     requires: frozenset[Input] = frozenset({Input.IMAGE})
+    thresholds_px: ClassVar[Mapping[str, float]] = MappingProxyType({})
 
     def __init__(self, params: RenderAndMatchParams) -> None:
         self.params = params
@@ -85,7 +94,8 @@ class RenderAndMatch(ABC):
             finder = Matched(query, camera, self.params.matcher, self.params.weights)
         seconds = {"photo": time.perf_counter() - started}
         scale = width / self.params.width
-        solver = open_pose_solver(self.params.pnp, threshold_px=self.params.threshold_px * scale)
+        limit_px = self.params.threshold_px or self.thresholds_px.get(self.params.matcher, _THRESHOLD_PX)
+        solver = open_pose_solver(self.params.pnp, threshold_px=limit_px * scale)
         best = self._solved(
             query,
             camera,

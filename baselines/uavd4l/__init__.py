@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ class Uavd4l(RenderAndMatch):
     params_type = Uavd4lParams
     name = "uavd4l"
     requires = frozenset({Input.IMAGE, Input.TEXTURED_MAP})
+    # The best of five each on the town to train on (`make thresholds`), whose map has no error of place.
+    thresholds_px = MappingProxyType({"sift_nn": 2.0, "xfeat": 2.0, "xfeat_lighterglue": 2.0})
 
     def draw(
         self, city_map: CityMap, camera: Camera, rotations: Floats, centers: Floats
