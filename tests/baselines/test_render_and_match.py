@@ -50,6 +50,15 @@ def test_sift_finds_poses_on_a_textured_map_and_a_second_round_helps(queries, ci
     assert np.median(twice[:, 0]) <= np.median(once[:, 0])
 
 
+def test_a_matcher_has_the_threshold_that_was_measured_for_it(queries, city_map):
+    tuned, tight, wide = (
+        Uavd4l(Uavd4lParams(threshold_px=px)).localize(queries[0], city_map, STREAMS)
+        for px in (None, 2.0, 8.0)
+    )
+    assert np.array_equal(tuned.pose.center, tight.pose.center)
+    assert not np.array_equal(tuned.pose.center, wide.pose.center)
+
+
 def test_the_score_counts_matches_that_agree(queries, city_map):
     found = Uavd4l(Uavd4lParams()).localize(queries[0], city_map, STREAMS)
     assert found.score == max(found.trace["inliers"]) >= 12
