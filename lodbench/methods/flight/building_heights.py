@@ -13,6 +13,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.methods.flight.joint import CONSTANTS, ROOFS, Solution, State, covariance_of
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve
+from lodbench.synthesis.building_boxes import building_boxes
 
 Floats = NDArray[np.float64]
 
@@ -118,10 +119,9 @@ def _is_in_doubt(higher_m: float, sigma_m: float, rise_m: float) -> bool:
 
 def _rises(scene: Scene) -> Floats:
     """Returns (B,) how high the map's buildings are, metres; 0 for one without geometry."""
-    filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
-    starts, heights = scene.vertex_starts[filled], scene.vertices[:, 2].astype(np.float64)
+    low, high, building = building_boxes(scene)
     rises = np.zeros(scene.num_buildings)
-    rises[filled] = np.maximum.reduceat(heights, starts) - np.minimum.reduceat(heights, starts)
+    rises[building] = (high - low)[:, 2]
     return rises
 
 

@@ -23,6 +23,7 @@ from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera, Pose
 from lodbench.segmentation import binary_mask
+from lodbench.synthesis.building_boxes import building_boxes
 
 Floats = NDArray[np.float64]
 
@@ -138,16 +139,12 @@ def _picture(query: Query, pose: Pose, lens: Floats) -> _Picture | None:
 
 def _near(scene: Scene, pictures: Sequence[_Picture]) -> list[NDArray[np.int64]]:
     """Returns by photo the rows of the buildings whose roofs it may show, ascending."""
-    filled = np.flatnonzero(np.diff(scene.vertex_starts) > 0)
-    if len(filled) == 0:
-        return [filled for _ in pictures]
-    starts, vertices = scene.vertex_starts[filled], scene.vertices.astype(np.float64)
-    low, high = np.minimum.reduceat(vertices, starts), np.maximum.reduceat(vertices, starts)
+    low, high, building = building_boxes(scene)
     tops = np.column_stack([0.5 * (low + high)[:, :2], high[:, 2]])
     tree, near = cKDTree(tops), []
     for picture in pictures:
         around = np.array(sorted(tree.query_ball_point(picture.pose.center, _FURTHEST_M)), dtype=np.int64)
-        near.append(filled[around[picture.holds(*picture.project(tops[around]))]])
+        near.append(building[around[picture.holds(*picture.project(tops[around]))]])
     return near
 
 
