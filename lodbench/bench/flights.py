@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure, Progress, Report, no_progress, plain_report
 from lodbench.citymap import CityMap
+from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
@@ -32,7 +33,6 @@ from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.protocol import Estimate, FlightEstimate
 from lodbench.segmentation.masks import read_mask
 from lodbench.storage import random_stream
-from lodbench.synthesis.building_boxes import building_boxes
 from lodbench.synthesis.flights.dataset import MAP_TRUTH_FILE, FlightsParams, drone_errors, open_flights
 
 Floats = NDArray[np.float64]

@@ -84,7 +84,7 @@ def choose_buildings(
                 )
         is_kept &= np.isin(np.arange(len(is_kept)), [number[name] for name in ids])
     if bbox is not None:
-        low, high = building_boxes(model)
+        low, high = footprint_boxes(model)
         middle = 0.5 * (low + high) + model.origin[:2]
         is_kept &= np.all((middle >= bbox[:2]) & (middle <= bbox[2:]), axis=1)
     for key, value in where:
@@ -127,7 +127,7 @@ def reproject(model: CityModel, crs: str) -> CityModel:
     return replace(model, crs=label, origin=origin, polygons=replace(model.polygons, points=points - origin))
 
 
-def building_boxes(model: CityModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def footprint_boxes(model: CityModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Returns (B, 2) lower and upper corners of all buildings; infinite where one has no polygon."""
     polygons = model.polygons
     owner = np.repeat(polygons.building, np.diff(polygons.ring_starts[polygons.polygon_starts]))

@@ -9,7 +9,7 @@ import numpy as np
 
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.subset import building_boxes, keep_buildings
+from lodbench.citymodel.subset import footprint_boxes, keep_buildings
 from lodbench.errors import CityModelError
 
 
@@ -49,7 +49,7 @@ def cut_into_tiles(model: CityModel, size_m: float) -> list[Tile]:
     """
     if not (size_m >= 1 and size_m == int(size_m)):
         raise CityModelError(f"A tile of {size_m} m is none.", "Whole metres, 500 for example.")
-    low, high = building_boxes(model)
+    low, high = footprint_boxes(model)
     middle = 0.5 * (low + high) + model.origin[:2]
     has_place = np.isfinite(middle).all(axis=1)
     corner = np.zeros((len(middle), 2))

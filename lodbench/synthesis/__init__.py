@@ -8,7 +8,6 @@ room                   what it makes
 ``survey``             the demo town years before: textured map, made when a method asks for it
 ``objects``            what stands in pictures: classes of surfaces, mesh builder, trees, cars
 ``photo``              pictures of all that: looks, surfaces, sun, camera response, render scene
-``building_boxes``     where buildings are, and what is clear of them
 ``view_sampling``      seeded drone views that show enough buildings; the check that judges them
 ``camera_paths``       where cameras of training pictures are put
 ``flights``            ``dataset=flights``: flights over any city, with errors of drone and map

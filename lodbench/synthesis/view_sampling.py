@@ -8,13 +8,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.angles import rotation_from_euler
 from lodbench.rendering.protocol import Renderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.building_boxes import building_boxes
 
 # UAVD4L's drone camera; masks and renderings of it are made at FINE_SIZE, coarse ones at half that.
 RGB_CAMERA = Camera(width=5280, height=3956, fx=3778.423, fy=3767.392, cx=2663.624, cy=1919.721)

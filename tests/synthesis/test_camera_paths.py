@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.synthesis.building_boxes import building_boxes
 from lodbench.synthesis.camera_paths import Place, candidates
 from lodbench.synthesis.surroundings.ground import ground_from_bases
 from lodbench.synthesis.surroundings.land_cover import look_down

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.storage import random_stream
-from lodbench.synthesis.building_boxes import building_boxes
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.surroundings.clutter import CLUTTER, Spot

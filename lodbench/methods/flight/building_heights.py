@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.methods.flight.joint import CONSTANTS, ROOFS, Solution, State, covariance_of
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve
-from lodbench.synthesis.building_boxes import building_boxes
 
 Floats = NDArray[np.float64]
 

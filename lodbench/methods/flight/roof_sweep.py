@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera, Pose
 from lodbench.segmentation import binary_mask
-from lodbench.synthesis.building_boxes import building_boxes
 
 Floats = NDArray[np.float64]
 

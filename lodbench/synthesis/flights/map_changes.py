@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.building_boxes import BuildingBoxes, building_boxes
 from lodbench.citymodel.scene import Scene, build_scene
 from lodbench.errors import ConfigError
-from lodbench.synthesis.building_boxes import BuildingBoxes, building_boxes
 
 # By how much heights are changed, metres, and how high a building stays at least.
 _CHANGE_M, _LOWEST_M = (1.5, 5.0), 2.5

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.synthesis.building_boxes import building_boxes
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.photo import LandCover
 

@@ -77,10 +77,8 @@ def generator_digest() -> str:
     room = Path(__file__).parents[1]
     files = [file for name in ("town", "objects", "photo") for file in sorted((room / name).glob("*.py"))]
     files += sorted((room / "town" / "templates").iterdir())
-    files += [
-        room / f"{name}.py" for name in ("queries", "building_boxes", "view_sampling", "mask_degradation")
-    ]
-    files.append(room.parent / "datasets" / "priors.py")
+    files += [room / f"{name}.py" for name in ("queries", "view_sampling", "mask_degradation")]
+    files += [room.parent / "citymodel" / "building_boxes.py", room.parent / "datasets" / "priors.py"]
     return digest_of([file_digest(file) for file in files], length=8)
 
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.building_boxes import building_boxes
 from lodbench.synthesis.camera_paths import Place, candidates
 from lodbench.synthesis.surroundings.ground import Ground
 from lodbench.synthesis.training_data.params import GenerateParams
