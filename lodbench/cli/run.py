@@ -23,7 +23,7 @@ from lodbench.harness.remote.method import HERE, RunnerParams
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
 from lodbench.harness.runs.method_inputs import traceback_file
-from lodbench.harness.runs.requirements import segmented_inputs
+from lodbench.harness.runs.requirements import SEGMENTED, segmented_inputs
 from lodbench.params import to_params
 from lodbench.reporting.answers import format_answers, untrusted_note
 from lodbench.reporting.safe_text import plain_lines, plain_text
@@ -167,7 +167,8 @@ def report(runs: Sequence[Run]) -> str:
         lines += _failure_lines(run)
         untrusted = untrusted_note(run.predictions.values())
         lines += [f"  {untrusted}"] if untrusted else []
-        notes = (*notes_of(run.preparation.segmenter), *run.dataset.notes)
+        has_masks = bool(run.preparation.needs & SEGMENTED)
+        notes = (*(notes_of(run.preparation.segmenter) if has_masks else ()), *run.dataset.notes)
         lines += [f"  note: {plain_text(note)}" for note in notes]
         resumed = f" ({run.resumed} queries were there already)" if run.resumed else ""
         lines += [f"  results:  {run.folder}{resumed}", f"  pictures: {run.folder / 'overlays'}"]

@@ -37,13 +37,14 @@ def named_segmenter(values: Mapping[str, Any]) -> Made | None:
 
 
 def default_segmenter(dataset: Dataset, wanted: Collection[Input] = frozenset({Input.MASK})) -> Made:
-    """Returns the segmenter of a dataset where none is named; prints which, and why.
+    """Returns the segmenter of a dataset where none is named; prints which, and why, if it is asked for masks.
 
     Raises:
         DatasetError: Masks are needed, and the dataset has neither masks nor photos.
     """
     name, reason = chosen_segmenter(dataset, wanted)
-    sys.stdout.write(f"segmenter={name}: {reason}; segmenter=NAME takes another\n")
+    if wanted:
+        sys.stdout.write(f"segmenter={name}: {reason}; segmenter=NAME takes another\n")
     return _made({"name": name}, {})
 
 

@@ -17,9 +17,13 @@ from lodbench.matching.protocol import IMAGES, Image, Matches, check_image
 from lodbench.matching.weights import RANDOM, Published, fetched_files
 from lodbench.segmentation.extras import require
 
-_MATCHER, _DINOV2 = "roma_outdoor.pth", "dinov2_vitl14_pretrain.pth"
 # A copy of the authors' two files, which they publish at addresses of their own: so it is pinned.
-_PUBLISHED = Published("xboix/roma-outdoor", "RoMa MIT, DINOv2 Apache-2.0", 1663)
+_HUB_ID = "xboix/roma-outdoor"
+_MATCHER, _DINOV2 = "roma_outdoor.pth", "dinov2_vitl14_pretrain.pth"
+_PUBLISHED = {
+    _MATCHER: Published(_HUB_ID, "RoMa MIT", 446),
+    _DINOV2: Published(_HUB_ID, "DINOv2 Apache-2.0", 1218),
+}
 _DIGESTS = (
     "c7a45c80d41ad788a63c641d1b686d7cb3f297f40097c6f4e75039889e5cc8ba",
     "d5383ea8f4877b2472eb973e0fd72d557c7da5d3611bd527ceeb1d7162cbf428",
@@ -65,8 +69,8 @@ def roma_files(weights: str | None, names: tuple[str, ...] = (_MATCHER, _DINOV2)
     Raises:
         ConfigError: They are not there, or others.
     """
-    pinned = f"{_PUBLISHED.identity}#sha256={'+'.join(_DIGESTS[: len(names)])}"
-    return fetched_files(weights or pinned, _PUBLISHED, names)
+    pinned = f"{_HUB_ID}#sha256={'+'.join(_DIGESTS[: len(names)])}"
+    return fetched_files(weights or pinned, {name: _PUBLISHED[name] for name in names})
 
 
 def roma_encoder_file(weights: str | None) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -66,24 +67,25 @@ def fetched_folder(weights: str | None, published: Published) -> Path:
     return folder
 
 
-def fetched_files(weights: str, published: Published, names: tuple[str, ...]) -> list[Path]:
-    """Returns files of a folder of weights by their names.
+def fetched_files(weights: str, published: Mapping[str, Published]) -> list[Path]:
+    """Returns files of a folder of weights.
 
     Args:
         weights: A folder, or a hub id fetched before; ``#sha256=HEX+HEX`` behind it pins the first files.
-        published: What its authors publish.
-        names: The files'.
+        published: What their authors publish, by the files' names; one identity.
 
     Raises:
-        ConfigError: As for ``fetched_folder``.
+        ConfigError: As for ``fetched_folder``; size and licence are those of what is missing.
     """
-    folder, pins = _located(weights, published, names[0])
-    files = [folder / name for name in names]
-    for file in files:
+    parts = list(published.values())
+    licences, megabytes = ", ".join(part.licence for part in parts), sum(part.megabytes for part in parts)
+    folder, pins = _located(weights, Published(parts[0].identity, licences, megabytes), next(iter(published)))
+    files = [folder / name for name in published]
+    for file, part in zip(files, parts, strict=True):
         if not file.is_file():
             raise ConfigError(
-                f"{folder} has no {file.name} ({published.licence}; {published.megabytes} MB in all).",
-                f"It belongs to {published.identity}: hf download {published.identity}",
+                f"{folder} has no {file.name} ({part.licence}; {part.megabytes} MB).",
+                f"It belongs to {part.identity}: hf download {part.identity} {file.name}",
             )
     _require_contents(files, pins)
     return files

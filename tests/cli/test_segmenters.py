@@ -141,6 +141,12 @@ class TestNoneNamed:
         assert run(with_masks, tmp_path / "runs", "segmenter=efficient_unet") == 0
         assert "2 queries were there already" in capsys.readouterr().out
 
+    def test_a_method_without_masks_is_told_of_no_segmenter(self, with_masks, tmp_path, capsys):
+        assert run(with_masks, tmp_path / "runs", "method=prior_only") == 0
+        printed = capsys.readouterr().out
+        assert "takes another" not in printed
+        assert "segmenter=masks" in printed  # the protocol of the table
+
     def test_a_dataset_may_say_which(self, with_masks):
         params = FolderParams(str(with_masks[0]), str(with_masks[1]))
         dataset = replace(open_folder(params), segmenter="compact")

@@ -65,10 +65,11 @@ def test_a_torchvision_built_for_another_torch_is_told_with_its_cure(monkeypatch
 
 def test_weights_that_were_not_fetched_are_told_with_licence_and_size(monkeypatch, tmp_path):
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
-    for look in (roma_files, roma_encoder_file):
-        with pytest.raises(
-            ConfigError, match=r"roma-outdoor are not at .*models--.*DINOv2 Apache.* MB"
-        ) as told:
+    for look, missing in (
+        (roma_files, "RoMa MIT, DINOv2 Apache-2.0; 1664 MB"),
+        (roma_encoder_file, "RoMa MIT; 446 MB"),
+    ):
+        with pytest.raises(ConfigError, match=rf"roma-outdoor are not at .*models--.*\({missing}\)") as told:
             look(None)
         assert "hf download" in told.value.hint
 
@@ -76,7 +77,7 @@ def test_weights_that_were_not_fetched_are_told_with_licence_and_size(monkeypatc
 def test_files_of_a_folder_are_taken_if_they_are_those(tmp_path):
     (tmp_path / NAMES[0]).write_bytes(b"matcher")
     assert roma_encoder_file(str(tmp_path)) == tmp_path / NAMES[0]
-    with pytest.raises(ConfigError, match=f"has no {NAMES[1]}"):
+    with pytest.raises(ConfigError, match=rf"has no {NAMES[1]} \(DINOv2 Apache-2.0; 1218 MB\)"):
         roma_files(str(tmp_path))
     (tmp_path / NAMES[1]).write_bytes(b"dinov2")
     first, second = (hashlib.sha256(content).hexdigest() for content in (b"matcher", b"dinov2"))

@@ -95,8 +95,7 @@ class Child:
         """Ends the process and whatever it started."""
         # Before it is waited for: until then nobody else can have its number.
         if self._process.returncode is None:
-            with suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
+            self._kill_group()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout, self._errors):
             if stream is not None:
@@ -145,10 +144,26 @@ class Child:
         return fault
 
     def _exit_code(self) -> int | None:
-        """Returns the code of a process that closed its pipe, without taking it off the list of processes."""
-        options = os.WEXITED | os.WNOWAIT | os.WNOHANG
+        """Returns the code of a process that closed its pipe, or None where it does not end."""
         for _ in range(_LAST_WAITS):
-            if (ended := os.waitid(os.P_PID, self._process.pid, options)) is not None:
-                return ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
+            if (code := self._ended_with()) is not None:
+                return code
             time.sleep(_WAIT_S)
         return None
+
+    def _ended_with(self) -> int | None:
+        """Returns the code of the process if it has ended, without taking it off the list of processes."""
+        if not hasattr(os, "waitid"):
+            # macOS before Python 3.13: it is off the list then, so what it started ends at once.
+            if self._process.poll() is not None:
+                self._kill_group()
+            return self._process.returncode
+        ended = os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG)
+        if ended is None:
+            return None
+        return ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
+
+    def _kill_group(self) -> None:
+        # macOS answers "not permitted" for a group of processes that have all ended.
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)

@@ -10,7 +10,7 @@ from lodbench.methods import Method
 from lodbench.segmentation import Segmenter
 
 # What segmenters make, from whatever they themselves need.
-_SEGMENTED = frozenset({Input.MASK, Input.INSTANCES})
+SEGMENTED = frozenset({Input.MASK, Input.INSTANCES})
 _LACKING = "the dataset has none"
 
 
@@ -21,7 +21,7 @@ def needs_segmenter(method: object) -> bool:
 
 def segmented_inputs(method: object) -> frozenset[Input]:
     """Returns what a method needs of a segmenter; one that declares nothing looks at masks."""
-    return declared_inputs(method, "requires", {Input.MASK}) & _SEGMENTED
+    return declared_inputs(method, "requires", {Input.MASK}) & SEGMENTED
 
 
 def made_inputs(method: object) -> frozenset[Input]:
@@ -32,7 +32,7 @@ def made_inputs(method: object) -> frozenset[Input]:
 
 def required_inputs(method: Method, segmenter: Segmenter) -> frozenset[Input]:
     """Returns what a run needs of its dataset: for its method, and for its segmenter where one is asked."""
-    requires = declared_inputs(method, "requires", {Input.MASK}) - _SEGMENTED
+    requires = declared_inputs(method, "requires", {Input.MASK}) - SEGMENTED
     return requires | declared_inputs(segmenter, "requires") if needs_segmenter(method) else requires
 
 
@@ -53,6 +53,6 @@ def require_run_inputs(
     if needs_segmenter(method):
         made = declared_inputs(segmenter, "provides", {Input.MASK})
         name = f"segmenter={segmenter.name}"
-        require_inputs(f"method={method.name}", requires & _SEGMENTED, made, f"{name} makes none")
+        require_inputs(f"method={method.name}", requires & SEGMENTED, made, f"{name} makes none")
         require_inputs(name, declared_inputs(segmenter, "requires"), has, _LACKING)
-    require_inputs(f"method={method.name}", requires - _SEGMENTED, has, _LACKING)
+    require_inputs(f"method={method.name}", requires - SEGMENTED, has, _LACKING)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -69,13 +70,19 @@ def assert_ends(pid: int) -> None:
     raise AssertionError(f"process {pid} still runs")
 
 
-@pytest.mark.parametrize("ending", ["os._exit(4)", "time.sleep(60)"])
-def test_what_a_child_started_ends_with_it(ending):
-    """Both where it is stopped and where it died by itself."""
-    started = "import subprocess; p = subprocess.Popen(['sleep', '60']); "
+@pytest.mark.parametrize("has_waitid", [True, False])
+@pytest.mark.parametrize(
+    ("ending", "timeout_s", "reason"),
+    [("os._exit(4)", 20.0, "ended with exit code 4"), ("time.sleep(60)", 1.0, "gave no answer in 1 s")],
+)
+def test_what_a_child_started_ends_with_it(ending, timeout_s, reason, has_waitid, monkeypatch):
+    """Both where it is stopped and where it died by itself; macOS has no ``waitid`` before Python 3.13."""
+    if not has_waitid:
+        monkeypatch.delattr(os, "waitid")
+    started = "import subprocess; p = subprocess.Popen(['sleep', '60'], stdout=2); "
     started += "print(p.pid, file=sys.stderr, flush=True); "
-    with pytest.raises(ProcessFault) as caught:
-        child_that(started + ending).call({"do": []}, lambda words: None, 1.0)
+    with pytest.raises(ProcessFault, match=reason) as caught:
+        child_that(started + ending).call({"do": []}, lambda words: None, timeout_s)
     (pid,) = [int(word) for word in re.findall(r"\d+", caught.value.__notes__[0])]
     assert_ends(pid)
 
