@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from typing import Any, BinaryIO
+from collections.abc import Callable
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,10 @@ from lodbench.citymodel.mesh_frames import frame_of_comments, frame_of_extras
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity
-from lodbench.errors import CityModelError
+from lodbench.errors import CityModelError, LodbenchError
 from lodbench.findings import Findings
+
+T = TypeVar("T")
 
 _PLY_HEADER_BYTES = 4096
 MESH_FORMATS = {".ply": "PLY", ".stl": "STL", ".glb": "glTF", ".gltf": "glTF"}
@@ -33,7 +36,9 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
         CityModelError: The mesh cannot be read, is not finite, or has no triangles.
     """
     content = stream.read()
-    loaded, parts = _load_parts(content, source, suffix)
+    loaded, parts = load_parts(content, source, suffix, _set_in_place)
+    rank = {name: i for i, name in enumerate(loaded.geometry)}
+    parts.sort(key=lambda part: (rank[part.metadata["geometry"]], part.metadata["name"]))
     corners = np.concatenate([np.asarray(part.vertices, np.float64)[part.faces] for part in parts])
     points = corners.reshape(-1, 3)
     if not np.isfinite(points).all():
@@ -43,8 +48,7 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
     frame = frame_of_extras(loaded.metadata)
     if suffix == ".ply" and frame is None:
         frame = frame_of_comments(_ply_comments(content))
-    if options.up_axis == "y" or (options.up_axis == "auto" and MESH_FORMATS[suffix] == "glTF"):
-        points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
+    points = turned_up(points, options.up_axis, suffix)
     if frame is not None:
         points = points + frame.origin
     if len(parts) > 1:
@@ -82,38 +86,59 @@ def _ply_comments(content: bytes) -> list[str]:
     ]
 
 
-def _load_parts(content: bytes, source: str, suffix: str) -> tuple[Any, list[Any]]:
-    """Returns the trimesh scene and its meshes, at least one, or raises as ``read_mesh`` does."""
+def load_parts(
+    content: bytes, source: str, suffix: str, part_of: Callable[[Any, str], T], resolver: Any = None
+) -> tuple[Any, list[T]]:
+    """Returns a trimesh scene and its parts, one or more, in the order of its nodes.
+
+    Args:
+        content: The file's bytes.
+        source: Its name, for messages.
+        suffix: Its ending, which says the format.
+        part_of: What to make of a node of the scene that has triangles.
+        resolver: trimesh's way to the files it names; None: none is opened.
+
+    Raises:
+        CityModelError: It cannot be read, or has no triangles.
+        LodbenchError: As ``part_of`` and ``resolver`` raise.
+    """
     import trimesh
 
     try:
         # From memory, so that trimesh knows no folder to look for other files in.
-        loaded = trimesh.load_scene(io.BytesIO(content), file_type=suffix[1:], process=False)
-        parts = _parts_in_order(loaded)
+        loaded = trimesh.load_scene(
+            io.BytesIO(content), file_type=suffix[1:], process=False, resolver=resolver
+        )
+        graph, meshes = loaded.graph, loaded.geometry
+        nodes = [node for node in graph.nodes_geometry if len(getattr(meshes[graph[node][1]], "faces", ()))]
+        parts = [part_of(loaded, node) for node in nodes]
+    except LodbenchError:
+        raise
     except Exception as error:  # trimesh lets the errors of every parser it uses through
+        is_lone = suffix == ".gltf" and resolver is None
         raise CityModelError(
-            f"{source} cannot be read as a {MESH_FORMATS[suffix]} mesh ({error}).",
-            "A .gltf that refers to other files must be one .glb.",
+            f"{source} cannot be read as {MESH_FORMATS.get(suffix, 'OBJ')} ({error}).",
+            "A .gltf that refers to other files must be one .glb." if is_lone else "Try it in a viewer.",
         ) from None
     if not parts:
-        raise CityModelError(f"{source} has no triangles.", "Point clouds and lines are no city model.")
+        raise CityModelError(f"{source} has no triangles.", "Point clouds and lines have no surfaces.")
     return loaded, parts
 
 
-def _parts_in_order(loaded: Any) -> list[Any]:
-    """Returns the meshes of a trimesh scene, set in place, in the order of the file."""
-    rank = {name: i for i, name in enumerate(loaded.geometry)}
-    nodes = [(rank[loaded.graph[node][1]], node) for node in loaded.graph.nodes_geometry]
-    parts = []
-    for _, node in sorted(nodes):
-        matrix, name = loaded.graph[node]
-        part = loaded.geometry[name]
-        if len(getattr(part, "faces", ())):
-            part = part.copy()
-            part.apply_transform(matrix)
-            part.metadata["name"] = node
-            parts.append(part)
-    return parts
+def turned_up(points: NDArray[np.float64], up_axis: str, suffix: str) -> NDArray[np.float64]:
+    """Returns (..., 3) points with z up; ``auto`` is y for glTF and z for the others."""
+    if up_axis == "y" or (up_axis == "auto" and MESH_FORMATS.get(suffix) == "glTF"):
+        return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
+    return points
+
+
+def _set_in_place(loaded: Any, node: str) -> Any:
+    """Returns the mesh of a node of a trimesh scene, named and placed as the node is."""
+    matrix, name = loaded.graph[node]
+    part = loaded.geometry[name].copy()
+    part.apply_transform(matrix)
+    part.metadata.update(name=node, geometry=name)
+    return part
 
 
 def _components(points: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.citygml import read_citygml
+from lodbench.citymodel.mesh_reader import load_parts, turned_up
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.pictures import PictureTable, counted_lines
 from lodbench.citymodel.polygons import finish_model
@@ -19,7 +19,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS, TextureFolder, pixels_of
 from lodbench.citymodel.textured_mesh import TexturedMesh, join_textured, offset_to_city
 from lodbench.citymodel.textured_model import textured_model
-from lodbench.errors import DatasetError, LodbenchError
+from lodbench.errors import DatasetError
 from lodbench.findings import Severity
 from lodbench.storage.json_text import parse_json
 
@@ -55,7 +55,7 @@ def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None
     Raises:
         DatasetError: It is missing, unreadable, of another kind, too large, or files it names are missing
             or lie outside; the message lists them.
-        CityModelError: It is CityGML that cannot be read.
+        CityModelError: It is CityGML or a mesh that cannot be read, or has no triangles.
     """
     if path.is_dir():
         files = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
@@ -86,11 +86,7 @@ def _read_file(path: Path, root: Path, up_axis: str, options: ReadOptions) -> Te
     if suffix in _CITIES:
         return _read_city(path, folder, options)
     mesh = _read_mesh(path, folder)
-    if up_axis == "y" or (up_axis == "auto" and suffix in (".glb", ".gltf")):
-        x, y, z = np.moveaxis(mesh.corners, 2, 0)
-        corners = np.stack([x, -z, y], axis=2)
-        mesh = TexturedMesh(corners, mesh.uv, mesh.picture, mesh.colours, mesh.pictures)
-    return mesh
+    return replace(mesh, corners=turned_up(mesh.corners, up_axis, suffix))
 
 
 def _read_city(path: Path, folder: TextureFolder, options: ReadOptions) -> TexturedMesh:
@@ -105,8 +101,6 @@ def _read_city(path: Path, folder: TextureFolder, options: ReadOptions) -> Textu
 
 
 def _read_mesh(path: Path, folder: TextureFolder) -> TexturedMesh:
-    import trimesh
-
     others, pictures = _named_files(path, folder)
     missing = [name for name in (*others, *pictures) if folder.path(name) is None]
     if missing:
@@ -116,21 +110,7 @@ def _read_mesh(path: Path, folder: TextureFolder) -> TexturedMesh:
         )
     for name in pictures:
         folder.check_picture(name)
-    try:
-        # From memory, so that what else is opened goes through the resolver.
-        loaded = trimesh.load_scene(
-            io.BytesIO(path.read_bytes()),
-            file_type=path.suffix.lower()[1:],
-            process=False,
-            resolver=_resolver(folder),
-        )
-        parts = [_part(loaded, node) for node in loaded.graph.nodes_geometry]
-    except LodbenchError:
-        raise
-    except Exception as error:  # trimesh lets the errors of every parser it uses through
-        raise DatasetError(f"{path} cannot be read as a mesh ({error}).", "Try it in a viewer.") from None
-    if not parts:
-        raise DatasetError(f"{path} has no triangles.", "A point cloud has no surface to picture.")
+    _, parts = load_parts(path.read_bytes(), str(path), path.suffix.lower(), _part, _resolver(folder))
     mesh = join_textured(parts)
     if not (np.isfinite(mesh.corners).all() and np.isfinite(mesh.uv).all()):
         raise DatasetError(f"{path} has coordinates that are not finite.", "Repair or export it again.")

@@ -37,7 +37,7 @@ def named_segmenter(values: Mapping[str, Any]) -> Made | None:
 
 
 def default_segmenter(dataset: Dataset, wanted: Collection[Input] = frozenset({Input.MASK})) -> Made:
-    """Returns the segmenter of a dataset where none is named; prints which, and why, if it is asked for masks.
+    """Returns the segmenter of a dataset where none is named; prints which and why, if masks are wanted.
 
     Raises:
         DatasetError: Masks are needed, and the dataset has neither masks nor photos.

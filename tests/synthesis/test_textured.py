@@ -11,7 +11,7 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.citymodel.texture_files import read_textured
 from lodbench.citymodel.textured_mesh import offset_to_city
-from lodbench.errors import DatasetError, RenderingError
+from lodbench.errors import CityModelError, DatasetError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.storage import random_stream
 from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
@@ -104,7 +104,7 @@ def test_missing_textures_are_listed(tmp_path):
 def test_a_broken_mesh_is_one_line(tmp_path, content):
     path = tmp_path / "mesh.obj"
     path.write_text(content)
-    with pytest.raises(DatasetError):
+    with pytest.raises(CityModelError, match=r"has no triangles|cannot be read as OBJ"):
         read_textured(path, "auto")
 
 
