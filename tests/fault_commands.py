@@ -269,8 +269,6 @@ COMMANDS = [
                 "relief_text",
                 "ascii_grid_text",
                 "open_scene",
-                "SilhouetteRenderer",
-                "Photographer",
                 "make_splits",
             )
         ),

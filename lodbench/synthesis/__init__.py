@@ -23,9 +23,8 @@ room                   what it makes
 Where something new goes:
 
 - a roof shape: a function and a line in ``ROOF_SHAPES`` of ``town/roofs.py``, and who builds it: houses in
-  ``town/fittings.py``, halls in ``town/estates.py``, single buildings in ``town/landmarks.py``;
-- a kind of block or landmark: a function in ``town/estates.py`` or ``town/landmarks.py``, chosen in
-  ``town/districts.py``;
+  ``town/fittings.py``, all that stands alone in ``town/landmarks.py``;
+- a kind of block or landmark: a function in ``town/landmarks.py``, chosen in ``town/districts.py``;
 - a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py`` (training pictures) or in
   ``PATHS`` of ``flights/paths.py`` (flights); settings of its own in ``training_data/params.py`` and
   ``conf/generate-training-data.yaml``;

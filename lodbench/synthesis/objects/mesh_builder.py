@@ -12,6 +12,16 @@ Triangles = NDArray[np.int64]
 Tint = NDArray[np.float64] | tuple[float, float, float]
 
 
+def palette(codes: str) -> Points:
+    """Returns colours, (N, 3) RGB from 0 to 255, of codes as in HTML without the sign: "e2d8c4 ece6da"."""
+    return np.array([tuple(bytes.fromhex(code)) for code in codes.split()], dtype=np.float64)
+
+
+def pick(colours: Points, chances: np.random.Generator, low: float, high: float) -> Points:
+    """Returns one of some colours, (3,), by chance, and so many times as bright."""
+    return np.asarray(colours[int(chances.integers(len(colours)))] * chances.uniform(low, high))
+
+
 class MeshBuilder:
     """Collects triangles, and numbers the objects they belong to."""
 

@@ -10,17 +10,21 @@ from typing import Any
 
 from lodbench.citymodel import open_scene
 from lodbench.errors import DatasetError
-from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
 from lodbench.storage.json_text import parse_json
 from lodbench.synthesis.objects.scene_props import write_props
 from lodbench.synthesis.queries import write_queries
-from lodbench.synthesis.town.citygml_writer import CRS_NAME, ORIGIN_M, citygml_text, fine_citygml_text, title
+from lodbench.synthesis.town.citygml_writer import (
+    CRS_NAME,
+    ascii_grid_text,
+    citygml_text,
+    fine_citygml_text,
+    relief_text,
+    title,
+)
 from lodbench.synthesis.town.looks import look_named
-from lodbench.synthesis.town.pictures import Photographer
 from lodbench.synthesis.town.props import demo_props
 from lodbench.synthesis.town.queries import QUERY_CAMERA, TARGET_IOU, DemoSplit, make_splits
-from lodbench.synthesis.town.relief import ascii_grid_text, relief_text
 from lodbench.synthesis.town.town import TOWN_VERSION, Town, grow_town
 
 CITY_FILE = "town.gml"
@@ -105,23 +109,6 @@ def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
 def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
     town = grow_town(asked["seed"], look_named(asked["look"]))
     props = demo_props(town)
-    _write_town(folder, town)
-    write_props(props, folder / PROPS_FILE)
-    # The queries see the town as a reader does: through the file, in the frame it gives the scene.
-    scene = open_scene(folder / FINE_CITY_FILE, lod="3")
-    renderer = SilhouetteRenderer(scene, threads=1)
-    photographer = Photographer(town, scene, props)
-    offset_m = ORIGIN_M - scene.origin
-    splits = make_splits(town, scene, renderer, photographer, offset_m, asked["num_queries"])
-    for split in splits:
-        write_queries(folder / split.name, split.queries, QUERY_CAMERA, scene.origin, _POSE_DECIMALS)
-    manifest = asked | _manifest(town, splits)
-    text = json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False)
-    write_text(folder / MANIFEST_FILE, text + "\n", survives_power_cut=False)
-
-
-def _write_town(folder: Path, town: Town) -> None:
-    """Writes the city files and the ground."""
     texts = {
         CITY_FILE: citygml_text(town),
         FINE_CITY_FILE: fine_citygml_text(town),
@@ -130,6 +117,15 @@ def _write_town(folder: Path, town: Town) -> None:
     }
     for name, text in texts.items():
         write_text(folder / name, text, survives_power_cut=False)
+    write_props(props, folder / PROPS_FILE)
+    # The queries see the town as a reader does: through the file, in the frame it gives the scene.
+    scene = open_scene(folder / FINE_CITY_FILE, lod="3")
+    splits = make_splits(town, scene, props, asked["num_queries"])
+    for split in splits:
+        write_queries(folder / split.name, split.queries, QUERY_CAMERA, scene.origin, _POSE_DECIMALS)
+    manifest = asked | _manifest(town, splits)
+    text = json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False)
+    write_text(folder / MANIFEST_FILE, text + "\n", survives_power_cut=False)
 
 
 def _manifest(town: Town, splits: list[DemoSplit]) -> dict[str, Any]:

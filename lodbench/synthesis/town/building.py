@@ -7,22 +7,18 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.town.details import Annex, RoofBox
+from lodbench.synthesis.town.details import Annex, Detail, RoofBox
 from lodbench.synthesis.town.extrusion import Body, Strip
-from lodbench.synthesis.town.fittings import STOREY_M, chance
-from lodbench.synthesis.town.installations import balconies, chimneys
+from lodbench.synthesis.town.fittings import STOREY_M, balconies, chance, chimneys
 from lodbench.synthesis.town.looks import TownLook
 from lodbench.synthesis.town.occupancy import Occupancy
 from lodbench.synthesis.town.openings import Neighbourhood, add_openings, has_balconies
 from lodbench.synthesis.town.roofs import Roof, half_hipped, shed
-from lodbench.synthesis.town.shapes import area
+from lodbench.synthesis.town.shapes import Points, area
 from lodbench.synthesis.town.solid import Solid, prism
 from lodbench.synthesis.town.terrain import Terrain
-
-Points = NDArray[np.float64]
 
 # LoD1 outlines are generalised: corners snap to this grid, and courtyards below this size are filled.
 LOD1_GRID_M = 0.5
@@ -63,7 +59,18 @@ class Plan:
     roof: Roof
     function: str
     district: str
-    details: tuple[Annex | RoofBox, ...] = ()
+    details: tuple[Detail, ...] = ()
+
+    @property
+    def annexes(self) -> list[Annex]:
+        """Returns the details that stand before walls."""
+        return [detail for detail in self.details if isinstance(detail, Annex)]
+
+    @property
+    def pieces(self) -> list[Points]:
+        """Returns its convex pieces, annexes included, (4, 2) each, counter-clockwise."""
+        annexes = [annex.plan(Body(self.strip, self.roof, 0.0)) for annex in self.annexes]
+        return [*self.strip.pieces, *annexes]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,32 +109,30 @@ def construct_all(
         terrain: The ground.
         occupancy: Who stands where.
     """
-    return [
-        _construct(name, plan, Neighbourhood(k, occupancy, terrain, _annex_m(plan)), seed)
-        for k, (name, plan) in enumerate((name, restyled(name, plan, seed, look)) for name, plan in named)
-    ]
+    buildings = []
+    for number, (name, plan) in enumerate(named):
+        annex_m = max((annex.height_m for annex in plan.annexes), default=0.0)
+        place = Neighbourhood(number, occupancy, terrain, annex_m)
+        buildings.append(_construct(name, restyled(name, plan, seed, look), place, seed))
+    return buildings
 
 
 def restyled(name: str, plan: Plan, seed: int, look: TownLook) -> Plan:
     """Returns a plan whose plain gabled roof may have become another as the town's look has it."""
     strip, roof, draw = plan.strip, plan.roof, float(random_stream(seed, "demo", name, "roof").random())
-    if roof.name != "gabled" or strip.num_segments > 1 or strip.closed or plan.details:
+    if roof.name != "gabled" or len(strip.wings) > 1 or plan.details:
         return plan
-    depth = float(np.linalg.norm(strip.inner[0] - strip.outer[0]))
     if draw < look.half_hipped and roof.profile[1][0] == 0.5:
-        return replace(plan, roof=half_hipped(roof, depth))
+        return replace(plan, roof=half_hipped(roof, strip.start_depth_m))
     if look.half_hipped <= draw < look.half_hipped + look.shed:
-        return replace(plan, roof=shed(roof.eave_m, 14.0, depth))
+        return replace(plan, roof=shed(roof.eave_m, 14.0, strip.start_depth_m))
     return plan
-
-
-def _annex_m(plan: Plan) -> float:
-    return max((detail.height_m for detail in plan.details if isinstance(detail, Annex)), default=0.0)
 
 
 def _construct(name: str, plan: Plan, place: Neighbourhood, seed: int) -> Building:
     chances = random_stream(seed, "demo", name, "details")
-    base_m = base_of(plan, place.terrain)
+    # The lowest ground under its outline, so that no side floats.
+    base_m = round(float(place.terrain.height(np.concatenate(plan.strip.rings)).min()), 2)
     height_error = float(chances.normal(0.0, LOD1_HEIGHT_SIGMA_M))
     lod3, installations = _fine_body(plan, base_m, place, chances)
     age, mapped = _as_mapped(name, plan, seed)
@@ -146,11 +151,7 @@ def _as_mapped(name: str, plan: Plan, seed: int) -> tuple[Age, Plan]:
     if draw < _NEW + _GONE:
         return Age.GONE, plan
     lower_m = storeys * STOREY_M
-    if (
-        draw > _NEW + _GONE + _RAISED
-        or plan.roof.eave_m - lower_m < 2.4
-        or any(isinstance(detail, Annex) for detail in plan.details)
-    ):
+    if draw > _NEW + _GONE + _RAISED or plan.roof.eave_m - lower_m < 2.4 or plan.annexes:
         return Age.KNOWN, plan
     return Age.RAISED, replace(plan, roof=plan.roof.lowered(lower_m))
 
@@ -169,18 +170,6 @@ def _fine_body(
     if has_balconies(plan.roof.eave_m, plan.function, plan.district, chances):
         extra += balconies(windows, chances)
     return body.builder.build(), tuple(extra)
-
-
-def pieces_of(plan: Plan) -> list[Points]:
-    """Returns the convex pieces of a plan with its annexes, (4, 2) each, counter-clockwise."""
-    annexes = [detail for detail in plan.details if isinstance(detail, Annex)]
-    body = Body(plan.strip, plan.roof, 0.0) if annexes else None
-    return [*plan.strip.pieces, *[annex.plan(body) for annex in annexes if body is not None]]
-
-
-def base_of(plan: Plan, terrain: Terrain) -> float:
-    """Returns the height a building stands on: the lowest ground under its outline, so no side floats."""
-    return round(float(terrain.height(np.concatenate(plan.strip.rings)).min()), 2)
 
 
 def coarse_box(plan: Plan, base_m: float, height_error_m: float) -> Solid:

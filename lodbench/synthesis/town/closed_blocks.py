@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.synthesis.town.building import Plan
-from lodbench.synthesis.town.details import Annex, RoofBox
+from lodbench.synthesis.town.details import Detail
 from lodbench.synthesis.town.extrusion import Strip
 from lodbench.synthesis.town.fittings import annex, chance, dormers, eaves, town_roof
-from lodbench.synthesis.town.roofs import flat, gabled
-from lodbench.synthesis.town.shapes import area, box_of, corner_angles_deg, edge_directions, inset, left_of
+from lodbench.synthesis.town.roofs import Roof, flat, gabled
+from lodbench.synthesis.town.shapes import (
+    Points,
+    area,
+    corner_angles_deg,
+    edge_directions,
+    edge_lengths,
+    inset,
+    left_of,
+)
 from lodbench.synthesis.town.site import Site
-
-Points = NDArray[np.float64]
 
 # Courtyards are at least this wide between the back walls.
 COURTYARD_M = 9.0
@@ -25,34 +30,29 @@ _LEAST_CORNER_DEG = 47.0
 _LEAST_ROW_M = 8.0
 
 
-def closed_block(ring: Points, district: str, storeys: int, generator: np.random.Generator) -> list[Plan]:
-    """Returns row houses all around a block, or nothing where its shape leaves no courtyard.
+def add_closed_block(site: Site, storeys: int) -> None:
+    """Adds row houses all around a block, or nothing where its shape leaves no courtyard.
 
     Args:
-        ring: The building line, (N, 2).
-        district: Name of the district.
+        site: The block.
         storeys: Usual number of storeys.
-        generator: Source of chance.
     """
-    depth = float(generator.uniform(10.5, 13.0))
-    if inset(ring, depth + COURTYARD_M / 2) is None:
-        return []
-    legs = _corner_legs(ring, depth, generator)
-    if legs is None:
-        return []
-    block = _ClosedBlock(ring, depth, district, storeys, generator)
-    block.add_corner_houses(legs)
-    block.add_rows(legs)
-    block.add_yard_buildings()
-    return block.site.plans
+    depth = float(site.chances.uniform(10.5, 13.0))
+    if inset(site.ring, depth + COURTYARD_M / 2) is None:
+        return
+    legs = _corner_legs(site.ring, depth, site.chances)
+    if legs is not None:
+        block = _ClosedBlock(site, depth, storeys, legs)
+        block.add_corner_houses()
+        block.add_rows()
+        block.add_yard_buildings()
 
 
 def _corner_legs(ring: Points, depth: float, generator: np.random.Generator) -> Points | None:
     """Returns how far each corner house reaches back and ahead, (N, 2) metres, or None without room."""
-    count, angles = len(ring), corner_angles_deg(ring)
+    count, angles, lengths = len(ring), corner_angles_deg(ring), edge_lengths(ring)
     if angles.min() < _LEAST_CORNER_DEG:
         return None
-    lengths = np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1)
     least = np.maximum(depth / np.tan(np.radians(angles) / 2), 0.0) + 2.5
     legs = least[:, None] + generator.uniform(1.5, 5.0, size=(count, 2))
     for k in range(count):
@@ -66,81 +66,73 @@ def _corner_legs(ring: Points, depth: float, generator: np.random.Generator) -> 
     return legs
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class _ClosedBlock:
-    """A block while its houses are placed."""
+    """A block while its houses are placed.
 
-    def __init__(
-        self, ring: Points, depth: float, district: str, storeys: int, generator: np.random.Generator
-    ) -> None:
-        self.site = Site(ring)
-        self._ring, self._along = ring, edge_directions(ring)
-        self._depth, self._storeys = depth, storeys
-        self._district, self._chances = district, generator
+    Attributes:
+        site: The block.
+        depth: Of its houses, metres.
+        storeys: Usual number of storeys.
+        legs: (N, 2) how far each corner house reaches back and ahead, metres.
+    """
 
-    def add_corner_houses(self, legs: Points) -> None:
+    site: Site
+    depth: float
+    storeys: int
+    legs: Points
+
+    def add_corner_houses(self) -> None:
         """Adds a house with two wings at every corner."""
-        for k, corner in enumerate(self._ring):
-            line = [corner - self._along[k - 1] * legs[k, 0], corner, corner + self._along[k] * legs[k, 1]]
-            strip = Strip.bent(np.stack(line), [self._depth, self._depth])
-            eave = eaves(self._storeys + chance(self._chances, 0.3), self._chances)
-            self._place(Plan(strip, gabled(eave, self._pitch(36, 48), self._depth), *self._labels))
+        along, chances = edge_directions(self.site.ring), self.site.chances
+        for k, corner in enumerate(self.site.ring):
+            line = [corner - along[k - 1] * self.legs[k, 0], corner, corner + along[k] * self.legs[k, 1]]
+            eave = eaves(self.storeys + chance(chances, 0.3), chances)
+            roof = gabled(eave, float(chances.uniform(36, 48)), self.depth)
+            self._place(Strip.bent(np.stack(line), [self.depth, self.depth]), roof)
 
-    def add_rows(self, legs: Points) -> None:
+    def add_rows(self) -> None:
         """Shares the streets between the corner houses out among houses that touch, with rare gaps."""
-        lengths = np.linalg.norm(np.roll(self._ring, -1, axis=0) - self._ring, axis=1)
-        free = lengths - legs[:, 1] - np.roll(legs[:, 0], -1)
+        ring, chances = self.site.ring, self.site.chances
+        free = edge_lengths(ring) - self.legs[:, 1] - np.roll(self.legs[:, 0], -1)
         for k in np.flatnonzero(free >= _LEAST_ROW_M / 2):
-            count = max(1, round(free[k] / self._chances.uniform(11.0, 16.0)))
-            shares = self._chances.uniform(0.7, 1.3, size=count)
-            edges = legs[k, 1] + np.concatenate([[0.0], np.cumsum(shares / shares.sum())]) * free[k]
+            along = edge_directions(ring)[k]
+            count = max(1, round(free[k] / chances.uniform(11.0, 16.0)))
+            shares = chances.uniform(0.7, 1.3, size=count)
+            edges = self.legs[k, 1] + np.concatenate([[0.0], np.cumsum(shares / shares.sum())]) * free[k]
             for left, width in zip(edges[:-1], np.diff(edges), strict=True):
-                if not chance(self._chances, 0.06):
-                    self._add_row_house(self._ring[k] + self._along[k] * left, self._along[k], float(width))
+                if not chance(chances, 0.06):
+                    self._add_row_house(ring[k] + along * left, along, float(width))
 
     def _add_row_house(self, corner: Points, along: Points, width: float) -> None:
         """Adds one house of a row; some narrow old ones turn their gable to the street."""
-        depth = self._depth + float(self._chances.uniform(-2.0, 1.2))
-        storeys = max(2, self._storeys + int(self._chances.integers(-1, 2)))
-        eave = eaves(storeys, self._chances)
-        old = self._district == "old town"
-        if old and width < depth and chance(self._chances, 0.3):
+        chances, is_old = self.site.chances, self.site.district == "old town"
+        depth = self.depth + float(chances.uniform(-2.0, 1.2))
+        eave = eaves(max(2, self.storeys + int(chances.integers(-1, 2))), chances)
+        if is_old and width < depth and chance(chances, 0.3):
             strip = Strip.bar(corner + along * width, left_of(along), depth, width)
-            self._place(Plan(strip, gabled(eave, self._pitch(42, 54), width), *self._labels))
+            self._place(strip, gabled(eave, float(chances.uniform(42, 54)), width))
             return
-        strip = Strip.bar(corner, along, width, depth)
-        roof = town_roof(eave, depth, self._chances, modern=0.05 if old else 0.2)
-        extension: list[Annex | RoofBox] = []
-        if width > 8.0 and chance(self._chances, 0.45):
-            extension = annex("inner", width, eave, self._chances)
-        self._place(Plan(strip, roof, *self._labels), extension)
+        roof = town_roof(eave, depth, chances, modern=0.05 if is_old else 0.2)
+        extension = annex("inner", width, eave, chances) if width > 8.0 and chance(chances, 0.45) else []
+        self._place(Strip.bar(corner, along, width, depth), roof, extension)
 
-    def _place(self, plan: Plan, extension: list[Annex | RoofBox] | None = None) -> None:
+    def _place(self, strip: Strip, roof: Roof, extension: Sequence[Detail] = ()) -> None:
         """Places a house, perhaps with dormers; without its extension where that has no room."""
-        details: list[Annex | RoofBox] = []
-        if chance(self._chances, 0.55):
-            details += dormers(plan.strip, plan.roof, self._chances)
-        full = replace(plan, details=(*details, *(extension or ())))
-        if not self.site.place(full, on_line=True):
-            self.site.place(replace(plan, details=tuple(details)), on_line=True)
+        windows = dormers(strip, roof, self.site.chances) if chance(self.site.chances, 0.55) else []
+        if not self.site.place(strip, roof, details=[*windows, *extension], on_line=True):
+            self.site.place(strip, roof, details=windows, on_line=True)
 
     def add_yard_buildings(self) -> None:
         """Adds workshops and sheds to the courtyard."""
-        yard = inset(self._ring, self._depth + 3.0)
+        site, chances = self.site, self.site.chances
+        yard = inset(site.ring, self.depth + 3.0)
         if yard is None:
             return
-        along, _, _ = box_of(self._ring)
         for _ in range(int(area(yard) / 260.0) + 1):
-            corner = self._chances.uniform(yard.min(axis=0), yard.max(axis=0))
-            length, width = self._chances.uniform((5.0, 4.0), (13.0, 7.0)).tolist()
-            height = float(self._chances.uniform(2.8, 5.5))
-            roof = flat(height) if chance(self._chances, 0.6) else gabled(height, 28.0, width)
-            plan = Plan(Strip.bar(corner, along, length, width), roof, "commercial", self._district)
-            if Site(yard).place(plan):
-                self.site.place(plan, 1.2)
-
-    @property
-    def _labels(self) -> tuple[str, str]:
-        return "residential", self._district
-
-    def _pitch(self, low: float, high: float) -> float:
-        return float(self._chances.uniform(low, high))
+            corner = chances.uniform(yard.min(axis=0), yard.max(axis=0))
+            length, width = chances.uniform((5.0, 4.0), (13.0, 7.0)).tolist()
+            height = float(chances.uniform(2.8, 5.5))
+            roof = flat(height) if chance(chances, 0.6) else gabled(height, 28.0, width)
+            strip = Strip.bar(corner, site.along, length, width)
+            site.place(strip, roof, "commercial", gap_m=1.2, yard=yard)

@@ -8,13 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.synthesis.town.extrusion import Body
-from lodbench.synthesis.town.shapes import left_of
-
-Points = NDArray[np.float64]
+from lodbench.synthesis.town.shapes import Points, edge_directions, left_of
 
 # Openings keep this far from the edges of the face they cut.
 _MARGIN_M = 0.4
@@ -42,19 +39,17 @@ class Annex:
 
     def plan(self, body: Body) -> Points:
         """Returns its plan, (4, 2), counter-clockwise, the wall's edge first, from right to left."""
-        left, right = (body.builder.position(p)[:2] for p in body.wall_line(self.side, self.wing))
-        along = (right - left) / np.linalg.norm(right - left)
-        start = left + along * self.start_m
-        end, out = start + along * self.length_m, -left_of(along) * self.depth_m
+        wall = body.walls[self.side, self.wing]
+        start = wall.left + wall.along * self.start_m
+        end, out = start + wall.along * self.length_m, -left_of(wall.along) * self.depth_m
         return np.stack([end, start, start + out, end + out])
 
     def add_to(self, body: Body) -> None:
         """Adds the annex to a body."""
-        builder = body.builder
-        ring = self.plan(body)
-        low, high = builder.points(ring, body.base_m), builder.points(ring, body.base_m + self.height_m)
-        left, right = body.wall_line(self.side, self.wing)
-        builder.detour(body.walls[self.side, self.wing], left, right, [low[1], high[1], high[0], low[0]])
+        builder, wall, ring = body.builder, body.walls[self.side, self.wing], self.plan(body)
+        low, high = (builder.points(ring, body.base_m + up) for up in (0.0, self.height_m))
+        left, right = wall.feet
+        builder.detour(wall.face, left, right, [low[1], high[1], high[0], low[0]])
         builder.detour(body.ground, right, left, [low[0], low[3], low[2], low[1]])
         builder.face(SurfaceKind.ROOF, high)
         for k in range(1, 4):
@@ -92,15 +87,13 @@ class RoofBox:
     def fits(self, body: Body) -> bool:
         """Returns whether it lies within its roof face, a margin from every edge."""
         face = self._corners(body)
-        left = left_of(np.roll(face[:, :2], -1, axis=0) - face[:, :2])
-        left /= np.linalg.norm(left, axis=1, keepdims=True)
+        left = left_of(edge_directions(face[:, :2]))
         distance = np.einsum("kc,kmc->km", left, self._plan(face)[None] - face[:, None, :2])
         return bool(distance.min() >= _MARGIN_M)
 
     def add_to(self, body: Body) -> None:
         """Adds the box to a body."""
-        builder = body.builder
-        face = self._corners(body)
+        builder, face = body.builder, self._corners(body)
         plan = self._plan(face)
         foot = [builder.point(x, y, z) for (x, y), z in zip(plan, _heights(face, plan), strict=True)]
         roof_m = float(_heights(face, plan[2:3])[0]) + self.rise_m
@@ -118,8 +111,7 @@ class RoofBox:
 
     def _corners(self, body: Body) -> Points:
         """Returns the corners of the roof face, (N, 3), the lower edge first."""
-        ring = body.builder.outline(body.slopes[self.wing, self.slope])
-        corners = np.stack([body.builder.position(p) for p in ring])
+        corners = body.builder.corners(body.slopes[self.wing, self.slope])
         pairs = corners[:, 2] + np.roll(corners[:, 2], -1)
         return np.roll(corners, -int(np.argmin(np.round(pairs, 3))), axis=0)
 
@@ -136,3 +128,6 @@ def _heights(face: Points, plan: Points) -> Points:
     """Returns heights, (N,), of the plane of a face, (M, 3), at plan positions, (N, 2)."""
     normal = np.cross(face[1] - face[0], face[2] - face[0])
     return np.asarray(face[0, 2] - (plan - face[0, :2]) @ normal[:2] / normal[2])
+
+
+Detail = Annex | RoofBox

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.synthesis.town import estates, landmarks
-from lodbench.synthesis.town.building import Plan
-from lodbench.synthesis.town.closed_blocks import closed_block
+from lodbench.synthesis.town import landmarks
+from lodbench.synthesis.town.closed_blocks import add_closed_block
 from lodbench.synthesis.town.fittings import chance
-from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, houses_along_streets
-from lodbench.synthesis.town.shapes import area, inset
+from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, add_houses
+from lodbench.synthesis.town.shapes import Points, area, inset
+from lodbench.synthesis.town.site import Site
 from lodbench.synthesis.town.streets import Block
-
-Points = NDArray[np.float64]
 
 OLD_TOWN_RADIUS_M = 175.0
 _INNER_RADIUS_M = 290.0
@@ -48,44 +45,44 @@ def district_of(block: Block, to_river: Points, estate_turn: float) -> str:
     return "estate" if off < _ESTATE_HALF_ANGLE and radius > _ESTATE_RADIUS_M else "garden suburb"
 
 
-def building_line(block: Block, district: str) -> Points | None:
-    """Returns the line behind which a block is built on, (N, 2), or None where it is too small."""
+def site_of(block: Block, district: str, chances: np.random.Generator) -> Site | None:
+    """Returns a block behind its building line, or None where that is too small to be built on."""
     ring = inset(block.ring, _PAVEMENTS_M[district])
-    return ring if ring is not None and area(ring) >= _LEAST_BLOCK_M2 else None
+    return None if ring is None or area(ring) < _LEAST_BLOCK_M2 else Site(ring, district, chances)
 
 
-def build_up(number: int, ring: Points, district: str, generator: np.random.Generator) -> list[Plan]:
-    """Returns what stands on a block.
-
-    Args:
-        number: The block's number, from the middle of town outward.
-        ring: Its building line, (N, 2).
-        district: Its district.
-        generator: Source of chance.
-    """
-    if district == "old town":
-        return _old_town_block(ring, generator)
-    if district == "inner town":
-        return _inner_town_block(number, ring, generator)
-    if district == "estate":
-        return estates.estate(ring, generator)
-    if district == "works":
-        return estates.works(ring, generator)
-    return houses_along_streets(ring, district, SUBURB, generator)
+def build_up(site: Site, number: int) -> None:
+    """Adds what stands on a block; blocks are numbered from the middle of town outward."""
+    if site.district == "old town":
+        _build_old_town(site)
+    elif site.district == "inner town":
+        _build_inner_town(site, number)
+    elif site.district == "estate":
+        landmarks.add_flats(site)
+    elif site.district == "works":
+        landmarks.add_works(site)
+    else:
+        add_houses(site, SUBURB)
 
 
-def _old_town_block(ring: Points, generator: np.random.Generator) -> list[Plan]:
-    """Returns a courtyard building, a closed block, or lanes of houses where neither has room."""
-    plans = landmarks.courtyard_house(ring, "old town", generator) if chance(generator, 0.12) else []
-    plans = plans or closed_block(ring, "old town", 3, generator)
-    return plans or houses_along_streets(ring, "old town", OLD_LANES, generator)
+def _build_old_town(site: Site) -> None:
+    """Adds a courtyard building, a closed block, or lanes of houses where neither has room."""
+    if chance(site.chances, 0.12):
+        landmarks.add_courtyard_house(site)
+    if not site.plans:
+        add_closed_block(site, storeys=3)
+    if not site.plans:
+        add_houses(site, OLD_LANES)
 
 
-def _inner_town_block(number: int, ring: Points, generator: np.random.Generator) -> list[Plan]:
-    """Returns a park, a school, a closed block or villas."""
+def _build_inner_town(site: Site, number: int) -> None:
+    """Adds a park, a school, a closed block or villas."""
     if number % _PARK_EVERY == _PARK_FIRST:
-        return landmarks.park(ring)
-    plans = landmarks.school(ring, "inner town", generator) if chance(generator, 0.16) else []
-    if not plans and chance(generator, 0.45):
-        plans = closed_block(ring, "inner town", 4, generator)
-    return plans or houses_along_streets(ring, "inner town", VILLAS, generator)
+        landmarks.add_pavilion(site)
+        return
+    if chance(site.chances, 0.16):
+        landmarks.add_school(site)
+    if not site.plans and chance(site.chances, 0.45):
+        add_closed_block(site, storeys=4)
+    if not site.plans:
+        add_houses(site, VILLAS)

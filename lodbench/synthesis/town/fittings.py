@@ -1,14 +1,18 @@
-"""Chance details of buildings: roofs by district, dormers in a row, annexes at the back."""
+"""Chance details of buildings: roofs by district, dormers in a row, annexes, chimneys, balconies."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from lodbench.synthesis.town.details import Annex, RoofBox
-from lodbench.synthesis.town.extrusion import Body, Strip, wing_direction
+from lodbench.citymodel.model import SurfaceKind
+from lodbench.synthesis.town.details import Annex, Detail, RoofBox
+from lodbench.synthesis.town.extrusion import Body, Strip
 from lodbench.synthesis.town.roofs import Roof, flat, gabled, hipped, mansard
+from lodbench.synthesis.town.shapes import Points, left_of, rectangles
+from lodbench.synthesis.town.solid import Solid, prism
 
 STOREY_M = 3.1
+_SUNK_M = 0.6  # how deep a chimney reaches into the roof
 
 
 def chance(generator: np.random.Generator, probability: float) -> bool:
@@ -22,14 +26,7 @@ def eaves(storeys: int, generator: np.random.Generator) -> float:
 
 
 def town_roof(eave_m: float, depth_m: float, generator: np.random.Generator, modern: float) -> Roof:
-    """Returns the roof of a house in a row.
-
-    Args:
-        eave_m: Height of the eaves.
-        depth_m: Depth of the house.
-        generator: Source of chance.
-        modern: Share of flat roofs.
-    """
+    """Returns the roof of a house in a row, on a share of ``modern`` ones flat."""
     draw = float(generator.random())
     if draw < modern:
         return flat(eave_m + 0.8)
@@ -40,36 +37,33 @@ def town_roof(eave_m: float, depth_m: float, generator: np.random.Generator, mod
 
 def house_roof(eave_m: float, strip: Strip, generator: np.random.Generator) -> Roof:
     """Returns the roof of a house that stands alone."""
-    depth = float(np.linalg.norm(strip.inner[0] - strip.outer[0]))
-    draw, pitch = float(generator.random()), float(generator.uniform(30, 46))
+    draw, pitch, depth = float(generator.random()), float(generator.uniform(30, 46)), strip.start_depth_m
     if draw < 0.12:
         return flat(eave_m + 0.4)
-    if draw < 0.62 or strip.num_segments > 1:
+    if draw < 0.62 or len(strip.wings) > 1:
         return gabled(eave_m, pitch, depth)
-    _, _, length = wing_direction(strip, 0)
+    _, _, length, _ = strip.first_wing
     return hipped(eave_m, min(pitch, 36.0), depth, length)
 
 
-def dormers(strip: Strip, roof: Roof, generator: np.random.Generator) -> list[RoofBox]:
+def dormers(strip: Strip, roof: Roof, generator: np.random.Generator) -> list[Detail]:
     """Returns dormers in a row on one side of the first wing, as many as fit; none on shallow roofs."""
     if not roof.shape.has_dormers:
         return []
-    body = Body(strip, roof, 0.0)
     slope = 0 if chance(generator, 0.6) else len(roof.profile) - 2
     low, high = sorted((roof.profile[slope], roof.profile[slope + 1]), key=lambda point: point[1])
-    depth_m = float(np.linalg.norm(strip.inner[0] - strip.outer[0]))
-    run, rise = abs(high[0] - low[0]) * depth_m, high[1] - low[1]
+    run, rise = abs(high[0] - low[0]) * strip.start_depth_m, high[1] - low[1]
     width, front = float(generator.uniform(1.2, 2.2)), float(generator.uniform(0.15, 0.3)) * run
-    back = min(front + 1.5 * run / rise, 0.85 * run)
-    _, _, length = wing_direction(strip, 0)
-    spacing = float(generator.uniform(2.6, 4.2))
-    start = float(generator.uniform(1.0, 2.0))
-    places = start + spacing * np.arange(int(length / spacing))
-    row = [RoofBox(0, slope, place, width, front, back - front) for place in places.tolist()]
-    return [box for box in row if back - front > 0.8 and box.fits(body)]
+    depth = min(front + 1.5 * run / rise, 0.85 * run) - front
+    _, _, length, _ = strip.first_wing
+    spacing, start = float(generator.uniform(2.6, 4.2)), float(generator.uniform(1.0, 2.0))
+    places = (start + spacing * np.arange(int(length / spacing))).tolist()
+    body = Body(strip, roof, 0.0)
+    row = [RoofBox(0, slope, place, width, front, depth) for place in places]
+    return [box for box in row if depth > 0.8 and box.fits(body)]
 
 
-def annex(side: str, length_m: float, eave_m: float, generator: np.random.Generator) -> list[Annex | RoofBox]:
+def annex(side: str, length_m: float, eave_m: float, generator: np.random.Generator) -> list[Detail]:
     """Returns one extension of a wall of the first wing, if the wall is long and high enough for it."""
     width = float(generator.uniform(0.3, 0.6)) * length_m
     height = min(float(generator.uniform(2.8, 4.2)), eave_m - 0.8)
@@ -79,13 +73,54 @@ def annex(side: str, length_m: float, eave_m: float, generator: np.random.Genera
     return [Annex(side, 0, start, width, float(generator.uniform(2.0, 4.5)), height)]
 
 
-def lift_houses(strip: Strip, roof: Roof, count: int, generator: np.random.Generator) -> list[RoofBox]:
+def lift_houses(strip: Strip, roof: Roof, count: int, generator: np.random.Generator) -> list[Detail]:
     """Returns boxes spread along the first wing of a flat roof."""
-    _, _, length = wing_direction(strip, 0)
-    depth = float(np.linalg.norm(strip.inner[0] - strip.outer[0]))
+    _, _, length, depth = strip.first_wing
     body = Body(strip, roof, 0.0)
     row = [
         RoofBox(0, 0, length * (k + 0.5) / count - 2.0, 4.0, 0.3 * depth, 0.35 * depth, rise)
         for k, rise in enumerate(generator.uniform(2.2, 3.4, size=count).tolist())
     ]
     return [box for box in row if box.fits(body)]
+
+
+def chimneys(strip: Strip, roof: Roof, base_m: float, generator: np.random.Generator) -> list[Solid]:
+    """Returns chimneys near the ridge of the first wing, if the roof is of a shape that has them."""
+    if not roof.shape.has_chimneys:
+        return []
+    along, across, length, depth = strip.first_wing
+    room, stacks = max(roof.hips_m) + 1.0, []
+    for _ in range(1 + chance(generator, 0.35)):
+        share = float(np.clip(0.5 + generator.choice([-1.0, 1.0]) * generator.uniform(0.04, 0.16), 0.2, 0.8))
+        at = float(generator.uniform(room, max(length - room, room + 0.1)))
+        width, breadth = generator.uniform((0.5, 0.5), (0.9, 1.3)).tolist()
+        top = roof.ridge_m + float(generator.uniform(0.5, 1.1))
+        if at + 0.5 * breadth <= length - 0.3:
+            ring = rectangles(strip.outer[0] + along * at + across * share * depth, along, breadth, width)
+            low = base_m + roof.height_at(share) - _SUNK_M
+            stacks.append(prism([ring], low, base_m + top, SurfaceKind.INSTALLATION))
+    return stacks
+
+
+def balconies(windows: list[Points], generator: np.random.Generator) -> list[Solid]:
+    """Returns balconies before every other column of windows above the ground floor.
+
+    Args:
+        windows: (4, 3) corners of each window, lower left first.
+        generator: Source of chance.
+    """
+    if not windows:
+        return []
+    lowest = min(window[0, 2] for window in windows)
+    phase, depth = int(generator.integers(2)), float(generator.uniform(1.1, 1.6))
+    columns: dict[tuple[float, float], int] = {}
+    slabs = []
+    for (left, right), low in ((window[:2, :2], float(window[0, 2])) for window in windows):
+        column = columns.setdefault((round(left[0], 2), round(left[1], 2)), len(columns))
+        if column % 2 == phase and low >= lowest + 1.0:
+            width = float(np.linalg.norm(right - left))
+            along = (right - left) / width
+            middle = 0.5 * (left + right) - left_of(along) * (0.5 * depth - 0.04)
+            ring, floor = rectangles(middle, along, width + 1.0, depth), low - 0.9
+            slabs.append(prism([ring], floor - 0.15, floor + 0.95, SurfaceKind.INSTALLATION))
+    return slabs

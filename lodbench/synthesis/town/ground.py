@@ -1,20 +1,31 @@
-"""The town's ground as props: fields, meadows, the river, streets with markings, blocks, bridges."""
+"""The town's ground as props: fields, meadows, the river, streets with markings, blocks, bridges.
+
+Each is a plane mesh, refined so that it can be draped over the hills.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import mapbox_earcut
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Triangles, palette
 from lodbench.synthesis.objects.scene_props import SurfaceClass
-from lodbench.synthesis.town.plane_mesh import filled, refined
-from lodbench.synthesis.town.shapes import along_line, contains, inset, left_of, length_of, offset_line
+from lodbench.synthesis.town.shapes import (
+    Points,
+    along_line,
+    contains,
+    inset,
+    left_of,
+    length_of,
+    offset_line,
+    rectangles,
+)
 from lodbench.synthesis.town.streets import Street
 from lodbench.synthesis.town.town import Town
-
-Points = NDArray[np.float64]
 
 # Heights of layers above the bare ground, metres. Two meshes of one surface differ by up to 3 cm.
 _MARKING_M, _PAVEMENT_M, _YARD_M = 0.05, 0.12, 0.17
@@ -24,19 +35,9 @@ _WATER_HALF_M = 17.0
 # Edges of ground triangles in town and beside the river, and the share of the distance beyond.
 _NEAR_M, _BANK_EDGE_M, _FAR_SHARE = 12.0, 6.0, 0.06
 _PAVEMENT_WIDTH_M = 2.2
-_YARDS = {
-    "old town": SurfaceClass.PAVEMENT,
-    "inner town": SurfaceClass.GRASS,
-    "garden suburb": SurfaceClass.GRASS,
-    "estate": SurfaceClass.GRASS,
-    "works": SurfaceClass.GROUND,
-}
-_STONE = np.array((158.0, 152.0, 144.0))
-_EARTH = np.array((150.0, 138.0, 118.0))
-_PAINT = np.array((222.0, 222.0, 216.0))
-_FIELDS = np.array(
-    [(122, 130, 76), (138, 138, 86), (154, 148, 98), (110, 124, 70), (130, 122, 86), (116, 132, 78)], float
-)
+_YARDS = {"old town": SurfaceClass.PAVEMENT, "works": SurfaceClass.GROUND}  # grass elsewhere
+_STONE, _EARTH, _PAINT, _PARAPET = (palette(code) for code in ("9e9890", "968a76", "deded8", "aaa49a"))
+_FIELDS = palette("7a824c 8a8a56 9a9462 6e7c46 827a56 74844e")
 _NUM_FIELDS = 420
 
 
@@ -51,29 +52,19 @@ def add_ground(builder: MeshBuilder, town: Town) -> None:
         yard = inset(block.ring, _PAVEMENT_WIDTH_M)
         # The market square, the first block, is paved all over.
         if yard is not None and number > 0:
-            kind = _YARDS[district]
-            tint = {SurfaceClass.GRASS: _pick(chances, town.look.grass), SurfaceClass.GROUND: _EARTH}.get(
-                kind, _STONE
-            )
-            _drape(builder, town, kind, yard, _YARD_M, tint * float(chances.uniform(0.92, 1.08)))
+            kind = _YARDS.get(district, SurfaceClass.GRASS)
+            lawn = town.look.grass[int(chances.integers(len(town.look.grass)))]
+            tint = {SurfaceClass.GRASS: lawn, SurfaceClass.GROUND: _EARTH}.get(kind, _STONE)
+            _drape(builder, town, kind, yard, _YARD_M, tint * chances.uniform(0.92, 1.08))
     for street in town.streets.streets:
         _add_markings(builder, town, street)
-
-
-def _pick(chances: np.random.Generator, colours: tuple[tuple[int, int, int], ...]) -> Points:
-    return np.array(colours[int(chances.integers(len(colours)))], dtype=float)
-
-
-def on_ground(town: Town, points: Points, above_m: float) -> Points:
-    """Returns positions, (N, 2), with the height of the ground and a little more, (N, 3)."""
-    return np.column_stack([points, town.terrain.height(points) + above_m])
 
 
 def _drape(
     builder: MeshBuilder, town: Town, surface: SurfaceClass, ring: Points, above_m: float, tint: Points
 ) -> None:
     points, triangles = refined(*filled(ring), lambda middles: np.full(len(middles), _NEAR_M))
-    builder.add(surface, on_ground(town, points, above_m), triangles, tint)
+    builder.add(surface, town.terrain.on_ground(points, above_m), triangles, tint)
 
 
 def _add_land(builder: MeshBuilder, town: Town) -> None:
@@ -91,21 +82,20 @@ def _add_land(builder: MeshBuilder, town: Town) -> None:
     middles = points[triangles].mean(axis=1)
     river = town.terrain.river_distance(middles)
     chances = random_stream(town.seed, "demo", "fields")
-    parcels = chances.uniform(-_LAND_M, _LAND_M, (_NUM_FIELDS, 2)) * chances.uniform(
-        0.2, 1.0, (_NUM_FIELDS, 1)
-    )
-    colours = _FIELDS[chances.integers(len(_FIELDS), size=_NUM_FIELDS)] * chances.uniform(
-        0.9, 1.1, (_NUM_FIELDS, 1)
-    )
+    one_each = (_NUM_FIELDS, 1)
+    parcels = chances.uniform(-_LAND_M, _LAND_M, (_NUM_FIELDS, 2)) * chances.uniform(0.2, 1.0, one_each)
+    colours = _FIELDS[chances.integers(len(_FIELDS), size=_NUM_FIELDS)] * chances.uniform(0.9, 1.1, one_each)
     tint = colours[cKDTree(parcels).query(middles)[1]]
     surface = np.full(len(middles), SurfaceClass.FIELD, np.uint8)
-    meadow = river < 36.0
-    surface[meadow], tint[meadow] = SurfaceClass.GRASS, np.array(town.look.grass[0])
-    surface[river < 18.0], tint[river < 18.0] = SurfaceClass.GROUND, _EARTH * 0.8
     # Streets are what blocks leave free of the land: no triangle sticks out of it.
     is_town = np.logical_or(*[contains(bank, points) for bank in town.streets.banks])[triangles].all(axis=1)
-    surface[is_town], tint[is_town] = SurfaceClass.ROAD, np.array(town.look.road)
-    builder.add(surface, on_ground(town, points, 0.0), triangles, tint)
+    for chosen, kind, colour in (
+        (river < 36.0, SurfaceClass.GRASS, town.look.grass[0]),
+        (river < 18.0, SurfaceClass.GROUND, _EARTH * 0.8),
+        (is_town, SurfaceClass.ROAD, town.look.road),
+    ):
+        surface[chosen], tint[chosen] = kind, colour
+    builder.add(surface, town.terrain.on_ground(points), triangles, tint)
 
 
 def _add_river(builder: MeshBuilder, town: Town) -> None:
@@ -119,33 +109,27 @@ def _add_river(builder: MeshBuilder, town: Town) -> None:
         across = left_of(along)
         ends = middle + np.outer([-1.0, -0.5, 0.0, 0.5, 1.0], 33.0 * across)
         heights = town.terrain.water_m + np.array([2.75, 3.3, 3.5, 3.3, 2.75])
-        deck = _ribbon(ends, 5.0, heights)
-        number = builder.new_objects(1)
-        builder.add(SurfaceClass.ROAD, *deck, town.look.road, number[0])
+        number = builder.new_objects(1)[0]
+        builder.add(SurfaceClass.ROAD, *_ribbon(ends, 5.0, heights), town.look.road, number)
         for side in (-5.0, 5.0):
-            wall = _upright(offset_line(ends, side), heights - 1.0, heights + 1.0)
-            builder.add(SurfaceClass.PAVEMENT, *wall, (170, 164, 154), number[0])
+            foot = offset_line(ends, side)
+            wall = _strip(np.column_stack([foot, heights - 1.0]), np.column_stack([foot, heights + 1.0]))
+            builder.add(SurfaceClass.PAVEMENT, *wall, _PARAPET, number)
 
 
-def _ribbon(line: Points, half_m: float, height: float | Points) -> tuple[Points, NDArray[np.int64]]:
-    """Returns a strip along a polyline, (2K, 3) and triangles."""
-    sides = np.concatenate([offset_line(line, -half_m), offset_line(line, half_m)])
+def _ribbon(line: Points, half_m: float, height: float | Points) -> tuple[Points, Triangles]:
+    """Returns a level strip along a polyline, points and triangles."""
     z = np.broadcast_to(height, len(line))
-    return np.column_stack([sides, np.concatenate([z, z])]), _strip_triangles(len(line))
+    right, left = (np.column_stack([offset_line(line, side), z]) for side in (-half_m, half_m))
+    return _strip(right, left)
 
 
-def _upright(line: Points, low: Points, high: Points) -> tuple[Points, NDArray[np.int64]]:
-    """Returns a wall along a polyline, (2K, 3) and triangles."""
-    points = np.concatenate([np.column_stack([line, low]), np.column_stack([line, high])])
-    return points, _strip_triangles(len(line))
-
-
-def _strip_triangles(count: int) -> NDArray[np.int64]:
-    """Returns the triangles between points 0 .. count - 1 and as many points behind them."""
+def _strip(front: Points, back: Points) -> tuple[Points, Triangles]:
+    """Returns the points of two lines, (2K, 3), and the triangles between them."""
+    count = len(front)
     k = np.arange(count - 1)
-    lower = np.stack([k, k + 1, k + 1 + count], axis=1)
-    upper = np.stack([k, k + 1 + count, k + count], axis=1)
-    return np.concatenate([lower, upper])
+    fans = ((k, k + 1, k + 1 + count), (k, k + 1 + count, k + count))
+    return np.concatenate([front, back]), np.concatenate([np.stack(fan, axis=1) for fan in fans])
 
 
 def _add_markings(builder: MeshBuilder, town: Town, street: Street) -> None:
@@ -153,21 +137,16 @@ def _add_markings(builder: MeshBuilder, town: Town, street: Street) -> None:
     length, width = length_of(street.line), street.width_m
     if width < 9.5 or length < 25.0:
         return
-    bars = []
-    dashes = np.arange(9.0, length - 11.0, 8.0)
-    bars.append(_bars(street.line, dashes + 1.5, 3.0, 0.16))
+    bars = [_bars(street.line, np.arange(9.0, length - 11.0, 8.0) + 1.5, 3.0, 0.16)]
     if width > 13.0:
         for side in (-1.0, 1.0):
             lane = offset_line(street.line, side * (0.5 * width - 2.3))
-            at = np.arange(10.0, length_of(lane) - 12.0, 5.0)
-            bars.append(_bars(lane, at + 2.5, 5.0, 0.13))
-        stripes = np.arange(-0.5 * width + 0.8, 0.5 * width - 0.8, 1.1)
+            bars.append(_bars(lane, np.arange(10.0, length_of(lane) - 12.0, 5.0) + 2.5, 5.0, 0.13))
+        stripes = np.arange(-0.5 * width + 0.8, 0.5 * width - 0.8, 1.1).tolist()
         for end in (4.5, length - 4.5):
-            bars += [
-                _bars(offset_line(street.line, float(off)), np.array([end]), 3.0, 0.5) for off in stripes
-            ]
+            bars += [_bars(offset_line(street.line, off), np.array([end]), 3.0, 0.5) for off in stripes]
     quads = np.concatenate(bars)
-    points = on_ground(town, quads.reshape(-1, 2), _MARKING_M)
+    points = town.terrain.on_ground(quads.reshape(-1, 2), _MARKING_M)
     first = 4 * np.arange(len(quads))[:, None]
     triangles = np.concatenate([first + np.array(fan) for fan in ((0, 1, 2), (0, 2, 3))])
     builder.add(SurfaceClass.MARKING, points, triangles, _PAINT)
@@ -175,6 +154,62 @@ def _add_markings(builder: MeshBuilder, town: Town, street: Street) -> None:
 
 def _bars(line: Points, at: Points, length: float, width: float) -> Points:
     """Returns painted rectangles, (N, 4, 2), along a polyline, their middles at distances along it."""
-    middle, along = along_line(line, at)
-    u, v = 0.5 * length * along, 0.5 * width * left_of(along)
-    return np.stack([middle - u - v, middle + u - v, middle + u + v, middle - u + v], axis=1)
+    return rectangles(*along_line(line, at), length, width)
+
+
+def filled(ring: Points) -> tuple[Points, Triangles]:
+    """Returns a ring's corners, (N, 2), and the triangles that fill it, counter-clockwise."""
+    corners = np.ascontiguousarray(ring, dtype=np.float64)
+    indices = mapbox_earcut.triangulate_float64(corners, np.array([len(corners)], np.uint32))
+    triangles = np.asarray(indices, dtype=np.int64).reshape(-1, 3)
+    a, b, c = (corners[triangles[:, k]] for k in range(3))
+    turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return corners, np.where((turn < 0)[:, None], triangles[:, ::-1], triangles)
+
+
+def refined(
+    points: Points, triangles: Triangles, longest: Callable[[Points], Points]
+) -> tuple[Points, Triangles]:
+    """Returns a plane mesh whose edges are nowhere longer than wanted, without cracks.
+
+    Edges are halved, both triangles beside them alike, until all are short enough.
+
+    Args:
+        points: (P, 2) metres.
+        triangles: (T, 3).
+        longest: Returns the wanted length, (N,), of edges with middles (N, 2).
+    """
+    while True:
+        edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        keys, inverse = np.unique(edges[:, 0] * len(points) + edges[:, 1], return_inverse=True)
+        first, second = np.divmod(keys, len(points))
+        middles = 0.5 * (points[first] + points[second])
+        is_long = np.linalg.norm(points[second] - points[first], axis=1) > longest(middles)
+        if not is_long.any():
+            return points, triangles
+        numbers = np.where(is_long, len(points) + np.cumsum(is_long) - 1, -1)
+        triangles = _split(triangles, numbers[inverse].reshape(-1, 3))
+        points = np.concatenate([points, middles[is_long]])
+
+
+def _split(triangles: Triangles, middles: Triangles) -> Triangles:
+    """Returns triangles split at the middles of their edges 01, 12 and 20, (T, 3), -1 for whole edges."""
+    parts = [triangles[(middles < 0).all(axis=1)]]
+    for k in range(3):
+        # Turned so that the pattern of split edges is one of three.
+        corner, middle = np.roll(triangles, -k, axis=1), np.roll(middles, -k, axis=1)
+        a, b, c = corner.T
+        ab, bc, ca = middle.T
+        one = (ab >= 0) & (bc < 0) & (ca < 0)
+        two = (ab >= 0) & (bc >= 0) & (ca < 0)
+        for chosen, fans in (
+            (one, [(a, ab, c), (ab, b, c)]),
+            (two, [(ab, b, bc), (a, ab, bc), (a, bc, c)]),
+        ):
+            parts += [np.stack(fan, axis=1)[chosen] for fan in fans]
+    a, b, c = triangles.T
+    ab, bc, ca = middles.T
+    all_three = (middles >= 0).all(axis=1)
+    for fan in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)):
+        parts.append(np.stack(fan, axis=1)[all_three])
+    return np.concatenate(parts)

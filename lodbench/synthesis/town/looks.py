@@ -1,4 +1,4 @@
-"""How a town looks: two made-up places that share no street, no roof mix and no colour range.
+"""How a town looks: two made-up places that share no street, no roof mix, no colour range and no weather.
 
 A network trained on one town must not have seen the other. Seeds alone would leave them alike.
 """
@@ -8,11 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lodbench.errors import DatasetError, nearest_names
+from lodbench.synthesis.objects.mesh_builder import palette
+from lodbench.synthesis.photo import LookRanges
+from lodbench.synthesis.town.shapes import Points
 
-Colour = tuple[int, int, int]
 
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class TownLook:
     """What two towns differ in besides chance.
 
@@ -23,8 +24,9 @@ class TownLook:
         half_hipped, shed: Shares of plain gabled houses that get such a roof instead.
         trees: Density of trees against usual.
         broadleaf: Share of trees that are no conifers.
-        walls, tiles, flat_roofs, grass: Colours to draw from, RGB in white light.
-        road, water: Colours, likewise.
+        walls, tiles, flat_roofs, grass: Colours to draw from, (N, 3) RGB in white light.
+        road, water: Colours, (1, 3), likewise.
+        days: Sun, air and season of the flights over it.
     """
 
     name: str
@@ -34,12 +36,13 @@ class TownLook:
     shed: float
     trees: float
     broadleaf: float
-    walls: tuple[Colour, ...]
-    tiles: tuple[Colour, ...]
-    flat_roofs: tuple[Colour, ...]
-    grass: tuple[Colour, ...]
-    road: Colour
-    water: Colour
+    walls: Points
+    tiles: Points
+    flat_roofs: Points
+    grass: Points
+    road: Points
+    water: Points
+    days: LookRanges
 
 
 TEST = TownLook(
@@ -50,19 +53,18 @@ TEST = TownLook(
     shed=0.05,
     trees=1.0,
     broadleaf=0.85,
-    walls=(
-        (226, 216, 196),
-        (236, 230, 218),
-        (214, 190, 150),
-        (205, 174, 140),
-        (196, 196, 190),
-        (220, 200, 178),
+    walls=palette("e2d8c4 ece6da d6be96 cdae8c c4c4be dcc8b2"),
+    tiles=palette("9c523c 8a4a3a ac6246 78463a 605c5e"),
+    flat_roofs=palette("92908a 787672 a8a49c 687064"),
+    grass=palette("60763e 6e7e46 546c3a 7a8050"),
+    road=palette("707072"),
+    water=palette("465c5c"),
+    days=LookRanges(
+        sun_elevation_deg=(30.0, 58.0),
+        sun_share=(0.45, 0.8),
+        haze_range_m=(2500.0, 8000.0),
+        dryness=(0.1, 0.5),
     ),
-    tiles=((156, 82, 60), (138, 74, 58), (172, 98, 70), (120, 70, 58), (96, 92, 94)),
-    flat_roofs=((146, 144, 138), (120, 118, 114), (168, 164, 156), (104, 112, 100)),
-    grass=((96, 118, 62), (110, 126, 70), (84, 108, 58), (122, 128, 80)),
-    road=(112, 112, 114),
-    water=(70, 92, 92),
 )
 TRAIN = TownLook(
     name="train",
@@ -72,12 +74,18 @@ TRAIN = TownLook(
     shed=0.16,
     trees=1.3,
     broadleaf=0.55,
-    walls=((150, 84, 66), (168, 102, 80), (232, 232, 230), (186, 176, 166), (124, 112, 104), (206, 206, 212)),
-    tiles=((84, 84, 90), (66, 68, 74), (104, 98, 96), (122, 84, 70), (92, 76, 68)),
-    flat_roofs=((92, 94, 98), (186, 186, 184), (132, 126, 118), (74, 76, 78)),
-    grass=((118, 122, 66), (104, 112, 60), (134, 132, 84), (92, 116, 70)),
-    road=(88, 88, 92),
-    water=(84, 98, 80),
+    walls=palette("965442 a86650 e8e8e6 bab0a6 7c7068 ceced4"),
+    tiles=palette("54545a 42444a 686260 7a5446 5c4c44"),
+    flat_roofs=palette("5c5e62 babab8 847e76 4a4c4e"),
+    grass=palette("767a42 68703c 868454 5c7446"),
+    road=palette("58585c"),
+    water=palette("546250"),
+    days=LookRanges(
+        sun_elevation_deg=(18.0, 45.0),
+        sun_share=(0.2, 0.7),
+        haze_range_m=(1200.0, 5000.0),
+        dryness=(0.3, 0.8),
+    ),
 )
 _LOOKS = {look.name: look for look in (TEST, TRAIN)}
 

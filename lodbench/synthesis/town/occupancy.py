@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Points = NDArray[np.float64]
+from lodbench.synthesis.town.shapes import Points
 
 NOBODY = 0
 _CELL_M = 0.5

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.synthesis.town.extrusion import Body
+from lodbench.synthesis.town.extrusion import Body, Wall
 from lodbench.synthesis.town.fittings import STOREY_M, chance
 from lodbench.synthesis.town.occupancy import NOBODY, Occupancy
-from lodbench.synthesis.town.shapes import left_of
+from lodbench.synthesis.town.shapes import Points, left_of
 from lodbench.synthesis.town.terrain import Terrain
-
-Points = NDArray[np.float64]
 
 # Openings keep this far from corners, eaves and the ground.
 _MARGIN_M = 0.45
@@ -42,25 +40,6 @@ class WindowStyle:
     sill: float
     spacing: float
     storey: float
-
-
-@dataclass(frozen=True, slots=True)
-class Wall:
-    """A wall as seen from outside.
-
-    Attributes:
-        face: Its number in the builder.
-        left: (2,) its lower left corner.
-        along: (2,) unit direction to the right.
-        length: Metres.
-        top: Height up to which it is a rectangle.
-    """
-
-    face: int
-    left: Points
-    along: Points
-    length: float
-    top: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,17 +74,6 @@ def window_style(function: str, generator: np.random.Generator) -> WindowStyle |
     return WindowStyle(width, 1.25 + 0.35 * draw[1], 0.9, width + 1.3 + 1.2 * draw[2], STOREY_M)
 
 
-def walls_of(body: Body) -> list[Wall]:
-    """Returns the outer walls of a body, longest kind first: sides, then ends."""
-    walls = []
-    for (side, k), face in body.walls.items():
-        left, right = (body.builder.position(p)[:2] for p in body.wall_line(side, k))
-        length = float(np.linalg.norm(right - left))
-        if length > 0.1:
-            walls.append(Wall(face, left, (right - left) / length, length, body.wall_top_m(side)))
-    return walls
-
-
 def add_openings(
     body: Body, function: str, place: Neighbourhood, generator: np.random.Generator
 ) -> list[Points]:
@@ -115,20 +83,16 @@ def add_openings(
         (4, 3) corners of each window, lower left first, counter-clockwise seen from outside.
     """
     style = window_style(function, generator)
-    walls = walls_of(body)
-    is_done = False
+    size = _GATE_M if style is None else _DOOR_M
+    has_door = False
     windows: list[Points] = []
-    for wall in walls:
-        if not is_done:
-            size = _GATE_M if style is None else _DOOR_M
-            where = _door_place(wall, size, place, body.base_m)
-            is_done = where is not None
-            if where is not None:
-                _cut(body, wall, where, size, is_door=True)
-        else:
-            where = None
+    for wall in body.walls.values():
+        door = None if has_door else _door_place(wall, size, place, body.base_m)
+        if door is not None:
+            has_door = True
+            _cut(body, wall, door, size, is_door=True)
         if style is not None:
-            windows += _add_windows(body, wall, style, place, where)
+            windows += _add_windows(body, wall, style, place, door)
     for front in body.dormers:
         _add_dormer_window(body, front)
     return windows
@@ -137,36 +101,31 @@ def add_openings(
 def _add_windows(
     body: Body, wall: Wall, style: WindowStyle, place: Neighbourhood, door: tuple[float, float] | None
 ) -> list[Points]:
-    """Cuts rows of windows into one wall; returns their corners."""
+    """Cuts rows of windows into one wall, clear of its door; returns their corners."""
     count = int((wall.length - 2 * _MARGIN_M - style.width) / style.spacing) + 1
     if wall.length < 2 * _MARGIN_M + style.width:
         return []
     first = 0.5 * (wall.length - (count - 1) * style.spacing)
     middles = np.asarray(first + style.spacing * np.arange(count), dtype=np.float64)
-    ground, annexed, walled = _outside(wall, middles, style.width, place)
+    ground_m, annexed, walled = _outside(wall, middles, style.width, place)
     cut = []
-    for storey in range(max(1, int((wall.top - body.base_m - 0.4) / style.storey))):
+    for storey in range(max(1, int((wall.top_m - body.base_m - 0.4) / style.storey))):
         low = body.base_m + 0.3 + storey * style.storey + style.sill
-        if low + style.height > wall.top - 0.3:
+        if low + style.height > wall.top_m - 0.3:
             continue
-        for u, ground_m, is_annexed, is_walled in zip(middles.tolist(), ground, annexed, walled, strict=True):
-            is_buried = low < ground_m + _ABOVE_GROUND_M
-            is_behind_annex = is_annexed and low < body.base_m + place.annex_m + 0.3
-            if not (is_walled or is_buried or is_behind_annex or _meets(door, u, low, style.width)):
-                cut.append(_cut(body, wall, (u, low), (style.width, style.height)))
+        blocked = walled | (low < ground_m + _ABOVE_GROUND_M)
+        if low < body.base_m + place.annex_m + 0.3:
+            blocked |= annexed
+        if door is not None and low < door[1] + _DOOR_M[1] + 0.3:
+            blocked |= np.abs(middles - door[0]) < 0.5 * (style.width + _DOOR_M[0]) + 0.2
+        places = middles[~blocked].tolist()
+        cut += [_cut(body, wall, (u, low), (style.width, style.height)) for u in places]
     return cut
-
-
-def _meets(door: tuple[float, float] | None, u: float, low: float, width: float) -> bool:
-    """Returns whether a window at a place on a wall would touch the door in it."""
-    if door is None:
-        return False
-    return abs(u - door[0]) < 0.5 * (width + _DOOR_M[0]) + 0.2 and low < door[1] + _DOOR_M[1] + 0.3
 
 
 def _outside(
     wall: Wall, middles: Points, width: float, place: Neighbourhood
-) -> tuple[list[float], list[bool], list[bool]]:
+) -> tuple[Points, NDArray[np.bool_], NDArray[np.bool_]]:
     """Returns what is before each place on a wall: ground height, an own annex, another building."""
     out = -left_of(wall.along)
     own, other = np.zeros(len(middles), bool), np.zeros(len(middles), bool)
@@ -175,23 +134,19 @@ def _outside(
         found = place.occupancy.at(at)
         own |= found == place.number + 1
         other |= (found != NOBODY) & (found != place.number + 1)
-    ground = place.terrain.height(wall.left + middles[:, None] * wall.along + out * 0.3)
-    return ground.tolist(), own.tolist(), other.tolist()
+    return place.terrain.height(wall.left + middles[:, None] * wall.along + out * 0.3), own, other
 
 
 def _door_place(
     wall: Wall, size: tuple[float, float], place: Neighbourhood, base_m: float
 ) -> tuple[float, float] | None:
     """Returns where along a wall, and at which height, a door has room."""
-    if wall.length < size[0] + 2 * _MARGIN_M:
-        return None
-    for share in (0.5, 0.3, 0.7):
-        u = float(
-            np.clip(share * wall.length, 0.5 * size[0] + _MARGIN_M, wall.length - 0.5 * size[0] - _MARGIN_M)
-        )
-        ground, annexed, walled = _outside(wall, np.array([u]), size[0], place)
-        low = max(base_m, ground[0]) + _STEP_M
-        if not annexed[0] and not walled[0] and low + size[1] < wall.top - 0.15:
+    end = 0.5 * size[0] + _MARGIN_M
+    for share in (0.5, 0.3, 0.7) if wall.length >= size[0] + 2 * _MARGIN_M else ():
+        u = float(np.clip(share * wall.length, end, wall.length - end))
+        (ground_m,), (annexed,), (walled,) = _outside(wall, np.array([u]), size[0], place)
+        low = float(max(base_m, ground_m)) + _STEP_M
+        if not annexed and not walled and low + size[1] < wall.top_m - 0.15:
             return u, low
     return None
 
@@ -201,21 +156,18 @@ def _cut(
 ) -> Points:
     """Cuts an opening into a wall, its lower middle at a place; returns its (4, 3) corners."""
     (u, low), (width, height) = at, size
-    ends = [wall.left + (u + side * width / 2) * wall.along for side in (-1.0, 1.0)]
-    corners = [(*ends[0], low), (*ends[1], low), (*ends[1], low + height), (*ends[0], low + height)]
-    ring = [body.builder.point(float(x), float(y), float(z)) for x, y, z in corners]
-    body.builder.add_opening(wall.face, ring, is_door=is_door)
-    return np.array(corners)
+    left, right = (wall.left + (u + side * width / 2) * wall.along for side in (-1.0, 1.0))
+    corners = np.array([(*left, low), (*right, low), (*right, low + height), (*left, low + height)])
+    body.builder.add_opening(wall.face, corners, is_door=is_door)
+    return corners
 
 
 def _add_dormer_window(body: Body, front: int) -> None:
     """Cuts a window into the front of a dormer where it is high enough."""
-    corners = np.stack([body.builder.position(p) for p in body.builder.outline(front)])
+    corners = body.builder.corners(front)
     middle = corners.mean(axis=0)
-    inner = middle + 0.66 * (corners - middle)
     if np.ptp(corners[:, 2]) > 0.7 and len(corners) == 4:
-        ring = [body.builder.point(float(x), float(y), float(z)) for x, y, z in inner]
-        body.builder.add_opening(front, ring)
+        body.builder.add_opening(front, middle + 0.66 * (corners - middle))
 
 
 def has_balconies(eave_m: float, function: str, district: str, generator: np.random.Generator) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from typing import NamedTuple
 
 import numpy as np
@@ -12,17 +12,17 @@ from lodbench.citymodel.model import Polygons, SurfaceKind
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
 from lodbench.storage import random_stream
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder, palette, pick
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.town.building import Building
 from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.looks import TownLook
-from lodbench.synthesis.town.solid import Solid
+from lodbench.synthesis.town.shapes import Points
+from lodbench.synthesis.town.solid import Face, Solid
 from lodbench.synthesis.town.town import Town
 from lodbench.synthesis.town.trees_and_cars import add_greenery, add_traffic
 
-Points = NDArray[np.float64]
 # A body, and the class of all its surfaces where they have one.
 Body = tuple[Solid, SurfaceClass | None]
 
@@ -33,13 +33,14 @@ _CLASSES = {
     SurfaceKind.GROUND: SurfaceClass.FLOOR,
     SurfaceKind.FLOOR: SurfaceClass.FLOOR,
 }
-_CHIMNEY, _RAILING, _GLASS, _WOOD, _SOFFIT = (
-    (142, 92, 76),
-    (196, 196, 192),
-    (58, 68, 78),
-    (96, 70, 52),
-    (206, 200, 188),
-)
+# What is alike on all buildings: its colour, and how much darker and brighter it may be.
+_FITTINGS = {
+    SurfaceClass.WINDOW: (palette("3a444e"), 0.8, 1.25),
+    SurfaceClass.DOOR: (palette("604634"), 0.7, 1.4),
+    SurfaceClass.FRAME: (palette("c4c4c0"), 0.8, 1.1),
+    SurfaceClass.CHIMNEY: (palette("8e5c4c"), 0.8, 1.2),
+}
+_SOFFIT = palette("cec8bc")[0]
 
 
 def demo_props(town: Town) -> SceneProps:
@@ -81,38 +82,35 @@ def _add_buildings(builder: MeshBuilder, town: Town) -> None:
 
 def building_surfaces(buildings: Sequence[Sequence[Body]], names: tuple[str, ...]) -> BuildingSurfaces:
     """Returns the surfaces of buildings, each one or more bodies with the class of all their surfaces."""
-    points: list[Points] = []
-    rings: list[int] = []
-    polygon_rings: list[int] = []
-    owners: list[int] = []
-    surfaces: list[int] = []
-    for number, bodies in enumerate(buildings):
-        for solid, part in bodies:
-            for face in solid.faces:
-                for ring in face.rings:
-                    points.append(solid.points[list(ring)])
-                    rings.append(len(ring))
-                polygon_rings.append(len(face.rings))
-                owners.append(number)
-                kind = SurfaceClass.DOOR if face.is_door else SurfaceClass.WINDOW
-                surfaces.append(part or _CLASSES.get(face.kind, kind))
+    faces = [
+        (number, solid.points, face, part or _class_of(face))
+        for number, bodies in enumerate(buildings)
+        for solid, part in bodies
+        for face in solid.faces
+    ]
+    rings = [points[list(ring)] for _, points, face, _ in faces for ring in face.rings]
     polygons = Polygons(
-        points=np.concatenate(points),
-        ring_starts=np.concatenate([[0], np.cumsum(rings)]).astype(np.int64),
-        polygon_starts=np.concatenate([[0], np.cumsum(polygon_rings)]).astype(np.int64),
-        building=np.array(owners, np.int32),
-        lod=np.zeros(len(owners), np.int16),
-        kind=np.array(surfaces, np.uint8),
+        points=np.concatenate(rings),
+        ring_starts=_starts(rings),
+        polygon_starts=_starts([face.rings for _, _, face, _ in faces]),
+        building=np.array([number for number, *_ in faces], np.int32),
+        lod=np.zeros(len(faces), np.int16),
+        kind=np.array([kind for *_, kind in faces], np.uint8),
     )
     result = triangulate(polygons, names, Findings())
     surface = polygons.kind[result.polygon]
-    surface = np.where(
-        _is_flat_roof(polygons.points[result.triangles], surface), SurfaceClass.ROOF_FLAT, surface
-    )
+    surface[_is_flat_roof(polygons.points[result.triangles], surface)] = SurfaceClass.ROOF_FLAT
     owner = polygons.building[result.polygon].astype(np.int64)
-    return BuildingSurfaces(
-        polygons.points, result.triangles, result.polygon, surface.astype(np.uint8), owner
-    )
+    return BuildingSurfaces(polygons.points, result.triangles, result.polygon, surface, owner)
+
+
+def _class_of(face: Face) -> SurfaceClass:
+    return _CLASSES.get(face.kind, SurfaceClass.DOOR if face.is_door else SurfaceClass.WINDOW)
+
+
+def _starts(parts: Sequence[Sized]) -> NDArray[np.int64]:
+    """Returns where each part begins once all are put in a row, and where the last ends."""
+    return np.cumsum([0, *map(len, parts)], dtype=np.int64)
 
 
 def fine_bodies(building: Building) -> list[Body]:
@@ -134,20 +132,9 @@ def _is_flat_roof(corners: Points, surface: NDArray[np.uint8]) -> NDArray[np.boo
 def building_colours(look: TownLook, seed: int, name: str) -> Points:
     """Returns the colours of a building, (8, 3) RGB by surface class from ``WALL`` on."""
     chances = random_stream(seed, "demo", name, "colour")
-
-    def pick(colours: tuple[tuple[int, int, int], ...]) -> Points:
-        return np.array(colours[int(chances.integers(len(colours)))]) * chances.uniform(0.92, 1.06)
-
-    wall, tile, flat = pick(look.walls), pick(look.tiles), pick(look.flat_roofs)
+    wall, tile, flat = (
+        pick(colours, chances, 0.92, 1.06) for colours in (look.walls, look.tiles, look.flat_roofs)
+    )
     chances.uniform()
-    by_class = {
-        SurfaceClass.WALL: wall,
-        SurfaceClass.ROOF_FLAT: flat,
-        SurfaceClass.ROOF_TILE: tile,
-        SurfaceClass.WINDOW: np.array(_GLASS) * chances.uniform(0.8, 1.25),
-        SurfaceClass.DOOR: np.array(_WOOD) * chances.uniform(0.7, 1.4),
-        SurfaceClass.FRAME: np.array(_RAILING) * chances.uniform(0.8, 1.1),
-        SurfaceClass.CHIMNEY: np.array(_CHIMNEY) * chances.uniform(0.8, 1.2),
-        SurfaceClass.FLOOR: np.array(_SOFFIT),
-    }
-    return np.stack([by_class[SurfaceClass(SurfaceClass.WALL + k)] for k in range(8)])
+    fittings = [pick(colours, chances, low, high) for colours, low, high in _FITTINGS.values()]
+    return np.stack([wall, flat, tile, *fittings, _SOFFIT])

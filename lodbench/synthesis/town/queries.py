@@ -1,22 +1,25 @@
-"""The demo's queries: flight lines over the old town, and free views of another district."""
+"""The demo's queries: flight lines over the old town, and free views of another district; with photos."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.rendering.protocol import Renderer
+from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import random_stream
 from lodbench.synthesis.mask_degradation import degrade_mask
+from lodbench.synthesis.objects.scene_props import SceneProps
+from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look
 from lodbench.synthesis.queries import SyntheticQuery
+from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.districts import OLD_TOWN_RADIUS_M
-from lodbench.synthesis.town.pictures import Photographer
+from lodbench.synthesis.town.shapes import Points
 from lodbench.synthesis.town.town import Town
 from lodbench.synthesis.view_sampling import (
     FINE_SIZE,
@@ -27,8 +30,6 @@ from lodbench.synthesis.view_sampling import (
     sample_views,
     view_of,
 )
-
-Points = NDArray[np.float64]
 
 # Twice the size at which methods compare silhouettes: masks are finer than what is scored, as a
 # network's are, and still small files.
@@ -49,81 +50,85 @@ _SUBURB_AT_M = 345.0
 _SUBURB_HALF_M = 135.0
 _SUBURB_HEIGHTS_M = (70.0, 150.0)
 _ATTEMPTS = 50
+# What the photos of one split share: the sun and the air of the day of their flight.
+_OF_THE_DAY = ["sun_elevation_deg", "sun_azimuth_deg", "sun_share", "sun_warmth"]
+_OF_THE_DAY += ["haze_range_m", "sky_white", "dryness"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DemoSplit:
-    """The queries of one split."""
+    """The queries of one split, and how many draws of views were rejected for it."""
 
     name: str
     queries: tuple[SyntheticQuery, ...]
     rejections: int
 
 
-def make_splits(
-    town: Town,
-    scene: Scene,
-    renderer: Renderer,
-    photographer: Photographer,
-    offset_m: Points,
-    count: int,
-) -> list[DemoSplit]:
+def make_splits(town: Town, scene: Scene, props: SceneProps, count: int) -> list[DemoSplit]:
     """Returns both splits, half of the queries each, the odd one in place.
 
     Args:
         town: The town.
         scene: Its LoD3 scene.
-        renderer: Renders that scene.
-        photographer: Takes the photos.
-        offset_m: (3,) what to add to the town's local metres to be in the scene's frame.
+        props: What photos show.
         count: Number of queries over both splits.
 
     Raises:
         DatasetError: No acceptable view is found somewhere.
     """
-    check = ViewCheck(scene, renderer, QUERY_CAMERA, _BUILDING_SHARE["in_place"])
-    flight, in_rejections = _fly_over(town, check, offset_m, count - count // 2)
+    camera = _QueryCamera(town, scene, props)
+    offset_m = ORIGIN_M - scene.origin
+    check = ViewCheck(scene, camera.renderer, QUERY_CAMERA, _BUILDING_SHARE["in_place"])
+    flight, rejections = _fly_over(town, check, offset_m, count - count // 2)
     sampling = ViewSampling(
         height_m=_SUBURB_HEIGHTS_M,
         building_share=_BUILDING_SHARE["out_of_place"],
         area_m=_suburb(town, offset_m),
         seed=town.seed,
     )
-    views = sample_views(scene, renderer, QUERY_CAMERA, sampling, count // 2, "demo", "out_of_place")
+    views = sample_views(scene, camera.renderer, QUERY_CAMERA, sampling, count // 2, "demo", "out_of_place")
     return [
-        _split("in_place", town.seed, flight, in_rejections, renderer, photographer),
-        _split("out_of_place", town.seed, list(views.poses), views.rejections, renderer, photographer),
+        DemoSplit("in_place", camera.take("in_place", flight), rejections),
+        DemoSplit("out_of_place", camera.take("out_of_place", views.poses), views.rejections),
     ]
 
 
-def _split(
-    name: str,
-    seed: int,
-    truths: list[Pose],
-    rejections: int,
-    renderer: Renderer,
-    photographer: Photographer,
-) -> DemoSplit:
-    """Returns a split: a prior, a photo and a mask for each true pose, from streams of their own."""
-    targets = _target_ious(name, seed, len(truths))
-    queries = []
-    for k, truth in enumerate(truths):
-        image = f"{name}_{k:04d}.jpg"
-        clean = renderer.render(QUERY_CAMERA, truth)
-        # A network cannot see through trees; their shapes are those of the photo.
-        visible = clean & ~photographer.hidden(QUERY_CAMERA, truth)
-        rough, iou = degrade_mask(
-            visible,
-            targets[k],
-            random_stream(seed, "demo", image, "mask"),
-            trees=False,
-            pixels_per_m=_pixels_per_m(QUERY_CAMERA, truth, renderer.scene),
-            truth=clean,
-        )
-        prior = PRIORS[name].draw(truth, random_stream(seed, "demo", image, "prior"))
-        photo = photographer.jpeg(QUERY_CAMERA, truth, name, image)
-        queries.append(SyntheticQuery(image, truth, prior, rough, iou, photo))
-    return DemoSplit(name, tuple(queries), rejections)
+class _QueryCamera:
+    """Takes the queries of a town: masks and photos of its scene and props."""
+
+    def __init__(self, town: Town, scene: Scene, props: SceneProps) -> None:
+        self._town = town
+        self.renderer = SilhouetteRenderer(scene, threads=1)
+        self._photos = PhotoRenderer(scene, props)
+
+    def take(self, split: str, truths: Sequence[Pose]) -> tuple[SyntheticQuery, ...]:
+        """Returns a prior, a photo and a mask for each true pose of a split, from streams of their own."""
+        targets, day = _target_ious(split, self._town.seed, len(truths)), self._day(split)
+        queries = []
+        for k, truth in enumerate(truths):
+            name = f"{split}_{k:04d}.jpg"
+            clean = self.renderer.render(QUERY_CAMERA, truth)
+            rough, iou = degrade_mask(
+                # A network cannot see through trees; their shapes are those of the photo.
+                clean & ~self._photos.occluders(QUERY_CAMERA, truth),
+                targets[k],
+                random_stream(self._town.seed, "demo", name, "mask"),
+                trees=False,
+                pixels_per_m=_pixels_per_m(QUERY_CAMERA, truth, self.renderer.scene),
+                truth=clean,
+            )
+            prior = PRIORS[split].draw(truth, random_stream(self._town.seed, "demo", name, "prior"))
+            look, response = draw_look(day, random_stream(self._town.seed, "demo", name, "photo"))
+            # The town's own patterns stay as they are from photo to photo.
+            photo = self._photos.jpeg(QUERY_CAMERA, truth, look._replace(seed=self._town.seed), response)
+            queries.append(SyntheticQuery(name, truth, prior, rough, iou, photo))
+        return tuple(queries)
+
+    def _day(self, split: str) -> LookRanges:
+        """Returns from what the looks of a split's photos are drawn: sun and air are drawn already."""
+        day, ranges = random_stream(self._town.seed, "demo", split, "day"), self._town.look.days
+        drawn = {name: float(day.uniform(*getattr(ranges, name))) for name in _OF_THE_DAY}
+        return replace(ranges, **{name: (value, value) for name, value in drawn.items()})
 
 
 def _target_ious(name: str, seed: int, count: int) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
@@ -18,6 +19,11 @@ def edge_directions(ring: Points) -> Points:
     """Returns the unit direction of each edge, (N, 2), from a corner to the next."""
     edges = np.roll(ring, -1, axis=0) - ring
     return np.asarray(edges / np.linalg.norm(edges, axis=1, keepdims=True))
+
+
+def edge_lengths(ring: Points) -> Points:
+    """Returns the length of each edge, (N,), from a corner to the next."""
+    return np.asarray(np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1))
 
 
 def left_of(direction: Points) -> Points:
@@ -77,13 +83,8 @@ def corner_angles_deg(ring: Points) -> Points:
 
 
 def contains(ring: Points, points: Points) -> NDArray[np.bool_]:
-    """Returns which points, (M, 2), lie inside a ring of any shape (even-odd rule)."""
-    x, y = points[:, :1], points[:, 1:]
-    ahead = np.roll(ring, -1, axis=0)
-    crosses = (ring[:, 1] > y) != (ahead[:, 1] > y)
-    rise = np.where(ahead[:, 1] == ring[:, 1], 1.0, ahead[:, 1] - ring[:, 1])
-    crossing = ring[:, 0] + (y - ring[:, 1]) / rise * (ahead[:, 0] - ring[:, 0])
-    return np.asarray(np.sum(crosses & (x < crossing), axis=1) % 2 == 1)
+    """Returns which points, (M, 2), lie inside a ring of any shape."""
+    return np.asarray(shapely.contains_xy(shapely.Polygon(ring), points))
 
 
 def keeps_apart(a: Points, b: Points, gap_m: float) -> bool:
@@ -98,22 +99,25 @@ def keeps_apart(a: Points, b: Points, gap_m: float) -> bool:
 
 def box_of(ring: Points) -> tuple[Points, float, float]:
     """Returns the direction, length and width of the smallest box around a ring, along one of its edges."""
-    best: tuple[float, Points, float, float] | None = None
-    for along in edge_directions(ring):
-        spans = np.ptp(ring @ np.stack([along, left_of(along)]).T, axis=0)
-        size = float(spans[0] * spans[1])
-        if best is None or size < best[0] - 1e-9:
-            best = (size, along, float(spans[0]), float(spans[1]))
-    assert best is not None  # noqa: S101 - a ring has edges
-    _, along, length, width = best
-    return (along, length, width) if length >= width else (left_of(along), width, length)
+    axes = [np.stack([along, left_of(along)]) for along in edge_directions(ring)]
+    spans = [np.ptp(ring @ pair.T, axis=0).tolist() for pair in axes]
+    # Boxes along parallel edges differ by what floats round: the first of them is taken.
+    least = min(range(len(axes)), key=lambda k: round(spans[k][0] * spans[k][1], 6))
+    (along, across), (length, width) = axes[least], spans[least]
+    return (along, length, width) if length >= width else (across, width, length)
+
+
+def rectangles(middle: Points, along: Points, length: float, width: float) -> Points:
+    """Returns rectangles, (..., 4, 2), counter-clockwise, around middles, (..., 2), along unit directions."""
+    u, v = 0.5 * length * along, 0.5 * width * left_of(along)
+    return np.stack([middle - u - v, middle + u - v, middle + u + v, middle - u + v], axis=-2)
 
 
 def offset_line(line: Points, distance: float) -> Points:
     """Returns a polyline, (K, 2), moved to its left."""
     way = np.gradient(line, axis=0)
     way /= np.linalg.norm(way, axis=1, keepdims=True)
-    return np.asarray(line + distance * np.stack([-way[:, 1], way[:, 0]], axis=1))
+    return np.asarray(line + distance * left_of(way))
 
 
 def along_line(line: Points, at: Points) -> tuple[Points, Points]:

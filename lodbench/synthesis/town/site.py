@@ -2,76 +2,93 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.synthesis.town.building import Plan, pieces_of
-from lodbench.synthesis.town.shapes import box_of, contains, keeps_apart, left_of
-
-Points = NDArray[np.float64]
+from lodbench.synthesis.town.building import Plan
+from lodbench.synthesis.town.details import Detail
+from lodbench.synthesis.town.extrusion import Strip
+from lodbench.synthesis.town.roofs import Roof
+from lodbench.synthesis.town.shapes import Points, box_of, contains, keeps_apart, left_of
 
 
 class Site:
     """The land of one block and the plans placed on it.
 
-    Attributes:
+    Args:
         ring: Building line, (N, 2): nothing stands outside.
+        district: Part of town that it lies in.
+        chances: Source of chance for all that is placed.
+
+    Attributes:
+        along: (2,) unit direction of the longer side of the smallest box around it.
         plans: What was placed, in order.
     """
 
-    def __init__(self, ring: Points) -> None:
-        self.ring = ring
+    def __init__(self, ring: Points, district: str, chances: np.random.Generator) -> None:
+        self.ring, self.district, self.chances = ring, district, chances
+        self.along, _, _ = box_of(ring)
         self.plans: list[Plan] = []
-        self._pieces: list[Points] = []
-        self._middles = np.empty((0, 2))
-        self._reach = np.empty(0)
+        self._pieces = np.empty((0, 4, 2))
 
-    def place(self, plan: Plan, gap_m: float = 0.0, *, on_line: bool = False) -> bool:
-        """Places a plan if it lies inside the building line and keeps a gap to all others.
+    def place(
+        self,
+        strip: Strip,
+        roof: Roof,
+        function: str = "residential",
+        details: Sequence[Detail] = (),
+        *,
+        gap_m: float = 0.0,
+        yard: Points | None = None,
+        on_line: bool = False,
+    ) -> bool:
+        """Places a building if it lies inside the building line and keeps a gap to all others.
 
         Args:
-            plan: The plan.
+            strip: Its plan.
+            roof: Its roof.
+            function: As in ``Plan``.
+            details: Likewise.
             gap_m: Least distance to what stands; 0 lets walls touch.
+            yard: Part of the block that it must lie inside of, (N, 2); None for all of it.
             on_line: Whether it is laid out along the building line, so need not be tested against it.
 
         Returns:
             Whether it was placed.
         """
-        pieces = pieces_of(plan)
-        if not on_line and not all(contains(self.ring, _outline(piece)).all() for piece in pieces):
+        plan = Plan(strip, roof, function, self.district, tuple(details))
+        ring, pieces = self.ring if yard is None else yard, plan.pieces
+        if not on_line and not all(contains(ring, _outline(piece)).all() for piece in pieces):
             return False
-        if any(not self._is_free(piece, gap_m) for piece in pieces):
+        if not all(self._is_free(piece, gap_m) for piece in pieces):
             return False
         self.plans.append(plan)
-        self._pieces += pieces
-        middles = np.stack([piece.mean(axis=0) for piece in pieces])
-        reach = [float(np.linalg.norm(p - m, axis=1).max()) for p, m in zip(pieces, middles, strict=True)]
-        self._middles = np.concatenate([self._middles, middles])
-        self._reach = np.concatenate([self._reach, reach])
+        self._pieces = np.concatenate([self._pieces, pieces])
         return True
 
     def _is_free(self, piece: Points, gap_m: float) -> bool:
-        middle = piece.mean(axis=0)
-        reach = float(np.linalg.norm(piece - middle, axis=1).max())
-        distance = np.linalg.norm(self._middles - middle, axis=1)
-        near = np.flatnonzero(distance < self._reach + reach + gap_m)
-        return all(keeps_apart(piece, self._pieces[int(k)], gap_m) for k in near)
+        """Returns whether a convex piece keeps a gap to all that stands; of most, circles around tell."""
+        pieces = np.concatenate([[piece], self._pieces])
+        middles = pieces.mean(axis=1)
+        radii = np.linalg.norm(pieces - middles[:, None], axis=2).max(axis=1)
+        distance = np.linalg.norm(middles - middles[0], axis=1)
+        near = np.flatnonzero(distance[1:] < radii[1:] + radii[0] + gap_m)
+        return all(keeps_apart(piece, self._pieces[k], gap_m) for k in near)
+
+    def places(self, spacing_m: float) -> list[Points]:
+        """Returns places to try, in random order: a jittered grid along its own directions."""
+        axes = np.stack([self.along, left_of(self.along)])
+        spans = self.ring @ axes.T
+        steps = [
+            np.arange(low + 1.0, high, spacing_m)
+            for low, high in zip(spans.min(axis=0), spans.max(axis=0), strict=True)
+        ]
+        grid = np.stack([axis.ravel() for axis in np.meshgrid(*steps)], axis=1)
+        grid += self.chances.uniform(0.0, 4.0, size=grid.shape)
+        return list(self.chances.permutation(grid) @ axes)
 
 
 def _outline(piece: Points) -> Points:
     """Returns corners and edge middles: enough to test against a nearly convex ring."""
     return np.concatenate([piece, 0.5 * (piece + np.roll(piece, -1, axis=0))])
-
-
-def places_on(ring: Points, spacing_m: float, generator: np.random.Generator) -> list[Points]:
-    """Returns places to try on a block, in random order: a jittered grid along its own directions."""
-    along, _, _ = box_of(ring)
-    axes = np.stack([along, left_of(along)])
-    spans = ring @ axes.T
-    steps = [
-        np.arange(low + 1.0, high, spacing_m)
-        for low, high in zip(spans.min(axis=0), spans.max(axis=0), strict=True)
-    ]
-    grid = np.stack([axis.ravel() for axis in np.meshgrid(*steps)], axis=1)
-    grid += generator.uniform(0.0, 4.0, size=grid.shape)
-    return list(generator.permutation(grid) @ axes)

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lodbench.citymodel.model import SurfaceKind
+from lodbench.synthesis.town.shapes import Points
 
-Points = NDArray[np.float64]
 Ring = tuple[int, ...]
 
 
@@ -96,16 +95,17 @@ class SolidBuilder:
         self._faces.append((kind, [_without_repeats(ring) for ring in (outline, *holes)]))
         return len(self._faces) - 1
 
-    def outline(self, face: int) -> list[int]:
-        """Returns the outline of a face."""
-        return self._faces[face][1][0]
+    def corners(self, face: int) -> Points:
+        """Returns the outline of a face, (N, 3) local metres."""
+        return np.array([self._points[point] for point in self._faces[face][1][0]]) / self.per_metre
 
     def add_hole(self, face: int, ring: Sequence[int]) -> None:
         """Cuts a hole into a face; the ring runs clockwise seen from outside."""
         self._faces[face][1].append(list(ring))
 
-    def add_opening(self, face: int, ring: Sequence[int], *, is_door: bool = False) -> None:
-        """Cuts a window or a door into a face; the ring runs counter-clockwise seen from outside."""
+    def add_opening(self, face: int, corners: Points, *, is_door: bool = False) -> None:
+        """Cuts a window or a door, (N, 3) counter-clockwise seen from outside, into a face."""
+        ring = [self.point(*corner) for corner in corners.tolist()]
         self.add_hole(face, ring[::-1])
         self._openings[self.face(SurfaceKind.OPENING, ring)] = face, is_door
 

@@ -10,11 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.synthesis.town.shapes import area, box_of, cut, edge_directions, left_of
-
-Points = NDArray[np.float64]
+from lodbench.synthesis.town.shapes import Points, area, box_of, cut, edge_directions, left_of
 
 TOWN_RADIUS_M = 505.0
 _RIVER_WIDTH_M = 44.0

@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lodbench.synthesis.town.shapes import left_of
-
-Points = NDArray[np.float64]
+from lodbench.synthesis.town.shapes import Points, left_of
 
 # Hills: wavelength and amplitude in metres of waves much longer than a block.
 _WAVES_M = ((900.0, 6.0), (620.0, 4.2), (380.0, 1.8), (240.0, 0.6))
@@ -60,6 +57,10 @@ class Terrain:
         hills = bank + share * np.maximum(self._hills(points, distance) - bank, 0.5)
         depth = np.clip((_BANK_M - distance) / (_BANK_M - _BED_M), 0.0, 1.0)
         return np.asarray(hills - depth * (_BANK_HEIGHT_M + _WATER_DEPTH_M))
+
+    def on_ground(self, points: Points, above_m: float = 0.0) -> Points:
+        """Returns positions, (N, 2), with the height of the ground and a little more, (N, 3)."""
+        return np.column_stack([points, self.height(points) + above_m])
 
     def river_distance(self, points: Points) -> Points:
         """Returns the distance, (N,) metres, of positions, (N, 2), from the middle of the river.

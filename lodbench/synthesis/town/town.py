@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.town.building import Age, Building, Plan, construct_all, pieces_of
-from lodbench.synthesis.town.districts import build_up, building_line, district_of
-from lodbench.synthesis.town.landmarks import church, town_hall
+from lodbench.synthesis.town.building import Age, Building, Plan, construct_all
+from lodbench.synthesis.town.districts import build_up, district_of, site_of
+from lodbench.synthesis.town.landmarks import add_church, add_town_hall
 from lodbench.synthesis.town.looks import TEST, TownLook
 from lodbench.synthesis.town.occupancy import Occupancy, occupancy_of
 from lodbench.synthesis.town.streets import StreetPlan, draw_streets
@@ -63,30 +63,30 @@ def grow_town(seed: int, look: TownLook = TEST) -> Town:
     estate_turn = float(ground.uniform(-1.2, 1.2))
     districts = tuple(district_of(block, streets.to_river, estate_turn) for block in streets.blocks)
     for number, (block, district) in enumerate(zip(streets.blocks, districts, strict=True)):
-        ring = building_line(block, district)
-        if number not in blocks and ring is not None:
-            chances = random_stream(seed, "demo", "block", number)
-            blocks[number] = build_up(number, ring, district, chances)
+        site = site_of(block, district, random_stream(seed, "demo", "block", number))
+        if number not in blocks and site is not None:
+            build_up(site, number)
+            blocks[number] = site.plans
     named = [
         (f"DEMO_{number:03d}_{k:02d}", plan)
         for number in sorted(blocks)
         for k, plan in enumerate(blocks[number])
     ]
-    occupancy = occupancy_of([pieces_of(plan) for _, plan in named], _REACH_M)
+    occupancy = occupancy_of([plan.pieces for _, plan in named], _REACH_M)
     buildings = tuple(construct_all(named, seed, look, terrain, occupancy))
     return Town(seed, look, buildings, streets, districts, terrain, occupancy)
 
 
 def _landmarks(seed: int, streets: StreetPlan) -> dict[int, list[Plan]]:
     """Returns the plans of the market square and of the church's block, by block number."""
-    market = building_line(streets.blocks[0], "old town")
+    market = site_of(streets.blocks[0], "old town", random_stream(seed, "demo", "town hall"))
     if market is None:
         return {}
-    blocks = {0: town_hall(market, random_stream(seed, "demo", "town hall"))}
+    add_town_hall(market)
+    blocks = {0: market.plans}
     for number in _CHURCH_BLOCKS:
-        ring = building_line(streets.blocks[number], "old town")
-        plans = church(ring, random_stream(seed, "demo", "church")) if ring is not None else []
-        if plans:
-            blocks[number] = plans
+        square = site_of(streets.blocks[number], "old town", random_stream(seed, "demo", "church"))
+        if square is not None and add_church(square):
+            blocks[number] = square.plans
             break
     return blocks

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.cars import add_cars
-from lodbench.synthesis.objects.mesh_builder import BLOCK_FACES, MeshBuilder
+from lodbench.synthesis.objects.mesh_builder import BLOCK_FACES, MeshBuilder, palette, pick
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.objects.trees import add_trees
-from lodbench.synthesis.town.ground import on_ground
 from lodbench.synthesis.town.shapes import (
+    Points,
     along_line,
     area,
     contains,
     edge_directions,
+    edge_lengths,
     inset,
     left_of,
     length_of,
@@ -23,18 +23,11 @@ from lodbench.synthesis.town.shapes import (
 )
 from lodbench.synthesis.town.town import Town
 
-Points = NDArray[np.float64]
-
 # One tree for so many square metres of open land, by district; parks have more.
-_LAND_PER_TREE_M2 = {
-    "old town": 420.0,
-    "inner town": 190.0,
-    "garden suburb": 170.0,
-    "estate": 210.0,
-    "works": 520.0,
-}
+_LAND_PER_TREE_M2 = {"old town": 420.0, "inner town": 190.0, "garden suburb": 170.0}
+_LAND_PER_TREE_M2 |= {"estate": 210.0, "works": 520.0}
 _PARK_M2 = 75.0
-_HEDGE = np.array((66.0, 88.0, 46.0))
+_HEDGE = palette("42582e")
 _NUM_WOODS = 14
 
 
@@ -45,19 +38,14 @@ def add_greenery(builder: MeshBuilder, town: Town) -> None:
         [_along_streets(town, chances), _in_yards(town, chances), _along_river(town, chances)]
     )
     places = places[town.occupancy.is_free_around(places, 2.4)]
-    feet, broadleaf = on_ground(town, places, 0.0), town.look.broadleaf
-    add_trees(builder, feet, chances, broadleaf, _room(town, places))
-    woods = on_ground(town, _in_woods(town, chances), 0.0)
-    add_trees(builder, woods, chances, broadleaf, is_far=True)
-    _add_hedges(builder, town, chances)
-
-
-def _room(town: Town, places: Points) -> Points:
-    """Returns how wide a crown may grow beside buildings, (N,) metres: it may touch a wall."""
-    room = np.full(len(places), 2.6)
+    # How wide a crown may grow: it may touch a wall.
+    room_m = np.full(len(places), 2.6)
     for gap in (3.2, 4.0, 5.0):
-        room[town.occupancy.is_free_around(places, gap)] = gap
-    return room
+        room_m[town.occupancy.is_free_around(places, gap)] = gap
+    add_trees(builder, town.terrain.on_ground(places), chances, town.look.broadleaf, room_m)
+    woods = town.terrain.on_ground(_in_woods(town, chances))
+    add_trees(builder, woods, chances, town.look.broadleaf, is_far=True)
+    _add_hedges(builder, town, chances)
 
 
 def _along_streets(town: Town, chances: np.random.Generator) -> Points:
@@ -84,18 +72,14 @@ def _in_yards(town: Town, chances: np.random.Generator) -> Points:
         if number == 0 or yard is None:
             continue
         low, high = yard.min(axis=0), yard.max(axis=0)
-        taken = town.occupancy.at(_grid(low, high))
+        grid = np.mgrid[low[0] : high[0] : 4.0, low[1] : high[1] : 4.0].reshape(2, -1).T
+        taken = town.occupancy.at(grid)
         is_park = len(np.unique(taken)) <= 2 and district == "inner town"
         per_tree = _PARK_M2 if is_park else _LAND_PER_TREE_M2[district]
         count = round(float(np.prod(high - low)) / per_tree * town.look.trees)
         drawn = chances.uniform(low, high, (count, 2))
         places.append(drawn[contains(yard, drawn)])
     return np.concatenate(places)
-
-
-def _grid(low: Points, high: Points) -> Points:
-    x, y = np.meshgrid(np.arange(low[0], high[0], 4.0), np.arange(low[1], high[1], 4.0))
-    return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
 def _along_river(town: Town, chances: np.random.Generator) -> Points:
@@ -130,8 +114,8 @@ def _add_hedges(builder: MeshBuilder, town: Town, chances: np.random.Generator) 
         ring = inset(block.ring, 2.9)
         if district not in ("garden suburb", "inner town") or ring is None or area(ring) < 900.0:
             continue
-        for start, along, ahead in zip(ring, edge_directions(ring), np.roll(ring, -1, axis=0), strict=True):
-            length, at = float(np.linalg.norm(ahead - start)), 1.0
+        for start, along, length in zip(ring, edge_directions(ring), edge_lengths(ring), strict=True):
+            at = 1.0
             while at < length - 4.0:
                 run = min(float(chances.uniform(4.0, 15.0)), length - at - 1.0)
                 if chances.random() < 0.6:
@@ -146,9 +130,9 @@ def _add_hedge(
     ring = np.stack([start - side, start + way - side, start + way + side, start + side])
     if (town.occupancy.at(ring) > 0).any():
         return
-    low = on_ground(town, ring, 0.0)
+    low = town.terrain.on_ground(ring)
     high = low + np.array([0.0, 0.0, chances.uniform(0.9, 1.7)])
-    tint = _HEDGE * float(chances.uniform(0.8, 1.2))
+    tint = pick(_HEDGE, chances, 0.8, 1.2)
     builder.add(SurfaceClass.FENCE, np.concatenate([low, high]), BLOCK_FACES, tint)
 
 
@@ -157,26 +141,24 @@ def add_traffic(builder: MeshBuilder, town: Town) -> None:
     chances = random_stream(town.seed, "demo", "cars")
     places: list[Points] = []
     ways: list[Points] = []
+
+    def put(line: Points, at: Points, sign: float) -> None:
+        middle, along = along_line(line, at)
+        places.append(middle)
+        ways.append(sign * along)
+
     for street in town.streets.streets:
-        width = street.width_m
-        kerb = 0.5 * width - 1.2
+        width, length = street.width_m, length_of(street.line)
         for side in (-1.0, 1.0):
             # Right-hand traffic: to the right of the line cars go along it.
             if width > 9.5:
                 parked = np.cumsum(chances.uniform(5.6, 7.6, 200)) + 7.0
-                parked = parked[(parked < length_of(street.line) - 9.0) & (chances.random(200) < 0.4)]
-                _park(offset_line(street.line, side * kerb), parked, -side, places, ways)
+                parked = parked[(parked < length - 9.0) & (chances.random(200) < 0.4)]
+                put(offset_line(street.line, side * (0.5 * width - 1.2)), parked, -side)
             if width > 12.0:
                 moving = np.cumsum(chances.uniform(25.0, 120.0, 40)) + 4.0
-                moving = moving[moving < length_of(street.line) - 6.0]
-                _park(offset_line(street.line, side * 0.2 * width), moving, -side, places, ways)
+                put(offset_line(street.line, side * 0.2 * width), moving[moving < length - 6.0], -side)
     middles, directions = np.concatenate(places), np.concatenate(ways)
     # A car stands on the slope of its street.
     rise = town.terrain.height(middles + 2.0 * directions) - town.terrain.height(middles - 2.0 * directions)
-    add_cars(builder, on_ground(town, middles, 0.0), directions, rise / 4.0, chances)
-
-
-def _park(line: Points, at: Points, sign: float, places: list[Points], ways: list[Points]) -> None:
-    middle, along = along_line(line, at)
-    places.append(middle)
-    ways.append(sign * along)
+    add_cars(builder, town.terrain.on_ground(middles), directions, rise / 4.0, chances)

@@ -6,8 +6,7 @@ from solid_checks import volume_m3
 
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.town.citygml_writer import ORIGIN_M
-from lodbench.synthesis.town.ground import on_ground
-from lodbench.synthesis.town.plane_mesh import filled, refined
+from lodbench.synthesis.town.ground import filled, refined
 from lodbench.synthesis.town.props import demo_props
 
 
@@ -60,7 +59,7 @@ def test_layers_of_the_ground_stay_in_order(town):
     # The road under a block and the pavement on it are two meshes of one hill.
     block = town.streets.blocks[3].ring
     points, triangles = refined(*filled(block), lambda middles: np.full(len(middles), 12.0))
-    middles = on_ground(town, points, 0.12)[triangles].mean(axis=1)
+    middles = town.terrain.on_ground(points, 0.12)[triangles].mean(axis=1)
     assert (middles[:, 2] > town.terrain.height(middles[:, :2]) + 0.05).all()
 
 

@@ -6,8 +6,7 @@ from lxml import etree
 
 from lodbench.citymodel import ReadOptions
 from lodbench.citymodel.terrain import ground_under
-from lodbench.synthesis.town.citygml_writer import ORIGIN_M
-from lodbench.synthesis.town.relief import ascii_grid_text, relief_text
+from lodbench.synthesis.town.citygml_writer import ORIGIN_M, ascii_grid_text, relief_text
 
 GML = "{http://www.opengis.net/gml}"
 
