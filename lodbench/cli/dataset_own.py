@@ -81,7 +81,9 @@ def _add_common_options(parser: argparse.ArgumentParser) -> None:
         "--masks", type=Path, metavar="DIR", help="building masks of the photos, white = building"
     )
     parser.add_argument(
-        "--camera", metavar="'MODEL W H ...'", help="of all images: COLMAP's model and parameters"
+        "--camera",
+        metavar="'MODEL W H ...'",
+        help="of all images, as COLMAP has it: SIMPLE_PINHOLE W H f cx cy",
     )
     parser.add_argument(
         "--offset",

@@ -58,7 +58,8 @@ def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
 
 def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
     """Adds the options that say where a photo was taken, roughly, and with which camera."""
-    parser.add_argument("--camera", metavar="'MODEL W H ...'", help="COLMAP's camera model and parameters")
+    camera_help = "as COLMAP has it, in pixels: SIMPLE_PINHOLE W H f cx cy"
+    parser.add_argument("--camera", metavar="'MODEL W H ...'", help=camera_help)
     place = parser.add_argument_group(title)
     add = place.add_argument
     add("--lat", type=float, metavar="DEG", help="latitude, WGS 84")

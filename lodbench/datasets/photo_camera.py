@@ -49,6 +49,11 @@ class PhotoCamera:
     source: str
 
 
+def camera_flag(width: int, height: int) -> str:
+    """Returns the flag that gives the camera of a photo of this size, but for its focal length."""
+    return f"--camera 'SIMPLE_PINHOLE {width} {height} FOCAL_PX {width / 2:g} {height / 2:g}'"
+
+
 def states_focal_length(photo: PhotoMetadata) -> bool:
     """Tells whether a photo states anything that ``camera_from_photo`` can make a camera of."""
     is_whole = photo.digital_zoom == 1.0
@@ -125,7 +130,7 @@ def _focal_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float, flo
     zoomed = "" if photo.digital_zoom == 1.0 else ", taken with a digital zoom,"
     raise DatasetError(
         f"{photo.name}{zoomed} does not say its camera's focal length.",
-        "Give --camera 'MODEL W H PARAMETERS', as in intrinsic.txt.",
+        f"Give {camera_flag(photo.width, photo.height)}, or another of COLMAP's models.",
     )
 
 
@@ -134,6 +139,6 @@ def _checked(photo: PhotoMetadata, camera: Camera) -> Camera:
     if not _FIELD_DEG[0] <= field <= _FIELD_DEG[1]:
         raise DatasetError(
             f"{photo.name}: a focal length of {camera.fx:.0f} px sees {field:.1f} degrees; no photo does.",
-            "Give --camera 'MODEL W H PARAMETERS'.",
+            f"Give {camera_flag(photo.width, photo.height)}.",
         )
     return camera if camera.width == photo.width else camera.scaled(photo.width, photo.height)

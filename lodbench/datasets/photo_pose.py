@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import states_focal_length
+from lodbench.datasets.photo_camera import camera_flag, states_focal_length
 from lodbench.datasets.photo_metadata import PhotoMetadata
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Pose
@@ -122,7 +122,7 @@ def require_stated(
         looks = "--heading and --pitch (0 at the horizon, -90 straight down)"
         lacking.append(("where its camera looked (DJI's gimbal angles)", looks))
     if not knows_camera and not states_focal_length(photo):
-        lacking.append(("its camera's focal length", "--camera 'MODEL W H PARAMETERS'"))
+        lacking.append(("its camera's focal length", camera_flag(photo.width, photo.height)))
     if lacking:
         what, flags = (_listed(words) for words in zip(*lacking, strict=True))
         raise DatasetError(f"{photo.name} does not say {what}.", f"lodbench localize takes {flags}.")

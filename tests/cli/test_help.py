@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
 from lodbench.cli import COMMANDS, main
 from lodbench.cli.completion import CONFIGURED
 from lodbench.cli.configs import config_files
-from lodbench.cli.parser import seen
+from lodbench.cli.parser import Parser, seen
 from lodbench.cli.setting_help import config_text, groups_of, settings_in, settings_of_group
+from lodbench.errors import ConfigError
 
 FLAGGED = [name for name in COMMANDS if name not in CONFIGURED]
 GROUPS = {group for name in CONFIGURED.values() for group in groups_of(name)}
@@ -132,3 +134,13 @@ def test_no_slip_is_answered_with_a_wall(capsys, monkeypatch, tmp_path, words):
 def test_the_nearest_name_is_told(capsys, words, meant):
     assert main(words) == 2
     assert meant in capsys.readouterr().err.splitlines()[1]
+
+
+def test_words_of_a_list_may_stand_on_both_sides_of_a_flag():
+    parser = Parser("lodbench try")
+    parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("--lod")
+    asked = parser.parse_args(["a.gml", "--lod", "2", "b.gml", "c.gml"])
+    assert asked.files == [Path("a.gml"), Path("b.gml"), Path("c.gml")]
+    with pytest.raises(ConfigError, match="unrecognized arguments: -x"):
+        parser.parse_args(["a.gml", "--lod", "2", "b.gml", "-x"])

@@ -189,7 +189,7 @@ def _warning(estimate: Estimate, has_mask: bool) -> str:
     else:
         reason = f"this pose is right with a probability of {estimate.probability:.2f} only: do not trust it"
     mask = f"{'mend' if has_mask else 'make'} the mask (lodbench mask PHOTO) and give --mask FILE"
-    return f"{reason}; look at the overlay, give a better --center, --height or --heading, or {mask}"
+    return f"{reason}; look at the overlay, give a better place, --height or --heading, or {mask}"
 
 
 def _sigmas(estimate: Estimate) -> tuple[float, ...] | None:

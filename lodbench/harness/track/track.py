@@ -159,7 +159,9 @@ def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose]
     first = request.footage.first_photo()
     if first is None:
         if request.camera is None:
-            raise ConfigError("A video does not say its camera.", "Give --camera 'MODEL W H PARAMETERS'.")
+            raise ConfigError(
+                "A video does not say its camera.", "Give --camera 'SIMPLE_PINHOLE W H FOCAL_PX CX CY'."
+            )
         stated = PhotoMetadata(request.footage.source.name, request.camera.width, request.camera.height)
     else:
         stated = read_photo_metadata(first)
