@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from lodbench.bench.figures import Progress, Report, no_progress
 from lodbench.bench.mask_quality_report import report_masks
-from lodbench.errors import ConfigError, DatasetError, LodbenchError
-from lodbench.segmentation import binary_mask, notes_of
+from lodbench.errors import DatasetError, LodbenchError
+from lodbench.segmentation import Segmenter, binary_mask, notes_of
 from lodbench.segmentation.masks import read_mask
-from lodbench.segmentation.photo_segmenter import PhotoSegmenter
-from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.photo_segmenter import photo_probability
 from lodbench.training.samples import Sample, find_samples
 
 Mask = NDArray[np.bool_]
@@ -51,7 +50,7 @@ class _Truth(NamedTuple):
 
 
 def measure_masks(
-    segmenter: PhotoSegmenter, options: MaskQualityOptions, progress: Progress = no_progress
+    segmenter: Segmenter, options: MaskQualityOptions, progress: Progress = no_progress
 ) -> Report:
     """Returns how well a segmenter's masks agree with those of a training set, and how long one takes.
 
@@ -79,22 +78,11 @@ def measure_masks(
         )
     height, width = views[0]["found"].shape
     which = (
-        f"{segmenter.name}, weights {segmenter.weights_digest[:12]}: {len(views)} of the {len(samples)} "
+        f"{name_and_weights(segmenter)}: {len(views)} of the {len(samples)} "
         f"views of {options.data.name}, those with {100 * options.least_share:g} % buildings or more, "
         f"{width} x {height}"
     )
     return report_masks(pd.DataFrame(views), which, segmenter.name, notes_of(segmenter))
-
-
-def require_photo_segmenter(segmenter: object, name: str) -> PhotoSegmenter:
-    """Returns a segmenter that looks at photos.
-
-    Raises:
-        ConfigError: It does not.
-    """
-    if not isinstance(segmenter, PhotoSegmenter):
-        raise ConfigError(f"segmenter {name} looks at no photos: there is nothing to measure.")
-    return segmenter
 
 
 @contextmanager
@@ -113,13 +101,18 @@ def one_core() -> Iterator[None]:
             torch.set_num_threads(torch_threads)
 
 
-def found_mask(segmenter: PhotoSegmenter, photo: Path, shape: Sequence[int]) -> Mask:
+def name_and_weights(segmenter: Segmenter) -> str:
+    """Returns a segmenter's name with the first digits of its weights' digest; a plug-in may tell none."""
+    digest = getattr(segmenter, "weights_digest", "")
+    return f"{segmenter.name}, weights {digest[:12]}" if digest else segmenter.name
+
+
+def found_mask(segmenter: Segmenter, photo: Path, shape: Sequence[int]) -> Mask:
     """Returns the (H, W) mask that a segmenter makes of a photo, at the size of its true mask."""
-    probability = segmenter.probability(read_photo(photo))
-    return binary_mask(probability, shape[1], shape[0])
+    return binary_mask(photo_probability(segmenter, photo), shape[1], shape[0])
 
 
-def _measured(segmenter: PhotoSegmenter, sample: Sample, truth: _Truth) -> dict[str, Any]:
+def _measured(segmenter: Segmenter, sample: Sample, truth: _Truth) -> dict[str, Any]:
     """Returns a row as ``report_masks`` wants it."""
     started = time.process_time()
     found = found_mask(segmenter, sample.photo, truth.mask.shape)

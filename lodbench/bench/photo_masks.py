@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from lodbench.bench.figures import Figure, Progress, no_progress
 from lodbench.bench.mask_pictures import SHEET_FILE, draw_all
-from lodbench.bench.mask_quality import found_mask, one_core
+from lodbench.bench.mask_quality import found_mask, name_and_weights, one_core
 from lodbench.datasets.traced_photos import traced_mask, traced_photos
 from lodbench.errors import DatasetError
 from lodbench.evaluation.statistics import Interval, bootstrap_means
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.overlays import draw_outline, write_picture
+from lodbench.segmentation import Segmenter, notes_of
 from lodbench.segmentation.masks import read_mask
-from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.photos import read_photo
 from lodbench.storage import write_bytes
 
@@ -184,7 +184,7 @@ def _unknown(photo: Path) -> Mask:
 
 
 def measure_photo_masks(
-    segmenter: PhotoSegmenter, folder: Path, progress: Progress = no_progress
+    segmenter: Segmenter, folder: Path, progress: Progress = no_progress
 ) -> PhotoMaskReport:
     """Returns how well a segmenter's masks of real photos agree with traced ones, where these know.
 
@@ -201,8 +201,7 @@ def measure_photo_masks(
             seconds = time.process_time() - started
             measured.append(PhotoMask(photo.parent.parent.name, photo, truth, found, seconds))
             progress(number, len(labelled))
-    name = f"{segmenter.name}, weights {segmenter.weights_digest[:12]}"
-    return PhotoMaskReport(name, folder.name, tuple(measured), segmenter.notes())
+    return PhotoMaskReport(name_and_weights(segmenter), folder.name, tuple(measured), notes_of(segmenter))
 
 
 def mean_and_interval(values: list[float]) -> list[str]:

@@ -11,14 +11,16 @@ from lodbench.bench.figures import Report
 from lodbench.bench.guided_masks import GuidedOptions, measure_guided_masks
 from lodbench.bench.instance_quality import measure_instances
 from lodbench.bench.iou_recall import measure_iou_recall
-from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks, require_photo_segmenter
+from lodbench.bench.mask_quality import MaskQualityOptions, measure_masks
 from lodbench.bench.photo_masks import measure_photo_masks
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
+from lodbench.segmentation import Segmenter
 from lodbench.segmentation.choice import FOR_PHOTOS
 from lodbench.segmentation.map_guided import MapGuided
+from lodbench.segmentation.photo_segmenter import require_photo_segmenter
 from lodbench.synthesis.views_dataset import ViewsParams
 
 _VIEWS_OF_TOWN, _VIEWS_OF_CITY = 80, 50
@@ -100,12 +102,14 @@ def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -
 
 
 def _photos(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    name = options.segmenter or FOR_PHOTOS
-    segmenter = segmenter_of(name, options.segmenter_option)
-    report = measure_photo_masks(require_photo_segmenter(segmenter, name), options.photos, steps)
+    report = measure_photo_masks(_segmenter(options, FOR_PHOTOS), options.photos, steps)
     if options.pictures is not None:
         report.write_pictures(options.pictures)
     return Report(report.to_text(), report.figures())
+
+
+def _segmenter(options: argparse.Namespace, default: str) -> Segmenter:
+    return require_photo_segmenter(segmenter_of(options.segmenter or default, options.segmenter_option))
 
 
 def _guided(options: argparse.Namespace, steps: ProgressCallback) -> Report:
@@ -144,8 +148,7 @@ def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:
 def _masks(options: argparse.Namespace, steps: ProgressCallback) -> Report:
     from lodbench.bench.mask_town import town_sets
 
-    name = options.segmenter or "compact"
-    segmenter = require_photo_segmenter(segmenter_of(name, options.segmenter_option), name)
+    segmenter = _segmenter(options, "compact")
     data, visible = options.data, options.visible
     if data is None:
         data, visible = town_sets(options.town, _VIEWS_OF_TOWN if options.views is None else options.views)

@@ -15,7 +15,7 @@ from lodbench.cli.console import report_fault
 from lodbench.cli.setting_help import groups_of, help_text
 from lodbench.cli.setting_words import settings_of, tell_old_names
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
-from lodbench.plugins import config_folders
+from lodbench.plugins import config_folders, plugin_names
 
 # Keys whose value is a path: quoted for Hydra, whose grammar gives commas, brackets and = a meaning.
 PATH_KEYS = frozenset(
@@ -206,6 +206,11 @@ def explained(error: Exception, config_name: str) -> ConfigError:
         known = [line.strip() for line in option[3].splitlines() if line.strip()]
         known = [name for name in known if re.fullmatch(r"[\w.-]+", name)]
         group = {each.folder: each.key for each in groups_of(config_name)}.get(option[1], option[1])
+        if option[2] in plugin_names(f"{option[1]}s"):
+            return ConfigError(
+                f"The package of the {group} {option[2]!r} brings no conf/{option[1]}/{option[2]}.yaml.",
+                "docs/plugins.md says what it holds; the entry point lodbench.config_sources names conf.",
+            )
         return ConfigError(f"There is no {group} {option[2]!r}.", nearest_names(option[2], known))
     key = re.search(r"Could not override '([^']+)'", text)
     if key:

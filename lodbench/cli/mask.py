@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lodbench.cli.parser import Parser
-from lodbench.errors import ConfigError
 
 if TYPE_CHECKING:
     from lodbench.harness.mask.session import MaskSession
@@ -32,18 +31,15 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
     from lodbench.harness.mask.files import opened_session, saved
-    from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 
-    segmenter: PhotoSegmenter | None = None
+    segmenter = None
     if asked.mask is None and asked.polygons is None:
         from lodbench.cli.segmenters import segmenter_of
         from lodbench.segmentation.choice import FOR_PHOTOS
+        from lodbench.segmentation.photo_segmenter import require_photo_segmenter
 
-        name = asked.segmenter or FOR_PHOTOS
-        made = segmenter_of(name, asked.segmenter_option)
-        if not isinstance(made, PhotoSegmenter):
-            raise ConfigError(f"segmenter {name} looks at no photo alone.", f"--segmenter {FOR_PHOTOS} does.")
-        segmenter = made
+        made = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
+        segmenter = require_photo_segmenter(made)
     out = asked.out or asked.photo.with_name(f"{asked.photo.stem}_mask.png")
     session = opened_session(asked.photo, asked.mask, asked.polygons, segmenter)
     formats = tuple(dict.fromkeys(asked.export))

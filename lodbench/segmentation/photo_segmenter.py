@@ -5,17 +5,21 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.inputs import Input
+from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Entry
-from lodbench.errors import QueryFault
+from lodbench.errors import ConfigError, QueryFault
+from lodbench.geometry import Camera
+from lodbench.segmentation.choice import FOR_PHOTOS
 from lodbench.segmentation.mask_cache import cached_probability
-from lodbench.segmentation.photos import photo_of
+from lodbench.segmentation.photos import photo_of, read_photo
 from lodbench.segmentation.probability import probability_of
+from lodbench.segmentation.protocol import Segmenter, check_mask
 from lodbench.storage import digest_of
 from lodbench.storage.contents import content_digest
 
@@ -99,3 +103,29 @@ class PhotoSegmenter(ABC):
     def _identity(self, idle: Collection[str] = ()) -> str:
         settings = {k: v for k, v in asdict(self.params).items() if k not in ("weights", *idle)}
         return digest_of([_VERSION, settings, self.weights_digest], length=32)
+
+
+def require_photo_segmenter(segmenter: Segmenter) -> Segmenter:
+    """Returns a segmenter that looks at a photo and at nothing else, a plug-in's perhaps.
+
+    Raises:
+        ConfigError: It looks at something else.
+    """
+    if declared_inputs(segmenter, "requires") != {Input.IMAGE}:
+        hint = f"--segmenter {FOR_PHOTOS} does, and any other that requires the image alone."
+        raise ConfigError(f"segmenter {segmenter.name} looks at no photo alone.", hint)
+    return segmenter
+
+
+def photo_probability(segmenter: Segmenter, photo: Path) -> NDArray[np.float32]:
+    """Returns the (h, w) probability of building that a segmenter finds in a photo; not from our cache.
+
+    Raises:
+        QueryFault: The photo cannot be read, or the answer is no such array of its aspect.
+    """
+    pixels = read_photo(photo)
+    if isinstance(segmenter, PhotoSegmenter):
+        return segmenter.probability(pixels)
+    height, width = pixels.shape[:2]
+    camera = Camera(width, height, width, width, width / 2, height / 2)  # of which the size is asked alone
+    return check_mask(segmenter.segment(Entry(photo.name, "", camera, None, photo, None)), camera)

@@ -141,7 +141,7 @@ def test_the_command_measures_the_shipped_network(sets, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--segmenter", "masks"], "looks at no photos"),
+        (["--segmenter", "masks"], "looks at no photo alone"),
         (["--segmenter", "compakt"], "Did you mean compact"),
         (["--segmenter-option", "size=abc"], "segmenter.size"),
         (["--data", "nowhere"], "no folder nowhere"),

@@ -75,7 +75,7 @@ def test_what_is_refused(folder, capsys):
         ([str(folder)], "has no mask"),
         ([str(folder / "town")], "holds no photos"),
         ([str(folder), "--views", "3"], "by themselves"),
-        ([str(folder), "--segmenter", "masks"], "looks at no photos"),
+        ([str(folder), "--segmenter", "masks"], "looks at no photo alone"),
         ([str(folder), "--blocks"], "--guided-by 20,2"),
         ([str(folder), "--guided-by", "20,2", "--segmenter", "masks"], "is not guided"),
         ([str(folder), "--guided-by", "20,2", "--draws", "0"], "--draws 0"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from lodbench.cli import main
 from tests.town import write_dataset
 
 
@@ -51,6 +52,14 @@ def is_clear(done, *words: str) -> None:
 def test_fault_of_the_command(lodbench, tmp_path, words, expected):
     is_clear(lodbench(*words), *expected)
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_plug_in_without_its_configuration_is_no_unknown_name(monkeypatch, capsys):
+    monkeypatch.setattr("lodbench.cli.hydra_app.plugin_names", lambda group: ("unset",))
+    assert main(["run", "method=unset", "dataset=demo"]) == 2
+    told = capsys.readouterr().err
+    assert "'unset' brings no conf/method/unset.yaml" in told
+    assert "lodbench.config_sources" in told
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import json
 from contextlib import closing
+from dataclasses import dataclass
 from http.client import HTTPConnection
 from threading import Thread
 
@@ -22,6 +23,23 @@ def houses():
     photo = np.where(mask[..., None], (170, 80, 70), (80, 130, 70))
     photo = photo + np.random.default_rng(0).normal(0, 8, photo.shape)
     return np.clip(photo, 0, 255).astype(np.uint8), mask
+
+
+@dataclass(frozen=True)
+class BrightParams:
+    name: str = "bright"
+
+
+class Bright:
+    """Takes bright pixels for buildings."""
+
+    name, params_type, requires = "bright", BrightParams, frozenset({"image"})
+
+    def __init__(self, params):
+        pass
+
+    def segment(self, entry):
+        return (cv2.imread(str(entry.image), 0) >= 100).astype(np.float32)
 
 
 def iou(first, second):
@@ -161,6 +179,12 @@ class TestCommand:
     def test_it_starts_from_the_network(self, photo):
         assert main(["mask", str(photo), "--no-page"]) == 0
         assert cv2.imread(str(photo.parent / "photo_mask.png"), 0).shape == (160, 240)
+
+    def test_it_starts_from_a_plug_in_that_looks_at_photos(self, photo, monkeypatch):
+        monkeypatch.setattr("lodbench.cli.segmenters.load_plugin", lambda group, name: Bright)
+        assert main(["mask", str(photo), "--segmenter", "bright", "--no-page"]) == 0
+        found = cv2.imread(str(photo.parent / "photo_mask.png"), 0) > 0
+        assert np.array_equal(found, cv2.imread(str(photo), 0) >= 100)
 
     def test_what_does_not_fit_is_told(self, photo, capsys):
         cv2.imwrite(str(photo.parent / "small.png"), np.zeros((16, 24), np.uint8))

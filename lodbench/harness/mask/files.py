@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from lodbench.errors import DatasetError
 from lodbench.harness.mask.session import MaskSession
 from lodbench.reporting.overlays import write_picture
-from lodbench.segmentation import binary_mask
+from lodbench.segmentation import Segmenter, binary_mask
 from lodbench.segmentation.mask_polygons import WRITERS, read_polygons
 from lodbench.segmentation.masks import read_mask
-from lodbench.segmentation.photo_segmenter import PhotoSegmenter
+from lodbench.segmentation.photo_segmenter import photo_probability
 from lodbench.segmentation.photos import read_photo
 
 Mask = NDArray[np.bool_]
 
 
 def opened_session(
-    photo: Path, mask: Path | None, polygons: Path | None, segmenter: PhotoSegmenter | None
+    photo: Path, mask: Path | None, polygons: Path | None, segmenter: Segmenter | None
 ) -> MaskSession:
     """Returns the session of a photo, started from the first that is given; from an empty mask without any.
 
@@ -38,7 +38,7 @@ def opened_session(
             raise DatasetError(f"{mask.name} has {size} pixels, the photo {width} x {height}.")
         return MaskSession(pixels, np.asarray(given >= 0.5))
     if segmenter is not None:
-        return MaskSession(pixels, binary_mask(segmenter.probability(pixels), width, height))
+        return MaskSession(pixels, binary_mask(photo_probability(segmenter, photo), width, height))
     return MaskSession(pixels, np.zeros((height, width), bool))
 
 

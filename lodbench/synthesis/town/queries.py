@@ -10,6 +10,7 @@ import numpy as np
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import DatasetError
+from lodbench.execution.progress import Progress
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import random_stream
@@ -105,23 +106,25 @@ class _QueryCamera:
         """Returns a prior, a photo and a mask for each true pose of a split, from streams of their own."""
         targets, day = _target_ious(split, self._town.seed, len(truths)), self._day(split)
         queries = []
-        for k, truth in enumerate(truths):
-            name = f"{split}_{k:04d}.jpg"
-            clean = self.renderer.render(QUERY_CAMERA, truth)
-            rough, iou = degrade_mask(
-                # A network cannot see through trees; their shapes are those of the photo.
-                clean & ~self._photos.occluders(QUERY_CAMERA, truth),
-                targets[k],
-                random_stream(self._town.seed, "demo", name, "mask"),
-                trees=False,
-                pixels_per_m=_pixels_per_m(QUERY_CAMERA, truth, self.renderer.scene),
-                truth=clean,
-            )
-            prior = PRIORS[split].draw(truth, random_stream(self._town.seed, "demo", name, "prior"))
-            look, response = draw_look(day, random_stream(self._town.seed, "demo", name, "photo"))
-            # The town's own patterns stay as they are from photo to photo.
-            photo = self._photos.jpeg(QUERY_CAMERA, truth, look._replace(seed=self._town.seed), response)
-            queries.append(SyntheticQuery(name, truth, prior, rough, iou, photo))
+        with Progress(f"demo town, made once: photos {split}", len(truths)) as progress:
+            for k, truth in enumerate(truths):
+                name = f"{split}_{k:04d}.jpg"
+                clean = self.renderer.render(QUERY_CAMERA, truth)
+                rough, iou = degrade_mask(
+                    # A network cannot see through trees; their shapes are those of the photo.
+                    clean & ~self._photos.occluders(QUERY_CAMERA, truth),
+                    targets[k],
+                    random_stream(self._town.seed, "demo", name, "mask"),
+                    trees=False,
+                    pixels_per_m=_pixels_per_m(QUERY_CAMERA, truth, self.renderer.scene),
+                    truth=clean,
+                )
+                prior = PRIORS[split].draw(truth, random_stream(self._town.seed, "demo", name, "prior"))
+                look, response = draw_look(day, random_stream(self._town.seed, "demo", name, "photo"))
+                # The town's own patterns stay as they are from photo to photo.
+                photo = self._photos.jpeg(QUERY_CAMERA, truth, look._replace(seed=self._town.seed), response)
+                queries.append(SyntheticQuery(name, truth, prior, rough, iou, photo))
+                progress.advance()
         return tuple(queries)
 
     def _day(self, split: str) -> LookRanges:
