@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,9 +13,10 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.flight.corrected_map import corrected_map
-from lodbench.methods.flight.joint import Solution, State, differences, solve
+from lodbench.methods.flight.joint import Solution, solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import PhotoTerms, flight_terms
+from lodbench.methods.flight.state import State, differences
 
 # Scales of the robust kernel in the joint steps, first and last, pixels of the fine size.
 _REACHES_PX = (24.0, 4.0)
@@ -29,11 +30,14 @@ class Aligned:
         state: Poses, and what photos share.
         terms: What each photo says there.
         solution: The last normal equations.
+        as_told: The same with the map as wrong as was told beforehand: one building that errs is seen whether
+            or not the others do.
     """
 
     state: State
     terms: Sequence[PhotoTerms | None]
     solution: Solution
+    as_told: Solution
 
 
 def align(queries: Sequence[Query], state: State, city_map: CityMap, params: Params) -> Aligned:
@@ -54,8 +58,12 @@ def align(queries: Sequence[Query], state: State, city_map: CityMap, params: Par
             if number >= steps:
                 _leave_out_lost(state, terms, params)
             solution = solve(state, terms, params)
+            if number == len(reaches) - 1:
+                as_told = solve(replace(state, scales=np.ones_like(state.scales)), terms, params)
             state.step(solution)
-    return Aligned(state, terms, solution)
+            if steps <= number < len(reaches) - 1:
+                state.scales = solution.scales()
+    return Aligned(state, terms, solution, as_told)
 
 
 def _leave_out_lost(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> None:

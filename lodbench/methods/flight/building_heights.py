@@ -11,9 +11,11 @@ from scipy.stats import norm
 
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
-from lodbench.methods.flight.joint import CONSTANTS, ROOFS, Solution, State, covariance_of
+from lodbench.methods.flight.aligning import Aligned
+from lodbench.methods.flight.joint import covariance_of
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve
+from lodbench.methods.flight.state import CONSTANTS, ROOFS
 
 Floats = NDArray[np.float64]
 
@@ -51,18 +53,17 @@ class BuildingHeight(NamedTuple):
 
 
 def building_heights(
-    state: State, solution: Solution, curves: Mapping[int, RoofCurve], scene: Scene, params: Params
+    aligned: Aligned, curves: Mapping[int, RoofCurve], scene: Scene, params: Params
 ) -> dict[int, BuildingHeight]:
     """Returns the heights of buildings whose outlines or pixels tell them, by row of the scene.
 
     Args:
-        state: Where the joint problem ended.
-        solution: Its last normal equations.
+        aligned: Where the flight ended.
         curves: What pixels say of heights; see ``sweep_roofs``.
         scene: The map.
         params: How far heights may be wrong.
     """
-    by_outlines = {row: (higher, sigma) for row, higher, sigma in _by_outlines(state, solution)}
+    by_outlines = {row: (higher, sigma) for row, higher, sigma in _by_outlines(aligned)}
     rises, common = _rises(scene), _common(curves)
     found = {}
     for row in sorted({*by_outlines, *(curves if common is not None else ())}):
@@ -125,8 +126,9 @@ def _rises(scene: Scene) -> Floats:
     return rises
 
 
-def _by_outlines(state: State, solution: Solution) -> Iterator[tuple[int, float, float]]:
+def _by_outlines(aligned: Aligned) -> Iterator[tuple[int, float, float]]:
     """Yields each building's row, and how much higher its parts are than all roofs, with sigma; metres."""
+    state, solution = aligned.state, aligned.as_told
     first = CONSTANTS + len(solution.buildings)
     sums = np.zeros((len(solution.buildings), first + len(state.roofs)))
     sums[:, ROOFS] = -1.0
@@ -134,6 +136,7 @@ def _by_outlines(state: State, solution: Solution) -> Iterator[tuple[int, float,
         parts = np.flatnonzero(state.roofs.building == building)
         sums[row, first + parts] = 1.0 / len(parts)
     values = np.concatenate([state.constants, state.buildings_m[solution.buildings], state.roofs.heights_m])
+    values += (solution.shared_step - aligned.solution.shared_step)[: len(values)]
     sigmas = np.sqrt(np.diag(covariance_of(solution, sums)))
     for building, higher, sigma in zip(solution.buildings, sums @ values, sigmas, strict=True):
         yield int(building), float(higher), float(sigma)

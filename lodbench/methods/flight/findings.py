@@ -12,20 +12,15 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.methods.flight.aligning import Aligned
 from lodbench.methods.flight.building_heights import building_heights
 from lodbench.methods.flight.gone_buildings import gone_buildings
-from lodbench.methods.flight.joint import (
-    CONSTANTS,
-    FOCAL,
-    Solution,
-    State,
-    shared_covariance,
-)
+from lodbench.methods.flight.joint import Solution, shared_covariance
 from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.flight.missing_buildings import missing_buildings
 from lodbench.methods.flight.params import Params
-from lodbench.methods.flight.photo_terms import PhotoTerms
 from lodbench.methods.flight.roof_sweep import sweep_roofs
+from lodbench.methods.flight.state import CONSTANTS, FOCAL
 
 Floats = NDArray[np.float64]
 
@@ -50,9 +45,7 @@ _HEIGHT, _ALIKE = 2, 0.5
 
 
 def findings_of(
-    state: State,
-    solution: Solution,
-    terms: Sequence[PhotoTerms | None],
+    aligned: Aligned,
     queries: Sequence[Query],
     city_map: CityMap,
     params: Params,
@@ -66,8 +59,9 @@ def findings_of(
     the others alone, and ``reasons`` why, by name; ``changes``: buildings that stand in the map only
     (``gone_buildings``) and places where the map lacks one (``missing_buildings``).
     """
-    spread = np.sqrt(np.diag(shared_covariance(solution, np.arange(CONSTANTS)) + of_ends))
-    beforehand = params.constant_sigmas()
+    state, terms = aligned.state, aligned.terms
+    spread = np.sqrt(np.diag(shared_covariance(aligned.solution, np.arange(CONSTANTS)) + of_ends))
+    beforehand = params.constant_sigmas(state.scales)
     constants = {
         name: {
             "value": float(state.constants[k]),
@@ -96,7 +90,7 @@ def findings_of(
             "photos": max(photos[row], height.photos),
             "doubt": height.is_in_doubt,
         }
-        for row, height in building_heights(state, solution, curves, city_map.scene, params).items()
+        for row, height in building_heights(aligned, curves, city_map.scene, params).items()
     ]
     changes = [*gone_buildings(views, city_map), *missing_buildings(views, city_map)]
     gone = {change["id"] for change in changes if change["kind"] == "gone"}

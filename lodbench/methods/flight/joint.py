@@ -11,106 +11,27 @@ its building's and an error of its own, a building's that of all roofs and its o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import SuperLU
 
 from lodbench.methods.contour_alignment.pose_vector import rotation_derivatives
+from lodbench.methods.flight.error_groups import ErrorGroup
 from lodbench.methods.flight.normal_equations import NormalEquations
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
-from lodbench.methods.flight.reconstruction import MOUNT, UNKNOWNS, Reconstruction
-from lodbench.methods.flight.relative_poses import RelativePose
-from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.methods.flight.reconstruction import MOUNT, UNKNOWNS
+from lodbench.methods.flight.state import CONSTANTS, FEET, FOCAL, ROOFS, State, differences
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-# The shared numbers before the buildings': flight's error, lens, all roofs, all feet of walls.
-_FLIGHT, _LENS, ROOFS, _FEET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
-FOCAL = 6
 # Degrees of freedom of what heights err by: most are right to a little, some wrong by much.
 _FREEDOM = 1.0
 # The longest step of a photo: a linearisation says little beyond it (metres, degrees).
 _LONGEST_STEP = np.array([6.0, 6.0, 10.0, 2.0, 2.0, 4.0])
-
-
-@dataclass(slots=True, eq=False)
-class State:
-    """Where the joint problem stands.
-
-    Attributes:
-        vectors: (P, 6) poses of the photos, metres and degrees.
-        priors: (P, 6) what the sensors said of them.
-        constants: (11,) the shared numbers before the buildings', as in the module's text.
-        roofs: Heights of parts of roofs.
-        buildings_m: (B,) metres by which each building of the scene is higher than in the map.
-        weights: (P,) how far each photo's own words count; 0 for one that is lost.
-        reasons: Why a photo is lost, by number.
-        ties: What pairs of photos say of their relative poses.
-        reconstruction: Poses of photos up to a similarity, or None.
-    """
-
-    vectors: Floats
-    priors: Floats
-    roofs: RoofParts
-    buildings_m: Floats
-    weights: Floats
-    constants: Floats = field(default_factory=lambda: np.zeros(CONSTANTS))
-    reasons: dict[int, str] = field(default_factory=dict)
-    ties: Sequence[RelativePose] = ()
-    reconstruction: Reconstruction | None = None
-
-    @property
-    def lens(self) -> Floats:
-        """Returns (3,) the focal length's change as a share, k1, and pixels that masks are too large by."""
-        return self.constants[_LENS]
-
-    @property
-    def offset(self) -> Floats:
-        """Returns (6,) the flight's error: where photos were, less what the sensors said."""
-        return self.constants[_FLIGHT]
-
-    def begun(self, photos: Rows, offset: Floats) -> State:
-        """Returns some of its photos, the flight's error further off by (6,), roofs as the map has them."""
-        number = {int(photo): k for k, photo in enumerate(photos)}
-        vectors, constants = self.vectors[photos] + offset, self.constants.copy()
-        constants[_FLIGHT] += offset
-        return State(
-            vectors=vectors,
-            priors=self.priors[photos],
-            roofs=self.roofs.untouched(),
-            buildings_m=np.zeros_like(self.buildings_m),
-            weights=np.ones(len(photos)),
-            constants=constants,
-            ties=[
-                replace(tie, first=number[tie.first], second=number[tie.second])
-                for tie in self.ties
-                if tie.first in number and tie.second in number
-            ],
-            reconstruction=None if self.reconstruction is None else self.reconstruction.part(number, vectors),
-        )
-
-    def shift(self, poses: Floats, constants: Floats) -> None:
-        """Moves all poses by (6,) and what photos share by (11,); heights go with all roofs' and feet's."""
-        self.vectors = self.vectors + poses
-        self.constants = self.constants + constants
-        is_roof = self.roofs.building >= 0
-        self.roofs.heights_m = self.roofs.heights_m + np.where(is_roof, constants[ROOFS], constants[_FEET])
-        self.buildings_m[np.unique(self.roofs.building[is_roof])] += constants[ROOFS]
-
-    def step(self, solution: Solution) -> None:
-        """Moves everything by a solution's steps."""
-        shown, step = solution.buildings, solution.shared_step
-        self.vectors = self.vectors + solution.photo_steps
-        self.constants = self.constants + step[:CONSTANTS]
-        self.buildings_m[shown] += step[CONSTANTS : CONSTANTS + len(shown)]
-        parts = CONSTANTS + len(shown)
-        self.roofs.heights_m = self.roofs.heights_m + step[parts : parts + len(self.roofs)]
-        if self.reconstruction is not None:
-            self.reconstruction = self.reconstruction.moved(step[-UNKNOWNS:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,19 +43,22 @@ class Solution:
         shared_step: (S,) of what they share: constants, buildings, parts of roofs, similarity.
         buildings: (N,) rows of the scene that the shared numbers speak of, ascending.
         factorised: The curvature of photos, then what they share.
+        groups: Of errors that have a scale of their own, in the order of ``State.scales``.
+        members: How many errors of each have nothing to do with each other.
     """
 
     photo_steps: Floats
     shared_step: Floats
     buildings: Rows
     factorised: SuperLU
+    groups: Sequence[ErrorGroup]
+    members: Sequence[int]
 
-
-def differences(vectors: Floats, priors: Floats) -> Floats:
-    """Returns (P, 6) poses less priors, angles within half a turn."""
-    gaps = vectors - priors
-    gaps[:, 3:] = (gaps[:, 3:] + 180.0) % 360.0 - 180.0
-    return np.asarray(gaps)
+    def scales(self) -> Floats:
+        """Returns (5,) the scales that this calls for; see ``State.scales``."""
+        step = np.concatenate([self.photo_steps.ravel(), self.shared_step])
+        grouped = zip(self.groups, self.members, strict=True)
+        return np.array([group.scale_after(self.factorised, step, count) for group, count in grouped])
 
 
 def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> Solution:
@@ -151,7 +75,12 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
     similarity = parts + len(state.roofs)
     size = similarity + (0 if state.reconstruction is None else UNKNOWNS)
     equations = NormalEquations(size)
-    _add_map(equations, state, shared, buildings, params)
+    of_roofs, of_parts, of_feet, of_model, of_ties = groups = [
+        ErrorGroup(equations, scale) for scale in state.scales
+    ]
+    _add_map(equations, state, shared, params)
+    _add_roofs(of_roofs, of_parts, state, shared, buildings, params)
+    _add_feet(of_feet, state, shared, parts, params)
     own = np.diag(params.own_sigmas() ** -2.0)
     gaps = differences(state.vectors, state.priors) - state.offset
     apart = np.hstack([np.eye(6), -np.eye(6)])
@@ -161,57 +90,73 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
         if term is not None and state.weights[k] > 0:
             unknowns = np.concatenate([pose, shared + np.arange(6, 6 + LENS), parts + term.parts])
             equations.add(unknowns, state.weights[k] * term.information, state.weights[k] * term.gradient)
-    _add_relative_poses(equations, state, shared + FOCAL, similarity, params)
+    derivatives = [rotation_derivatives(vector) for vector in state.vectors]
+    _add_ties(of_ties, state, derivatives, shared + FOCAL)
+    _add_reconstruction(of_model, state, derivatives, similarity, params)
     factorised, step = equations.solve()
     steps = step[:shared].reshape(-1, 6)
     longest = np.maximum(1.0, np.max(np.abs(steps) / _LONGEST_STEP, axis=1, initial=0.0))
-    return Solution(steps / longest[:, None], step[shared:], buildings, factorised)
+    # What one building errs by goes together; what photos err by in a reconstruction does not.
+    walls = len(np.unique(state.roofs.building[state.roofs.building < 0]))
+    members = len(buildings), len(buildings), walls, of_model.count, of_ties.count
+    return Solution(steps / longest[:, None], step[shared:], buildings, factorised, groups, members)
 
 
-def _add_relative_poses(
-    equations: NormalEquations, state: State, focal: int, similarity: int, params: Params
-) -> None:
-    """Adds what is known of photos' poses relative to each other."""
-    if not state.ties and state.reconstruction is None:
-        return
-    derivatives = [rotation_derivatives(vector) for vector in state.vectors]
+def _add_ties(group: ErrorGroup, state: State, derivatives: Sequence[Floats], focal: int) -> None:
+    """Adds what pairs of photos say of each other; ``focal`` is the focal length's column."""
     for tie in state.ties:
         unknowns = np.concatenate([np.arange(6) + 6 * tie.first, np.arange(6) + 6 * tie.second, [focal]])
         residuals, jacobian = tie.linearize(state.vectors, derivatives, state.constants[FOCAL])
-        equations.add_residuals(unknowns, jacobian, residuals, tie.weighted_information(residuals))
-    if state.reconstruction is not None:
-        shared = similarity + np.arange(UNKNOWNS)
-        precision = params.mount_precision()
-        equations.add(shared[MOUNT], np.eye(3) * precision, precision * state.reconstruction.mount)
-        for photo in state.reconstruction.photos:
-            residuals, jacobian = state.reconstruction.linearize(photo, state.vectors, derivatives)
-            unknowns = np.concatenate([np.arange(6) + 6 * photo, shared])
-            information = state.reconstruction.weighted_information(residuals)
-            equations.add_residuals(unknowns, jacobian, residuals, information)
+        group.add_residuals(unknowns, jacobian, residuals, tie.weighted_information(residuals, group.scale))
 
 
-def _add_map(equations: NormalEquations, state: State, shared: int, buildings: Rows, params: Params) -> None:
-    """Adds what is known beforehand of the shared numbers, whose first column is ``shared``."""
-    precision = params.constant_sigmas() ** -2.0
+def _add_reconstruction(
+    group: ErrorGroup, state: State, derivatives: Sequence[Floats], similarity: int, params: Params
+) -> None:
+    """Adds where a reconstruction has photos; ``similarity`` is the first column of what places it."""
+    if state.reconstruction is None:
+        return
+    shared = similarity + np.arange(UNKNOWNS)
+    precision = params.mount_precision()
+    group.equations.add(shared[MOUNT], np.eye(3) * precision, precision * state.reconstruction.mount)
+    for photo in state.reconstruction.photos:
+        residuals, jacobian = state.reconstruction.linearize(photo, state.vectors, derivatives)
+        unknowns = np.concatenate([np.arange(6) + 6 * photo, shared])
+        information = state.reconstruction.weighted_information(residuals, group.scale)
+        group.add_residuals(unknowns, jacobian, residuals, information)
+
+
+def _add_map(equations: NormalEquations, state: State, shared: int, params: Params) -> None:
+    """Adds what is known beforehand of the constants, whose first column is ``shared``."""
+    precision = params.constant_sigmas(state.scales) ** -2.0
     equations.add(shared + np.arange(CONSTANTS), np.diag(precision), precision * state.constants)
-    # Buildings lie around all roofs, parts around their building.
+
+
+def _add_roofs(
+    of_roofs: ErrorGroup, of_parts: ErrorGroup, state: State, shared: int, buildings: Rows, params: Params
+) -> None:
+    """Adds that buildings lie around all roofs, and parts around their building."""
     below = shared + CONSTANTS + np.arange(len(buildings))
     heights = state.buildings_m[buildings]
-    _tie(equations, below, shared + ROOFS, heights - state.constants[ROOFS], params.roof_m)
-    parts = shared + CONSTANTS + len(buildings) + np.arange(len(state.roofs))
+    _add_alike(of_roofs, below, shared + ROOFS, heights - state.constants[ROOFS], params.roof_m)
     is_roof = state.roofs.building >= 0
+    parts = shared + CONSTANTS + len(buildings) + np.flatnonzero(is_roof)
     above = np.searchsorted(buildings, state.roofs.building[is_roof])
-    own = state.roofs.heights_m[is_roof] - heights[above]
-    _tie(equations, parts[is_roof], below[above], own, params.part_m)
-    own = state.roofs.heights_m[~is_roof] - state.constants[_FEET]
-    _tie(equations, parts[~is_roof], shared + _FEET, own, params.foot_m)
+    _add_alike(of_parts, parts, below[above], state.roofs.heights_m[is_roof] - heights[above], params.part_m)
 
 
-def _tie(equations: NormalEquations, these: Rows, those: Rows | int, gaps: Floats, sigma: float) -> None:
+def _add_feet(group: ErrorGroup, state: State, shared: int, first: int, params: Params) -> None:
+    """Adds that feet of walls lie around all feet; the first column of parts is ``first``."""
+    is_foot = state.roofs.building < 0
+    gaps = state.roofs.heights_m[is_foot] - state.constants[FEET]
+    _add_alike(group, first + np.flatnonzero(is_foot), shared + FEET, gaps, params.foot_m)
+
+
+def _add_alike(group: ErrorGroup, these: Rows, those: Rows | int, gaps: Floats, told_m: float) -> None:
     """Adds that heights are alike to others, with Student's t for what they err by."""
-    sigma = max(sigma, 1e-4)
+    sigma = max(group.scale * told_m, 1e-4)
     precisions = (_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigma) ** 2) / sigma**2
-    equations.add_differences(these, np.broadcast_to(those, these.shape), gaps, precisions)
+    group.add_differences(these, np.broadcast_to(those, these.shape), gaps, precisions)
 
 
 def shared_covariance(solution: Solution, columns: Rows) -> Floats:

@@ -19,20 +19,14 @@ from lodbench.methods.flight.aligning import Aligned, align, mean_iou, side_by_s
 from lodbench.methods.flight.consensus import flight_error
 from lodbench.methods.flight.findings import cannot_tell_focal, findings_of
 from lodbench.methods.flight.footprints import footprint_covariance
-from lodbench.methods.flight.joint import (
-    CONSTANTS,
-    FOCAL,
-    State,
-    differences,
-    photo_covariance,
-    solve,
-)
+from lodbench.methods.flight.joint import photo_covariance, solve
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.photo_terms import LENS
 from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS, placed
 from lodbench.methods.flight.restarts import STARTS_M, Ends, ends_of, restarted
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.shared_looks import agreed_places, with_masks_by_looks
+from lodbench.methods.flight.state import CONSTANTS, FOCAL, State, differences
 from lodbench.methods.flight.tracks import relative_poses
 from lodbench.methods.protocol import Estimate, FlightEstimate, Streams
 from lodbench.methods.region import Region
@@ -162,9 +156,7 @@ class FlightMethod:
         with side_by_side(city_map.threads) as threads:
             spread = map if threads is None else threads.map
             estimates = list(spread(lambda row: self._estimate(aligned, row, of_pose), range(len(queries))))
-        found = findings_of(
-            state, aligned.solution, aligned.terms, queries, city_map, self.params, of_constants
-        )
+        found = findings_of(aligned, queries, city_map, self.params, of_constants)
         return FlightEstimate(estimates, found)
 
     def _ends(self, queries: Sequence[Query], start: State, aligned: Aligned, city_map: CityMap) -> Ends:
@@ -212,7 +204,9 @@ class FlightMethod:
         Masks that are all far too large, or roofs all far too high, stand for an error of another kind.
         """
         common = slice(6 + LENS - 1, CONSTANTS)
-        beyond = state.constants[common] / self.params.constant_sigmas()[common] / _EXPECTED_SIGMAS
+        beyond = (
+            state.constants[common] / self.params.constant_sigmas(state.scales)[common] / _EXPECTED_SIGMAS
+        )
         return max(1.0, float((beyond**2).max()))
 
     def _estimate(self, aligned: Aligned, row: int, of_ends: Floats) -> Estimate:

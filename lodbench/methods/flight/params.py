@@ -17,6 +17,7 @@ Floats = NDArray[np.float64]
 
 SINGLE_METHODS = ("contour_alignment", "region")
 RELATIVE_POSES = ("auto", "reconstruction", "tracks", "none")
+_AS_TOLD: Floats = np.ones(5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +121,15 @@ class Params:
         widths = (self.own_m, self.own_m, self.own_m)
         return _sigmas(*widths, self.own_tilt_deg, self.own_tilt_deg, self.own_yaw_deg)
 
-    def constant_sigmas(self) -> Floats:
-        """Returns (11,) standard deviations beforehand of what photos share, in the order of ``joint``."""
+    def constant_sigmas(self, scales: Floats = _AS_TOLD) -> Floats:
+        """Returns (11,) standard deviations beforehand of what photos share, in the order of ``joint``.
+
+        Args:
+            scales: The shares of what is told that roofs and feet of walls err by, and more.
+        """
+        map_m = scales[0] * self.roofs_m, scales[2] * self.feet_m
         lens = (self.focal, self.distortion, self.mask_px)
-        return np.concatenate([self.shared_sigmas(), np.maximum([*lens, self.roofs_m, self.feet_m], 1e-7)])
+        return np.concatenate([self.shared_sigmas(), np.maximum([*lens, *map_m], 1e-7)])
 
     def reconstruction_information(self) -> Floats:
         """Returns (6, 6) how well poses are known in a reconstruction: of metres, then radians."""

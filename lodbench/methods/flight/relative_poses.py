@@ -68,9 +68,9 @@ class RelativePose:
         jacobian[:, 12] = -self.per_focal
         return residuals - self.per_focal * focal, jacobian
 
-    def weighted_information(self, residuals: Floats) -> Floats:
-        """Returns (5, 5) the information, less for a pair that is far off."""
-        return robust(self.information, residuals)
+    def weighted_information(self, residuals: Floats, scale: float = 1.0) -> Floats:
+        """Returns (5, 5) the information, less for a pair far off; errors are a share of those told."""
+        return robust(self.information / scale**2, residuals)
 
 
 def robust(information: Floats, residuals: Floats) -> Floats:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.methods.flight.joint import differences
+from lodbench.methods.flight.state import differences
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-# More cells than a city is wide.
+# More cells than a city is wide, or high; a building's number times its square is one.
 _MOST_CELLS = 1 << 20
 
 
@@ -31,7 +31,7 @@ class RoofParts:
     def __init__(self, cell_m: float, buildings: int) -> None:
         self._cell_m = cell_m
         self.drawn_m: Floats = np.zeros(buildings)
-        self._numbers: dict[tuple[int, int], int] = {}
+        self._numbers: dict[int, int] = {}
         self.heights_m: Floats = np.zeros(0)
         self.building: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
@@ -49,20 +49,21 @@ class RoofParts:
             buildings: (N,) rows of the scene.
             places: (N, 2) east and north, scene metres.
         """
-        cells = np.floor(places / self._cell_m).astype(np.int64)
-        keys = (cells[:, 0] + _MOST_CELLS // 2) * _MOST_CELLS + cells[:, 1] + _MOST_CELLS // 2
-        pairs, inverse = np.unique(np.column_stack([buildings, keys]), axis=0, return_inverse=True)
-        found = [(int(building), int(cell)) for building, cell in pairs]
-        new = [pair for pair in found if pair not in self._numbers]
-        for pair in new:
-            self._numbers[pair] = len(self._numbers)
+        cells = np.floor(places / self._cell_m).astype(np.int64) + _MOST_CELLS // 2
+        # One number for building and cell: of few points in many photos, it is the sorting that takes long.
+        keys, inverse = np.unique(
+            (buildings * _MOST_CELLS + cells[:, 0]) * _MOST_CELLS + cells[:, 1], return_inverse=True
+        )
+        found = keys.tolist()
+        new = [key for key in found if key not in self._numbers]
         if new:
-            owners = np.array([building for building, _ in new], dtype=np.int64)
-            heights = [self._height_of(int(building)) for building in owners]
+            self._numbers.update(zip(new, range(len(self), len(self) + len(new)), strict=True))
+            owners = np.array(new, dtype=np.int64) // _MOST_CELLS**2
+            heights = [self._height_of(building) for building in owners.tolist()]
             self.building = np.concatenate([self.building, owners])
             self.heights_m = np.concatenate([self.heights_m, heights])
-        numbers = np.array([self._numbers[pair] for pair in found], dtype=np.int64)
-        return numbers[inverse.reshape(-1)]
+        numbers = np.array([self._numbers[key] for key in found], dtype=np.int64)
+        return numbers[inverse]
 
     def building_heights(self) -> Floats:
         """Returns (B,) the mean height of each building's parts against the map, metres; 0 without any."""

@@ -149,13 +149,18 @@ def _near(scene: Scene, pictures: Sequence[_Picture]) -> list[NDArray[np.int64]]
 
 
 def _roofs(scene: Scene, buildings: NDArray[np.int64]) -> dict[int, Floats]:
-    """Returns points of roofs, (N, 3), by row of the building; walls alone have none."""
+    """Returns by row of the building points of its roof, and which share of its height they have, (N, 4).
+
+    A building that is higher is so as a whole: its eaves rise less than its ridge. Walls alone have no roof.
+    """
     roofs = {}
     for row in buildings.tolist():
         faces = slice(scene.triangle_starts[row], scene.triangle_starts[row + 1])
-        points = roof_points(scene.vertices[scene.triangles[faces]].astype(np.float64))
+        triangles = scene.vertices[scene.triangles[faces]].astype(np.float64)
+        points = roof_points(triangles)
         if len(points) >= _FEWEST_POINTS:
-            roofs[row] = points
+            floor, top = triangles[..., 2].min(), triangles[..., 2].max()
+            roofs[row] = np.column_stack([points, (points[:, 2] - floor) / max(top - floor, 1e-6)])
     return roofs
 
 
@@ -200,7 +205,8 @@ def _seen(
         if not rows:
             continue
         points, ends = np.concatenate([roofs[row] for row in rows]), np.cumsum([len(roofs[r]) for r in rows])
-        for row, is_seen in zip(rows, np.split(_sees(picture, points, city_map), ends[:-1]), strict=True):
+        is_seen_of = np.split(_sees(picture, points[:, :3], city_map), ends[:-1])
+        for row, is_seen in zip(rows, is_seen_of, strict=True):
             if is_seen.mean() >= _SHARE:
                 found[row].append((picture, is_seen))
     return {
@@ -226,10 +232,15 @@ def _sees(picture: _Picture, points: Floats, city_map: CityMap) -> NDArray[np.bo
 
 
 def _curve(points: Floats, photos: Sequence[_Shown]) -> RoofCurve | None:
-    """Returns how well heights of a roof explain its photos; None where too little is seen often enough."""
+    """Returns how well heights of a roof explain its photos; None where too little is seen often enough.
+
+    Args:
+        points: (N, 4) of the roof, and which share of the building's height they have.
+        photos: Those that show it.
+    """
     colours = np.full((len(photos), len(HEIGHTS_M), len(points), 4), np.nan, np.float32)
     for of_photo, (picture, is_seen) in zip(colours, photos, strict=True):
-        raised = points[is_seen] + HEIGHTS_M[:, None, None] * np.array([0.0, 0.0, 1.0])
+        raised = points[is_seen, :3] + HEIGHTS_M[:, None, None] * points[is_seen, 3:] * [0.0, 0.0, 1.0]
         pixels = (picture.project(raised)[0] - 0.5).astype(np.float32)
         of_photo[:, is_seen] = cv2.remap(picture.pixels, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR)
     counts = np.isfinite(colours[:, _AS_MAPPED, :, 0]).sum(axis=0)

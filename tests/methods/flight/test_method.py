@@ -14,9 +14,10 @@ from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.flight import FlightMethod, Params, building_heights
-from lodbench.methods.flight.joint import State, photo_covariance, solve
+from lodbench.methods.flight.joint import photo_covariance, solve
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
 from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.methods.flight.state import State
 from lodbench.methods.protocol import SupportsFlights
 from lodbench.storage import random_stream
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map

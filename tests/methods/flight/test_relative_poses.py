@@ -17,10 +17,11 @@ from lodbench.methods.contour_alignment.pose_vector import (
     rotation_derivatives,
 )
 from lodbench.methods.flight import FlightMethod, Params
-from lodbench.methods.flight.joint import State, solve
+from lodbench.methods.flight.joint import solve
 from lodbench.methods.flight.reconstruction import placed
 from lodbench.methods.flight.relative_poses import RelativePose, rotation_vector, tangents
 from lodbench.methods.flight.roof_parts import RoofParts
+from lodbench.methods.flight.state import State
 from lodbench.methods.flight.tracks import two_view
 from lodbench.storage import random_stream
 from tests.methods.flight.test_method import flight

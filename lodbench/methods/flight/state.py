@@ -1,0 +1,111 @@
+"""Where the joint problem of a flight stands: poses, what photos share, and heights of roofs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.methods.flight.photo_terms import LENS
+from lodbench.methods.flight.reconstruction import UNKNOWNS, Reconstruction
+from lodbench.methods.flight.relative_poses import RelativePose
+from lodbench.methods.flight.roof_parts import RoofParts
+
+if TYPE_CHECKING:
+    from lodbench.methods.flight.joint import Solution
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+# The shared numbers before the buildings': flight's error, lens, all roofs, all feet of walls.
+_FLIGHT, _LENS, ROOFS, FEET, CONSTANTS = slice(0, 6), slice(6, 6 + LENS), 6 + LENS, 7 + LENS, 8 + LENS
+FOCAL = 6
+
+
+@dataclass(slots=True, eq=False)
+class State:
+    """Where the joint problem stands.
+
+    Attributes:
+        vectors: (P, 6) poses of the photos, metres and degrees.
+        priors: (P, 6) what the sensors said of them.
+        constants: (11,) the shared numbers before the buildings', see ``joint``.
+        roofs: Heights of parts of roofs.
+        buildings_m: (B,) metres by which each building of the scene is higher than in the map.
+        weights: (P,) how far each photo's own words count; 0 for one that is lost.
+        reasons: Why a photo is lost, by number.
+        ties: What pairs of photos say of their relative poses.
+        reconstruction: Poses of photos up to a similarity, or None.
+        scales: (5,) shares of what is told that buildings, parts of roofs, feet of walls, the reconstruction
+            and ties err by.
+    """
+
+    vectors: Floats
+    priors: Floats
+    roofs: RoofParts
+    buildings_m: Floats
+    weights: Floats
+    constants: Floats = field(default_factory=lambda: np.zeros(CONSTANTS))
+    reasons: dict[int, str] = field(default_factory=dict)
+    ties: Sequence[RelativePose] = ()
+    reconstruction: Reconstruction | None = None
+    scales: Floats = field(default_factory=lambda: np.ones(5))
+
+    @property
+    def lens(self) -> Floats:
+        """Returns (3,) the focal length's change as a share, k1, and pixels that masks are too large by."""
+        return self.constants[_LENS]
+
+    @property
+    def offset(self) -> Floats:
+        """Returns (6,) the flight's error: where photos were, less what the sensors said."""
+        return self.constants[_FLIGHT]
+
+    def begun(self, photos: Rows, offset: Floats) -> State:
+        """Returns some of its photos, the flight's error further off by (6,), roofs as the map has them."""
+        number = {int(photo): k for k, photo in enumerate(photos)}
+        vectors, constants = self.vectors[photos] + offset, self.constants.copy()
+        constants[_FLIGHT] += offset
+        return State(
+            vectors=vectors,
+            priors=self.priors[photos],
+            roofs=self.roofs.untouched(),
+            buildings_m=np.zeros_like(self.buildings_m),
+            weights=np.ones(len(photos)),
+            constants=constants,
+            ties=[
+                replace(tie, first=number[tie.first], second=number[tie.second])
+                for tie in self.ties
+                if tie.first in number and tie.second in number
+            ],
+            reconstruction=None if self.reconstruction is None else self.reconstruction.part(number, vectors),
+        )
+
+    def shift(self, poses: Floats, constants: Floats) -> None:
+        """Moves all poses by (6,) and what photos share by (11,); heights go with all roofs' and feet's."""
+        self.vectors = self.vectors + poses
+        self.constants = self.constants + constants
+        is_roof = self.roofs.building >= 0
+        self.roofs.heights_m = self.roofs.heights_m + np.where(is_roof, constants[ROOFS], constants[FEET])
+        self.buildings_m[np.unique(self.roofs.building[is_roof])] += constants[ROOFS]
+
+    def step(self, solution: Solution) -> None:
+        """Moves everything by a solution's steps."""
+        shown, step = solution.buildings, solution.shared_step
+        self.vectors = self.vectors + solution.photo_steps
+        self.constants = self.constants + step[:CONSTANTS]
+        self.buildings_m[shown] += step[CONSTANTS : CONSTANTS + len(shown)]
+        parts = CONSTANTS + len(shown)
+        self.roofs.heights_m = self.roofs.heights_m + step[parts : parts + len(self.roofs)]
+        if self.reconstruction is not None:
+            self.reconstruction = self.reconstruction.moved(step[-UNKNOWNS:])
+
+
+def differences(vectors: Floats, priors: Floats) -> Floats:
+    """Returns (P, 6) poses less priors, angles within half a turn."""
+    gaps = vectors - priors
+    gaps[:, 3:] = (gaps[:, 3:] + 180.0) % 360.0 - 180.0
+    return np.asarray(gaps)
