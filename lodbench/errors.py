@@ -72,12 +72,51 @@ def require_choice(name: str, value: str, known: Iterable[str]) -> None:
         raise ConfigError(f"{name}={value} is not known.", nearest_names(value, choices))
 
 
-def require_within(name: str, value: float | Iterable[float] | None, low: float, high: float) -> None:
+def require_within(
+    name: str, value: float | Iterable[float] | None, low: float, high: float = math.inf, ends: str = "[]"
+) -> None:
     """Makes sure that a setting, or each of its values, is a finite number within bounds; None is.
+
+    Args:
+        name: What it is called on a command line.
+        value: It.
+        low: Lower bound.
+        high: Upper bound.
+        ends: Whether the bounds belong to it, as intervals are written: ``(]`` has no lower one.
 
     Raises:
         ConfigError: A value is not.
     """
     for number in value if isinstance(value, Iterable) else [value]:
-        if number is not None and not (math.isfinite(number) and low <= number <= high):
-            raise ConfigError(f"{name}={number:g} is not within {low:g} to {high:g}.")
+        if number is None or (
+            math.isfinite(number)
+            and (low < number if ends[0] == "(" else low <= number)
+            and (number < high if ends[1] == ")" else number <= high)
+        ):
+            continue
+        if high == math.inf:
+            bounds = f"finite and {'above' if ends[0] == '(' else 'at least'} {low:g}"
+        else:
+            is_closed = ends == "[]"
+            bounds = f"within {low:g} to {high:g}" if is_closed else f"in {ends[0]}{low:g}, {high:g}{ends[1]}"
+        raise ConfigError(f"{name}={number:g} is not {bounds}.")
+
+
+def require_numbers(
+    params: object, section: str, names: Iterable[str], low: float, high: float = math.inf, ends: str = "[]"
+) -> None:
+    """Makes sure of several settings what ``require_within`` does of one.
+
+    Args:
+        params: Has them as attributes.
+        section: Their section of a command line, as in ``method.steps``; "" for none.
+        names: The attributes.
+        low: As for ``require_within``.
+        high: Likewise.
+        ends: Likewise.
+
+    Raises:
+        ConfigError: One is not.
+    """
+    for name in names:
+        require_within(f"{section}.{name}" if section else name, getattr(params, name), low, high, ends)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import ConfigError, require_within
+from lodbench.errors import require_within
 from lodbench.geometry import AxisRange, PoseGrid
+from lodbench.methods.search_params import ranges_of
 
 _BOUNDS = {
     "size": (64, 4096),
@@ -76,10 +76,7 @@ class LodLocParams:
 
     def __post_init__(self) -> None:
         for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not math.isfinite(value):
-                raise ConfigError(f"method.{name}={value} is not finite.")
-            require_within(name, value, low, high)
+            require_within(f"method.{name}", getattr(self, name), low, high)
 
     def grid(self) -> PoseGrid:
         """Returns the first stage's grid."""
@@ -92,10 +89,4 @@ class LodLocParams:
 
     def for_prior(self, prior: UniformPrior) -> LodLocParams:
         """Returns these parameters with a first stage that covers a prior's error; counts stay."""
-        return replace(
-            self,
-            range_x_m=2.0 * prior.x_m,
-            range_y_m=2.0 * prior.y_m,
-            range_z_m=2.0 * prior.z_m,
-            range_yaw_deg=2.0 * prior.yaw_deg,
-        )
+        return replace(self, **ranges_of(prior))

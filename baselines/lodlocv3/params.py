@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, require_choice
 from lodbench.methods.lodlocv2 import Params
 
 WEIGHTS = ("box", "area", "equal")
@@ -32,9 +32,8 @@ class LodLocV3Params(Params):
 
     def __post_init__(self) -> None:
         super(LodLocV3Params, self).__post_init__()
-        for name, value, known in (("weights", self.weights, WEIGHTS), ("select", self.select, SELECTS)):
-            if value not in known:
-                raise ConfigError(f"method.{name}={value} is not known.", nearest_names(value, known))
+        require_choice("method.weights", self.weights, WEIGHTS)
+        require_choice("method.select", self.select, SELECTS)
         if self.fit != "iou" and not self.by_silhouette:
             raise ConfigError(
                 f"method.fit={self.fit} compares silhouettes, which nothing does here.",

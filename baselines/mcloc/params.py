@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, require_choice
 from lodbench.methods.lodlocv2 import Params
 
 MAPS = ("model", "textured")
@@ -34,9 +34,8 @@ class McLocParams(Params):
 
     def __post_init__(self) -> None:
         super(McLocParams, self).__post_init__()
-        for setting, value, known in (("features", self.features, FEATURES), ("map", self.map, MAPS)):
-            if value not in known:
-                raise ConfigError(f"method.{setting}={value} is not known.", nearest_names(value, known))
+        require_choice("method.features", self.features, FEATURES)
+        require_choice("method.map", self.map, MAPS)
         if self.fit != "iou":
             raise ConfigError(
                 f"method.fit={self.fit} compares silhouettes; mcloc compares features.",

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from lodbench.errors import ConfigError
+from lodbench.errors import require_numbers, require_within
 from lodbench.plugins import find_plugin
 
 ORACLE = "oracle"
@@ -67,15 +66,10 @@ class RenderAndMatchParams:
         find_plugin("pose_solvers", self.pnp)
         if self.retrieval is not None:
             find_plugin("retrievals", self.retrieval)
-        if not 0 <= (self.area_m or 0.0) < math.inf or not 0 < self.spacing_m < math.inf:
-            raise ConfigError(
-                "method.area_m is >= 0, or null, and method.spacing_m above 0; both are finite."
-            )
-        if min(self.views, self.rounds, self.oracle_matches) < 1 or self.min_inliers < 4:
-            raise ConfigError("method.views and rounds are at least 1, min_inliers at least 4.")
-        if not 64 <= self.width <= 8192 or not 1.0 <= self.canvas <= 4.0 or not self.spread_m >= 0:
-            raise ConfigError("method.width is 64 to 8192 px, method.canvas 1 to 4, method.spread_m >= 0.")
-        if self.threshold_px is not None and not self.threshold_px > 0:
-            raise ConfigError(f"method.threshold_px is above 0, or null, not {self.threshold_px}.")
-        if not self.oracle_noise_px >= 0 or not 0 <= self.oracle_outliers < 1:
-            raise ConfigError("method.oracle_noise_px >= 0, oracle_outliers in [0, 1).")
+        require_numbers(self, "method", ("views", "rounds", "oracle_matches"), 1)
+        require_within("method.min_inliers", self.min_inliers, 4)
+        require_within("method.width", self.width, 64, 8192)
+        require_within("method.canvas", self.canvas, 1, 4)
+        require_numbers(self, "method", ("area_m", "spread_m", "oracle_noise_px"), 0)
+        require_numbers(self, "method", ("spacing_m", "threshold_px"), 0, ends="(]")
+        require_within("method.oracle_outliers", self.oracle_outliers, 0, 1, "[)")

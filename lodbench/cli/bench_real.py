@@ -31,10 +31,7 @@ _MORE = """\
 def add_real(actions: Any) -> argparse.ArgumentParser:
     """Adds the command's options to ``lodbench bench`` and returns its parser."""
     parser: argparse.ArgumentParser = actions.add_parser(
-        "real",
-        help="recall on posed real photos from redrawn priors",
-        epilog=_MORE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "real", help="recall on posed real photos from redrawn priors", epilog=_MORE
     )
     add = parser.add_argument
     photos = parser.add_mutually_exclusive_group(required=True)

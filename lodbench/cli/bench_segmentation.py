@@ -42,7 +42,6 @@ def add_segmentation(actions: Any) -> argparse.ArgumentParser:
         "segmentation",
         help="IoU and time of a network's masks; with --city, recall over the IoU of masks",
         epilog=_MORE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add("--segmenter", metavar="NAME", help="that looks at photos (compact; of --photos efficient_unet)")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,9 +37,8 @@ def main(argv: Sequence[str]) -> int:
     """
     parser = Parser(
         "lodbench check-method",
-        description="Check a method against the protocol: its class, its configuration, its answers.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "Check a method against the protocol: its class, its configuration, its answers.",
+        _EPILOG,
     )
     parser.add_argument("name", metavar="NAME", help="the method's name, as in method=NAME")
     parser.add_argument(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -31,12 +30,7 @@ def main(argv: Sequence[str]) -> int:
         ConfigError: There is no such kind, or no such plug-in.
     """
     kinds = {kind.label: group for group, kind in KINDS.items()}
-    parser = Parser(
-        "lodbench check-plugin",
-        description="Check a plug-in against the protocol of its kind.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("lodbench check-plugin", "Check a plug-in against the protocol of its kind.", _EPILOG)
     parser.add_argument("kind", metavar="KIND", help=f"{', '.join(kinds)} or {_SOURCE}")
     parser.add_argument("name", metavar="NAME", help="the name of its entry point")
     parser.add_argument(

@@ -44,15 +44,10 @@ _ACTIONS = {
 
 def city_parser() -> argparse.ArgumentParser:
     """Returns the parser of `lodbench city`."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = Parser(
-        "lodbench city", description="Look into a city model.", epilog=_EXAMPLES, formatter_class=raw
-    )
+    parser = Parser("lodbench city", description="Look into a city model.", epilog=_EXAMPLES)
     actions = parser.add_subparsers(dest="action", required=True, metavar="info|check|convert")
     for name, about in _ACTIONS.items():
-        action = actions.add_parser(
-            name, help=about, description=about, epilog=_EXAMPLES, formatter_class=raw
-        )
+        action = actions.add_parser(name, help=about, description=about, epilog=_EXAMPLES)
         if name == "convert":
             _add_convert(action.add_argument)
         else:

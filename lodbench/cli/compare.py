@@ -114,12 +114,7 @@ def parse_thresholds(words: Sequence[str]) -> tuple[Threshold, ...]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        "lodbench compare",
-        description="Put finished runs side by side.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("lodbench compare", "Put finished runs side by side.", _EPILOG)
     add = parser.add_argument
     add("runs", nargs="+", type=Path, metavar="RUN", help="run folders")
     add("--format", choices=sorted(FORMATS), default="text", help="html is a whole page")

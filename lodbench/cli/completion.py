@@ -64,13 +64,8 @@ Add to ~/.bashrc or ~/.zshrc (there after compinit), and open a new shell:
 
 def main(argv: Sequence[str]) -> int:
     """Prints the script of a shell; returns the exit code."""
-    import argparse
-
     parser = Parser(
-        "lodbench completion",
-        description="Print what makes a shell complete the words of lodbench.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "lodbench completion", "Print what makes a shell complete the words of lodbench.", _EPILOG
     )
     parser.add_argument("shell", choices=sorted(_SCRIPTS), help="what to complete words in")
     sys.stdout.write(_SCRIPTS[parser.parse_args(argv).shell])

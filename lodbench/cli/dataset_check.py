@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -32,9 +31,8 @@ def main(argv: Sequence[str]) -> int:
     """
     parser = Parser(
         "lodbench dataset check",
-        description="Look at every part of a dataset: files, counts, poses, priors, photos, city model.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "Look at every part of a dataset: files, counts, poses, priors, photos, city model.",
+        _EPILOG,
     )
     add_dataset_options(parser)
     parser.add_argument("--headers-only", action="store_true", help="do not decode the photos")

@@ -46,10 +46,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _add_actions(actions: Any) -> None:
-    raw = argparse.RawDescriptionHelpFormatter
-    init = actions.add_parser(
-        "init", help="a dataset from your photos and a city model", epilog=_INIT_EPILOG, formatter_class=raw
-    )
+    init = actions.add_parser("init", help="a dataset from your photos and a city model", epilog=_INIT_EPILOG)
     init.add_argument("folder", type=Path, metavar="DIR", help="new folder")
     init.add_argument(
         "--images", type=Path, required=True, metavar="DIR", help="photos, as the drone stored them"
@@ -60,7 +57,7 @@ def _add_actions(actions: Any) -> None:
     _add_common_options(init)
     init.set_defaults(make=_init)
     imported = actions.add_parser(
-        "import", help="a dataset from another program's poses", epilog=_IMPORT_EPILOG, formatter_class=raw
+        "import", help="a dataset from another program's poses", epilog=_IMPORT_EPILOG
     )
     add = imported.add_argument
     add("format", metavar="FORMAT", help="see below")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,12 +32,7 @@ def main(argv: Sequence[str]) -> int:
     Raises:
         LodbenchError: The dataset or a setting is wrong, or the priors cannot be had.
     """
-    parser = Parser(
-        "lodbench dataset prior",
-        description="Write a dataset's priors to a file.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("lodbench dataset prior", "Write a dataset's priors to a file.", _EPILOG)
     add_dataset_options(parser)
     parser.add_argument(
         "--kind",

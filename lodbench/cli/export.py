@@ -63,12 +63,7 @@ def _city_of(dataset: Dataset) -> Scene:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        "lodbench export",
-        description="Write a run's poses for another program.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("lodbench export", "Write a run's poses for another program.", _EPILOG)
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
     names = ", ".join(plugin_names("export_formats"))
     parser.add_argument("--format", required=True, metavar="FORMAT", help=names)

@@ -115,10 +115,7 @@ def _three(numbers: Iterable[float]) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
-        "lodbench georeference",
-        description="Place a COLMAP model in a city by the outlines of its buildings.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "lodbench georeference", "Place a COLMAP model in a city by the outlines of its buildings.", _EPILOG
     )
     add = parser.add_argument
     add("model", type=Path, metavar="COLMAP_MODEL", help="folder with cameras and images")

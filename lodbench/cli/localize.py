@@ -178,12 +178,7 @@ def _tell_many(answers: Answers, asked: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        "lodbench localize",
-        description="Find where a photo, or each of many, was taken.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("lodbench localize", "Find where a photo, or each of many, was taken.", _EXAMPLES)
     add = parser.add_argument
     add(
         "photos",

@@ -70,10 +70,7 @@ def _serve(session: MaskSession, name: str, save: Callable[[], str], port: int) 
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
-        "lodbench mask",
-        description="Correct the mask of a photo's buildings, or hand it to another program.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "lodbench mask", "Correct the mask of a photo's buildings, or hand it to another program.", _EXAMPLES
     )
     add = parser.add_argument
     add("photo", type=Path, metavar="PHOTO", help="as it is stored")

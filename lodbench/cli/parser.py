@@ -16,9 +16,13 @@ seen: list[Callable[[argparse.ArgumentParser], None]] = []
 class Parser(argparse.ArgumentParser):
     """An ``ArgumentParser`` whose faults are ``ConfigError``, and which names the flag that was meant."""
 
-    def __init__(self, *args: Any, **named: Any) -> None:
+    def __init__(
+        self, prog: str | None = None, description: str | None = None, epilog: str | None = None, **named: Any
+    ) -> None:
+        if epilog is not None:  # told line by line, as it stands
+            named.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         # An abbreviation that works today is another flag's name tomorrow.
-        super().__init__(*args, **{"allow_abbrev": False, **named})
+        super().__init__(prog, description=description, epilog=epilog, **{"allow_abbrev": False, **named})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parses words; a flag that there is none of is told before what else is missing.

@@ -108,10 +108,7 @@ def _as_json(done: Track) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
-        "lodbench track",
-        description="Find where each frame of a video, or of photos in turn, was taken.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "lodbench track", "Find where each frame of a video, or of photos in turn, was taken.", _EPILOG
     )
     add = parser.add_argument
     add("footage", type=Path, metavar="VIDEO|DIR", help="what OpenCV reads, or photos in turn")

@@ -32,12 +32,7 @@ Where the dataset is not there only summary.json is compared with queries.csv: a
 
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
-    parser = Parser(
-        "lodbench verify",
-        description="Score a run again from its stored poses and compare.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser("lodbench verify", "Score a run again from its stored poses and compare.", _EPILOG)
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
     add_path_options(parser)
     options = parser.parse_args(argv)

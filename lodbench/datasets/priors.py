@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import numpy as np
 
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError
+from lodbench.errors import require_numbers
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.storage import random_stream
 
@@ -42,10 +41,7 @@ class UniformPrior:
     roll_deg: float = 1.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            width = getattr(self, field.name)
-            if not (width >= 0 and math.isfinite(width)):
-                raise ConfigError(f"The prior's {field.name} must be a finite number >= 0, not {width}.")
+        require_numbers(self, "prior", (field.name for field in fields(self)), 0)
 
     def apply(self, dataset: Dataset, seed: int) -> Dataset:
         """Returns the dataset with priors drawn around the truth."""

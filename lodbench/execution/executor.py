@@ -8,7 +8,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, require_choice
 from lodbench.execution.fan_out import Processes
 
 Item = TypeVar("Item")
@@ -36,8 +36,7 @@ class ExecutorParams:
     def __post_init__(self) -> None:
         if self.name not in (SERIAL, PROCESS, DASK):
             raise ConfigError(f"There is no executor {self.name!r}.", "Known: dask, process, serial.")
-        if self.share not in (QUERIES, HYPOTHESES):
-            raise ConfigError(f"executor.share={self.share} is not known.", "Known: hypotheses, queries.")
+        require_choice("executor.share", self.share, (HYPOTHESES, QUERIES))
         for name, value in (("threads", self.threads), ("workers", self.workers)):
             if value is not None and value < 1:
                 raise ConfigError(f"executor.{name}={value} is not a number of {name}.")

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError
+from lodbench.errors import require_within
 from lodbench.matching.protocol import FEATURES, Features, Matches
 
 
@@ -24,8 +24,7 @@ class MutualNnParams:
     ratio: float = 0.9
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.ratio <= 1.0:
-            raise ConfigError(f"ratio={self.ratio} is not within 0 to 1.")
+        require_within("ratio", self.ratio, 0, 1, "(]")
 
 
 class MutualNn:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError
+from lodbench.errors import require_within
 from lodbench.geometry import Camera, Pose
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
@@ -31,8 +31,9 @@ class SolverParams:
     confidence: float = 0.9999
 
     def __post_init__(self) -> None:
-        if not self.threshold_px > 0 or self.max_iterations < 1 or not 0 < self.confidence < 1:
-            raise ConfigError(f"{self} has a value out of range.")
+        require_within("threshold_px", self.threshold_px, 0, ends="(]")
+        require_within("max_iterations", self.max_iterations, 1)
+        require_within("confidence", self.confidence, 0, 1, "()")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

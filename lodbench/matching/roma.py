@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, require_within
 from lodbench.matching.protocol import IMAGES, Image, Matches, check_image
 from lodbench.matching.weights import RANDOM, Published, fetched_files
 from lodbench.segmentation.extras import require
@@ -55,8 +55,8 @@ class RomaParams:
     def __post_init__(self) -> None:
         if self.size % _PATCH or not 56 <= self.size <= 2240 or not 56 <= self.fine_size <= 4096:
             raise ConfigError(f"size={self.size} is 56 to 2240 px by {_PATCH}, fine_size 56 to 4096 px.")
-        if not 0 <= self.threshold < 1 or self.max_matches < 1:
-            raise ConfigError(f"{self} has a value out of range.")
+        require_within("threshold", self.threshold, 0, 1, "[)")
+        require_within("max_matches", self.max_matches, 1)
 
 
 def roma_files(weights: str | None, names: tuple[str, ...] = (_MATCHER, _DINOV2)) -> list[Path]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lodbench.errors import ConfigError
+from lodbench.errors import require_numbers, require_within
 from lodbench.matching.protocol import Features, Image, check_image
 
 
@@ -26,8 +26,8 @@ class SiftParams:
     edge_threshold: float = 10.0
 
     def __post_init__(self) -> None:
-        if self.max_features < 0 or not self.contrast_threshold >= 0 or not self.edge_threshold > 1:
-            raise ConfigError(f"{self} has a value out of range.")
+        require_numbers(self, "", ("max_features", "contrast_threshold"), 0)
+        require_within("edge_threshold", self.edge_threshold, 1, ends="(]")
 
 
 class Sift:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lodbench.errors import ConfigError
+from lodbench.errors import require_within
 from lodbench.matching.picture_pair import make_pair
 from lodbench.matching.protocol import IMAGES, Image, Matches
 from lodbench.matching.weights import RANDOM, Published, fetched_folder
@@ -37,8 +37,8 @@ class PairParams:
     threshold: float = 0.2
 
     def __post_init__(self) -> None:
-        if not 32 <= self.size <= 8192 or not 0 <= self.threshold < 1:
-            raise ConfigError(f"{self} has a value out of range.")
+        require_within("size", self.size, 32, 8192)
+        require_within("threshold", self.threshold, 0, 1, "[)")
 
 
 class TransformersMatcher:

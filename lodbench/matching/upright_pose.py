@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError
+from lodbench.errors import require_within
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
 from lodbench.matching.pose_solver import Floats, SolvedPose, SolverParams, agreeing
 
@@ -38,8 +38,7 @@ class UprightParams(SolverParams):
 
     def __post_init__(self) -> None:
         super(UprightParams, self).__post_init__()
-        if not self.tilt_allowance >= 1:
-            raise ConfigError(f"tilt_allowance={self.tilt_allowance} is below 1.")
+        require_within("tilt_allowance", self.tilt_allowance, 1)
 
 
 class UprightPose:

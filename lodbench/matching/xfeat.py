@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError
+from lodbench.errors import require_within
 from lodbench.matching.mutual_nn import MutualNn
 from lodbench.matching.protocol import FEATURES, Features, Image, Matches, check_image
 from lodbench.matching.weights import RANDOM, Published, named_file, packaged_file
@@ -55,8 +55,8 @@ class XFeatParams:
     weights: str | None = None
 
     def __post_init__(self) -> None:
-        if self.max_features < 1 or not 0 <= self.threshold < 1:
-            raise ConfigError(f"{self} has a value out of range.")
+        require_within("max_features", self.max_features, 1)
+        require_within("threshold", self.threshold, 0, 1, "[)")
 
 
 class XFeat:
@@ -150,8 +150,8 @@ class XFeatNnParams:
     max_distance: float = _MOST_APART
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.ratio <= 1.0 or not self.max_distance > 0:
-            raise ConfigError(f"{self} has a value out of range.")
+        require_within("ratio", self.ratio, 0, 1, "(]")
+        require_within("max_distance", self.max_distance, 0, ends="(]")
 
 
 class XFeatNn(MutualNn):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lodbench.errors import ConfigError
+from lodbench.errors import require_within
 from lodbench.segmentation.packaged_network import PackagedNetwork, packaged_file
 from lodbench.segmentation.probability import check_normalise
 
@@ -34,10 +34,8 @@ class CompactParams:
     weights: str | None = None
 
     def __post_init__(self) -> None:
-        if not 32 <= self.size <= 4096:
-            raise ConfigError(f"segmenter.size={self.size} is not within 32 to 4096.")
-        if self.sure is not None and not 0.0 <= self.sure <= 1.0:
-            raise ConfigError(f"segmenter.sure={self.sure} is not within 0 to 1.")
+        require_within("segmenter.size", self.size, 32, 4096)
+        require_within("segmenter.sure", self.sure, 0, 1)
         check_normalise(self.normalise)
 
 

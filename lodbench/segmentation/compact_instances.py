@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.instance_labels import masks_of_labels
 from lodbench.datasets.query import Entry
-from lodbench.errors import ConfigError
+from lodbench.errors import require_within
 from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.packaged_network import PackagedNetwork
 from lodbench.segmentation.probability import probability_of
@@ -49,10 +49,8 @@ class CompactInstancesParams:
     mask_weights: str | None = None
 
     def __post_init__(self) -> None:
-        if not 32 <= self.size <= 4096:
-            raise ConfigError(f"segmenter.size={self.size} is not within 32 to 4096.")
-        if not 0.0 < self.interior < 1.0:
-            raise ConfigError(f"segmenter.interior={self.interior} is not between 0 and 1.")
+        require_within("segmenter.size", self.size, 32, 4096)
+        require_within("segmenter.interior", self.interior, 0, 1, "()")
 
 
 class CompactInstances(PackagedNetwork):

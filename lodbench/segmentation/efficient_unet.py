@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, require_within
 from lodbench.segmentation.extras import require
 from lodbench.segmentation.packaged_network import PackagedNetwork
 from lodbench.segmentation.probability import check_normalise
@@ -49,12 +49,9 @@ class EfficientUnetParams:
     encoder_weights: str | None = _IMAGENET
 
     def __post_init__(self) -> None:
-        if not 32 <= self.size <= 4096:
-            raise ConfigError(f"segmenter.size={self.size} is not within 32 to 4096.")
-        if not self.scales or not all(0.1 <= scale <= 10.0 for scale in self.scales):
-            raise ConfigError(f"segmenter.scales={list(self.scales)} are not each within 0.1 to 10.")
-        if self.sure is not None and not 0.0 <= self.sure <= 1.0:
-            raise ConfigError(f"segmenter.sure={self.sure} is not within 0 to 1.")
+        require_within("segmenter.size", self.size, 32, 4096)
+        require_within("segmenter.scales", self.scales or [0], 0.1, 10)
+        require_within("segmenter.sure", self.sure, 0, 1)
         check_normalise(self.normalise)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Entry
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.errors import ConfigError, QueryFault, require_numbers
 from lodbench.segmentation.instances import STRIDE, Floats, counted, decode
 from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
@@ -60,9 +60,7 @@ class FastSamParams:
     def __post_init__(self) -> None:
         if not 32 <= self.size <= 4096 or self.size % 32:
             raise ConfigError(f"segmenter.size={self.size} is no multiple of 32 within 32 to 4096.")
-        for name in ("confidence", "overlap", "most_share"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ConfigError(f"segmenter.{name}={getattr(self, name)} is not within 0 to 1.")
+        require_numbers(self, "segmenter", ("confidence", "overlap", "most_share"), 0, 1, "(]")
 
     @property
     def normalise(self) -> str:

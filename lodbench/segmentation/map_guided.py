@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Entry
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.geometry import AxisRange, Camera, Pose, PoseGrid
 from lodbench.geometry.angles import rotations_at_yaws
 from lodbench.rendering import RegionFit, appearance_bins
@@ -57,18 +57,11 @@ class MapGuidedParams:
     turn_deg: float = 6.0
 
     def __post_init__(self) -> None:
-        if not 64 <= self.size <= 2048:
-            raise ConfigError(f"segmenter.size={self.size} is not within 64 to 2048.")
-        for name, most in (
-            ("range_m", 1e4),
-            ("range_z_m", 1e4),
-            ("range_yaw_deg", 360.0),
-            ("turn_deg", 180.0),
-        ):
-            if not 0 <= getattr(self, name) <= most:
-                raise ConfigError(f"segmenter.{name}={getattr(self, name)} is not within 0 to {most:g}.")
-        if not 0 < self.reach <= 0.5:
-            raise ConfigError(f"segmenter.reach={self.reach} is not above 0 and at most 0.5.")
+        require_within("segmenter.size", self.size, 64, 2048)
+        require_numbers(self, "segmenter", ("range_m", "range_z_m"), 0, 1e4)
+        require_within("segmenter.range_yaw_deg", self.range_yaw_deg, 0, 360)
+        require_within("segmenter.turn_deg", self.turn_deg, 0, 180)
+        require_within("segmenter.reach", self.reach, 0, 0.5, "(]")
 
 
 class GuidedMask(NamedTuple):

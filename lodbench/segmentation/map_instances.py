@@ -12,7 +12,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.instance_labels import masks_of_labels
 from lodbench.datasets.query import Entry
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.geometry import AxisRange, Pose, PoseGrid, rotations_at_yaws
 from lodbench.rendering import IouFit
 from lodbench.segmentation.compact import Compact, CompactParams
@@ -54,9 +54,8 @@ class MapInstancesParams:
     weights: str | None = None
 
     def __post_init__(self) -> None:
-        for name, most in (("range_m", 1e3), ("range_z_m", 1e3), ("range_yaw_deg", 360.0)):
-            if not 0 <= getattr(self, name) <= most:
-                raise ConfigError(f"segmenter.{name}={getattr(self, name)} is not within 0 to {most:g}.")
+        require_numbers(self, "segmenter", ("range_m", "range_z_m"), 0, 1e3)
+        require_within("segmenter.range_yaw_deg", self.range_yaw_deg, 0, 360)
 
 
 class MapInstances:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.instance_labels import masks_of_labels
 from lodbench.datasets.query import Entry
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.errors import QueryFault, require_numbers, require_within
 from lodbench.storage import random_stream
 from lodbench.synthesis.instance_degradation import degraded_instances
 from lodbench.synthesis.mask_degradation import degrade_mask
@@ -34,8 +34,7 @@ class OracleParams:
     width: int = 1024
 
     def __post_init__(self) -> None:
-        if not 16 <= self.width <= 8192:
-            raise ConfigError(f"segmenter.width={self.width} is not within 16 to 8192.")
+        require_within("segmenter.width", self.width, 16, 8192)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +61,8 @@ class NoisyOracleParams(OracleParams):
 
     def __post_init__(self) -> None:
         super(NoisyOracleParams, self).__post_init__()
-        if not 0.0 < self.iou <= 1.0:
-            raise ConfigError(f"segmenter.iou={self.iou} is not within 0 to 1.")
-        for name in ("merged", "split"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ConfigError(f"segmenter.{name}={getattr(self, name)} is not within 0 to 1.")
+        require_within("segmenter.iou", self.iou, 0, 1, "(]")
+        require_numbers(self, "segmenter", ("merged", "split"), 0, 1)
 
 
 class Oracle:

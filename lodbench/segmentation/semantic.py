@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, nearest_names, require_within
 from lodbench.segmentation.probability import check_normalise
 from lodbench.segmentation.torch_segmenter import TorchSegmenter, hub_folder
 from lodbench.storage import digest_of, file_digest
@@ -38,8 +38,7 @@ class SemanticParams:
     device: str = "auto"
 
     def __post_init__(self) -> None:
-        if not 32 <= self.size <= 4096:
-            raise ConfigError(f"segmenter.size={self.size} is not within 32 to 4096.")
+        require_within("segmenter.size", self.size, 32, 4096)
         if not self.classes:
             raise ConfigError("segmenter.classes is empty.", "segmenter.classes='[building,house]'")
         check_normalise(self.normalise)

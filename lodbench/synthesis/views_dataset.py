@@ -18,7 +18,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, DatasetError
+from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
@@ -63,10 +63,8 @@ class ViewsParams:
     def __post_init__(self) -> None:
         if self.num_views < 1:
             raise ConfigError(f"dataset.num_views={self.num_views} is not a number of views.")
-        if not 0 < self.mask_iou <= 1:
-            raise ConfigError(f"dataset.mask_iou lies in (0, 1], not {self.mask_iou}.")
-        if not 0 <= self.tilt_deg <= 30:
-            raise ConfigError(f"dataset.tilt_deg lies within 0 and 30, not {self.tilt_deg}.")
+        require_within("dataset.mask_iou", self.mask_iou, 0, 1, "(]")
+        require_within("dataset.tilt_deg", self.tilt_deg, 0, 30)
         if self.area is not None and self.area not in AREAS:
             raise ConfigError(f"dataset.area is one of {', '.join(AREAS)}, not {self.area}.")
 

@@ -13,7 +13,15 @@ import numpy as np
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query, Reference
-from lodbench.errors import ConfigError, LodbenchError, QueryFault, RenderingError, WorkersGone, nearest_names
+from lodbench.errors import (
+    ConfigError,
+    LodbenchError,
+    QueryFault,
+    RenderingError,
+    WorkersGone,
+    require_choice,
+    require_numbers,
+)
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.drawn import KINDS, drawn_bytes
 from lodbench.harness.remote.process import Child, ProcessFault
@@ -42,15 +50,10 @@ class RunnerParams:
     prepare_timeout_s: float = 86400.0
 
     def __post_init__(self) -> None:
-        if self.name not in (HERE, SUBPROCESS):
-            raise ConfigError(
-                f"runner={self.name} is not known.", nearest_names(self.name, (HERE, SUBPROCESS))
-            )
+        require_choice("runner", self.name, (HERE, SUBPROCESS))
         if self.name == SUBPROCESS and not self.python:
             raise ConfigError("runner=subprocess needs a Python.", "Set runner.python=PATH.")
-        for name in ("timeout_s", "prepare_timeout_s"):
-            if not 0 < getattr(self, name) <= 1e6:
-                raise ConfigError(f"runner.{name}={getattr(self, name):g} is no time to wait.")
+        require_numbers(self, "runner", ("timeout_s", "prepare_timeout_s"), 0, 1e6, "(]")
 
 
 class RemoteMethod:

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import require_choice, require_numbers, require_within
 from lodbench.geometry import AxisRange, PoseGrid
-from lodbench.rendering.raster_rule import GUARD_PX
+from lodbench.methods.search_params import ranges_of, set_sizes
 
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 SEARCHES = ("auto", "grid", "basins")
@@ -124,35 +124,14 @@ class Params:
     heat: float = 2.5
 
     def __post_init__(self) -> None:
-        self._set_sizes()
-        self._check_ranges()
-        if self.search not in SEARCHES:
-            raise ConfigError(
-                f"method.search={self.search} is not known.", nearest_names(self.search, SEARCHES)
-            )
-        if not 0 < self.basin_share <= 1:
-            raise ConfigError(f"method.basin_share lies in (0, 1], not {self.basin_share}.")
-        if self.starts < 1 or min(self.steps, self.final_steps, self.basin_steps) < 0:
-            raise ConfigError("method.starts is at least 1; the numbers of steps are at least 0.")
-
-    def _set_sizes(self) -> None:
-        # OmegaConf hands over lists where a tuple is declared, and checks neither lengths nor ranges.
-        for name in ("coarse_size", "fine_size"):
-            size = tuple(int(side) for side in getattr(self, name))
-            if len(size) != 2 or min(size) < 8 or max(size) > GUARD_PX:
-                raise ConfigError(f"method.{name} is a width and a height, 8 to 8192 px, not {list(size)}.")
-            object.__setattr__(self, name, size)
-
-    def _check_ranges(self) -> None:
-        for name in (*_RANGES, "roof_m"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
-        for name in _POSITIVE:
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigError(f"method.{name} is finite and above 0, not {getattr(self, name)}.")
-        for name in _PROBABILITIES:
-            if not 0 < getattr(self, name) < 1:
-                raise ConfigError(f"method.{name} lies between 0 and 1, not {getattr(self, name)}.")
+        set_sizes(self, ("coarse_size", "fine_size"), least_px=8)
+        require_numbers(self, "method", (*_RANGES, "roof_m"), 0)
+        require_numbers(self, "method", _POSITIVE, 0, ends="(]")
+        require_numbers(self, "method", _PROBABILITIES, 0, 1, "()")
+        require_choice("method.search", self.search, SEARCHES)
+        require_within("method.basin_share", self.basin_share, 0, 1, "(]")
+        require_within("method.starts", self.starts, 1)
+        require_numbers(self, "method", ("steps", "final_steps", "basin_steps"), 0)
 
     def grid(self) -> PoseGrid:
         """Returns the grid: samples at most a stride apart, ends included."""
@@ -213,14 +192,8 @@ class Params:
 
     def for_prior(self, prior: UniformPrior) -> Params:
         """Returns these parameters for a prior's error of other half widths."""
-        return replace(
-            self,
-            range_x_m=2.0 * prior.x_m,
-            range_y_m=2.0 * prior.y_m,
-            range_z_m=2.0 * prior.z_m,
-            range_yaw_deg=2.0 * prior.yaw_deg,
-            range_tilt_deg=prior.pitch_deg + prior.roll_deg,
-        )
+        tilt_deg = prior.pitch_deg + prior.roll_deg
+        return replace(self, **ranges_of(prior), range_tilt_deg=tilt_deg)
 
 
 def _falling(first: float, last: float, steps: int) -> tuple[float, ...]:

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, require_choice, require_numbers, require_within
 from lodbench.geometry import AxisRange, PoseGrid
+from lodbench.methods.search_params import set_sizes
 from lodbench.plugins import load_plugin
-from lodbench.rendering.raster_rule import GUARD_PX
 
 VARIANTS = ("full", "no_refine", "no_select")
 
@@ -64,19 +64,10 @@ class Params:
     gamma: float = 0.3
 
     def __post_init__(self) -> None:
-        # OmegaConf hands over lists where a tuple is declared, and checks neither lengths nor ranges.
-        for name in ("coarse_size", "fine_size"):
-            size = tuple(int(side) for side in getattr(self, name))
-            if len(size) != 2 or min(size) < 1 or max(size) > GUARD_PX:
-                raise ConfigError(f"method.{name} is a width and a height, 1 to 8192 px, not {list(size)}.")
-            object.__setattr__(self, name, size)
-        if self.variant not in VARIANTS:
-            raise ConfigError(
-                f"method.variant={self.variant} is not known.", nearest_names(self.variant, VARIANTS)
-            )
+        set_sizes(self, ("coarse_size", "fine_size"))
+        require_choice("method.variant", self.variant, VARIANTS)
         load_plugin("fits", self.fit)
-        if min(self.beams, self.steps, self.kept) < 1:
-            raise ConfigError("method.beams, method.steps and method.kept are at least 1.")
+        require_numbers(self, "method", ("beams", "steps", "kept"), 1)
         if self.children_per_parent < 1 or self.candidates != self.beams * self.kept * (
             1 + self.children_per_parent
         ):
@@ -84,12 +75,8 @@ class Params:
                 f"method.candidates={self.candidates} is not beams x kept x (1 + whole children).",
                 f"With {self.beams} beams and {self.kept} kept, use a multiple of {self.beams * self.kept}.",
             )
-        if not (
-            0 <= self.sigma_m < math.inf and 0 <= self.spread_yaw_deg < math.inf and 0 <= self.gamma <= 1
-        ):
-            raise ConfigError(
-                "method.sigma_m and method.spread_yaw_deg are finite and >= 0, method.gamma lies in [0, 1]."
-            )
+        require_numbers(self, "method", ("sigma_m", "spread_yaw_deg"), 0)
+        require_within("method.gamma", self.gamma, 0, 1)
         self.grid()
 
     @property

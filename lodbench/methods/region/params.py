@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, require_numbers
 from lodbench.geometry import AxisRange, PoseGrid
+from lodbench.methods.search_params import ranges_of
 from lodbench.rendering.raster_rule import GUARD_PX
 
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
@@ -91,17 +92,11 @@ class Params:
     least_sharpness: float = 0.7
 
     def __post_init__(self) -> None:
-        for name in ("coarse_width", "fine_width", "mean_width", "lines_width"):
-            if not 16 <= getattr(self, name) <= GUARD_PX:
-                raise ConfigError(f"method.{name} is 16 to {GUARD_PX} px, not {getattr(self, name)}.")
-        for name in (*_RANGES, *_AT_LEAST_0):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
-        for name in _POSITIVE:
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigError(f"method.{name} is finite and above 0, not {getattr(self, name)}.")
-        if min(self.starts, self.modes, self.coarse_generations, self.fine_generations) < 1:
-            raise ConfigError("method.starts, method.modes and both numbers of generations are at least 1.")
+        widths = ("coarse_width", "fine_width", "mean_width", "lines_width")
+        require_numbers(self, "method", widths, 16, GUARD_PX)
+        require_numbers(self, "method", (*_RANGES, *_AT_LEAST_0), 0)
+        require_numbers(self, "method", _POSITIVE, 0, ends="(]")
+        require_numbers(self, "method", ("starts", "modes", "coarse_generations", "fine_generations"), 1)
         if self.population < 8 or self.population % 2:
             raise ConfigError(f"method.population is even and at least 8, not {self.population}.")
 
@@ -138,14 +133,8 @@ class Params:
 
     def for_prior(self, prior: UniformPrior) -> Params:
         """Returns these parameters for a prior's error of other half widths."""
-        return replace(
-            self,
-            range_x_m=2.0 * prior.x_m,
-            range_y_m=2.0 * prior.y_m,
-            range_z_m=2.0 * prior.z_m,
-            range_yaw_deg=2.0 * prior.yaw_deg,
-            range_tilt_deg=prior.pitch_deg + prior.roll_deg,
-        )
+        tilt_deg = prior.pitch_deg + prior.roll_deg
+        return replace(self, **ranges_of(prior), range_tilt_deg=tilt_deg)
 
 
 def _axis(width: float, stride: float) -> AxisRange:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
-from lodbench.errors import ConfigError
+from lodbench.errors import require_numbers
 from lodbench.methods.contour_alignment.params import Params as PhotoParams
 
 
@@ -45,9 +44,7 @@ class Params:
     most_m: float = 120.0
 
     def __post_init__(self) -> None:
-        for name in self.__slots__[1:]:  # all but the size
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigError(f"track: {name} is finite and above 0, not {getattr(self, name)}.")
+        require_numbers(self, "track", self.__slots__[1:], 0, ends="(]")  # all but the size
 
     def photo(self, seconds: float) -> PhotoParams:
         """Returns the parameters by which a frame is aligned, so many seconds after the last."""
