@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from lodbench.citymodel.codes import (
     RINGS_INTERSECT,
 )
 from lodbench.citymodel.derive import part_blocks
-from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.model import CityModel, Polygons, SurfaceKind
 from lodbench.citymodel.newell import newell
 from lodbench.citymodel.selection import select_polygons
 from lodbench.citymodel.triangulate import (
@@ -45,6 +46,26 @@ _MAX_TURN_DEG = 20.0  # as val3dity has it
 _MIN_OVERLAP_M2, _MIN_OVERLAP_M = 0.1, 0.1
 
 
+class _Flattened(NamedTuple):
+    """P polygons of R rings laid into their planes.
+
+    Attributes:
+        areas: (P,) square metres.
+        anchors: (P, 3) where planes have their origins, metres.
+        frames: (P, 3, 2) their axes.
+        rings: (R,) as shapely has them.
+        shapes: (P,) likewise polygons.
+        ring_polygon: (R,) the polygon of each ring.
+    """
+
+    areas: NDArray[np.float64]
+    anchors: NDArray[np.float64]
+    frames: NDArray[np.float64]
+    rings: NDArray[Any]
+    shapes: NDArray[Any]
+    ring_polygon: NDArray[np.int64]
+
+
 def check_planes(model: CityModel, findings: Findings) -> None:
     """Adds what is wrong with polygons seen along their normals, each with its number and place.
 
@@ -61,22 +82,7 @@ def check_planes(model: CityModel, findings: Findings) -> None:
     polygons = select_polygons(model.polygons, outer)
     if len(polygons) == 0:
         return
-    point_counts = np.diff(polygons.ring_starts[polygons.polygon_starts])
-    vectors, areas = newell(polygons)
-    unit = vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None]
-    helper = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
-    across = np.cross(helper, unit)
-    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-    frames = np.stack([across, np.cross(unit, across)], axis=2)
-    anchors = polygons.points[polygons.ring_starts[polygons.polygon_starts[:-1]]]
-    owner = np.repeat(np.arange(len(polygons)), point_counts)
-    plane = np.einsum("pi,pij->pj", polygons.points - anchors[owner], frames[owner])
-
-    lengths = np.diff(polygons.ring_starts)
-    closed = np.insert(plane, np.cumsum(lengths), plane[polygons.ring_starts[:-1]], axis=0)
-    rings = shapely.linearrings(closed, indices=np.repeat(np.arange(len(lengths)), lengths + 1))
-    ring_polygon = np.repeat(np.arange(len(polygons)), np.diff(polygons.polygon_starts))
-    shapes = shapely.polygons(rings, indices=ring_polygon)
+    areas, anchors, frames, rings, shapes, ring_polygon = _flattened(polygons)
     has_area = areas > 1e-6
 
     def add(code: FindingCode, n: int, detail: str, spot: NDArray[np.float64]) -> None:
@@ -86,22 +92,50 @@ def check_planes(model: CityModel, findings: Findings) -> None:
 
     for n in np.flatnonzero(~shapely.is_valid(shapes) & has_area).tolist():
         reason = str(shapely.is_valid_reason(shapes[n]))
-        code = next((code for start, code in _REASONS if reason.startswith(start)), RING_SELF_CONTACT)
-        own = rings[polygons.polygon_starts[n] : polygons.polygon_starts[n + 1]]
-        if code is RINGS_INTERSECT and not shapely.is_simple(own).all():
-            code = RING_SELF_CONTACT
-        elif code is RINGS_INTERSECT and any(
-            shapely.equals(own[k], own[k + 1 :]).any() for k in range(len(own))
-        ):
-            code = RINGS_EQUAL
         found = _PLACE.search(reason)
         spot = np.zeros(2) if found is None else np.array([float(found[1]), float(found[2])])
+        code = _code_of(reason, rings[polygons.polygon_starts[n] : polygons.polygon_starts[n + 1]])
         add(code, n, reason.partition("[")[0].strip().lower(), spot)
-    is_hole = np.ones(len(lengths), np.bool_)
+    is_hole = np.ones(len(rings), np.bool_)
     is_hole[polygons.polygon_starts[:-1]] = False
     is_turned = is_hole & shapely.is_ccw(rings) & has_area[ring_polygon]
     for n in np.unique(ring_polygon[is_turned]).tolist():
         add(HOLE_TURNED, n, "a hole runs the way of its outline", np.zeros(2))
+
+
+def _flattened(polygons: Polygons) -> _Flattened:
+    """Returns polygons laid into their own planes."""
+    import shapely
+
+    vectors, areas = newell(polygons)
+    unit = vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None]
+    helper = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
+    across = np.cross(helper, unit)
+    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
+    frames = np.stack([across, np.cross(unit, across)], axis=2)
+    anchors = polygons.points[polygons.ring_starts[polygons.polygon_starts[:-1]]]
+    owner = np.repeat(np.arange(len(polygons)), np.diff(polygons.ring_starts[polygons.polygon_starts]))
+    plane = np.einsum("pi,pij->pj", polygons.points - anchors[owner], frames[owner])
+    lengths = np.diff(polygons.ring_starts)
+    closed = np.insert(plane, np.cumsum(lengths), plane[polygons.ring_starts[:-1]], axis=0)
+    rings = shapely.linearrings(closed, indices=np.repeat(np.arange(len(lengths)), lengths + 1))
+    ring_polygon = np.repeat(np.arange(len(polygons)), np.diff(polygons.polygon_starts))
+    return _Flattened(
+        areas, anchors, frames, rings, shapely.polygons(rings, indices=ring_polygon), ring_polygon
+    )
+
+
+def _code_of(reason: str, rings: NDArray[Any]) -> FindingCode:
+    """Returns the finding for the reason why a polygon of these rings is not valid."""
+    import shapely
+
+    code = next((code for start, code in _REASONS if reason.startswith(start)), RING_SELF_CONTACT)
+    if code is not RINGS_INTERSECT:
+        return code
+    if not shapely.is_simple(rings).all():
+        return RING_SELF_CONTACT
+    are_equal = any(shapely.equals(ring, rings[k + 1 :]).any() for k, ring in enumerate(rings))
+    return RINGS_EQUAL if are_equal else code
 
 
 def check_folds(model: CityModel, findings: Findings) -> None:

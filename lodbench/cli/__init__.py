@@ -93,27 +93,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         sys.stdout.write(f"lodbench {__version__}\n")
         return 0
-    import contextlib
     import logging
 
-    from lodbench.cli.console import PlainFormatter, PlainStream, report_fault
-    from lodbench.errors import LodbenchError, nearest_names
+    from lodbench.cli.console import PlainFormatter, report_fault
+    from lodbench.errors import LodbenchError
 
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(PlainFormatter())
     try:
-        if words[0] == "__complete":
-            from lodbench.cli.completion import answer
-
-            return answer(words[1:])
-        if words[0] not in COMMANDS:
-            raise LodbenchError(f"There is no command {words[0]!r}.", nearest_names(words[0], COMMANDS))
-        # Names and texts of cities, photos and runs come from strangers.
-        streams = PlainStream(sys.stdout), PlainStream(sys.stderr)
-        with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
-            code: int = import_module(COMMANDS[words[0]][0]).main(words[1:])
-        sys.stdout.flush()
-        return code
+        return _run(words)
     except LodbenchError as error:
         report_fault(error)
         return 2
@@ -126,10 +114,37 @@ def main(argv: Sequence[str] | None = None) -> int:
         report_fault(LodbenchError(reason, "Check the path, its permissions and the free space."))
         return 2
     except KeyboardInterrupt:
-        resumed = dict.fromkeys(("run", "basin", "generate-training-data"), "goes on from here")
-        resumed["train"] = (
-            "goes on after the last epoch that was validated, if there is one, else from the start"
-        )
-        again = f" The same command again {resumed[words[0]]}." if words[0] in resumed else ""
+        again = f" The same command again {_GOES_ON[words[0]]}." if words[0] in _GOES_ON else ""
         sys.stderr.write(f"\nlodbench: stopped.{again}\n")
         return 130
+
+
+# What a command does that is given again after it was stopped.
+_GOES_ON = dict.fromkeys(("run", "basin", "generate-training-data"), "goes on from here") | {
+    "train": "goes on after the last epoch that was validated, if there is one, else from the start"
+}
+
+
+def _run(words: list[str]) -> int:
+    """Runs the command that the first word names; returns its exit code.
+
+    Raises:
+        LodbenchError: There is no such command, or it is its own.
+    """
+    import contextlib
+
+    from lodbench.cli.console import PlainStream
+    from lodbench.errors import LodbenchError, nearest_names
+
+    if words[0] == "__complete":
+        from lodbench.cli.completion import answer
+
+        return answer(words[1:])
+    if words[0] not in COMMANDS:
+        raise LodbenchError(f"There is no command {words[0]!r}.", nearest_names(words[0], COMMANDS))
+    # Names and texts of cities, photos and runs come from strangers.
+    streams = PlainStream(sys.stdout), PlainStream(sys.stderr)
+    with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
+        code: int = import_module(COMMANDS[words[0]][0]).main(words[1:])
+    sys.stdout.flush()
+    return code

@@ -81,7 +81,6 @@ def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
 
 def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -> int:
     from lodbench.citymodel.convert import (
-        check_target,
         convert_city,
         convert_textured,
         convert_tiles,
@@ -91,16 +90,7 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
     from lodbench.citymodel.source import open_sources
     from lodbench.cli.city_text import conversion_summary, format_conversion
 
-    files, out = (asked.files, asked.out) if asked.out is not None else (asked.files[:-1], asked.files[-1])
-    if not files:
-        raise CityModelError(
-            f"There is nothing to convert {out} from.", "lodbench city convert FILE... -o OUT"
-        )
-    if asked.tiles is not None and out.parent.parent.is_dir():
-        make_folder(out.parent)
-    check_target(out)
-    if any(out.resolve() == file.resolve() for file in files):
-        raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
+    files, out = _from_and_to(asked)
     is_whole = not (asked.id or asked.where or asked.bbox or asked.to_crs or asked.tiles)
     if (
         out.suffix == ".scene"
@@ -129,6 +119,27 @@ def _convert(asked: argparse.Namespace, options: ReadOptions, lod: str | None) -
     values = summaries[0] if asked.tiles is None else {"tiles": summaries}
     _write(asked, values, lambda: "\n".join(map(format_conversion, summaries)))
     return 0
+
+
+def _from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
+    """Returns the files to convert and the one to write, whose folder is there then.
+
+    Raises:
+        CityModelError: There is nothing to convert, or the target is no format, or the city itself.
+    """
+    from lodbench.citymodel.convert import check_target
+
+    files, out = (asked.files, asked.out) if asked.out is not None else (asked.files[:-1], asked.files[-1])
+    if not files:
+        raise CityModelError(
+            f"There is nothing to convert {out} from.", "lodbench city convert FILE... -o OUT"
+        )
+    if asked.tiles is not None and out.parent.parent.is_dir():
+        make_folder(out.parent)
+    check_target(out)
+    if any(out.resolve() == file.resolve() for file in files):
+        raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
+    return files, out
 
 
 def _chosen(asked: argparse.Namespace, model: CityModel) -> CityModel:

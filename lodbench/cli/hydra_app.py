@@ -88,15 +88,9 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         return 0
     typed, argv = argv, settings_of(command, argv)
     register_config_sources()
-    # Hydra's parser wants its flags before the overrides; people write them anywhere.
-    flags = [word for word in argv if word in _SWEEP_FLAGS]
-    placed = {group.key: f"{group.folder}@{group.key}" for group in groups_of(config_name)}
-    words = flags + [
-        free_option(quote_path(_in_place(word, placed))) for word in argv if word not in _SWEEP_FLAGS
-    ]
     # Hydra would print the fault and exit by itself; with this it lets the exception through.
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    saved, sys.argv = sys.argv, [f"lodbench {command}", *words]
+    saved, sys.argv = sys.argv, [f"lodbench {command}", *_hydra_words(argv, config_name)]
     try:
         version = {"version_base": "1.3"} if hydra.__version__ < "1.4" else {}
         hydra.main(config_path="pkg://lodbench.conf", config_name=config_name, **version)(job)()
@@ -108,7 +102,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         sys.argv = saved
     if crashes:
         raise crashes[0]
-    if faults and not flags:
+    if faults and not any(word in _SWEEP_FLAGS for word in argv):
         raise faults[0]
     _report_faults(jobs, faults)
     tell_old_names(command, typed)
@@ -137,6 +131,14 @@ def quote_path(word: str) -> str:
     # Hydra takes a backslash as it stands, but for those before a quote or the end.
     escaped = re.sub(r'(\\*)(?="|$)', r"\1\1", value).replace('"', '\\"').replace("${", "\\${")
     return f'{key}="{escaped}"'
+
+
+def _hydra_words(argv: Sequence[str], config_name: str) -> list[str]:
+    """Returns words as Hydra reads them: its flags before the overrides, paths quoted, groups in place."""
+    placed = {group.key: f"{group.folder}@{group.key}" for group in groups_of(config_name)}
+    settings = [word for word in argv if word not in _SWEEP_FLAGS]
+    flags = [word for word in argv if word in _SWEEP_FLAGS]
+    return flags + [free_option(quote_path(_in_place(word, placed))) for word in settings]
 
 
 def _in_place(word: str, placed: Mapping[str, str]) -> str:
