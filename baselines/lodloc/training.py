@@ -11,7 +11,7 @@ from typing import Any
 
 from lodbench import __version__
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.segmentation.extras import require
+from lodbench.extras import require
 from lodbench.storage import digest_of, file_digest, make_folder, write_text
 from lodbench.storage.json_text import parse_json
 

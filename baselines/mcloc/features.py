@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError
+from lodbench.extras import require
 from lodbench.matching import open_extractor
 from lodbench.matching.roma import roma_encoder_file
 from lodbench.matching.weights import Published, fetched_folder
-from lodbench.segmentation.extras import require
 
 Pictures = NDArray[np.uint8]
 FeatureMaps = NDArray[np.float32]

@@ -13,8 +13,9 @@ from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 from uuid import uuid4
 
-from lodbench.errors import ConfigError, WorkersGone
+from lodbench.errors import WorkersGone
 from lodbench.execution.fan_out import KEEP_DYING, KEEP_DYING_HINT, begin
+from lodbench.extras import require
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -111,12 +112,7 @@ def dask_workers(
         ConfigError: Dask is not installed.
         WorkersGone: The scheduler is not there.
     """
-    try:
-        distributed: Any = import_module("distributed")
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            "executor=dask needs Dask, which is not installed.", "pip install 'lodbench[cluster]'"
-        ) from error
+    distributed = require("distributed", "cluster", "executor=dask")
     own = None
     try:
         if address is None:

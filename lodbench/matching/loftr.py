@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from lodbench.errors import ConfigError
+from lodbench.extras import require
 from lodbench.matching.picture_pair import make_pair
 from lodbench.matching.protocol import IMAGES, Image, Matches
 from lodbench.matching.transformers_matchers import PairParams
 from lodbench.matching.weights import RANDOM, named_file
-from lodbench.segmentation.extras import require
 
 _CELL = 8
 

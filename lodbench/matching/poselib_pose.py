@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.errors import ConfigError
+from lodbench.extras import require
 from lodbench.geometry import Camera, Pose
 from lodbench.matching.pose_solver import Floats, SolvedPose, SolverParams, agreeing
 
@@ -21,14 +21,8 @@ class PoselibPose:
     params_type = SolverParams
 
     def __init__(self, params: SolverParams) -> None:
-        try:
-            import poselib
-        except ImportError as error:
-            raise ConfigError(
-                "pnp=poselib needs poselib, which is not installed.", "pip install 'lodbench[pnp]'."
-            ) from error
         self.params = params
-        self._library = poselib
+        self._library = require("poselib", "pnp", "pnp=poselib")
 
     def solve(self, points: Floats, pixels: Floats, camera: Camera, prior: Pose) -> SolvedPose | None:
         """Returns the pose, or None where none is found; see ``PoseSolver``."""

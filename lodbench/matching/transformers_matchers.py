@@ -14,10 +14,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lodbench.errors import require_within
+from lodbench.extras import require
 from lodbench.matching.picture_pair import make_pair
 from lodbench.matching.protocol import IMAGES, Image, Matches
 from lodbench.matching.weights import RANDOM, Published, fetched_folder
-from lodbench.segmentation.extras import require
 
 _MAGIC_LEAP = "Magic Leap's licence: research, not commercial"
 

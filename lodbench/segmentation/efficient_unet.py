@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, require_within
-from lodbench.segmentation.extras import require
+from lodbench.extras import require
 from lodbench.segmentation.packaged_network import PackagedNetwork
 from lodbench.segmentation.probability import check_normalise
 from lodbench.segmentation.working_size import working_size

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError
-from lodbench.segmentation.extras import require
+from lodbench.extras import require
 from lodbench.segmentation.memory import require_memory
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.tiles import MemoryTiles

@@ -12,7 +12,7 @@ from typing import Any
 
 from lodbench import __version__
 from lodbench.errors import ConfigError
-from lodbench.segmentation.extras import require
+from lodbench.extras import require
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, make_folder, write_text

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Entry
-from lodbench.errors import ConfigError
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR
+from lodbench.extras import require
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.export.export import CITY, DATASET, Export
 from lodbench.harness.runs.prepare import prior_of
@@ -41,13 +41,7 @@ class Rerun:
     requires = (DATASET, CITY)
 
     def __init__(self) -> None:
-        try:
-            import rerun  # noqa: F401
-        except ImportError as error:
-            raise ConfigError(
-                f"--format rerun needs rerun, which is not installed ({error}).",
-                "pip install 'lodbench[rerun]'",
-            ) from error
+        require("rerun", "rerun", "--format rerun")
 
     def write(self, export: Export, path: Path) -> None:
         """Writes a recording with one step of the timeline ``query`` per query.

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from lodbench.segmentation.extras import require
+from lodbench.extras import require
 from lodbench.storage import write_bytes
 
 _OPSET = 13

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from lodbench.errors import ConfigError
-from lodbench.segmentation.extras import require
+from lodbench.extras import require
 
 Net = TypeVar("Net", bound=nn.Module)
 _LAYERS = (nn.Conv2d, nn.BatchNorm2d)

@@ -6,7 +6,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from lodbench.errors import ConfigError, DatasetError
+from lodbench.errors import DatasetError
+from lodbench.extras import require
 from lodbench.geometry import Camera
 from lodbench.storage import make_folder
 from lodbench.synthesis.queries import SyntheticQuery
@@ -21,12 +22,7 @@ def reconstruct(queries: Sequence[SyntheticQuery], camera: Camera, folder: Path)
         ConfigError: pycolmap is not installed.
         DatasetError: COLMAP finds no model.
     """
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise ConfigError(
-            "dataset.reconstruct=true needs pycolmap, which is not installed.", "pip install pycolmap"
-        ) from error
+    pycolmap = require("pycolmap", "pnp", "dataset.reconstruct=true")
     pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
     with tempfile.TemporaryDirectory() as made:
         photos, database = make_folder(Path(made) / "photos"), Path(made) / "database.db"

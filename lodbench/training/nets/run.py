@@ -8,6 +8,7 @@ from pathlib import Path
 
 import torch
 
+from lodbench.extras import require
 from lodbench.segmentation.nets.weights import save_weights
 from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.training.nets.average import average_into
@@ -95,8 +96,6 @@ def _board(out: Path) -> Callable[[str, float, int], None]:
     Raises:
         ConfigError: TensorBoard is not installed.
     """
-    from lodbench.segmentation.extras import require
-
     require("tensorboard", "tensorboard", "tensorboard=true")
     from torch.utils.tensorboard import SummaryWriter
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import Any
 
 from lodbench.errors import ConfigError
 
+_FOR_CPUS = "; for CPUs see docs/segmentation.md."
 
-def require(package: str, extra: str, needed_by: str) -> None:
-    """Makes sure that a package can be imported.
+
+def require(package: str, extra: str, needed_by: str) -> Any:
+    """Returns a package, imported.
 
     Args:
         package: Its import name.
@@ -19,7 +22,7 @@ def require(package: str, extra: str, needed_by: str) -> None:
         ConfigError: It is not installed, or it breaks on import.
     """
     try:
-        import_module(package)
+        return import_module(package)
     except RuntimeError as error:
         if package != "torchvision":
             raise
@@ -32,5 +35,5 @@ def require(package: str, extra: str, needed_by: str) -> None:
     except ImportError as error:
         raise ConfigError(
             f"{needed_by} needs {package}, which is not installed ({error}).",
-            f"pip install 'lodbench[{extra}]'; for CPUs see docs/segmentation.md.",
+            f"pip install 'lodbench[{extra}]'{_FOR_CPUS if package.startswith('torch') else ''}",
         ) from error
