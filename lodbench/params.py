@@ -25,7 +25,7 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
         ConfigError: A name is unknown or a value has the wrong type.
     """
     from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
+    from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
     types = {f.name: f.type for f in fields(params_type)}  # type: ignore[arg-type]
     for name in values:
@@ -38,6 +38,9 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
     try:
         merged = OmegaConf.merge(_writable(OmegaConf.structured(params_type)), _literal(given))
         return cast(T, OmegaConf.to_object(merged))
+    except MissingMandatoryValue as error:
+        name = _dotted(prefix, str(error.full_key))
+        raise ConfigError(f"{name} is not set.", f"Add {name}=VALUE.") from error
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(f"{_dotted(prefix, str(error.full_key))}: {reason}") from error

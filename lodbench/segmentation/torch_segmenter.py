@@ -89,8 +89,9 @@ class TorchSegmenter(PhotoSegmenter):
 
     def _init(self) -> str | None:
         """Returns the file that the network's weights are in, or None for random ones."""
-        weights = self.params.weights
-        return None if weights in (None, RANDOM) else str(weights_file(weights, self.name))
+        # Told first: nobody shall take a random network for one that has learnt.
+        is_random = self.weights_digest == RANDOM
+        return None if is_random else str(weights_file(self.params.weights, self.name))
 
     def require_room(self, build: Callable[[], Any], init: str | None) -> None:
         """Makes sure that a network, and the file it is filled from, fit into memory.

@@ -186,11 +186,19 @@ class TestCommand:
         found = cv2.imread(str(photo.parent / "photo_mask.png"), 0) > 0
         assert np.array_equal(found, cv2.imread(str(photo), 0) >= 100)
 
+    def test_a_network_without_weights_makes_no_mask(self, photo, capsys):
+        pytest.importorskip("torch")
+        pytest.importorskip("transformers")
+        assert main(["mask", str(photo), "--segmenter", "sam2_unet", "--no-page"]) == 2
+        assert "comes without weights" in capsys.readouterr().err
+        assert not (photo.parent / "photo_mask.png").exists()
+
     def test_what_does_not_fit_is_told(self, photo, capsys):
         cv2.imwrite(str(photo.parent / "small.png"), np.zeros((16, 24), np.uint8))
         for words, told in (
             (["--mask", str(photo.parent / "small.png")], "24 x 16 pixels, the photo 240 x 160"),
             (["--segmenter", "masks"], "looks at no photo alone"),
+            (["--segmenter", "semantic"], "segmenter.weights is not set"),
             (["--import", str(photo)], "cannot be read"),
         ):
             assert main(["mask", str(photo), "--no-page", *words]) == 2
