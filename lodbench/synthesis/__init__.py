@@ -14,7 +14,7 @@ room                   what it makes
 ``mask_degradation``   masks as wrong as a network's, by ``mask_error_fields``; of single buildings:
                        ``instance_degradation``
 ``queries``            made-up queries, and the one way they become a folder
-``demo``               ``dataset=demo`` and ``demo_train``; what they have on demand is in ``demo_assets``
+``demo``               ``dataset=demo`` and ``demo_train``, with what they have on demand
 ``views_dataset``      ``dataset=views``: seeded views of any city; their photos are in ``view_photos``,
                        what map and camera are wrong about in ``map_and_camera_errors``
 ``training_data``      ``generate-training-data``: settings, plan of views, files, manifest, sheet

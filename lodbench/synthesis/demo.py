@@ -1,4 +1,7 @@
-"""``dataset=demo`` and ``dataset=demo_train``: built on first use, then read like any folder."""
+"""``dataset=demo`` and ``dataset=demo_train``: built on first use, then read like any folder.
+
+What methods may ask for besides, a textured map and instance labels, is made on demand and kept beside it.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,26 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from lodbench.citymodel import open_scene
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.inputs import Input
+from lodbench.datasets.instance_labels import encoded_labels
+from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Dataset
+from lodbench.errors import DatasetError
+from lodbench.rendering.raster import RasterRenderer
+from lodbench.storage import make_folder, new_folder, random_stream, write_bytes
 from lodbench.storage.paths import cache_root
+from lodbench.synthesis.instance_degradation import degraded_instances
+from lodbench.synthesis.survey.textured_map import write_textured_map
+from lodbench.synthesis.town.build import CITY_FILE, DEMO_CODE, FINE_CITY_FILE, build_demo, code_digest
+from lodbench.synthesis.town.looks import look_named
+from lodbench.synthesis.town.town import TOWN_VERSION, grow_town
+
+MAP_FILE = "textured_map.glb"
+# The code that each follows from; that of the town is in the demo's own name.
+MAP_CODE = ("synthesis/demo.py", "synthesis/survey/*.py")
+LABEL_CODE = ("synthesis/demo.py", "synthesis/instance_degradation.py", "synthesis/mask_*.py")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,17 +59,14 @@ def open_demo(params: DemoParams) -> Dataset:
         DatasetError: Fewer than two queries are asked for, the look is unknown, or the cache holds
             something else.
     """
-    from lodbench.synthesis.town.build import CITY_FILE, FINE_CITY_FILE
-    from lodbench.synthesis.town.town import TOWN_VERSION
-
     root = demo_folder(params)
     is_fine = params.lod is not None and params.lod.lower().removeprefix("lod").startswith("3")
     city = root / (FINE_CITY_FILE if is_fine else CITY_FILE)
     folder = open_folder(FolderParams(str(root), str(city), lod=params.lod, name=params.name))
     look = "" if params.look == "test" else f", look {params.look}"
     on_demand: dict[str, Callable[[], Path]] = {
-        Input.TEXTURED_MAP: partial(_textured_map, root, params),
-        Input.INSTANCES: partial(_instances, folder, root / FINE_CITY_FILE, params),
+        Input.TEXTURED_MAP: partial(textured_map_of_demo, root, params.town_seed, params.look),
+        Input.INSTANCES: partial(instances_of_demo, folder, root / FINE_CITY_FILE, params.town_seed),
     }
     # From pixels: its masks are drawn from the truth, as wrong as a network's, to compare with.
     version = f"town {TOWN_VERSION}{look}, seed {params.town_seed}"
@@ -62,34 +78,66 @@ def open_demo_train(params: DemoTrainParams) -> Dataset:
     return open_demo(params)
 
 
-def _textured_map(root: Path, params: DemoParams) -> Path:
-    from lodbench.synthesis.demo_assets import textured_map_of_demo
-
-    return textured_map_of_demo(root, params.town_seed, params.look)
-
-
-def _instances(demo: Dataset, city: Path, params: DemoParams) -> Path:
-    from lodbench.synthesis.demo_assets import instances_of_demo
-
-    return instances_of_demo(demo, city, params.town_seed)
-
-
 def demo_folder(params: DemoParams) -> Path:
     """Returns the folder of a demo in the cache, built if it is not there yet.
 
     Its name holds everything it follows from: the version, the parameters, and a digest of the code
     that makes it, so that a changed generator never meets an old folder.
     """
-    from lodbench.synthesis.town.build import build_demo, generator_digest
-    from lodbench.synthesis.town.town import TOWN_VERSION
+    made_of = f"{params.look}-seed-{params.town_seed}-queries-{params.num_queries}-{code_digest(*DEMO_CODE)}"
+    root = cache_root() / "demo" / f"town-{TOWN_VERSION}-{made_of}"
+    return build_demo(root, num_queries=params.num_queries, seed=params.town_seed, look=params.look)
 
-    name = (
-        f"town-{TOWN_VERSION}-{params.look}-seed-{params.town_seed}-queries-{params.num_queries}"
-        f"-{generator_digest()}"
-    )
-    return build_demo(
-        cache_root() / "demo" / name,
-        num_queries=params.num_queries,
-        seed=params.town_seed,
-        look=params.look,
-    )
+
+def textured_map_of_demo(root: Path, seed: int, look: str) -> Path:
+    """Returns the textured map of a demo's town, made first if it is not there: minutes, once.
+
+    Args:
+        root: The demo's folder.
+        seed: Of its town.
+        look: Of its town.
+    """
+
+    def write(folder: Path) -> None:
+        scene = open_scene(root / CITY_FILE, lod="1")
+        write_textured_map(folder / MAP_FILE, grow_town(seed, look_named(look)), scene)
+
+    return _kept_beside(root, "survey", MAP_CODE, write) / MAP_FILE
+
+
+def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
+    """Returns the folder of a demo's labels, ``SPLIT/STEM.png``, made first if it is not there.
+
+    They are the buildings seen at the truth, as wrong as a network's, and fill the demo's masks.
+
+    Raises:
+        DatasetError: A mask of the demo is missing.
+    """
+
+    def write(folder: Path) -> None:
+        scene = open_scene(city)
+        raster = RasterRenderer(scene)
+        for entry in demo.entries:
+            mask = None if entry.mask is None else read_picture(entry.mask, as_stored=True)
+            if mask is None or entry.camera is None:
+                reason = f"{demo.root} is no whole demo: {entry.key} has no mask."
+                raise DatasetError(reason, "Delete the folder.")
+            truth = demo.truth[entry.key].shifted(-scene.origin)
+            (seen,) = raster.buildings(entry.camera, truth.rotation[None], truth.center[None])
+            labels = degraded_instances(seen, mask > 0, random_stream(seed, "demo", entry.name, "instances"))
+            file = folder / entry.split / f"{Path(entry.name).stem}.png"
+            make_folder(file.parent)
+            write_bytes(file, encoded_labels(labels), False)
+
+    return _kept_beside(demo.root, "instances", LABEL_CODE, write)
+
+
+def _kept_beside(root: Path, kind: str, code: tuple[str, ...], write: Callable[[Path], None]) -> Path:
+    """Returns a folder beside a demo's, written first if it is not there; its name holds a digest of code."""
+    folder = root.with_name(f"{root.name}-{kind}-{code_digest(*code)}")
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        # Another process that is as quick leaves a folder of the same bytes.
+        with new_folder(folder) as building:
+            write(building)
+    return folder

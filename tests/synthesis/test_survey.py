@@ -11,9 +11,8 @@ from lodbench.datasets.inputs import Input, inputs_of
 from lodbench.datasets.on_demand import with_inputs
 from lodbench.datasets.query import Dataset
 from lodbench.synthesis.demo import DemoParams, open_demo
-from lodbench.synthesis.survey import charts
-from lodbench.synthesis.survey.baking import baked, corner_light
-from lodbench.synthesis.survey.charts import lay_out_faces, lay_out_ground
+from lodbench.synthesis.survey import baking
+from lodbench.synthesis.survey.baking import baked, corner_light, lay_out_faces, lay_out_ground
 
 
 @given(
@@ -22,10 +21,10 @@ from lodbench.synthesis.survey.charts import lay_out_faces, lay_out_ground
     )
 )
 def test_packed_rectangles_do_not_overlap_and_fit(sides):
-    places, height = charts._packed(sides)
-    sheet = np.zeros((height, charts._ATLAS_WIDTH), np.int8)
+    places, height = baking._packed(sides)
+    sheet = np.zeros((height, baking._ATLAS_WIDTH), np.int8)
     for (x, y), (width, tall) in zip(places, sides, strict=True):
-        assert x + width <= charts._ATLAS_WIDTH
+        assert x + width <= baking._ATLAS_WIDTH
         sheet[y : y + tall, x : x + width] += 1
     assert sheet.max() == 1
     assert sheet.sum() == sides.prod(axis=1).sum()
@@ -60,10 +59,8 @@ def test_ground_lies_as_a_map_does_and_what_hangs_over_is_left_out():
 
 def shading_of(corners, surface):
     from lodbench.synthesis.objects.scene_props import SceneProps
-    from lodbench.synthesis.photo.ground import no_land_cover
+    from lodbench.synthesis.photo.kernel import plain_shading
     from lodbench.synthesis.photo.render_scene import make_skin
-    from lodbench.synthesis.photo.sunlight import no_sun_map
-    from lodbench.synthesis.photo.surfaces import palettes
     from lodbench.synthesis.survey.town_then import survey_look
 
     count = len(corners)
@@ -77,7 +74,7 @@ def shading_of(corners, surface):
         np.zeros(3),
     )
     look, _ = survey_look(0)
-    return make_skin(props), look, no_land_cover(), no_sun_map(), palettes()
+    return plain_shading(make_skin(props), look)
 
 
 def test_a_picture_shows_at_a_place_what_the_place_looks_like():

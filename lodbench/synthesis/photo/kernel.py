@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lodbench.rendering.compiled import per_pixel, pixel_loop
 from lodbench.rendering.pixel_samples import same_samples
-from lodbench.rendering.texture_charts import texture_light
-from lodbench.synthesis.photo.ground import TEXTURED
+from lodbench.rendering.texture_charts import Charts, make_charts, texture_light
+from lodbench.synthesis.photo.ground import TEXTURED, LandCover, no_land_cover
+from lodbench.synthesis.photo.look import Look
 from lodbench.synthesis.photo.noise import mix
-from lodbench.synthesis.photo.sunlight import sun_share
-from lodbench.synthesis.photo.surfaces import surface_colour
+from lodbench.synthesis.photo.render_scene import Skin
+from lodbench.synthesis.photo.sunlight import SunMap, no_sun_map, sun_share
+from lodbench.synthesis.photo.surfaces import PALETTES, Palettes, surface_colour
 
 _TEXTURED = int(TEXTURED)
+
+
+class Shading(NamedTuple):
+    """All that decides the light of a triangle at a point."""
+
+    skin: Skin
+    look: Look
+    cover: LandCover
+    sun_map: SunMap
+    palettes: Palettes
+    charts: Charts
+
+
+def plain_shading(skin: Skin, look: Look) -> Shading:
+    """Returns the shading of triangles that all say what they are: no land cover, no textures; no shadows."""
+    return Shading(skin, look, no_land_cover(), no_sun_map(), PALETTES, make_charts(None))
 
 
 @per_pixel
@@ -31,52 +51,59 @@ def sky_colour(up, towards_sun, look):  # type: ignore[no-untyped-def]  # noqa: 
 
 
 @per_pixel
-def _shading_normal(skin, triangle, x, y, z, back):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def flat_normal(skin, triangle):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns a triangle's unit normal, (3,), whichever side."""
+    normal = skin.normal
+    return np.float64(normal[triangle, 0]), np.float64(normal[triangle, 1]), np.float64(normal[triangle, 2])
+
+
+@per_pixel
+def out_of_crown(skin, triangle, point):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the unit direction, (3,), from the middle of a leaf's crown to a point."""
+    place, (x, y, z) = skin.place, point
+    cx, cy, cz = x - place[triangle, 0], y - place[triangle, 1], z - place[triangle, 2]
+    length = np.sqrt(cx * cx + cy * cy + cz * cz) + 1e-6
+    return cx / length, cy / length, cz / length
+
+
+@per_pixel
+def _shading_normal(skin, triangle, point, back):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns a triangle's unit normal on the camera's side; that of leaves is round a crown.
 
     Args:
         skin: Skin.
-        triangle: Number of the triangle.
-        x: Point, east.
-        y: North.
-        z: Up.
+        triangle: Its number.
+        point: (3,) local metres.
         back: (3,) from the point to the camera.
     """
-    nx, ny, nz = (
-        np.float64(skin.normal[triangle, 0]),
-        np.float64(skin.normal[triangle, 1]),
-        np.float64(skin.normal[triangle, 2]),
-    )
+    nx, ny, nz = flat_normal(skin, triangle)
     if nx * back[0] + ny * back[1] + nz * back[2] < 0.0:
         nx, ny, nz = -nx, -ny, -nz
     if skin.place[triangle, 6] > 0.0:
-        cx, cy, cz = x - skin.place[triangle, 0], y - skin.place[triangle, 1], z - skin.place[triangle, 2]
-        length = np.sqrt(cx * cx + cy * cy + cz * cz) + 1e-6
-        nx, ny, nz = 0.5 * nx + cx / length, 0.5 * ny + cy / length, 0.5 * nz + cz / length
+        cx, cy, cz = out_of_crown(skin, triangle, point)
+        nx, ny, nz = 0.5 * nx + cx, 0.5 * ny + cy, 0.5 * nz + cz
         length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-6
         nx, ny, nz = nx / length, ny / length, nz / length
     return nx, ny, nz
 
 
 @per_pixel
-def surface_light(albedo, mirrored, x, y, z, normal, ray, look, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def surface_light(albedo, mirrored, point, normal, ray, shading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the light a surface sends to the camera.
 
     Args:
         albedo: (3,) linear.
         mirrored: Share of sky it mirrors, looked at straight; more when grazed.
-        x: Point, east.
-        y: North.
-        z: Up.
+        point: (3,) local metres.
         normal: (3,) unit.
         ray: (3,) unit, from the camera to the point.
-        look: Look.
-        sun_map: SunMap.
+        shading: Shading.
     """
+    look = shading.look
     facing = normal[0] * look.sun[0] + normal[1] * look.sun[1] + normal[2] * look.sun[2]
     sun = 0.0
     if facing > 0.0:
-        sun = facing * sun_share(x, y, z, normal, facing, sun_map)
+        sun = facing * sun_share(point, normal, facing, shading.sun_map)
     # A surface sees as much sky as it looks up; the rest is ground, lit and grey-green.
     open_sky = 0.5 + 0.5 * normal[2]
     ground = 0.16 * (1.0 - open_sky)
@@ -108,9 +135,9 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, shading):  # typ
         f: (4,) intrinsics, sample pixels.
         rotation: (3, 3) cam_from_world.
         center: (3,) of the camera.
-        shading: (skin, look, cover, sun map, palettes, charts).
+        shading: Shading.
     """
-    skin, look, cover, sun_map, tables, charts = shading
+    skin, look = shading.skin, shading.look
     a, b = (column - f[2]) / f[0], (row - f[3]) / f[1]
     dx = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0]
     dy = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1]
@@ -121,18 +148,18 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, shading):  # typ
     if triangle < 0:
         return sky_colour(ray[2], towards_sun, look)
     depth = 1.0 / inverse
-    x, y, z = center[0] + dx * depth, center[1] + dy * depth, center[2] + dz * depth
+    point = (center[0] + dx * depth, center[1] + dy * depth, center[2] + dz * depth)
     if skin.surface[triangle] == _TEXTURED:
-        light = texture_light(np.int64(skin.number[triangle]), x, y, z, 2.0 * depth / f[0], charts)
+        x, y, z = point
+        light = texture_light(np.int64(skin.number[triangle]), x, y, z, 2.0 * depth / f[0], shading.charts)
         return mix(look.haze_rgb, light, np.exp(-depth * length * look.haze_per_m))
-    normal = _shading_normal(skin, triangle, x, y, z, (-ray[0], -ray[1], -ray[2]))
+    normal = _shading_normal(skin, triangle, point, (-ray[0], -ray[1], -ray[2]))
     # Two samples are one pixel; a grazed surface is seen coarser, at most by 4.
     cosine = abs(ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2])
     pixel_m = 2.0 * depth / f[0] / max(0.25, np.sqrt(cosine))
-    albedo, mirrored = surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, cover, tables)
-    light = surface_light(albedo, mirrored, x, y, z, normal, ray, look, sun_map)
-    clear = np.exp(-depth * length * look.haze_per_m)
-    return mix(look.haze_rgb, light, clear)
+    albedo, mirrored = surface_colour(triangle, point, normal, pixel_m, shading)
+    light = surface_light(albedo, mirrored, point, normal, ray, shading)
+    return mix(look.haze_rgb, light, np.exp(-depth * length * look.haze_per_m))
 
 
 @pixel_loop
@@ -146,7 +173,7 @@ def resolve_photo(band, buffer, rotation, center, shading, out):  # type: ignore
         buffer: Its z-buffer.
         rotation: (3, 3) cam_from_world.
         center: (3,) of the camera.
-        shading: (skin, look, cover, sun map, palettes, charts).
+        shading: Shading.
         out: (H, W, 3) float32.
     """
     # Columns lie along memory in the buffer, as for the raster.

@@ -16,11 +16,11 @@ from lodbench.rendering.raster_kernel import Band, Buffer
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo.camera_response import apply_camera_response
 from lodbench.synthesis.photo.ground import LandCover, no_land_cover
-from lodbench.synthesis.photo.kernel import resolve_photo
+from lodbench.synthesis.photo.kernel import Shading, resolve_photo
 from lodbench.synthesis.photo.look import CameraResponse, Look
 from lodbench.synthesis.photo.render_scene import make_render_scene
 from lodbench.synthesis.photo.sunlight import SunMap, draw_sun_map, ground_in_view, no_sun_map
-from lodbench.synthesis.photo.surfaces import linear, palettes
+from lodbench.synthesis.photo.surfaces import PALETTES, linear
 
 # Side of the shadow map, pixels: of the largest one each is half a metre where 450 m are in view.
 _LEAST_SUN_MAP, _MOST_SUN_MAP = 512, 1536
@@ -58,7 +58,6 @@ class PhotoRenderer:
         self._casters = None if casters is None else RasterRenderer(casters, threads, band=_BAND)
         low, high = np.percentile(self._render_scene.mesh.vertices[:, 2], [0.5, 99.5])
         self._levels_m = float(low), float(high)
-        self._palettes = palettes()
 
     def photo(self, camera: Camera, pose: Pose, look: Look, response: CameraResponse) -> NDArray[np.uint8]:
         """Returns the (H, W, 3) RGB photo from a pose in the scene's frame.
@@ -78,7 +77,7 @@ class PhotoRenderer:
         rotation, center = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.center)
         sun_map = self._sun_map(camera, pose, look)
         made = self._render_scene
-        shading = (made.skin, look, self._cover, sun_map, self._palettes, made.charts)
+        shading = Shading(made.skin, look, self._cover, sun_map, PALETTES, made.charts)
 
         def resolve(band: Band, buffer: Buffer) -> None:
             resolve_photo(band, buffer, rotation, center, shading, out)

@@ -96,13 +96,11 @@ def _looking_along(axis: Floats) -> Floats:
 
 
 @per_pixel
-def sun_share(x, y, z, normal, facing, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def sun_share(point, normal, facing, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns how much of the sun reaches a point, 0 to 1: four map pixels, weighted.
 
     Args:
-        x: Point, east, local metres.
-        y: North.
-        z: Up.
+        point: (3,) local metres.
         normal: (3,) unit, on the camera's side.
         facing: Cosine of the angle between normal and sun, above 0.
         sun_map: SunMap.
@@ -110,7 +108,11 @@ def sun_share(x, y, z, normal, facing, sun_map):  # type: ignore[no-untyped-def]
     # Off the surface by a map pixel and more where light grazes it: it must not shade itself.
     push = sun_map.texel_m * (0.6 + 0.8 * (1.0 - facing))
     c, r = sun_map.center, sun_map.rotation
-    dx, dy, dz = x + push * normal[0] - c[0], y + push * normal[1] - c[1], z + push * normal[2] - c[2]
+    dx, dy, dz = (
+        point[0] + push * normal[0] - c[0],
+        point[1] + push * normal[1] - c[1],
+        point[2] + push * normal[2] - c[2],
+    )
     depth = r[2][0] * dx + r[2][1] * dy + r[2][2] * dz
     size = sun_map.depth.shape[0]
     scale = sun_map.focal / depth

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.rendering.compiled import per_pixel
+from lodbench.synthesis.objects.mesh_builder import palette
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.photo.ground import ground_colour
 from lodbench.synthesis.photo.noise import detail, grain, mix, scaled, stripe, unit_hash, value_noise
@@ -19,20 +20,6 @@ _COURSE_M = 0.34  # a row of roof tiles
 _BRICK_M = 0.25
 _UNIT_M = 6.5  # grid of machines on flat roofs
 _SKYLIGHT_M = 2.6  # grid of skylights and panels on pitched roofs
-
-# sRGB colours of objects that have none of their own.
-_WALLS = [(225, 218, 203), (208, 206, 202), (228, 205, 172), (188, 164, 142), (238, 235, 228), (166, 110, 88)]
-_WALLS += [(214, 190, 150), (180, 178, 172), (150, 92, 74), (202, 214, 214), (120, 118, 116), (232, 214, 190)]
-_TILES = [(158, 84, 62), (138, 78, 64), (176, 106, 76), (104, 92, 86), (84, 82, 84), (120, 64, 52)]
-_TILES += [(146, 112, 92), (70, 66, 66), (190, 124, 92), (110, 112, 116), (96, 60, 50), (128, 122, 112)]
-# Fibre cement, slate, painted sheets.
-_TILES += [(158, 160, 158), (72, 80, 92), (70, 96, 140), (88, 112, 98), (214, 214, 210)]
-_FLATS = [(150, 148, 144), (110, 110, 112), (188, 186, 180), (132, 124, 112), (214, 212, 208), (92, 92, 92)]
-_FLATS += [(122, 130, 108), (168, 160, 148), (142, 150, 156), (82, 78, 74)]
-# Planted, gravel, solar panels, sheet metal: as over halls.
-_FLATS += [(96, 116, 70), (182, 174, 158), (44, 54, 78), (104, 128, 150), (228, 228, 226)]
-_PAINTS = [(230, 230, 230), (30, 32, 36), (120, 122, 126), (170, 172, 176), (140, 24, 26), (34, 54, 110)]
-_PAINTS += [(60, 62, 66), (205, 200, 190), (24, 66, 44), (214, 214, 210)]
 
 
 class Palettes(NamedTuple):
@@ -49,9 +36,13 @@ def linear(colours: object) -> NDArray[np.float64]:
     return (np.asarray(colours, dtype=np.float64) / 255.0) ** 2
 
 
-def palettes() -> Palettes:
-    """Returns the built-in palettes."""
-    return Palettes(linear(_WALLS), linear(_TILES), linear(_FLATS), linear(_PAINTS))
+_WALLS = "e1dacb d0ceca e4cdac bca48e eeebe4 a66e58 d6be96 b4b2ac 965c4a cad6d6 787674 e8d6be"
+_TILES = "9e543e 8a4e40 b06a4c 685c56 545254 784034 92705c 464242 be7c5c 6e7074 603c32 807a70"
+_TILES += " 9ea09e 48505c 46608c 587062 d6d6d2"  # fibre cement, slate, painted sheets
+_FLATS = "969490 6e6e70 bcbab4 847c70 d6d4d0 5c5c5c 7a826c a8a094 8e969c 524e4a"
+_FLATS += " 607446 b6ae9e 2c364e 688096 e4e4e2"  # planted, gravel, solar panels, sheet metal: as over halls
+_PAINTS = "e6e6e6 1e2024 787a7e aaacb0 8c181a 22366e 3c3e42 cdc8be 18422c d6d6d2"
+PALETTES = Palettes(*(linear(palette(codes)) for codes in (_WALLS, _TILES, _FLATS, _PAINTS)))
 
 
 @per_pixel
@@ -79,20 +70,19 @@ def _glass(number, i, j, look):  # type: ignore[no-untyped-def]  # noqa: ANN001,
 
 
 @per_pixel
-def _facade(colour, place, triangle, number, x, y, z, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _facade(colour, skin, triangle, number, point, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of a wall with windows, and the share of sky it mirrors.
 
     Args:
         colour: Of the wall.
-        place: (T, 7), see ``Skin.place``.
+        skin: Skin.
         triangle: Number of the triangle.
         number: Of the building.
-        x: Point, east, local metres.
-        y: North.
-        z: Up.
+        point: (3,) local metres.
         pixel_m: Size of a pixel there.
         look: Look.
     """
+    place, (x, y, z) = skin.place, point
     along = x * place[triangle, 0] + y * place[triangle, 1] - place[triangle, 2]
     width, up = np.float64(place[triangle, 3]), z - place[triangle, 4]
     rise = np.float64(place[triangle, 5] - place[triangle, 4])
@@ -130,15 +120,14 @@ def _facade(colour, place, triangle, number, x, y, z, pixel_m, look):  # type: i
 
 
 @per_pixel
-def _pitched(colour, number, x, y, z, normal, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _pitched(colour, number, point, normal, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of a tiled roof: rows of tiles, stains, moss, skylights."""
+    x, y, z = point
     flat = np.sqrt(normal[0] * normal[0] + normal[1] * normal[1])
-    if flat < 0.02:
-        # A pitched roof drawn as a box: rows along the grid.
-        across, down = x, y
-    else:
-        across = (x * normal[1] - y * normal[0]) / flat
-        down = z / flat
+    # A pitched roof drawn as a box has its rows along the grid.
+    across, down = x, y
+    if flat >= 0.02:
+        across, down = (x * normal[1] - y * normal[0]) / flat, z / flat
     row, column = down / _COURSE_M, across / _BRICK_M
     edge = 1.0 - stripe(row % 1.0, 0.0, 0.78, 0.15)
     tile = 0.16 * detail(_COURSE_M, pixel_m) * (edge - 0.3)
@@ -184,8 +173,9 @@ def _flat_roof(colour, number, x, y, pixel_m, look):  # type: ignore[no-untyped-
 
 
 @per_pixel
-def _leaves(tint, number, x, y, z, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _leaves(tint, number, point, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Returns the colour of leaves, dark in the gaps between them."""
+    x, y, z = point
     green = tint if tint[0] >= 0.0 else (0.035, 0.062, 0.018)
     hue = unit_hash(number, look.seed, 51)
     colour = mix(green, (0.13, 0.105, 0.03), 0.5 * look.dryness * hue)
@@ -196,36 +186,32 @@ def _leaves(tint, number, x, y, z, pixel_m, look):  # type: ignore[no-untyped-de
 
 
 @per_pixel
-def surface_colour(skin, triangle, x, y, z, normal, pixel_m, look, cover, tables):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def surface_colour(triangle, point, normal, pixel_m, shading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the linear RGB of a surface at a point, and the share of sky it mirrors.
 
     Args:
-        skin: Skin.
-        triangle: Number of the triangle.
-        x: Point, east, local metres.
-        y: North.
-        z: Up.
+        triangle: Its number.
+        point: (3,) local metres.
         normal: (3,) unit.
         pixel_m: Size of a pixel there.
-        look: Look.
-        cover: LandCover.
-        tables: Palettes.
+        shading: Shading.
     """
+    skin, look, tables, (x, y, z) = shading.skin, shading.look, shading.palettes, point
     kind, number = np.int64(skin.surface[triangle]), np.int64(skin.number[triangle])
     red, green, blue = skin.tint[triangle, 0], skin.tint[triangle, 1], skin.tint[triangle, 2]
     tint = (np.float64(red), np.float64(green), np.float64(blue))
     if kind < _WALL or kind > 200:
-        return ground_colour(kind, tint, x, y, pixel_m, look, cover)
+        return ground_colour(kind, tint, x, y, pixel_m, look, shading.cover)
     if kind == _WALL:
         colour = _base_colour(tables.walls, tint, number, look)
-        return _facade(colour, skin.place, triangle, number, x, y, z, pixel_m, look)
+        return _facade(colour, skin, triangle, number, point, pixel_m, look)
     if kind == _TILE:
         colour = _base_colour(tables.tiles, tint, number, look)
-        return _pitched(colour, number, x, y, z, normal, pixel_m, look)
+        return _pitched(colour, number, point, normal, pixel_m, look)
     if kind == _FLAT:
         return _flat_roof(_base_colour(tables.flats, tint, number, look), number, x, y, pixel_m, look)
     if kind == _FOLIAGE or kind == _FENCE:
-        return _leaves(tint, number, x, y, z, pixel_m, look), 0.0
+        return _leaves(tint, number, point, pixel_m, look), 0.0
     if kind == _WINDOW or kind == _GLASS:
         i, j = np.int64(np.floor(0.7 * (x + y))), np.int64(np.floor(z / 1.5))
         return _glass(number, i, j, look), 0.3

@@ -16,12 +16,10 @@ from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import write_bytes
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.photo.camera_response import apply_camera_response
-from lodbench.synthesis.photo.ground import no_land_cover
+from lodbench.synthesis.photo.kernel import Shading, plain_shading
 from lodbench.synthesis.photo.render_scene import make_render_scene, make_skin
-from lodbench.synthesis.photo.sunlight import SunMap, draw_sun_map, no_sun_map
-from lodbench.synthesis.photo.surfaces import palettes
-from lodbench.synthesis.survey.baking import baked, corner_light
-from lodbench.synthesis.survey.charts import lay_out_faces, lay_out_ground
+from lodbench.synthesis.photo.sunlight import draw_sun_map
+from lodbench.synthesis.survey.baking import baked, corner_light, lay_out_faces, lay_out_ground
 from lodbench.synthesis.survey.town_then import survey_look, town_then
 from lodbench.synthesis.town.town import Town
 
@@ -52,12 +50,9 @@ class Patch(NamedTuple):
 
 
 def write_textured_map(path: Path, town: Town, scene: Scene) -> None:
-    """Writes the map of a town at the time of its survey, in the local frame of its scene.
+    """Writes the map of a town at the time of its survey as a ``.glb`` file, whole or not at all.
 
-    Args:
-        path: A ``.glb`` file, made whole or not at all.
-        town: The town.
-        scene: Any level of detail, as read from the town's file: its origin is the map's.
+    It is in the local frame of the scene, which is the town's at any level of detail.
     """
     write_bytes(path, _glb(map_patches(town, scene)), survives_power_cut=False)
 
@@ -78,8 +73,8 @@ class _Painter:
         props = then.in_frame(scene.origin)
         self.corners = props.vertices[props.triangles].astype(np.float64)
         self.is_ground = np.isin(props.surface, _GROUND)
-        self.look, self.response = survey_look(town.seed)
-        self.skin, self.palettes = make_skin(props), palettes()
+        look, self.response = survey_look(town.seed)
+        self.shading = plain_shading(make_skin(props), look)
         self.middle = (then.origin - scene.origin)[:2]
         place = (self.corners.mean(axis=1)[:, :2] - self.middle) / _TILE_M + _TILES / 2
         self.tile_of = np.floor(place).astype(np.int64)
@@ -95,7 +90,8 @@ class _Painter:
         """Yields ground, faces of houses, and what is too small for a picture, of one tile."""
         corner, name = self.middle + (cell - _TILES / 2) * _TILE_M, f"{cell[0]} {cell[1]}"
         seen = [(*(corner + _TILE_M * np.array(c)), z) for c in np.ndindex(2, 2) for z in self.levels]
-        shading = self._shading(draw_sun_map(self.casters, np.array(self.look.sun), np.array(seen), _SUN_MAP))
+        sun = np.array(self.shading.look.sun)
+        shading = self.shading._replace(sun_map=draw_sun_map(self.casters, sun, np.array(seen), _SUN_MAP))
         here = np.flatnonzero((self.tile_of == cell).all(axis=1))
         west, south = corner - _HANG_M
         square = (float(west), float(south), _TILE_M + 2 * _HANG_M)
@@ -112,15 +108,12 @@ class _Painter:
     def around(self) -> Patch:
         """Returns the land around the town, without shadows."""
         is_near = np.abs(self.corners.mean(axis=1)[:, :2] - self.middle).max(axis=1) < _AROUND_M
-        return self._plain("around", np.flatnonzero(is_near & ~self.in_town), self._shading(no_sun_map()))
+        return self._plain("around", np.flatnonzero(is_near & ~self.in_town), self.shading)
 
-    def _plain(self, name: str, triangle: NDArray[np.int64], shading: tuple[Any, ...]) -> Patch:
+    def _plain(self, name: str, triangle: NDArray[np.int64], shading: Shading) -> Patch:
         light = corner_light(triangle, self.corners, shading)
         sharp = self.response._replace(blur_px=0.0, noise=0.0)
         return Patch(name, self.corners[triangle], None, apply_camera_response(light, sharp))
-
-    def _shading(self, sun_map: SunMap) -> tuple[Any, ...]:
-        return self.skin, self.look, no_land_cover(), sun_map, self.palettes
 
 
 def _glb(patches: Iterator[Patch]) -> bytes:

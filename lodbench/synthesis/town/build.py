@@ -33,6 +33,12 @@ RELIEF_FILE = "relief.gml"
 TERRAIN_FILE = "terrain.asc"
 PROPS_FILE = "props.npz"
 MANIFEST_FILE = "demo.json"
+# The code that makes the demo.
+DEMO_CODE = (
+    *("synthesis/town/*.py", "synthesis/town/templates/*", "synthesis/objects/*.py", "synthesis/photo/*.py"),
+    *("synthesis/queries.py", "synthesis/view_sampling.py", "synthesis/mask_*.py"),
+    *("citymodel/building_boxes.py", "datasets/priors.py"),
+)
 # Of quaternions and of metres.
 _POSE_DECIMALS = (12, 6)
 
@@ -76,13 +82,10 @@ def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0, look: str = 
 
 
 @cache
-def generator_digest() -> str:
-    """Returns a digest of the code that makes the demo: another generator, another town."""
-    room = Path(__file__).parents[1]
-    files = [file for name in ("town", "objects", "photo") for file in sorted((room / name).glob("*.py"))]
-    files += sorted((room / "town" / "templates").iterdir())
-    files += [room / f"{name}.py" for name in ("queries", "view_sampling", "mask_degradation")]
-    files += [room.parent / "citymodel" / "building_boxes.py", room.parent / "datasets" / "priors.py"]
+def code_digest(*patterns: str) -> str:
+    """Returns a digest of files of this package, for what is made by them: other code, another name."""
+    package = Path(__file__).parents[2]
+    files = [file for pattern in patterns for file in sorted(package.glob(pattern))]
     return digest_of([file_digest(file) for file in files], length=8)
 
 
