@@ -24,14 +24,14 @@ Where something new goes:
 
 - a roof shape: a function and a line in ``ROOF_SHAPES`` of ``town/roofs.py``, and who builds it: houses in
   ``town/fittings.py``, all that stands alone in ``town/landmarks.py``;
-- a kind of block or landmark: a function in ``town/landmarks.py``, chosen in ``town/districts.py``;
+- a kind of block or landmark: a function in ``town/landmarks.py``, chosen in ``town/town.py``;
 - a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py`` (training pictures) or in
   ``PATHS`` of ``flights/paths.py`` (flights); settings of its own in ``training_data/params.py`` and
   ``conf/generate-training-data.yaml``;
 - a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
   field of ``LookRanges`` in ``photo/look.py``, used in ``photo/camera_response.py`` if the sensor makes
   it and in ``photo/surfaces.py`` or ``photo/ground.py`` if the place does;
-- a thing that stands around: its shape in ``objects``, its places in ``surroundings/trees_and_cars.py``
+- a thing that stands around: its shape in ``objects``, its places in ``surroundings/surroundings.py``
   or ``town/trees_and_cars.py``;
 - something that networks take for a building and is none: a function and a line in ``CLUTTER`` of
   ``surroundings/clutter.py``; a colour of roofs or walls: the palettes of ``photo/surfaces.py``;

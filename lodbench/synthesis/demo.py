@@ -90,13 +90,7 @@ def demo_folder(params: DemoParams) -> Path:
 
 
 def textured_map_of_demo(root: Path, seed: int, look: str) -> Path:
-    """Returns the textured map of a demo's town, made first if it is not there: minutes, once.
-
-    Args:
-        root: The demo's folder.
-        seed: Of its town.
-        look: Of its town.
-    """
+    """Returns the textured map of a demo's town, made first if it is not there: minutes, once."""
 
     def write(folder: Path) -> None:
         scene = open_scene(root / CITY_FILE, lod="1")

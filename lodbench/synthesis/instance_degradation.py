@@ -103,11 +103,9 @@ def _split(labels: Labels, share: float, generator: np.random.Generator) -> Labe
 
 
 def filled(labels: Labels, mask: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """Returns labels 1, 2, ... that fill a mask: of the nearest building, patches without one their own.
+    """Returns (H, W) labels 1, 2, ... that fill a mask: of the nearest building, else of each patch.
 
-    Args:
-        labels: (H, W), -1 for none.
-        mask: (H, W).
+    ``labels`` are -1 where there is no building.
     """
     _, patches = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
     held = labels >= 0

@@ -13,6 +13,7 @@ from lodbench.geometry import Camera
 
 # What a building keeps of its height at least, metres.
 _LEAST_RISE_M = 0.5
+_LIMITS = {"shared_roofs_m": (-50, 50), "hidden_feet_m": (0, 50), "focal": (-0.5, 0.5), "tilt": (0, 30)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +36,7 @@ class World:
     tilt: float = 1.0
 
     def __post_init__(self) -> None:
-        limits = {
-            "shared_roofs_m": (-50, 50),
-            "hidden_feet_m": (0, 50),
-            "focal": (-0.5, 0.5),
-            "tilt": (0, 30),
-        }
-        for name, (low, high) in limits.items():
+        for name, (low, high) in _LIMITS.items():
             if not low <= getattr(self, name) <= high:
                 raise ConfigError(f"world.{name} lies within {low} and {high}, not {getattr(self, name)}.")
 

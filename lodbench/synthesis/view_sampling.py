@@ -88,16 +88,8 @@ def sample_views(
 
     View i depends on the seed, the names and i only: asking for more views keeps the first ones.
 
-    Args:
-        scene: The city.
-        renderer: Renders the silhouettes of the same scene.
-        camera: The views' camera; only its shape of view matters.
-        sampling: What to draw.
-        count: Number of views.
-        *names: Path of the random streams, so that two users of one seed get different views.
-
-    Returns:
-        The poses and the number of rejected draws.
+    Of the camera only the shape of its view matters; ``names`` is a path of random streams, so that two users
+    of one seed get different views.
 
     Raises:
         DatasetError: The area has no building, or hardly any draw is accepted.

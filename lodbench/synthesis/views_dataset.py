@@ -71,8 +71,7 @@ class ViewsParams:
     def prior(self, tilt: str = "prior") -> UniformPrior:
         """Returns what is told of the priors' errors: the published ones, with this tilt and range.
 
-        Args:
-            tilt: ``truth`` for priors whose tilt has no error.
+        With a tilt of ``truth`` that has no error.
         """
         tilt_deg = self.tilt_deg if tilt == "prior" else 0.0
         prior = UniformPrior(pitch_deg=tilt_deg, roll_deg=tilt_deg)

@@ -92,6 +92,11 @@ class MeshBuilder:
         self.add(kinds, points.reshape(-1, 3), triangles, colours, np.repeat(numbers, len(faces)))
         return numbers
 
+    def add_props(self, props: SceneProps) -> None:
+        """Adds the triangles of props, which are in the same frame, under the numbers that they have."""
+        points, triangles = props.vertices.astype(np.float64), props.triangles.astype(np.int64)
+        self.add(props.surface, points, triangles, props.tint.astype(float), props.objects.astype(np.int64))
+
     def build(self, origin: Points) -> SceneProps:
         """Returns everything added, in the frame of an origin, (3,)."""
         points, triangles, surface, objects, tint = (

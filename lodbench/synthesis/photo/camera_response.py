@@ -14,11 +14,9 @@ _MIDDLE = 0.45  # the grey that contrast leaves as it is
 
 
 def apply_camera_response(light: NDArray[np.float32], how: CameraResponse) -> NDArray[np.uint8]:
-    """Returns the (H, W, 3) 8-bit RGB picture of (H, W, 3) linear light.
+    """Returns the (H, W, 3) 8-bit RGB picture of (H, W, 3) linear RGB light, which may be overwritten.
 
-    Args:
-        light: Linear RGB; 1 is white paper in full light. It may be overwritten.
-        how: The camera's settings.
+    A light of 1 is white paper in full light.
     """
     import cv2
 

@@ -68,10 +68,10 @@ def ground_colour(kind, tint, x, y, pixel_m, look, cover):  # type: ignore[no-un
         kind: ``SurfaceClass``, or ``LAND_COVER`` to look it up.
         tint: (3,) linear base colour; a negative red for the class's own.
         x: East, local metres.
-        y: North.
+        y: North, likewise.
         pixel_m: Size of a pixel there.
-        look: Look.
-        cover: LandCover.
+        look: Of the picture.
+        cover: What covers ground that does not say it.
     """
     if kind > _LAST:
         return _covered_colour(x, y, pixel_m, look, cover)

@@ -37,13 +37,7 @@ def plain_shading(skin: Skin, look: Look) -> Shading:
 
 @per_pixel
 def sky_colour(up, towards_sun, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the linear RGB of the sky in a direction.
-
-    Args:
-        up: Sine of its elevation.
-        towards_sun: Cosine of its angle to the sun.
-        look: Look.
-    """
+    """Returns the linear RGB of the sky, by sine of elevation and by cosine of the angle to the sun."""
     height = min(1.0, max(0.0, up)) ** 0.45
     colour = mix(look.haze_rgb, look.zenith_rgb, height)
     glow = max(0.0, towards_sun) ** 24.0
@@ -59,7 +53,7 @@ def flat_normal(skin, triangle):  # type: ignore[no-untyped-def]  # noqa: ANN001
 
 @per_pixel
 def out_of_crown(skin, triangle, point):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the unit direction, (3,), from the middle of a leaf's crown to a point."""
+    """Returns the unit direction, (3,), from the middle of a leaf's crown to a point, (3,) local metres."""
     place, (x, y, z) = skin.place, point
     cx, cy, cz = x - place[triangle, 0], y - place[triangle, 1], z - place[triangle, 2]
     length = np.sqrt(cx * cx + cy * cy + cz * cz) + 1e-6
@@ -68,13 +62,9 @@ def out_of_crown(skin, triangle, point):  # type: ignore[no-untyped-def]  # noqa
 
 @per_pixel
 def _shading_normal(skin, triangle, point, back):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns a triangle's unit normal on the camera's side; that of leaves is round a crown.
+    """Returns a triangle's unit normal at a point, (3,) local metres, on the camera's side.
 
-    Args:
-        skin: Skin.
-        triangle: Its number.
-        point: (3,) local metres.
-        back: (3,) from the point to the camera.
+    ``back``, (3,), leads from the point to the camera. The normal of leaves is round a crown.
     """
     nx, ny, nz = flat_normal(skin, triangle)
     if nx * back[0] + ny * back[1] + nz * back[2] < 0.0:
@@ -97,7 +87,7 @@ def surface_light(albedo, mirrored, point, normal, ray, shading):  # type: ignor
         point: (3,) local metres.
         normal: (3,) unit.
         ray: (3,) unit, from the camera to the point.
-        shading: Shading.
+        shading: Of the picture.
     """
     look = shading.look
     facing = normal[0] * look.sun[0] + normal[1] * look.sun[1] + normal[2] * look.sun[2]
@@ -125,17 +115,9 @@ def surface_light(albedo, mirrored, point, normal, ray, shading):  # type: ignor
 
 @per_pixel
 def _pixel(triangle, inverse, column, row, f, rotation, center, shading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns the linear RGB of one triangle, or of the sky, at a place of the picture.
+    """Returns the linear RGB of one triangle, or of the sky, -1, at a place of the picture, sample pixels.
 
-    Args:
-        triangle: Number, or -1 for the sky.
-        inverse: 1 / depth there.
-        column: Place, sample pixels.
-        row: Likewise.
-        f: (4,) intrinsics, sample pixels.
-        rotation: (3, 3) cam_from_world.
-        center: (3,) of the camera.
-        shading: Shading.
+    ``inverse`` is 1 / depth there, ``f`` (4,) intrinsics, sample pixels; the rest is as in ``resolve_photo``.
     """
     skin, look = shading.skin, shading.look
     a, b = (column - f[2]) / f[0], (row - f[3]) / f[1]
@@ -173,7 +155,7 @@ def resolve_photo(band, buffer, rotation, center, shading, out):  # type: ignore
         buffer: Its z-buffer.
         rotation: (3, 3) cam_from_world.
         center: (3,) of the camera.
-        shading: Shading.
+        shading: Of the picture.
         out: (H, W, 3) float32.
     """
     # Columns lie along memory in the buffer, as for the raster.

@@ -188,19 +188,18 @@ def _wall_places(loose: _Loose, normal: Floats) -> NDArray[np.float32]:
     along = np.einsum("tcx,tx->tc", xy, tangent)
     away = xy[:, 0, 1] * tangent[:, 0] - xy[:, 0, 0] * tangent[:, 1]
     turn = np.round(np.arctan2(tangent[:, 1], tangent[:, 0]) / 0.02).astype(np.int64)
-    keys = np.stack(
-        [loose.number[walls].astype(np.int64), turn, np.round(away / 0.25).astype(np.int64)], axis=1
-    )
+    offset = np.round(away / 0.25).astype(np.int64)
+    keys = np.stack([loose.number[walls].astype(np.int64), turn, offset], axis=1)
     _, wall = np.unique(keys, axis=0, return_inverse=True)
     wall, count = wall.reshape(-1), int(wall.max()) + 1
-    low, high = np.full(count, np.inf), np.full(count, -np.inf)
-    base, top = np.full(count, np.inf), np.full(count, -np.inf)
-    np.minimum.at(low, wall, along.min(axis=1))
-    np.maximum.at(high, wall, along.max(axis=1))
-    np.minimum.at(base, wall, loose.corners[walls, :, 2].min(axis=1))
-    np.maximum.at(top, wall, loose.corners[walls, :, 2].max(axis=1))
+    # Along the wall and up.
+    spans = np.stack([along, loose.corners[walls, :, 2]], axis=2)
+    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    np.minimum.at(low, wall, spans.min(axis=1))
+    np.maximum.at(high, wall, spans.max(axis=1))
+    (start, base), (end, top) = low.T, high.T
     place[walls, :2] = tangent
-    place[walls, 2:6] = np.stack([low, high - low, base, top], axis=1)[wall]
+    place[walls, 2:6] = np.stack([start, end - start, base, top], axis=1)[wall]
     return place
 
 

@@ -47,12 +47,10 @@ def ground_in_view(camera: Camera, pose: Pose, low_m: float, high_m: float) -> F
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
     rays = rays @ pose.rotation
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    distances = []
-    for level in (low_m, high_m):
-        drop = np.where(np.abs(rays[:, 2]) > 1e-6, rays[:, 2], 1e-6)
-        distance = (level - pose.center[2]) / drop
-        distances.append(np.where(distance > 0, np.minimum(distance, 2.0 * REACH_M), 2.0 * REACH_M))
-    points = np.concatenate([pose.center + rays * distance[:, None] for distance in distances])
+    drop = np.where(np.abs(rays[:, 2]) > 1e-6, rays[:, 2], 1e-6)
+    distance = (np.array([[low_m], [high_m]]) - pose.center[2]) / drop
+    distance = np.where(distance > 0, np.minimum(distance, 2.0 * REACH_M), 2.0 * REACH_M)
+    points = (pose.center + rays * distance[..., None]).reshape(-1, 3)
     points[:, 2] = np.clip(points[:, 2], low_m, high_m)
     return np.asarray(points)
 

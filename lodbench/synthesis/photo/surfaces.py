@@ -71,16 +71,9 @@ def _glass(number, i, j, look):  # type: ignore[no-untyped-def]  # noqa: ANN001,
 
 @per_pixel
 def _facade(colour, skin, triangle, number, point, pixel_m, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Returns the colour of a wall with windows, and the share of sky it mirrors.
+    """Returns the colour of a wall with windows at a point, and the share of sky it mirrors.
 
-    Args:
-        colour: Of the wall.
-        skin: Skin.
-        triangle: Number of the triangle.
-        number: Of the building.
-        point: (3,) local metres.
-        pixel_m: Size of a pixel there.
-        look: Look.
+    The point is (3,) local metres, ``number`` is the building's, ``pixel_m`` the size of a pixel there.
     """
     place, (x, y, z) = skin.place, point
     along = x * place[triangle, 0] + y * place[triangle, 1] - place[triangle, 2]
@@ -194,7 +187,7 @@ def surface_colour(triangle, point, normal, pixel_m, shading):  # type: ignore[n
         point: (3,) local metres.
         normal: (3,) unit.
         pixel_m: Size of a pixel there.
-        shading: Shading.
+        shading: Of the picture.
     """
     skin, look, tables, (x, y, z) = shading.skin, shading.look, shading.palettes, point
     kind, number = np.int64(skin.surface[triangle]), np.int64(skin.number[triangle])

@@ -11,9 +11,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.synthesis.objects.cars import add_cars
-from lodbench.synthesis.objects.mesh_builder import BLOCK_FACES, MeshBuilder, grid_triangles, ring_walls
+from lodbench.synthesis.objects.mesh_builder import (
+    BLOCK_FACES,
+    MeshBuilder,
+    Tint,
+    grid_triangles,
+    palette,
+    pick,
+    ring_walls,
+)
 from lodbench.synthesis.objects.scene_props import SurfaceClass
+from lodbench.synthesis.objects.trees_and_cars import add_cars
 from lodbench.synthesis.photo import LandCover
 from lodbench.synthesis.surroundings.ground import Ground
 from lodbench.synthesis.surroundings.land_cover import TopView
@@ -24,12 +32,13 @@ Floats = NDArray[np.float64]
 _SPACING_M, _SHARE, _MOST = 32.0, 0.4, 1500
 # What is painted on the ground lies so far above it: two meshes of one slope differ by less.
 _ABOVE_M, _MESH_M = 0.12, 3.0
-_BOXES = [(164, 60, 44), (40, 82, 128), (60, 106, 76), (196, 176, 60), (206, 206, 202), (120, 122, 124)]
-_CANVAS = [(240, 240, 236), (228, 224, 210), (70, 110, 160), (88, 120, 76)]
-_HEAPS = [(206, 184, 140), (150, 128, 100), (128, 126, 122), (96, 78, 60)]
-_COURTS = [(150, 70, 54), (72, 110, 74), (60, 96, 140), (176, 110, 80)]
-_YARDS = [(196, 194, 188), (168, 164, 156), (214, 200, 170), (140, 138, 134)]
-_WHITE = (222.0, 222.0, 216.0)
+_BOXES = palette("a43c2c 285280 3c6a4c c4b03c cececa 787a7c")
+_CANVAS = palette("f0f0ec e4e0d2 466ea0 58784c")
+_HEAPS = palette("ceb88c 968064 807e7a 604e3c")
+_COURTS = palette("964636 486e4a 3c608c b06e50")
+_YARDS = palette("c4c2bc a8a49c d6c8aa 8c8a86")
+_WHITE = palette("deded8")
+_SHADES = (0.85, 1.1)
 # Rings of a heap: share of the radius, height of one of six metres.
 _SLOPE = ((1.0, 0.0), (0.6, 1.9), (0.25, 2.9))
 
@@ -52,7 +61,7 @@ def add_clutter(
 ) -> None:
     """Adds clutter to open land between and around buildings, clear of roads and water."""
     places = view.jittered(_SPACING_M, chances)
-    row, column, _ = view.cells_of(places)
+    row, column = view.cells_of(places)
     free_m = np.minimum(view.free_m[row, column], np.sqrt(cover.road_m2[row, column]) - cover.half_road_m)
     dry = (cover.classes[row, column] != SurfaceClass.WATER) & (view.free_m[row, column] < 90.0)
     chosen = np.flatnonzero(dry & (chances.random(len(places)) < _SHARE))
@@ -62,10 +71,6 @@ def add_clutter(
         turn = float(chances.uniform(0.0, 2 * np.pi))
         if free_m[k] > radius_m:
             add(builder, Spot(places[k], np.array([np.cos(turn), np.sin(turn)]), ground), chances)
-
-
-def _tint(colours: list[tuple[int, int, int]], chances: np.random.Generator) -> Floats:
-    return np.array(colours[int(chances.integers(len(colours)))]) * chances.uniform(0.85, 1.1)
 
 
 def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, tint: Floats) -> None:
@@ -89,14 +94,14 @@ def _containers(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) 
     count = int(chances.integers(1, 6))
     for k in range(count):
         ring = _rectangle(length, 2.44, y=2.7 * (k - 0.5 * (count - 1)))
-        height = 2.6 * float(chances.integers(1, 3))
-        _add_prism(builder, spot, ring, np.column_stack([ring, np.full(4, height)]), _tint(_BOXES, chances))
+        top = np.column_stack([ring, np.full(4, 2.6 * float(chances.integers(1, 3)))])
+        _add_prism(builder, spot, ring, top, pick(_BOXES, chances, *_SHADES))
 
 
 def _tents(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds one to three tents with a ridge."""
     length, width = chances.uniform((4.0, 3.0), (12.0, 6.0)).tolist()
-    canvas = _tint(_CANVAS, chances)
+    canvas = pick(_CANVAS, chances, *_SHADES)
     for k in range(int(chances.integers(1, 4))):
         ring = _rectangle(length, width, y=(width + 0.6) * (k - 1))
         ridge = ring * (1.0, 0.04) + (0.0, 0.96 * (width + 0.6) * (k - 1))
@@ -117,7 +122,7 @@ def _heap(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> Non
     k = 28 + np.arange(14)
     tip = np.stack([k, np.roll(k, -1), np.full(14, 42)], axis=1)
     triangles = np.concatenate([ring_walls(14, 3), tip])
-    builder.add(SurfaceClass.GROUND, points, triangles, _tint(_HEAPS, chances))
+    builder.add(SurfaceClass.GROUND, points, triangles, pick(_HEAPS, chances, *_SHADES))
 
 
 def _patch(
@@ -125,7 +130,7 @@ def _patch(
     spot: Spot,
     size: tuple[float, float],
     surface: SurfaceClass,
-    tint: Floats | tuple[float, float, float],
+    tint: Tint,
     at: tuple[float, float] = (0.0, 0.0),
     above_m: float = _ABOVE_M,
 ) -> None:
@@ -133,20 +138,19 @@ def _patch(
     steps = [np.linspace(-0.5, 0.5, max(2, int(side / _MESH_M) + 1)) * side for side in size]
     x, y = np.meshgrid(*steps)
     places = spot.places(np.stack([x.ravel(), y.ravel()], axis=1) + at)
-    points = np.column_stack([places, spot.ground.at(places) + above_m])
-    builder.add(surface, points, grid_triangles(*x.shape), tint)
+    builder.add(surface, spot.ground.on_ground(places, above_m), grid_triangles(*x.shape), tint)
 
 
 def _yard(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds a yard of concrete, gravel or sand."""
     length, width = chances.uniform((12.0, 8.0), (26.0, 18.0)).tolist()
     surface = SurfaceClass.PAVEMENT if chances.random() < 0.6 else SurfaceClass.GROUND
-    _patch(builder, spot, (length, width), surface, _tint(_YARDS, chances))
+    _patch(builder, spot, (length, width), surface, pick(_YARDS, chances, *_SHADES))
 
 
 def _court(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds a sports court with its lines."""
-    _patch(builder, spot, (30.0, 16.0), SurfaceClass.PAVEMENT, _tint(_COURTS, chances))
+    _patch(builder, spot, (30.0, 16.0), SurfaceClass.PAVEMENT, pick(_COURTS, chances, *_SHADES))
     for y in (-6.0, 6.0):
         _patch(builder, spot, (26.0, 0.2), SurfaceClass.MARKING, _WHITE, (0.0, y), _ABOVE_M + 0.04)
     for x in (-13.0, 0.0, 13.0):
@@ -155,7 +159,7 @@ def _court(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> No
 
 def _track(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds a straight running track with four lanes."""
-    _patch(builder, spot, (50.0, 6.0), SurfaceClass.PAVEMENT, _tint(_COURTS[:1], chances))
+    _patch(builder, spot, (50.0, 6.0), SurfaceClass.PAVEMENT, pick(_COURTS[:1], chances, *_SHADES))
     for y in (-2.5, -1.25, 0.0, 1.25, 2.5):
         _patch(builder, spot, (50.0, 0.12), SurfaceClass.MARKING, _WHITE, (0.0, y), _ABOVE_M + 0.04)
 
@@ -163,12 +167,12 @@ def _track(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> No
 def _car_park(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:
     """Adds two rows of parked cars, most stalls taken, on asphalt or gravel."""
     surface = SurfaceClass.ROAD if chances.random() < 0.7 else SurfaceClass.GROUND
-    _patch(builder, spot, (32.0, 17.0), surface, _tint(_YARDS[3:], chances))
+    _patch(builder, spot, (32.0, 17.0), surface, pick(_YARDS[3:], chances, *_SHADES))
     stalls = np.array([(x, y) for y in (-5.5, 5.5) for x in np.arange(-14.0, 14.1, 2.7)])
     taken = stalls[chances.random(len(stalls)) < 0.75]
     feet = spot.places(taken)
     ways = np.sign(taken[:, 1:]) * np.array([-spot.along[1], spot.along[0]])
-    add_cars(builder, np.column_stack([feet, spot.ground.at(feet) + _ABOVE_M]), ways, 0 * feet[:, 0], chances)
+    add_cars(builder, spot.ground.on_ground(feet, _ABOVE_M), ways, 0 * feet[:, 0], chances)
 
 
 # What adds it, and how far from buildings and carriageways its middle is.

@@ -53,6 +53,10 @@ class Ground:
         place = (points[:, :2] - [self.west, self.south]) / self.cell_m
         return np.asarray(map_coordinates(self.heights_m, place.T[::-1], order=1, mode="nearest"))
 
+    def on_ground(self, points: Floats, above_m: float = 0.0) -> Floats:
+        """Returns positions, (N, 2), with the height of the ground and a little more, (N, 3)."""
+        return np.column_stack([points, self.at(points) + above_m])
+
     def mesh(self) -> tuple[Floats, NDArray[np.int64]]:
         """Returns vertices and triangles, with a skirt of plain land to the horizon."""
         rows, columns = self.heights_m.shape

@@ -63,18 +63,18 @@ class TopView:
     def jittered(self, spacing_m: float, generator: np.random.Generator) -> Floats:
         """Returns places all over the grid, about a spacing apart, (N, 2)."""
         rows, columns = self.tops_m.shape
-        x = np.arange(self.west + 0.5 * spacing_m, self.west + columns * self.cell_m, spacing_m)
-        y = np.arange(self.south + 0.5 * spacing_m, self.south + rows * self.cell_m, spacing_m)
-        grid = np.stack([axis.ravel() for axis in np.meshgrid(x, y)], axis=1)
+        axes = [
+            np.arange(start + 0.5 * spacing_m, start + count * self.cell_m, spacing_m)
+            for start, count in ((self.west, columns), (self.south, rows))
+        ]
+        grid = np.stack([axis.ravel() for axis in np.meshgrid(*axes)], axis=1)
         return np.asarray(grid + generator.uniform(-0.45, 0.45, size=grid.shape) * spacing_m)
 
-    def cells_of(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-        """Returns rows and columns, clipped, of points (N, 2), and whether they are on the grid."""
+    def cells_of(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Returns rows and columns of points, (N, 2), those of the rim for points beyond it."""
         rows, columns = self.tops_m.shape
-        column = np.floor((points[:, 0] - self.west) / self.cell_m).astype(np.int64)
-        row = np.floor((points[:, 1] - self.south) / self.cell_m).astype(np.int64)
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1), inside
+        column, row = np.floor((points - [self.west, self.south]) / self.cell_m).astype(np.int64).T
+        return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
 
 
 def look_down(scene: Scene, threads: int | None = None) -> TopView:

@@ -12,7 +12,7 @@ from lodbench.synthesis.photo import CameraResponse, Look, LookRanges, draw_look
 from lodbench.synthesis.town.building import Age, Building
 from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import add_ground
-from lodbench.synthesis.town.props import Body, building_colours, building_surfaces, fine_bodies
+from lodbench.synthesis.town.props import Body, add_buildings, building_colours, fine_bodies
 from lodbench.synthesis.town.town import Town
 from lodbench.synthesis.town.trees_and_cars import add_greenery
 
@@ -50,14 +50,11 @@ def town_then(town: Town) -> tuple[SceneProps, NDArray[np.int64]]:
     land = land.part(~_is_young(land, town.seed))
     gone = builder.new_objects(len(town.mapped))
     numbers = np.array([now.get(b.identifier, gone[k]) for k, b in enumerate(town.mapped)], dtype=np.int64)
-    names = tuple(building.identifier for building in town.mapped)
-    found = building_surfaces([_bodies_then(building) for building in town.mapped], names)
-    colours = np.stack([_colours_then(town, name) for name in names])
-    tint = colours[found.building, found.surface - SurfaceClass.WALL]
-    houses = MeshBuilder(len(now))
-    houses.add(found.surface, found.points, found.triangles, tint, numbers[found.building])
-    polygon = np.concatenate([found.polygon, np.full(len(land), -1)])
-    return _joined(houses.build(ORIGIN_M), land), polygon
+    colours = np.stack([_colours_then(town, building.identifier) for building in town.mapped])
+    then = MeshBuilder(len(now))
+    polygon = add_buildings(then, [_bodies_then(building) for building in town.mapped], colours, numbers)
+    then.add_props(land)
+    return then.build(ORIGIN_M), np.concatenate([polygon, np.full(len(land), -1)])
 
 
 def survey_look(seed: int) -> tuple[Look, CameraResponse]:
@@ -72,9 +69,9 @@ def _bodies_then(building: Building) -> list[Body]:
 
 def _colours_then(town: Town, name: str) -> NDArray[np.float64]:
     """Returns a building's colours then, (8, 3) RGB: some facades and roofs have been done over since."""
-    colours = building_colours(town.look, town.seed, name).copy()
+    colours = building_colours(town, name)
     chances = random_stream(town.seed, "demo", "survey", name)
-    other = building_colours(town.look, town.seed, f"{name} then")
+    other = building_colours(town, f"{name} then")
     draws = chances.random(2)
     if draws[0] < REPAINTED:
         colours[0] = other[0]
@@ -88,15 +85,3 @@ def _is_young(props: SceneProps, seed: int) -> NDArray[np.bool_]:
     draws = random_stream(seed, "demo", "survey", "trees").random(int(props.objects.max()) + 1)
     is_tree = np.isin(props.surface, (SurfaceClass.FOLIAGE, SurfaceClass.TRUNK))
     return np.asarray(is_tree & (draws[props.objects] < YOUNG_TREES))
-
-
-def _joined(first: SceneProps, second: SceneProps) -> SceneProps:
-    return SceneProps(
-        vertices=np.concatenate([first.vertices, second.vertices]),
-        triangles=np.concatenate([first.triangles, second.triangles + np.int32(len(first.vertices))]),
-        surface=np.concatenate([first.surface, second.surface]),
-        objects=np.concatenate([first.objects, second.objects]),
-        tint=np.concatenate([first.tint, second.tint]),
-        num_buildings=first.num_buildings,
-        origin=first.origin,
-    )

@@ -3,12 +3,12 @@
 From the ground up:
 
 - the land: ``terrain`` (hills and a valley), ``streets`` (blocks and streets), ``shapes`` (plane geometry);
-- what is built on a block: ``districts`` (what goes where), ``closed_blocks``, ``houses``, ``landmarks``
+- what is built on a block: ``closed_blocks``, ``houses``, ``landmarks``
   (also flats and works), ``site`` (whether one more plan fits), ``occupancy`` (who stands where);
 - a building: ``extrusion`` (a roof's cross-section along a path), ``roofs`` (the shapes), ``details`` and
   ``fittings`` (annexes, dormers, chimneys), ``openings``, ``solid`` (closed bodies), and ``building``, which
   puts them together at three levels of detail;
-- the whole: ``town``; its two ``looks``;
+- the whole: ``town``, which says what goes into which district; its two ``looks``;
 - what a photo shows: ``props``, ``ground``, ``trees_and_cars``;
 - the dataset: ``queries`` (views, priors, masks, photos), ``citygml_writer``; ``build`` writes it.
 """

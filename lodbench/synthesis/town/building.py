@@ -100,15 +100,7 @@ class Building:
 def construct_all(
     named: Sequence[tuple[str, Plan]], seed: int, look: TownLook, terrain: Terrain, occupancy: Occupancy
 ) -> list[Building]:
-    """Returns the buildings of all plans.
-
-    Args:
-        named: Identifiers and plans; their order is that of ``occupancy``.
-        seed: The town's.
-        look: The town's.
-        terrain: The ground.
-        occupancy: Who stands where.
-    """
+    """Returns the buildings of identifiers and plans, whose order is that of ``occupancy``."""
     buildings = []
     for number, (name, plan) in enumerate(named):
         annex_m = max((annex.height_m for annex in plan.annexes), default=0.0)

@@ -31,12 +31,7 @@ _LEAST_ROW_M = 8.0
 
 
 def add_closed_block(site: Site, storeys: int) -> None:
-    """Adds row houses all around a block, or nothing where its shape leaves no courtyard.
-
-    Args:
-        site: The block.
-        storeys: Usual number of storeys.
-    """
+    """Adds row houses of some storeys all around, or nothing where the block's shape leaves no courtyard."""
     depth = float(site.chances.uniform(10.5, 13.0))
     if inset(site.ring, depth + COURTYARD_M / 2) is None:
         return

@@ -105,9 +105,7 @@ def chimneys(strip: Strip, roof: Roof, base_m: float, generator: np.random.Gener
 def balconies(windows: list[Points], generator: np.random.Generator) -> list[Solid]:
     """Returns balconies before every other column of windows above the ground floor.
 
-    Args:
-        windows: (4, 3) corners of each window, lower left first.
-        generator: Source of chance.
+    Of each window the corners are given, (4, 3), lower left first.
     """
     if not windows:
         return []

@@ -6,6 +6,7 @@ Each is a plane mesh, refined so that it can be draped over the hills.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import mapbox_earcut
 import numpy as np
@@ -195,21 +196,15 @@ def refined(
 def _split(triangles: Triangles, middles: Triangles) -> Triangles:
     """Returns triangles split at the middles of their edges 01, 12 and 20, (T, 3), -1 for whole edges."""
     parts = [triangles[(middles < 0).all(axis=1)]]
+
+    def add(chosen: Any, *fans: tuple[Triangles, Triangles, Triangles]) -> None:
+        parts.extend(np.stack(fan, axis=1)[chosen] for fan in fans)
+
     for k in range(3):
         # Turned so that the pattern of split edges is one of three.
-        corner, middle = np.roll(triangles, -k, axis=1), np.roll(middles, -k, axis=1)
-        a, b, c = corner.T
-        ab, bc, ca = middle.T
-        one = (ab >= 0) & (bc < 0) & (ca < 0)
-        two = (ab >= 0) & (bc >= 0) & (ca < 0)
-        for chosen, fans in (
-            (one, [(a, ab, c), (ab, b, c)]),
-            (two, [(ab, b, bc), (a, ab, bc), (a, bc, c)]),
-        ):
-            parts += [np.stack(fan, axis=1)[chosen] for fan in fans]
-    a, b, c = triangles.T
-    ab, bc, ca = middles.T
-    all_three = (middles >= 0).all(axis=1)
-    for fan in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)):
-        parts.append(np.stack(fan, axis=1)[all_three])
+        (a, b, c), (ab, bc, ca) = np.roll(triangles, -k, axis=1).T, np.roll(middles, -k, axis=1).T
+        add((ab >= 0) & (bc < 0) & (ca < 0), (a, ab, c), (ab, b, c))
+        add((ab >= 0) & (bc >= 0) & (ca < 0), (ab, b, bc), (a, ab, bc), (a, bc, c))
+    (a, b, c), (ab, bc, ca) = triangles.T, middles.T
+    add((middles >= 0).all(axis=1), (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
     return np.concatenate(parts)

@@ -17,19 +17,23 @@ _SHIFT = 4
 
 
 class Occupancy:
-    """A grid over a square around the town's middle; cells hold 1 + the number of whoever is there."""
+    """A grid over a square around the town's middle; cells hold 1 + the number of whoever is there.
 
-    def __init__(self, reach_m: float) -> None:
+    Args:
+        pieces: For each number from 0 its convex pieces of plan, (N, 2) metres.
+        reach_m: Half the side of the square.
+    """
+
+    def __init__(self, pieces: Sequence[Sequence[Points]], reach_m: float) -> None:
         self._reach_m = reach_m
         count = 2 * round(reach_m / _CELL_M)
         self._cells = np.zeros((count, count), np.int32)
-
-    def add(self, number: int, ring: Points) -> None:
-        """Marks a convex piece of plan, (N, 2) metres, as taken by a number from 0."""
-        # Pixel centres have whole numbers in OpenCV.
-        corners = (ring + self._reach_m) / _CELL_M - 0.5
-        fixed = np.round(corners * (1 << _SHIFT)).astype(np.int32)
-        cv2.fillConvexPoly(self._cells, fixed, number + 1, lineType=cv2.LINE_8, shift=_SHIFT)
+        for number, rings in enumerate(pieces):
+            for ring in rings:
+                # Pixel centres have whole numbers in OpenCV.
+                corners = (ring + reach_m) / _CELL_M - 0.5
+                fixed = np.round(corners * (1 << _SHIFT)).astype(np.int32)
+                cv2.fillConvexPoly(self._cells, fixed, number + 1, lineType=cv2.LINE_8, shift=_SHIFT)
 
     def at(self, points: Points) -> NDArray[np.int32]:
         """Returns (N,) who is at places, (N, 2) metres: 1 + a number, or `NOBODY`."""
@@ -46,12 +50,3 @@ class Occupancy:
         for x, y in gap_m * np.stack([np.cos(ring), np.sin(ring)], axis=1):
             free &= self.at(points + np.array([x, y])) == NOBODY
         return np.asarray(free)
-
-
-def occupancy_of(pieces: Sequence[Sequence[Points]], reach_m: float) -> Occupancy:
-    """Returns the grid of plans: for each number its convex pieces, (N, 2) metres."""
-    grid = Occupancy(reach_m)
-    for number, rings in enumerate(pieces):
-        for ring in rings:
-            grid.add(number, ring)
-    return grid

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Sized
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.town.building import Building
 from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import add_ground
-from lodbench.synthesis.town.looks import TownLook
 from lodbench.synthesis.town.shapes import Points
 from lodbench.synthesis.town.solid import Face, Solid
 from lodbench.synthesis.town.town import Town
@@ -46,42 +44,27 @@ _SOFFIT = palette("cec8bc")[0]
 def demo_props(town: Town) -> SceneProps:
     """Returns what a photo of the town shows, in the frame of ``ORIGIN_M``."""
     builder = MeshBuilder(len(town.standing))
-    _add_buildings(builder, town)
+    # Each building is in colours of its own, with windows, doors, chimneys and balconies.
+    colours = np.stack([building_colours(town, building.identifier) for building in town.standing])
+    bodies = [fine_bodies(building) for building in town.standing]
+    add_buildings(builder, bodies, colours, np.arange(len(bodies)))
     add_ground(builder, town)
     add_greenery(builder, town)
     add_traffic(builder, town)
     return builder.build(ORIGIN_M)
 
 
-class BuildingSurfaces(NamedTuple):
-    """The surfaces of buildings as triangles.
+def add_buildings(
+    builder: MeshBuilder, buildings: Sequence[Sequence[Body]], colours: Points, objects: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Adds the surfaces of buildings, each of one or more bodies; returns the polygon of each triangle, (T,).
 
-    Attributes:
-        points: (P, 3) local metres.
-        triangles: (T, 3) indices into ``points``, counter-clockwise seen from outside.
-        polygon: (T,) planar polygon that a triangle is part of.
-        surface: (T,) ``SurfaceClass``.
-        building: (T,) number of the building, in the order given.
+    Args:
+        builder: Takes them.
+        buildings: Bodies of each.
+        colours: (B, 8, 3) RGB of each by surface class from ``WALL`` on.
+        objects: (B,) their numbers.
     """
-
-    points: Points
-    triangles: NDArray[np.int64]
-    polygon: NDArray[np.int64]
-    surface: NDArray[np.uint8]
-    building: NDArray[np.int64]
-
-
-def _add_buildings(builder: MeshBuilder, town: Town) -> None:
-    """Adds walls, roofs, windows, doors, chimneys and balconies, each building in colours of its own."""
-    names = tuple(building.identifier for building in town.standing)
-    found = building_surfaces([fine_bodies(building) for building in town.standing], names)
-    colours = np.stack([building_colours(town.look, town.seed, name) for name in names])
-    tint = colours[found.building, found.surface - SurfaceClass.WALL]
-    builder.add(found.surface, found.points, found.triangles, tint, found.building)
-
-
-def building_surfaces(buildings: Sequence[Sequence[Body]], names: tuple[str, ...]) -> BuildingSurfaces:
-    """Returns the surfaces of buildings, each one or more bodies with the class of all their surfaces."""
     faces = [
         (number, solid.points, face, part or _class_of(face))
         for number, bodies in enumerate(buildings)
@@ -97,11 +80,12 @@ def building_surfaces(buildings: Sequence[Sequence[Body]], names: tuple[str, ...
         lod=np.zeros(len(faces), np.int16),
         kind=np.array([kind for *_, kind in faces], np.uint8),
     )
-    result = triangulate(polygons, names, Findings())
-    surface = polygons.kind[result.polygon]
+    result = triangulate(polygons, tuple(map(str, objects)), Findings())
+    surface, owner = polygons.kind[result.polygon], polygons.building[result.polygon]
     surface[_is_flat_roof(polygons.points[result.triangles], surface)] = SurfaceClass.ROOF_FLAT
-    owner = polygons.building[result.polygon].astype(np.int64)
-    return BuildingSurfaces(polygons.points, result.triangles, result.polygon, surface, owner)
+    tint = colours[owner, surface - SurfaceClass.WALL]
+    builder.add(surface, polygons.points, result.triangles, tint, objects[owner])
+    return result.polygon
 
 
 def _class_of(face: Face) -> SurfaceClass:
@@ -129,12 +113,11 @@ def _is_flat_roof(corners: Points, surface: NDArray[np.uint8]) -> NDArray[np.boo
     return np.asarray(upright & (surface == SurfaceClass.ROOF_TILE))
 
 
-def building_colours(look: TownLook, seed: int, name: str) -> Points:
+def building_colours(town: Town, name: str) -> Points:
     """Returns the colours of a building, (8, 3) RGB by surface class from ``WALL`` on."""
-    chances = random_stream(seed, "demo", name, "colour")
-    wall, tile, flat = (
-        pick(colours, chances, 0.92, 1.06) for colours in (look.walls, look.tiles, look.flat_roofs)
-    )
+    chances, look = random_stream(town.seed, "demo", name, "colour"), town.look
+    palettes = (look.walls, look.tiles, look.flat_roofs)
+    wall, tile, flat = (pick(colours, chances, 0.92, 1.06) for colours in palettes)
     chances.uniform()
     fittings = [pick(colours, chances, low, high) for colours, low, high in _FITTINGS.values()]
     return np.stack([wall, flat, tile, *fittings, _SOFFIT])

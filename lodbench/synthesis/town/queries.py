@@ -19,9 +19,8 @@ from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look
 from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.town.citygml_writer import ORIGIN_M
-from lodbench.synthesis.town.districts import OLD_TOWN_RADIUS_M
 from lodbench.synthesis.town.shapes import Points
-from lodbench.synthesis.town.town import Town
+from lodbench.synthesis.town.town import OLD_TOWN_RADIUS_M, Town
 from lodbench.synthesis.view_sampling import (
     FINE_SIZE,
     RGB_CAMERA,
@@ -66,13 +65,7 @@ class DemoSplit:
 
 
 def make_splits(town: Town, scene: Scene, props: SceneProps, count: int) -> list[DemoSplit]:
-    """Returns both splits, half of the queries each, the odd one in place.
-
-    Args:
-        town: The town.
-        scene: Its LoD3 scene.
-        props: What photos show.
-        count: Number of queries over both splits.
+    """Returns both splits of a town in its LoD3 scene, half of the queries each, the odd one in place.
 
     Raises:
         DatasetError: No acceptable view is found somewhere.

@@ -77,12 +77,7 @@ class StreetPlan:
 
 
 def draw_streets(generator: np.random.Generator, rings: float = 1.0) -> StreetPlan:
-    """Returns a street plan.
-
-    Args:
-        generator: Source of chance.
-        rings: How strongly streets lean towards rings and spokes around the middle, 0 to 1.
-    """
+    """Returns a street plan whose streets lean, from 0 to 1, towards rings and spokes around the middle."""
     angles = np.sort(np.linspace(0, 2 * np.pi, 14, endpoint=False) + generator.uniform(-0.1, 0.1, 14))
     radii = TOWN_RADIUS_M * generator.uniform(0.9, 1.08, 14)
     land = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1)
@@ -161,7 +156,11 @@ def _block_area(middle: Points) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Warp:
-    """A smooth displacement of the plan: waves much longer than a block."""
+    """A smooth displacement of the plan: waves much longer than a block.
+
+    Attributes:
+        waves: (N, 5) rows of wave vector x, y (radians per metre), phase (radians), displacement x, y (m).
+    """
 
     waves: Points
 
@@ -170,16 +169,8 @@ class _Warp:
         waves = []
         for wavelength, amplitude in ((620.0, 20.0), (480.0, 13.0), (340.0, 6.0)):
             turn, push, phase = generator.uniform(0, 2 * np.pi, 3)
-            number = 2 * np.pi / wavelength
-            waves.append(
-                [
-                    number * np.cos(turn),
-                    number * np.sin(turn),
-                    phase,
-                    amplitude * np.cos(push),
-                    amplitude * np.sin(push),
-                ]
-            )
+            along, aside = (np.array([np.cos(angle), np.sin(angle)]) for angle in (turn, push))
+            waves.append([*(2 * np.pi / wavelength * along), phase, *(amplitude * aside)])
         return cls(np.array(waves))
 
     def points(self, points: Points) -> Points:

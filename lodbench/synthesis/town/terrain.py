@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,11 +42,10 @@ class Terrain:
             turn, phase = generator.uniform(0, 2 * np.pi, 2)
             number = 2 * np.pi / wavelength
             waves.append([number * np.cos(turn), number * np.sin(turn), phase, relief * amplitude])
-        rise = relief * generator.uniform(0.02, 0.03)
-        base = float(generator.uniform(180.0, 260.0))
-        dry = cls(base, float(rise), np.array(waves), river, -np.inf)
+        rise = relief * float(generator.uniform(0.02, 0.03))
+        dry = cls(float(generator.uniform(180.0, 260.0)), rise, np.array(waves), river, -np.inf)
         lowest = float(dry._hills(river, np.zeros(len(river))).min())
-        return cls(base, float(rise), dry.waves, river, round(lowest - _BANK_HEIGHT_M - 1.0, 2))
+        return replace(dry, water_m=round(lowest - _BANK_HEIGHT_M - 1.0, 2))
 
     def height(self, points: Points) -> Points:
         """Returns the ground height, (N,) metres, at local positions, (N, 2); the river's is its bed's."""

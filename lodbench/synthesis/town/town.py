@@ -8,13 +8,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from lodbench.storage import random_stream
+from lodbench.synthesis.town import landmarks
 from lodbench.synthesis.town.building import Age, Building, Plan, construct_all
-from lodbench.synthesis.town.districts import build_up, district_of, site_of
-from lodbench.synthesis.town.landmarks import add_church, add_town_hall
+from lodbench.synthesis.town.closed_blocks import add_closed_block
+from lodbench.synthesis.town.fittings import chance
+from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, add_houses
 from lodbench.synthesis.town.looks import TEST, TownLook
-from lodbench.synthesis.town.occupancy import Occupancy, occupancy_of
-from lodbench.synthesis.town.streets import StreetPlan, draw_streets
+from lodbench.synthesis.town.occupancy import Occupancy
+from lodbench.synthesis.town.shapes import Points, area, inset
+from lodbench.synthesis.town.site import Site
+from lodbench.synthesis.town.streets import Block, StreetPlan, draw_streets
 from lodbench.synthesis.town.terrain import Terrain
 
 # Raise it whenever a seed gives another town, queries included: results of two versions do not compare.
@@ -24,6 +30,16 @@ TOWN_VERSION = "2"
 _CHURCH_BLOCKS = range(1, 12)
 # No building stands farther out than this.
 _REACH_M = 640.0
+OLD_TOWN_RADIUS_M = 175.0
+_INNER_RADIUS_M = 290.0
+_ESTATE_RADIUS_M = 320.0
+# Half the angle under which the estate is seen from the middle of town.
+_ESTATE_HALF_ANGLE = 0.42
+# Width of pavements and front gardens, from the kerb to the building line.
+_PAVEMENTS_M = {"old town": 1.5, "inner town": 2.5, "works": 6.0, "estate": 7.0, "garden suburb": 4.0}
+_LEAST_BLOCK_M2 = 300.0
+# Every so many-th block of the inner town is a park.
+_PARK_EVERY, _PARK_FIRST = 17, 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,32 +77,93 @@ def grow_town(seed: int, look: TownLook = TEST) -> Town:
     terrain = Terrain.draw(ground, streets.river, look.relief)
     blocks = _landmarks(seed, streets)
     estate_turn = float(ground.uniform(-1.2, 1.2))
-    districts = tuple(district_of(block, streets.to_river, estate_turn) for block in streets.blocks)
+    districts = tuple(_district_of(block, streets.to_river, estate_turn) for block in streets.blocks)
     for number, (block, district) in enumerate(zip(streets.blocks, districts, strict=True)):
-        site = site_of(block, district, random_stream(seed, "demo", "block", number))
+        site = _site_of(block, district, random_stream(seed, "demo", "block", number))
         if number not in blocks and site is not None:
-            build_up(site, number)
+            _build_up(site, number)
             blocks[number] = site.plans
     named = [
         (f"DEMO_{number:03d}_{k:02d}", plan)
         for number in sorted(blocks)
         for k, plan in enumerate(blocks[number])
     ]
-    occupancy = occupancy_of([plan.pieces for _, plan in named], _REACH_M)
+    occupancy = Occupancy([plan.pieces for _, plan in named], _REACH_M)
     buildings = tuple(construct_all(named, seed, look, terrain, occupancy))
     return Town(seed, look, buildings, streets, districts, terrain, occupancy)
 
 
 def _landmarks(seed: int, streets: StreetPlan) -> dict[int, list[Plan]]:
     """Returns the plans of the market square and of the church's block, by block number."""
-    market = site_of(streets.blocks[0], "old town", random_stream(seed, "demo", "town hall"))
+    market = _site_of(streets.blocks[0], "old town", random_stream(seed, "demo", "town hall"))
     if market is None:
         return {}
-    add_town_hall(market)
+    landmarks.add_town_hall(market)
     blocks = {0: market.plans}
     for number in _CHURCH_BLOCKS:
-        square = site_of(streets.blocks[number], "old town", random_stream(seed, "demo", "church"))
-        if square is not None and add_church(square):
+        square = _site_of(streets.blocks[number], "old town", random_stream(seed, "demo", "church"))
+        if square is not None and landmarks.add_church(square):
             blocks[number] = square.plans
             break
     return blocks
+
+
+def _district_of(block: Block, to_river: Points, estate_turn: float) -> str:
+    """Returns the district of a block: rings around the middle, an estate and works at the edge.
+
+    ``to_river``, (2,) unit, leads to the river; the estate lies ``estate_turn`` radians from away from it.
+    """
+    x, y = block.center
+    radius = float(np.hypot(x, y))
+    if block.beyond_river:
+        return "works" if x * to_river[1] - y * to_river[0] > 60.0 else "garden suburb"
+    if radius < OLD_TOWN_RADIUS_M:
+        return "old town"
+    if radius < _INNER_RADIUS_M:
+        return "inner town"
+    bearing = np.arctan2(y, x) - np.arctan2(-to_river[1], -to_river[0]) - estate_turn
+    off = abs((bearing + np.pi) % (2 * np.pi) - np.pi)
+    return "estate" if off < _ESTATE_HALF_ANGLE and radius > _ESTATE_RADIUS_M else "garden suburb"
+
+
+def _site_of(block: Block, district: str, chances: np.random.Generator) -> Site | None:
+    """Returns a block behind its building line, or None where that is too small to be built on."""
+    ring = inset(block.ring, _PAVEMENTS_M[district])
+    return None if ring is None or area(ring) < _LEAST_BLOCK_M2 else Site(ring, district, chances)
+
+
+def _build_up(site: Site, number: int) -> None:
+    """Adds what stands on a block; blocks are numbered from the middle of town outward."""
+    if site.district == "old town":
+        _build_old_town(site)
+    elif site.district == "inner town":
+        _build_inner_town(site, number)
+    elif site.district == "estate":
+        landmarks.add_flats(site)
+    elif site.district == "works":
+        landmarks.add_works(site)
+    else:
+        add_houses(site, SUBURB)
+
+
+def _build_old_town(site: Site) -> None:
+    """Adds a courtyard building, a closed block, or lanes of houses where neither has room."""
+    if chance(site.chances, 0.12):
+        landmarks.add_courtyard_house(site)
+    if not site.plans:
+        add_closed_block(site, storeys=3)
+    if not site.plans:
+        add_houses(site, OLD_LANES)
+
+
+def _build_inner_town(site: Site, number: int) -> None:
+    """Adds a park, a school, a closed block or villas."""
+    if number % _PARK_EVERY == _PARK_FIRST:
+        landmarks.add_pavilion(site)
+        return
+    if chance(site.chances, 0.16):
+        landmarks.add_school(site)
+    if not site.plans and chance(site.chances, 0.45):
+        add_closed_block(site, storeys=4)
+    if not site.plans:
+        add_houses(site, VILLAS)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.objects.cars import add_cars
 from lodbench.synthesis.objects.mesh_builder import BLOCK_FACES, MeshBuilder, palette, pick
 from lodbench.synthesis.objects.scene_props import SurfaceClass
-from lodbench.synthesis.objects.trees import add_trees
+from lodbench.synthesis.objects.trees_and_cars import add_cars, add_trees
 from lodbench.synthesis.town.shapes import (
     Points,
     along_line,

@@ -25,11 +25,13 @@ from lodbench.execution.executor import DASK, PROCESS, ExecutorParams, spread
 from lodbench.storage import make_folder, random_stream, remove_leftovers
 from lodbench.synthesis.objects.scene_props import read_props
 from lodbench.synthesis.surroundings.surroundings import Surroundings, make_surroundings
-from lodbench.synthesis.training_data.contact_sheet import SHEET_FILE, write_sheet
-from lodbench.synthesis.training_data.manifest import begin_manifest, finish_manifest
+from lodbench.synthesis.training_data.manifest import SHEET_FILE, begin_manifest, finish_manifest, write_sheet
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
 from lodbench.synthesis.training_data.view_writer import PictureParts, ViewWriter, files_of, is_written
+
+# Settings that name files to read.
+_FILES = ("city", "props", "terrain", "texture_model")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +70,15 @@ def generate_training_data(
     _write_layout(params, parts.scene, plan, out)
     for folder in out.glob("*/*/"):
         remove_leftovers(folder)  # what a killed run was writing
-    missing = [view for view in plan.views if not _is_written(params, view, out)]
+    missing = [view for view in plan.views if not all(map(is_written, files_of(params, view, out)))]
     resumed = len(plan.views) - len(missing)
     executor = _fitting(executor or ExecutorParams(PROCESS), params.workers, len(missing))
     workers: tuple[Callable[..., None], tuple[Any, ...]] = (_open_writer, (params, parts, out))
     if executor.name == DASK:
         # Names and a digest go over the network: what stands around a city takes more than the city.
-        whole = (_with_whole_paths(params), _whole_terrain(options), parts.digest(), out)
-        workers = (_make_world, whole)
+        files: dict[str, Any] = {name: _whole(getattr(params, name)) for name in _FILES}
+        found = replace(params, **files), replace(options, terrain=_whole(options.terrain))
+        workers = (_make_world, (*found, parts.digest(), out))
     _write_views(workers, missing, out, resumed, executor)
     write_sheet(params, plan.views, out / SHEET_FILE)
     finish_manifest(manifest, out)
@@ -126,29 +129,19 @@ def open_cities(params: GenerateParams, options: ReadOptions) -> tuple[Scene, Sc
     return city, picture
 
 
-def _is_written(params: GenerateParams, view: PlannedView, out: Path) -> bool:
-    return all(is_written(path) for path in files_of(params, view, out))
-
-
 def _write_layout(params: GenerateParams, scene: Scene, plan: ViewPlan, out: Path) -> None:
     """Makes the folders, and writes poses, priors and cameras of all views, finished or not."""
-    camera = params.camera
     for split in SPLITS:
         views = [view for view in plan.views if view.split == split]
         if not views:
             continue
-        for view in views[:1]:
-            for path in files_of(params, view, out):
-                make_folder(path.parent)
-        names = {view.key: f"{view.name}.{params.format}" for view in views}
-        truth = {names[view.key]: view.pose.shifted(scene.origin) for view in views}
-        priors = {
-            names[view.key]: UniformPrior()
-            .draw(view.pose, random_stream(params.seed, "training", "gps", view.key))
-            .shifted(scene.origin)
-            for view in views
-        }
-        cameras = dict.fromkeys(truth, camera)
+        for path in files_of(params, views[0], out):
+            make_folder(path.parent)
+        truth = {f"{view.name}.{params.format}": view.pose.shifted(scene.origin) for view in views}
+        streams = (random_stream(params.seed, "training", "gps", view.key) for view in views)
+        drawn = (UniformPrior().draw(view.pose, stream) for view, stream in zip(views, streams, strict=True))
+        priors = {name: prior.shifted(scene.origin) for name, prior in zip(truth, drawn, strict=True)}
+        cameras = dict.fromkeys(truth, params.camera)
         write_poses(out / split, cameras, truth, priors, truth_file=RENDERED_TRUTH_FILE)
 
 
@@ -159,18 +152,9 @@ def _fitting(executor: ExecutorParams, workers: int | None, num_views: int) -> E
     return replace(executor, workers=min(workers or executor.num_workers, max(1, num_views)))
 
 
-def _with_whole_paths(params: GenerateParams) -> GenerateParams:
-    """Returns settings whose files are found from any folder."""
-    named = {name: getattr(params, name) for name in ("city", "props", "terrain", "texture_model")}
-    whole: dict[str, Any] = {k: str(Path(v).expanduser().absolute()) for k, v in named.items() if v}
-    return replace(params, **whole)
-
-
-def _whole_terrain(options: ReadOptions) -> ReadOptions:
-    """Returns how a city is read, its terrain found from any folder."""
-    if options.terrain is None:
-        return options
-    return replace(options, terrain=str(Path(options.terrain).expanduser().absolute()))
+def _whole(path: str | None) -> str | None:
+    """Returns a path that is found from any folder."""
+    return None if path is None else str(Path(path).expanduser().absolute())
 
 
 def _write_views(

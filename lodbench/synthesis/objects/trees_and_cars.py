@@ -1,18 +1,25 @@
-"""Trees: trunks, round crowns and cones, no two alike."""
+"""Trees and cars: trunks with round crowns or cones, hulls with glazed cabins; no two alike."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder, ring_walls
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Points, Triangles, palette, ring_walls
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 
-Points = NDArray[np.float64]
-
-_TRUNK = (92.0, 76.0, 60.0)
-_LEAVES = np.array([(70, 92, 44), (84, 104, 50), (60, 82, 42), (98, 110, 56), (78, 100, 62)], float)
-_NEEDLES = np.array([(48, 70, 46), (56, 78, 52), (42, 62, 44)], float)
+_TRUNK = palette("5c4c3c")
+_LEAVES = palette("465c2c 546832 3c522a 626e38 4e643e")
+_NEEDLES = palette("30462e 384e34 2a3e2c")
+_PAINTS = palette("e8e8e8 3c3e42 96989c 222428 962824 2e4676 c4beb2")
+_GLASS = palette("343c44")
+# Rings of four corners, from the ground up: back and front end, half the width, height; of a unit car.
+_RINGS = (
+    (-0.5, 0.5, 0.5, 0.14),
+    (-0.5, 0.5, 0.5, 0.55),
+    (-0.42, 0.24, 0.46, 0.60),
+    (-0.30, 0.10, 0.38, 1.0),
+)
 
 
 def add_trees(
@@ -66,14 +73,14 @@ def _drawn(colours: Points, count: int, chances: np.random.Generator) -> Points:
     )
 
 
-def _post() -> tuple[Points, NDArray[np.int64]]:
+def _post() -> tuple[Points, Triangles]:
     """Returns a trunk of unit size with five sides, rooted a little below the ground, and its triangles."""
     spin = np.arange(5) * 2 * np.pi / 5
     rings = [np.stack([np.cos(spin), np.sin(spin), np.full(5, z)], axis=1) for z in (-0.3, 1.0)]
     return np.concatenate(rings), ring_walls(5)
 
 
-def _ball(halvings: int) -> tuple[Points, NDArray[np.int64]]:
+def _ball(halvings: int) -> tuple[Points, Triangles]:
     """Returns an icosahedron, its edges halved some times, on the unit sphere; triangles look outward."""
     import trimesh
 
@@ -90,3 +97,44 @@ def _ball(halvings: int) -> tuple[Points, NDArray[np.int64]]:
         parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         faces = np.stack([np.stack(part, axis=1) for part in parts], axis=1).reshape(-1, 3)
     return points, faces
+
+
+def add_cars(
+    builder: MeshBuilder, feet: Points, ways: Points, slope: Points, chances: np.random.Generator
+) -> None:
+    """Adds a car at each place.
+
+    Args:
+        builder: Takes them.
+        feet: (N, 3) the ground under their middles, metres.
+        ways: (N, 2) unit directions they point to.
+        slope: (N,) metres that the ground rises per metre ahead.
+        chances: Source of chance.
+    """
+    count = len(feet)
+    lengths, widths, heights = (
+        chances.uniform(low, high, count) for low, high in ((3.8, 4.9), (1.7, 1.9), (1.4, 1.75))
+    )
+    shape, faces, is_glass = _unit_car()
+    ahead, left, up = np.moveaxis(shape[None] * np.stack([lengths, widths, heights], axis=1)[:, None], 2, 0)
+    points = np.empty((count, len(shape), 3))
+    points[..., 0] = feet[:, None, 0] + ahead * ways[:, None, 0] + left * -ways[:, None, 1]
+    points[..., 1] = feet[:, None, 1] + ahead * ways[:, None, 1] + left * ways[:, None, 0]
+    points[..., 2] = feet[:, None, 2] + up + ahead * slope[:, None]
+    paint = _PAINTS[chances.integers(len(_PAINTS), size=count)] * chances.uniform(0.85, 1.1, (count, 1))
+    tint = np.where(is_glass[None, :, None], _GLASS, paint[:, None, :])
+    surface = np.where(is_glass, SurfaceClass.CAR_GLASS, SurfaceClass.CAR_BODY).astype(np.uint8)
+    builder.add_copies(surface, points, faces, tint)
+
+
+def _unit_car() -> tuple[Points, Triangles, NDArray[np.bool_]]:
+    """Returns a car of unit size, its triangles, and which are glass: a hull, and a cabin with a roof."""
+    rings = [
+        [(back, -half, z), (front, -half, z), (front, half, z), (back, half, z)]
+        for back, front, half, z in _RINGS
+    ]
+    sides = [(4 * ring + k, 4 * ring + (k + 1) % 4) for ring in range(3) for k in range(4)]
+    faces = [face for a, b in sides for face in ((a, b, b + 4), (a, b + 4, a + 4))]
+    roof = [(12, 13, 14), (12, 14, 15)]
+    is_glass = np.arange(len(faces) + len(roof)) // 8 == 2
+    return np.array(rings, float).reshape(-1, 3), np.array([*faces, *roof]), is_glass
