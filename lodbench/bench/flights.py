@@ -19,9 +19,10 @@ from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Query
+from lodbench.errors import QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.evaluation.calibration import Calibration, calibrate
-from lodbench.evaluation.errors import FAILED
+from lodbench.evaluation.errors import FAILED, PoseError
 from lodbench.evaluation.flight_findings import MapScore, score_map
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.geometry import Pose
@@ -48,7 +49,8 @@ _GIMBAL_DEG = 0.1
 class _Tally:
     """What flights gave, flight after flight."""
 
-    errors: list[tuple[float, float]] = field(default_factory=list)
+    alone: list[PoseError] = field(default_factory=list)
+    errors: list[PoseError] = field(default_factory=list)
     probabilities: list[float] = field(default_factory=list)
     constants: list[Floats] = field(default_factory=list)
     score: MapScore = field(default_factory=MapScore)
@@ -84,16 +86,22 @@ def _fly(
     city_map = CityMap(scene)
     streams = [partial(random_stream, 0, query.name) for query in queries]
     started = process_time()
-    found = method.localize_flight(queries, city_map, streams)
+    alone = method.localize_alone(queries, city_map, streams)
+    found = method.solve(queries, alone, city_map)
     tally.cpu_s += process_time() - started
-    for each, pose in zip(found.estimates, truth, strict=True):
-        error = pose_error(each.pose, pose) if isinstance(each, Estimate) else FAILED
-        tally.errors.append((error.translation_m, error.rotation_deg))
-        tally.probabilities.append(each.probability or 0.0 if isinstance(each, Estimate) else 0.0)
+    tally.alone += [_error(each, pose) for each, pose in zip(alone, truth, strict=True)]
+    tally.errors += [_error(each, pose) for each, pose in zip(found.estimates, truth, strict=True)]
+    tally.probabilities += [
+        each.probability or 0.0 if isinstance(each, Estimate) else 0.0 for each in found.estimates
+    ]
     if found.findings:
         tally.constants.append(_constants_off(params, flight, found))
         if params.map_errors():
             tally.score += _score(params, dataset, found, queries, truth, city_map)
+
+
+def _error(found: Estimate | QueryFault, truth: Pose) -> PoseError:
+    return pose_error(found.pose, truth) if isinstance(found, Estimate) else FAILED
 
 
 def queries_of(dataset: Dataset, scene: Scene, flight: int) -> tuple[list[Query], list[Pose]]:
@@ -185,13 +193,18 @@ def _roofs_shown(queries: Sequence[Query], truth: Sequence[Pose], city_map: City
 
 
 def _report(tally: _Tally, flights: FlightsParams, seeds: Sequence[int]) -> Report:
-    errors = np.array(tally.errors)
+    errors, alone = (
+        np.array([(error.translation_m, error.rotation_deg) for error in of_photos])
+        for of_photos in (tally.errors, tally.alone)
+    )
     hits = hits_of(errors, PROBABILITY_THRESHOLD)
     calibration = calibrate(np.array(tally.probabilities), hits)
     figures = [
         Figure("recall 2m-2deg", 100.0 * float(hits.mean()), "%"),
         Figure("median translation", float(np.median(errors[:, 0])), "m"),
         Figure("median rotation", float(np.median(errors[:, 1])), "deg"),
+        Figure("photo by photo: recall", 100.0 * float(hits_of(alone, PROBABILITY_THRESHOLD).mean()), "%"),
+        Figure("photo by photo: median translation", float(np.median(alone[:, 0])), "m"),
         Figure("mean probability of being within", 100.0 * float(np.mean(tally.probabilities)), "%"),
         Figure("expected calibration error", 100.0 * calibration.ece, "%"),
         *_constant_figures(tally),

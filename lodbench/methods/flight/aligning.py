@@ -61,7 +61,7 @@ def align(queries: Sequence[Query], state: State, city_map: CityMap, params: Par
             if number == len(reaches) - 1:
                 as_told = solve(replace(state, scales=np.ones_like(state.scales)), terms, params)
             state.step(solution)
-            if steps <= number < len(reaches) - 1:
+            if params.narrows and steps <= number < len(reaches) - 1:
                 state.scales = solution.scales()
     return Aligned(state, terms, solution, as_told)
 

@@ -78,10 +78,22 @@ class FlightMethod:
             ConfigError: A reconstruction is asked for, and there is none of these photos.
         """
         self._require_reconstruction(queries)
+        return self.solve(queries, self.localize_alone(queries, city_map, streams), city_map)
+
+    def localize_alone(
+        self, queries: Sequence[Query], city_map: CityMap, streams: Sequence[Streams]
+    ) -> list[Estimate | QueryFault]:
+        """Returns what is found of each photo by itself, in their order."""
         by_looks = self.params.single == "region"
         single = Region(self.params.region()) if by_looks else ContourAlignment(self.params.photo())
-        alone = [_alone(single, query, city_map, own) for query, own in zip(queries, streams, strict=True)]
-        return (self._solve_by_looks if by_looks else self.solve_jointly)(queries, alone, city_map)
+        return [_alone(single, query, city_map, own) for query, own in zip(queries, streams, strict=True)]
+
+    def solve(
+        self, queries: Sequence[Query], alone: Sequence[Estimate | QueryFault], city_map: CityMap
+    ) -> FlightEstimate:
+        """Returns what ``localize_flight`` does, given what ``localize_alone`` found."""
+        joint = self._solve_by_looks if self.params.single == "region" else self.solve_jointly
+        return joint(queries, alone, city_map)
 
     def solve_jointly(
         self,
@@ -126,7 +138,8 @@ class FlightMethod:
         if all(isinstance(found, QueryFault) for found in alone):
             return FlightEstimate(alone)
         start, found = self._start(queries, city_map), FlightEstimate(alone)
-        for method in (FlightMethod(replace(self.params, restarts=0)), self):
+        believing = replace(self.params, narrows=False)
+        for method in (FlightMethod(replace(believing, restarts=0)), FlightMethod(believing)):
             places = agreed_places(start.vectors, found.estimates, self.params)
             masked = with_masks_by_looks(queries, *places, city_map)
             found = method.solve_jointly(masked, found.estimates, city_map, start)

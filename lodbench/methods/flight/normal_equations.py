@@ -56,8 +56,9 @@ class NormalEquations:
         """Returns the factorised curvature, and the step to the minimum."""
         where = np.concatenate(self._rows), np.concatenate(self._columns)
         matrix = csc_matrix(coo_matrix((np.concatenate(self._values), where), (self._size, self._size)))
-        # Positive definite: an ordering of the symmetric pattern needs no pivots.
+        # Positive definite: no pivots. Photos come first, each tied to few others, what all share last: no
+        # order is much better, and to look for one takes 30 times as long as all else (500 photos).
         factorised = splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
         return factorised, -factorised.solve(self._gradient)

@@ -61,6 +61,8 @@ class Params:
         votes: Most photos whose own answers are tried as the flight's error, and that judge them.
         restarts: Other starts around the answer, at most 4: how far apart they end is part of what poses
             err by.
+        narrows: Whether the flight tells by how much less map and relative poses err than is told here
+            (``error_groups``); never where masks are made with the map, for these agree with it.
         lost_sigmas: A photo this far from what the flight says of it is lost.
     """
 
@@ -92,6 +94,7 @@ class Params:
     steps: int = 8
     votes: int = 24
     restarts: int = 4
+    narrows: bool = True
     lost_sigmas: float = 6.0
 
     def __post_init__(self) -> None:
