@@ -98,7 +98,6 @@ class PolygonCollector:
             lod=owners[:, 1].astype(np.int16),
             kind=owners[:, 2].astype(np.uint8),
             srs=np.zeros(len(owners), np.int16),
-            has_closing_points=False,
             findings=self.findings,
             part=None if is_plain else owners[:, 3].astype(np.int32),
             objects=None if table is None or is_plain else table.finish(),

@@ -109,10 +109,8 @@ def _blocks(
     return RawCity(
         source=source,
         format="footprints",
-        version=None,
         srs_names=(crs,),
         building_ids=tuple(ids[i] for i in used),
-        num_parts=0,
         lods=("1",),
         points=blocks.points,
         ring_starts=starts_of(blocks.ring_lengths),
@@ -121,7 +119,6 @@ def _blocks(
         lod=np.zeros(len(building), np.int16),
         kind=blocks.kind,
         srs=np.zeros(len(building), np.int16),
-        has_closing_points=False,
         findings=findings,
         # Vector files keep longitude or easting first whatever their reference system declares.
         axis_orders=("east_first",),

@@ -15,7 +15,6 @@ from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity
 from lodbench.errors import CityModelError, LodbenchError
-from lodbench.findings import Findings
 
 T = TypeVar("T")
 
@@ -61,10 +60,8 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
     return RawCity(
         source=source,
         format=MESH_FORMATS[suffix],
-        version=None,
         srs_names=(frame.crs,) if frame is not None and frame.crs is not None else (),
         building_ids=tuple(ids),
-        num_parts=0,
         lods=("",),
         points=points,
         ring_starts=np.arange(count + 1) * 3,
@@ -73,8 +70,6 @@ def read_mesh(stream: BinaryIO, source: str, suffix: str, options: ReadOptions) 
         lod=np.zeros(count, np.int16),
         kind=np.full(count, SurfaceKind.UNKNOWN, np.uint8),
         srs=np.zeros(count, np.int16),
-        has_closing_points=False,
-        findings=Findings(),
         axis_orders=("east_first",) if frame is not None and frame.crs is not None else (),
     )
 

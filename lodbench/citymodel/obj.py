@@ -53,10 +53,8 @@ def read_obj(stream: BinaryIO, source: str) -> RawCity:
     return RawCity(
         source=source,
         format="OBJ",
-        version=None,
         srs_names=(frame.crs,) if frame is not None and frame.crs is not None else (),
         building_ids=tuple(f"component-{i + 1:0{width}d}" for i in range(num_buildings)),
-        num_parts=0,
         lods=("",),
         points=points[corners],
         ring_starts=starts_of(counts),
@@ -65,7 +63,6 @@ def read_obj(stream: BinaryIO, source: str) -> RawCity:
         lod=np.zeros(len(counts), np.int16),
         kind=np.full(len(counts), SurfaceKind.UNKNOWN, np.uint8),
         srs=np.zeros(len(counts), np.int16),
-        has_closing_points=False,
         findings=findings,
         axis_orders=("east_first",) if frame is not None and frame.crs is not None else (),
     )

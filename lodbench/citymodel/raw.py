@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 
 import numpy as np
@@ -21,7 +21,7 @@ class NotACity(CityModelError):
     """A file is of another kind, or holds no building: among other tiles it can be passed over."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class RawCity:
     """Polygons as a file states them: its axes, its reference systems, its closing points.
 
@@ -55,10 +55,10 @@ class RawCity:
 
     source: str
     format: str
-    version: str | None
+    version: str | None = None
     srs_names: tuple[str | None, ...]
     building_ids: tuple[str, ...]
-    num_parts: int
+    num_parts: int = 0
     lods: tuple[str, ...]
     points: NDArray[np.float64]
     ring_starts: NDArray[np.int64]
@@ -67,8 +67,8 @@ class RawCity:
     lod: NDArray[np.int16]
     kind: NDArray[np.uint8]
     srs: NDArray[np.int16]
-    has_closing_points: bool | NDArray[np.bool_]
-    findings: Findings
+    has_closing_points: bool | NDArray[np.bool_] = False
+    findings: Findings = field(default_factory=Findings)
     axis_orders: tuple[AxisOrder, ...] = ()
     part: NDArray[np.int32] | None = None
     objects: CityObjects | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import PurePath
+from typing import Any
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.pictures import PictureTable
@@ -15,34 +16,26 @@ def citygml(source: Source, options: ReadOptions) -> RawCity:
     """Returns the buildings of CityGML 1.0 to 3.0, and what ``options.layers`` names."""
     from lodbench.citymodel.citygml import read_citygml
 
-    return read_citygml(
-        source.open,
-        source.name,
-        is_strict=options.is_strict,
-        has_details=options.has_details,
-        layers=options.layers,
-        pictures=_pictures_of(source, options),
-    )
+    return read_citygml(source.open, source.name, **_asked(source, options))
 
 
 def cityjson(source: Source, options: ReadOptions) -> RawCity:
     """Returns the buildings of CityJSON or CityJSONSeq, and what ``options.layers`` names."""
     from lodbench.citymodel.cityjson import read_cityjson
 
-    return read_cityjson(
-        source.open,
-        source.name,
-        is_strict=options.is_strict,
-        has_details=options.has_details,
-        layers=options.layers,
-        pictures=_pictures_of(source, options),
-    )
+    return read_cityjson(source.open, source.name, **_asked(source, options))
 
 
-def _pictures_of(source: Source, options: ReadOptions) -> PictureTable | None:
-    is_wanted = options.has_textures and options.has_details
+def _asked(source: Source, options: ReadOptions) -> dict[str, Any]:
+    """Returns what readers of details are told of the options."""
     folder = TextureFolder(source.path.parent, source.path.parent)
-    return PictureTable(folder, is_packed="!" in source.name) if is_wanted else None
+    has_pictures = options.has_textures and options.has_details
+    return {
+        "is_strict": options.is_strict,
+        "has_details": options.has_details,
+        "layers": options.layers,
+        "pictures": PictureTable(folder, is_packed="!" in source.name) if has_pictures else None,
+    }
 
 
 def obj(source: Source, options: ReadOptions) -> RawCity:

@@ -16,7 +16,25 @@ _MAX_RATIO = 250
 _RATIO_STARTS_AT_BYTES = 1 << 24
 
 
-class BoundedStream(io.RawIOBase):
+class _StreamOver(io.RawIOBase):
+    """A stream to be read that closes the one below it."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        super().__init__()
+        self._stream = stream
+
+    def readable(self) -> bool:
+        """Tells that the stream can be read."""
+        return True
+
+    def close(self) -> None:
+        """Closes the stream below."""
+        if not self.closed:
+            self._stream.close()
+        super().close()
+
+
+class BoundedStream(_StreamOver):
     """A decompressed stream that stops at a bomb and speaks of damage in words.
 
     Args:
@@ -26,15 +44,10 @@ class BoundedStream(io.RawIOBase):
     """
 
     def __init__(self, stream: BinaryIO, name: str, packed_bytes: int) -> None:
-        super().__init__()
-        self._stream = stream
+        super().__init__(stream)
         self._name = name
         self._limit = max(_RATIO_STARTS_AT_BYTES, packed_bytes * _MAX_RATIO)
         self._done = 0
-
-    def readable(self) -> bool:
-        """Tells that the stream can be read."""
-        return True
 
     def read(self, size: int = -1) -> bytes:
         """Returns up to ``size`` bytes, all that is left where it is negative.
@@ -61,14 +74,8 @@ class BoundedStream(io.RawIOBase):
             )
         return data
 
-    def close(self) -> None:
-        """Closes the stream below."""
-        if not self.closed:
-            self._stream.close()
-        super().close()
 
-
-class CountedStream(io.RawIOBase):
+class CountedStream(_StreamOver):
     """A stream that tells how many bytes have been read from it.
 
     Args:
@@ -77,13 +84,8 @@ class CountedStream(io.RawIOBase):
     """
 
     def __init__(self, stream: BinaryIO, report: Callable[[int], None]) -> None:
-        super().__init__()
-        self._stream = stream
+        super().__init__(stream)
         self._report = report
-
-    def readable(self) -> bool:
-        """Tells that the stream can be read."""
-        return True
 
     def read(self, size: int = -1) -> bytes:
         """Returns up to ``size`` bytes, all that is left where it is negative."""
@@ -96,9 +98,3 @@ class CountedStream(io.RawIOBase):
     def _counted(self, data: bytes) -> bytes:
         self._report(len(data))
         return data
-
-    def close(self) -> None:
-        """Closes the stream below."""
-        if not self.closed:
-            self._stream.close()
-        super().close()

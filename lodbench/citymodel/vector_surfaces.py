@@ -7,7 +7,6 @@ import numpy as np
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.raw import RawCity, starts_of
 from lodbench.citymodel.wkb import WkbPolygons
-from lodbench.findings import Findings
 
 
 def surfaces_as_read(polygons: WkbPolygons, ids: list[str], source: str, crs: str | None) -> RawCity:
@@ -24,10 +23,8 @@ def surfaces_as_read(polygons: WkbPolygons, ids: list[str], source: str, crs: st
     return RawCity(
         source=source,
         format="surfaces",
-        version=None,
         srs_names=(crs,),
         building_ids=tuple(ids[i] for i in used),
-        num_parts=0,
         lods=("2",),
         points=np.concatenate(polygons.rings),
         ring_starts=starts_of(np.asarray([len(ring) for ring in polygons.rings], np.int64)),
@@ -37,6 +34,5 @@ def surfaces_as_read(polygons: WkbPolygons, ids: list[str], source: str, crs: st
         kind=np.full(count, SurfaceKind.UNKNOWN, np.uint8),
         srs=np.zeros(count, np.int16),
         has_closing_points=True,
-        findings=Findings(),
         axis_orders=("east_first",),
     )
