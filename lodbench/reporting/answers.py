@@ -77,7 +77,7 @@ def untrusted_note(predictions: Iterable[Prediction]) -> str:
     return (
         f"{count} of {len(answered)} answers are not to be trusted (probability below "
         f"{TRUSTED_PROBABILITY:g}, or mask and model overlap by less than {TRUSTED_OVERLAP:g}): look at "
-        "their pictures, mend their masks, or give better priors"
+        "their pictures, give masks or mend them, or give better priors"
     )
 
 
