@@ -149,27 +149,25 @@ def _near(scene: Scene, pictures: Sequence[_Picture]) -> list[NDArray[np.int64]]
 
 
 def _roofs(scene: Scene, buildings: NDArray[np.int64]) -> dict[int, Floats]:
-    """Returns by row of the building points of its roof, and which share of its height they have, (N, 4).
-
-    A building that is higher is so as a whole: its eaves rise less than its ridge. Walls alone have no roof.
-    """
+    """Returns points of roofs, see ``roof_points``, by row of the building; walls alone have none."""
     roofs = {}
     for row in buildings.tolist():
         faces = slice(scene.triangle_starts[row], scene.triangle_starts[row + 1])
-        triangles = scene.vertices[scene.triangles[faces]].astype(np.float64)
-        points = roof_points(triangles)
+        points = roof_points(scene.vertices[scene.triangles[faces]].astype(np.float64))
         if len(points) >= _FEWEST_POINTS:
-            floor, top = triangles[..., 2].min(), triangles[..., 2].max()
-            roofs[row] = np.column_stack([points, (points[:, 2] - floor) / max(top - floor, 1e-6)])
+            roofs[row] = points
     return roofs
 
 
 def roof_points(triangles: Floats) -> Floats:
-    """Returns points of the upper side of a building, (N, 3), on a grid; its triangles are (T, 3, 3)."""
+    """Returns points of the upper side of a building on a grid, and their share of its height, (N, 4).
+
+    A building that is higher is so as a whole: its eaves rise less than its ridge. Triangles are (T, 3, 3).
+    """
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     flat = triangles[np.abs(normals[:, 2]) > _FLAT * np.linalg.norm(normals, axis=1)]
     if len(flat) == 0:
-        return np.zeros((0, 3))
+        return np.zeros((0, 4))
     low, high = flat[..., :2].min(axis=(0, 1)), flat[..., :2].max(axis=(0, 1))
     step = max(_SPACING_M, math.sqrt(float(np.prod(high - low)) / _MOST_POINTS))
     sides = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
@@ -177,7 +175,9 @@ def roof_points(triangles: Floats) -> Floats:
     tops = np.full(len(places), -np.inf)
     for first in range(0, len(flat), _TRIANGLES):
         tops = np.maximum(tops, _heights_over(flat[first : first + _TRIANGLES], places))
-    return np.asarray(np.column_stack([places[:, 0], tops])[np.isfinite(tops)])
+    floor, top = triangles[..., 2].min(), triangles[..., 2].max()
+    points = np.column_stack([places[:, 0], tops, (tops - floor) / max(top - floor, 1e-6)])
+    return np.asarray(points[np.isfinite(tops)])
 
 
 def _heights_over(triangles: Floats, places: Floats) -> Floats:

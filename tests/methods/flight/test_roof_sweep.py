@@ -87,13 +87,15 @@ def test_points_of_a_roof_lie_on_its_upper_side_only():
     roof = [[a, e, f], [a, f, d], [b, c, f], [b, f, e]]
     points = roof_points(np.array(floor + wall + roof, dtype=np.float64))
     assert np.allclose(points[:, 2], 5.0 - np.abs(points[:, 0] - 2.0))
+    # Eaves rise by 3 of 5 where the ridge does by 5.
+    assert np.allclose(points[:, 3], points[:, 2] / 5.0)
     assert 100 <= len(points) <= 160
     assert points[:, :2].min() > 0
     assert (points[:, :2].max(axis=0) < (4, 6)).all()
 
 
 def test_a_building_of_walls_alone_has_no_roof():
-    assert roof_points(np.array([[[0, 0, 0], [4, 0, 0], [4, 0, 3]]], dtype=np.float64)).shape == (0, 3)
+    assert roof_points(np.array([[[0, 0, 0], [4, 0, 0], [4, 0, 3]]], dtype=np.float64)).shape == (0, 4)
 
 
 def test_outlines_choose_between_two_heights_that_pixels_find_alike():
