@@ -204,7 +204,7 @@ class FlightMethod:
         known = {k: query.reconstructed for k, query in enumerate(queries) if query.reconstructed is not None}
         if kind in ("auto", "reconstruction"):
             state.reconstruction = placed(known, priors, self.params.reconstruction_information())
-        if kind == "tracks" or (kind == "auto" and state.reconstruction is None):
+        if kind in ("auto", "tracks"):
             state.ties = relative_poses(queries, priors)
         if state.ties or state.reconstruction is not None:
             for _ in range(_TIE_STEPS):

@@ -52,8 +52,8 @@ class Params:
         single: How each photo is found by itself: ``contour_alignment``, by its mask; or ``region``, by its
             pixels: masks are then made of what roofs, walls and ground look like in all photos of a flight.
         relative_poses: What ties photos to each other: ``reconstruction``, a model of the flight (COLMAP) up
-            to a similarity; ``tracks``, features of neighbouring photos; ``none``; or ``auto`` for the first
-            of them that there is.
+            to a similarity; ``tracks``, features of neighbouring photos; ``none``; or ``auto`` for all there
+            is of both.
         reconstruction_m: Standard deviation of poses within a reconstruction, metres.
         reconstruction_deg: The same of their turn, degrees.
         reconstruction_mount_deg: The same of a turn of all its cameras alike, about their own axes, degrees.
