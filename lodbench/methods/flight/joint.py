@@ -93,7 +93,7 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
     derivatives = [rotation_derivatives(vector) for vector in state.vectors]
     _add_ties(of_ties, state, derivatives, shared + FOCAL)
     _add_reconstruction(of_model, state, derivatives, similarity, params)
-    factorised, step = equations.solve()
+    factorised, step = equations.solve(shared)
     steps = step[:shared].reshape(-1, 6)
     longest = np.maximum(1.0, np.max(np.abs(steps) / _LONGEST_STEP, axis=1, initial=0.0))
     # What one building errs by goes together; what photos err by in a reconstruction does not.
