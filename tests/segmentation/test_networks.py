@@ -154,7 +154,7 @@ def test_a_gated_repository_without_its_weights_is_told(tmp_path, monkeypatch):
 
 
 def test_out_of_memory_falls_to_tiles(small, capsys):
-    segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=512, normalise="none"))
+    segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=512, normalise="none", weights="random"))
     run, sides = segmenter._run, []
 
     def short_of_memory(tile):
