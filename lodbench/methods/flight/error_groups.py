@@ -28,6 +28,8 @@ _LEAST = 0.1
 _AS_TOLD = 5.0
 # Steps are lengthened by no more than this.
 _LONGEST = 4.0
+# Information is taken for no less along any direction than this share of all, and than this.
+_SINGULAR, _NOTHING = 1e-12, 1e-30
 
 
 @dataclass(slots=True, eq=False)
@@ -51,7 +53,9 @@ class ErrorGroup:
     def add_residuals(self, unknowns: Rows, jacobian: Floats, residuals: Floats, information: Floats) -> None:
         """Adds (M,) residuals with an (M, N) Jacobian in N unknowns and (M, M) information at the scale."""
         self.equations.add_residuals(unknowns, jacobian, residuals, information)
-        root = np.linalg.cholesky(information).T
+        # Photos from one place say nothing of the direction between them: what is singular keeps a root.
+        least = max(_SINGULAR * float(np.trace(information)), _NOTHING)
+        root = np.linalg.cholesky(information + least * np.eye(len(information))).T
         rows = np.repeat(self.count + np.arange(len(residuals)), len(unknowns))
         self._record(rows, np.tile(unknowns, len(residuals)), (root @ jacobian).ravel(), root @ residuals)
 

@@ -67,3 +67,14 @@ def test_residuals_of_several_numbers_count_as_they_are_whitened():
     assert group.count == 600
     assert group.scale_after(factorised, step, 600) == pytest.approx(0.4, rel=0.1)
     assert ErrorGroup(equations, 0.7).scale_after(factorised, step, 0) == 0.7
+
+
+@pytest.mark.parametrize("information", [np.zeros((3, 3)), np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])])
+def test_residuals_that_say_nothing_along_a_direction_have_a_scale(information):
+    equations = NormalEquations(1)
+    group = ErrorGroup(equations, 1.0)
+    equations.add(np.array([0]), np.eye(1), np.zeros(1))
+    for _ in range(20):
+        group.add_residuals(np.array([0]), np.ones((3, 1)), np.full(3, 0.01), information)
+    factorised, step = equations.solve()
+    assert 0.1 <= group.scale_after(factorised, step, 60) < 1.0
