@@ -80,7 +80,7 @@ def require_within(
     Args:
         name: What it is called on a command line.
         value: It.
-        low: Lower bound.
+        low: Lower bound; minus infinity for none.
         high: Upper bound.
         ends: Whether the bounds belong to it, as intervals are written: ``(]`` has no lower one.
 
@@ -94,7 +94,9 @@ def require_within(
             and (number < high if ends[1] == ")" else number <= high)
         ):
             continue
-        if high == math.inf:
+        if low == -math.inf and high == math.inf:
+            bounds = "finite"
+        elif high == math.inf:
             bounds = f"finite and {'above' if ends[0] == '(' else 'at least'} {low:g}"
         else:
             is_closed = ends == "[]"

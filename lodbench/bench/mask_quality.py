@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lodbench.bench.figures import Progress, Report, no_progress
 from lodbench.bench.mask_quality_report import report_masks
-from lodbench.errors import DatasetError, LodbenchError
+from lodbench.errors import DatasetError, LodbenchError, require_within
 from lodbench.segmentation import Segmenter, binary_mask, notes_of
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photo_segmenter import photo_probability
@@ -42,6 +42,9 @@ class MaskQualityOptions:
     data: Path
     visible: Path | None = None
     least_share: float = 0.05
+
+    def __post_init__(self) -> None:
+        require_within("least_share", self.least_share, 0, 1)
 
 
 class _Truth(NamedTuple):

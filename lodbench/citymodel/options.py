@@ -9,7 +9,7 @@ from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from lodbench.citymodel.layers import require_layers
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, nearest_names, require_within
 
 AxisOrder = Literal["auto", "east_first", "north_first"]
 
@@ -100,8 +100,9 @@ class ReadOptions:
                 f"storey_height_m={self.storey_height_m} is no height of a storey.", "Usual is 3."
             )
         object.__setattr__(self, "layers", require_layers(self.layers))
-        if self.sunk_m < 0.0:
-            raise ConfigError(f"sunk_m={self.sunk_m} is negative.", "swissBUILDINGS3D has 3.")
+        require_within("sunk_m", self.sunk_m, 0)
+        for name in ("origin", "ground_m", "default_height_m", "ecef_origin"):
+            require_within(name, getattr(self, name), -math.inf)
 
 
 def _fitting(name: str, value: Any, hint: Any) -> Any:

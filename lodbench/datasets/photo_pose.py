@@ -7,6 +7,7 @@ city (up to 100 m), the gimbal's roll about the optical axis (what it is).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, cast, get_args
@@ -14,7 +15,7 @@ from typing import Literal, cast, get_args
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_camera import camera_flag, states_focal_length
 from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.errors import ConfigError, DatasetError, nearest_names
+from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
 from lodbench.geometry import Pose
 from lodbench.geometry.angles import rotation_from_dji
 
@@ -37,7 +38,7 @@ class HeightOptions:
         offset_m: Added in the end: what is known to be wrong with the drone's barometer.
 
     Raises:
-        ConfigError: The source is unknown, or lacks the take-off height.
+        ConfigError: The source is unknown or lacks the take-off height, or a height is not finite.
     """
 
     source: HeightSource = "auto"
@@ -54,6 +55,9 @@ class HeightOptions:
             raise ConfigError(
                 "Heights above the take-off point need its own height.", "Give --takeoff METRES."
             )
+        require_within("--takeoff", self.takeoff_m, -math.inf)
+        require_within("--geoid", self.geoid_m, -math.inf)
+        require_within("--height-offset", self.offset_m, -math.inf)
 
     def source_for(self, photo: PhotoMetadata) -> str:
         """Returns the source that counts for a photo."""
@@ -75,6 +79,9 @@ class RoughPlace:
         heading_deg: Clockwise from true north.
         pitch_deg: 0 at the horizon, -90 straight down.
         roll_deg: About the optical axis.
+
+    Raises:
+        ConfigError: The place is not on Earth, or a number is not finite.
     """
 
     latitude_deg: float | None = None
@@ -83,6 +90,14 @@ class RoughPlace:
     heading_deg: float | None = None
     pitch_deg: float | None = None
     roll_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        require_within("--lat", self.latitude_deg, -90, 90)
+        require_within("--lon", self.longitude_deg, -180, 360)
+        require_within("--height", self.height_m, -math.inf)
+        require_within("--heading", self.heading_deg, -math.inf)
+        require_within("--pitch", self.pitch_deg, -math.inf)
+        require_within("--roll", self.roll_deg, -math.inf)
 
 
 def require_stated(

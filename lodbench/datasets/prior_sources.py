@@ -6,6 +6,7 @@ A set of priors has a digest, and a file that states how it was made; ``prior=fi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from lodbench.datasets.photo_pose import HeightOptions, HeightSource, pose_from_
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.datasets.query import Dataset, Entry, notes_of
-from lodbench.errors import DatasetError
+from lodbench.errors import DatasetError, require_numbers
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.storage import digest_of
@@ -84,6 +85,9 @@ class SensorPrior:
         takeoff_m: Height of the take-off point in the city's heights.
         geoid_m: Height of the city's zero above the ellipsoid.
         offset_m: Added in the end.
+
+    Raises:
+        ConfigError: A height is not finite.
     """
 
     name: ClassVar[str] = "sensor"
@@ -91,6 +95,9 @@ class SensorPrior:
     takeoff_m: float | None = None
     geoid_m: float | None = None
     offset_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_numbers(self, "prior", ("takeoff_m", "geoid_m", "offset_m"), -math.inf)
 
     def apply(self, dataset: Dataset, seed: int) -> Dataset:
         """Returns the dataset with these priors; a photo that does not state all gives none, and is counted.
@@ -130,6 +137,9 @@ class BasinPrior:
         range_m: Half width in x, y and z, metres; the paper takes 30, 50, 100 and 200.
         yaw_deg: Half width in yaw, degrees.
         tilt_deg: Half width in pitch and in roll, degrees; ``tilt=truth`` takes it away.
+
+    Raises:
+        ConfigError: A half width is negative or not finite.
     """
 
     name: ClassVar[str] = "basin"
@@ -137,13 +147,12 @@ class BasinPrior:
     yaw_deg: float = 7.5
     tilt_deg: float = 1.0
 
+    def __post_init__(self) -> None:
+        require_numbers(self, "prior", ("range_m", "yaw_deg", "tilt_deg"), 0)
+
     @property
     def widths(self) -> UniformPrior:
-        """Returns the half widths of all six.
-
-        Raises:
-            ConfigError: One is negative or not finite.
-        """
+        """Returns the half widths of all six."""
         return UniformPrior(
             self.range_m, self.range_m, self.range_m, self.yaw_deg, self.tilt_deg, self.tilt_deg
         )

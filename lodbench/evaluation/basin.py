@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lodbench.datasets.priors import UniformPrior
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, require_within
 
 TRANSLATION, ORIENTATION = "translation", "orientation"
 _UNITS = {TRANSLATION: "m", ORIENTATION: "deg"}
 # What stays as it is while the other part of the prior is widened: the published priors.
 _BASE = UniformPrior()
-_LIMITS = {TRANSLATION: 1e4, ORIENTATION: 180.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +65,9 @@ def basin_steps(
         ConfigError: A range is not a positive number within reason, or occurs twice; or the limits
             are not as many as the ranges.
     """
+    require_within("ranges", ranges_m, 0, 1e4, "(]")
+    require_within("yaw_ranges", yaw_ranges_deg, 0, 180, "(]")
     for kind, widths in ((TRANSLATION, ranges_m), (ORIENTATION, yaw_ranges_deg)):
-        for width in widths:
-            if not 0 < width <= _LIMITS[kind]:
-                raise ConfigError(
-                    f"A {kind} range is {width} {_UNITS[kind]}, not within 0 and {_LIMITS[kind]:g}."
-                )
         if len(set(widths)) < len(widths):
             raise ConfigError(f"A {kind} range occurs twice: {list(widths)}.")
     if not ranges_m and not yaw_ranges_deg:

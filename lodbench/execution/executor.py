@@ -8,7 +8,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from lodbench.errors import ConfigError, require_choice
+from lodbench.errors import ConfigError, require_choice, require_within
 from lodbench.execution.fan_out import Processes
 
 Item = TypeVar("Item")
@@ -40,8 +40,8 @@ class ExecutorParams:
         for name, value in (("threads", self.threads), ("workers", self.workers)):
             if value is not None and value < 1:
                 raise ConfigError(f"executor.{name}={value} is not a number of {name}.")
-        if not self.patience_s > 0:
-            raise ConfigError(f"executor.patience_s={self.patience_s} is no time to wait.")
+        # The operating system waits no longer at a time.
+        require_within("executor.patience_s", self.patience_s, 0, 1e6, "(]")
 
     @property
     def num_workers(self) -> int:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.photo_pose import HeightOptions, RoughPlace
+from lodbench.errors import require_within
 from lodbench.geometry import Camera
 from lodbench.segmentation import Segmenter
 
@@ -42,8 +44,14 @@ class RoughRequest(CityRequest):
         camera: Intrinsics of the photo as stored, lens distortion included.
         given: Rough place and angles.
         center: Rough place in the city's coordinates (east, north, up, metres); goes before all others.
+
+    Raises:
+        ConfigError: A coordinate of ``center`` is not finite.
     """
 
     camera: Camera | None = None
     given: RoughPlace = field(default_factory=RoughPlace)
     center: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        require_within("--center", self.center, -math.inf)

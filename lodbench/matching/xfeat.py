@@ -179,6 +179,9 @@ class LighterGlueParams:
     threshold: float = 0.1
     weights: str | None = None
 
+    def __post_init__(self) -> None:
+        require_within("threshold", self.threshold, 0, 1, "[)")
+
 
 class XFeatLighterGlue:
     """Matches XFeat's features by a small LightGlue, which looks at all of both pictures at once.

@@ -18,7 +18,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, DatasetError, require_within
+from lodbench.errors import ConfigError, DatasetError, require_numbers, require_within
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
@@ -65,6 +65,7 @@ class ViewsParams:
             raise ConfigError(f"dataset.num_views={self.num_views} is not a number of views.")
         require_within("dataset.mask_iou", self.mask_iou, 0, 1, "(]")
         require_within("dataset.tilt_deg", self.tilt_deg, 0, 30)
+        require_numbers(self, "dataset", ("range_m", "height_m"), 0)
         if self.area is not None and self.area not in AREAS:
             raise ConfigError(f"dataset.area is one of {', '.join(AREAS)}, not {self.area}.")
 

@@ -20,9 +20,9 @@ def test_limits_follow_their_ranges():
 @pytest.mark.parametrize(
     ("ranges", "yaws", "limits", "said"),
     [
-        ([0], [], [None], "not within 0 and 10000"),
-        ([float("nan")], [], [None], "not within"),
-        ([], [181], [None], "not within 0 and 180"),
+        ([0], [], [None], r"ranges=0 is not in \(0, 10000\]"),
+        ([float("nan")], [], [None], r"ranges=nan is not in \(0, 10000\]"),
+        ([], [181], [None], r"yaw_ranges=181 is not in \(0, 180\]"),
         ([30, 30], [], [None], "occurs twice"),
         ([], [], [None], "no range"),
         ([30, 50, 100], [], [10, 10], "2 limits"),

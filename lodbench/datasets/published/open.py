@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from lodbench.datasets.published.read import SplitContent, read_split
 from lodbench.datasets.published.spec import PublishedSpec
 from lodbench.datasets.query import Dataset, Reference, notes_of
 from lodbench.datasets.references import read_references
-from lodbench.errors import ConfigError, DatasetError, nearest_names
+from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.geometry.frames import ShiftedEcef
@@ -34,6 +35,9 @@ class PublishedParams:
     origin: list[float] | None = None
     textured_map: str | None = None
     references: str | None = None
+
+    def __post_init__(self) -> None:
+        require_within("dataset.origin", self.origin, -math.inf)
 
 
 def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:

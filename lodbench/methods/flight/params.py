@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, nearest_names, require_numbers
 from lodbench.methods.contour_alignment import Params as PhotoParams
 from lodbench.methods.region import Params as RegionParams
 
@@ -98,21 +98,18 @@ class Params:
     lost_sigmas: float = 6.0
 
     def __post_init__(self) -> None:
-        for name in self.__slots__[1:20]:
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ConfigError(f"method.{name} is finite and >= 0, not {getattr(self, name)}.")
+        require_numbers(self, "method", self.__slots__[1:20], 0)
+        reconstruction = ("reconstruction_m", "reconstruction_deg", "reconstruction_mount_deg")
+        positive = ("part_width_m", "heat", *reconstruction, "lost_sigmas")
+        require_numbers(self, "method", positive, 0, ends="(]")
         for name, known in (("relative_poses", RELATIVE_POSES), ("single", SINGLE_METHODS)):
             if getattr(self, name) not in known:
                 near = nearest_names(getattr(self, name), known)
                 raise ConfigError(f"method.{name}={getattr(self, name)} is not known.", near)
-        if not min(self.reconstruction_m, self.reconstruction_deg, self.reconstruction_mount_deg) > 0:
-            raise ConfigError("method.reconstruction_m, _deg and _mount_deg are above 0.")
         if self.steps < 1 or self.votes < 1:
             raise ConfigError("method.steps and method.votes are at least 1.")
         if not 0 <= self.restarts <= 4:
             raise ConfigError(f"method.restarts lies within 0 and 4, not {self.restarts}.")
-        if self.part_width_m == 0 or self.heat == 0:
-            raise ConfigError("method.part_width_m and method.heat are above 0.")
 
     def shared_sigmas(self) -> Floats:
         """Returns (6,) standard deviations of the flight's x, y, z, pitch, roll and yaw."""

@@ -76,8 +76,9 @@ class Params:
                 f"With {self.beams} beams and {self.kept} kept, use a multiple of {self.beams * self.kept}.",
             )
         require_numbers(self, "method", ("sigma_m", "spread_yaw_deg"), 0)
+        require_numbers(self, "method", ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg"), 0)
+        require_numbers(self, "method", ("count_x", "count_y", "count_z", "count_yaw"), 1)
         require_within("method.gamma", self.gamma, 0, 1)
-        self.grid()
 
     @property
     def children_per_parent(self) -> int:
