@@ -44,23 +44,25 @@ def main(argv: Sequence[str]) -> int:
     session = opened_session(asked.photo, asked.mask, asked.polygons, segmenter)
     formats = tuple(dict.fromkeys(asked.export))
 
-    def save() -> str:
-        return "saved: " + ", ".join(path.name for path in saved(session.mask, asked.photo, out, formats))
+    def save() -> tuple[Path, ...]:
+        return saved(session.mask, asked.photo, out, formats)
 
     if asked.page:
         _serve(session, asked.photo.name, save, asked.port)
     else:
-        save()
-        for path in (out, *(out.with_suffix(f".{name}.json") for name in formats)):
+        for path in save():
             sys.stdout.write(f"written: {path}\n")
     return 0
 
 
-def _serve(session: MaskSession, name: str, save: Callable[[], str], port: int) -> None:
+def _serve(session: MaskSession, name: str, save: Callable[[], tuple[Path, ...]], port: int) -> None:
     """Serves the page until it is closed, or Ctrl+C."""
     from lodbench.harness.mask.server import MaskServer
 
-    with MaskServer(session, name, save, port) as server:
+    def saved_words() -> str:
+        return "saved: " + ", ".join(path.name for path in save())
+
+    with MaskServer(session, name, saved_words, port) as server:
         sys.stdout.write(
             f"open: {server.address}\nCtrl+C, or Close on the page, ends it; Save keeps the mask.\n"
         )

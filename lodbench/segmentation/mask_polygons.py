@@ -111,6 +111,11 @@ WRITERS: dict[str, Callable[[Mask, Path, Path], None]] = {
 }
 
 
+def polygon_file(mask: Path, name: str) -> Path:
+    """Returns where polygons of a format lie beside a mask; ``.geojson`` is an ending of its own."""
+    return mask.with_suffix(".geojson" if name == "geojson" else f".{name}.json")
+
+
 def read_polygons(path: Path, photo: str, height: int, width: int) -> Mask:
     """Returns the (height, width) mask in a LabelMe or COCO file; of several images, the photo's.
 

@@ -170,7 +170,9 @@ class TestCommand:
         folder = photo.parent
         given = ["mask", str(photo), "--mask", str(folder / "traced.png"), "--no-page"]
         assert main([*given, "--export", "labelme", "--export", "geojson"]) == 0
-        assert capsys.readouterr().out.count("written: ") == 3
+        names = ["photo_mask.png", "photo_mask.labelme.json", "photo_mask.geojson"]
+        assert capsys.readouterr().out == "".join(f"written: {folder / name}\n" for name in names)
+        assert all((folder / name).is_file() for name in names)
         polygons = folder / "photo_mask.labelme.json"
         again = folder / "again" / "mask.png"
         assert main(["mask", str(photo), "--import", str(polygons), "--no-page", "--out", str(again)]) == 0

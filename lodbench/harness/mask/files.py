@@ -11,7 +11,7 @@ from lodbench.errors import DatasetError
 from lodbench.harness.mask.session import MaskSession
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import Segmenter, binary_mask
-from lodbench.segmentation.mask_polygons import WRITERS, read_polygons
+from lodbench.segmentation.mask_polygons import WRITERS, polygon_file, read_polygons
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photo_segmenter import photo_probability
 from lodbench.segmentation.photos import read_photo
@@ -49,6 +49,6 @@ def saved(mask: Mask, photo: Path, out: Path, formats: tuple[str, ...]) -> tuple
     write_picture(out, np.repeat(white[..., None], 3, axis=2))
     written = [out]
     for name in formats:
-        written.append(out.with_suffix(f".{name}.json"))
+        written.append(polygon_file(out, name))
         WRITERS[name](mask, photo, written[-1])
     return tuple(written)
