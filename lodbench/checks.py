@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import traceback
 from dataclasses import dataclass
 
+from lodbench.errors import LodbenchError
+
 OK, FAULT = "ok", "fault"
+# Slips of whoever wrote the code; anything else may be raised on purpose.
+_SLIPS = (TypeError, AttributeError, NameError, ImportError, SyntaxError, AssertionError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,3 +34,20 @@ class Check:
     hint: str = ""
     is_base: bool = False
     traceback: str = ""
+
+
+def fault_of(error: Exception, section: str, name: str, on_purpose: str = "") -> Check:
+    """Returns the fault that somebody's code raised: in its own words if it is an error of lodbench.
+
+    Args:
+        error: What it raised.
+        section: Of the check.
+        name: Likewise.
+        on_purpose: What to do where it was meant to be raised; told unless it is a plain slip.
+    """
+    if isinstance(error, LodbenchError):
+        return Check(section, name, FAULT, error.message, error.hint or on_purpose)
+    words = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    meant = "" if not on_purpose or isinstance(error, _SLIPS) else f" {on_purpose}"
+    traced = "".join(traceback.format_exception(error))
+    return Check(section, name, FAULT, words, f"Its traceback is below.{meant}", traceback=traced)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
-from lodbench.cli.console import check_lines
+from lodbench.cli.console import check_lines, plain_check, traceback_lines
 from lodbench.cli.hydra_app import explained, register_config_sources, section
 from lodbench.cli.parser import Parser
 from lodbench.cli.runner import remote_checks
@@ -18,7 +18,6 @@ from lodbench.errors import ConfigError, LodbenchError
 from lodbench.methods.conformance import check_answers, check_class
 from lodbench.params import to_params
 from lodbench.plugins import PlugIn, find_plugin
-from lodbench.reporting.safe_text import plain_text
 
 _EPILOG = """\
 A method is an entry point under lodbench.methods, with conf/method/NAME.yaml: see CONTRIBUTING.md, "Add a
@@ -58,10 +57,7 @@ def main(argv: Sequence[str]) -> int:
         lines = [json.dumps(asdict(check)) for check in checks]
     else:
         verdict = f"breaks {len(faults)} of its rules" if faults else "keeps to the protocol"
-        # What a plug-in says is anybody's text; indents are ours.
-        lines = [*check_lines([_plain(check) for check in checks]), ""]
-        for check in faults:
-            lines += [plain_text(line) for line in check.traceback.splitlines()]
+        lines = [*check_lines([*map(plain_check, checks)]), "", *traceback_lines(faults)]
         lines.append(f"{options.name} {verdict}.")
     sys.stdout.write("".join(line + "\n" for line in lines))
     return 1 if faults else 0
@@ -110,7 +106,3 @@ def _configuration(name: str, where: str, settings: Sequence[str] = ()) -> dict[
 
 def _params(kind: Any, values: Mapping[str, Any]) -> Any:
     return to_params(dict(values), kind.params_type, "method")
-
-
-def _plain(check: Check) -> Check:
-    return replace(check, detail=plain_text(check.detail), hint=plain_text(check.hint))

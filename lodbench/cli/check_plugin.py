@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.configs import config_files, read_config
-from lodbench.cli.console import check_lines
+from lodbench.cli.console import check_lines, plain_check, traceback_lines
 from lodbench.cli.parser import Parser
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.plugins import KINDS, find_plugin
-from lodbench.reporting.safe_text import plain_text
 
 _SOURCE = "source"
 _EPILOG = """\
@@ -55,11 +54,8 @@ def main(argv: Sequence[str]) -> int:
         lines = [json.dumps(asdict(check)) for check in checks]
     else:
         verdict = "breaks a rule" if faults else "keeps to the protocol"
-        # What a plug-in says is anybody's text; indents are ours.
-        plain = [
-            replace(check, detail=plain_text(check.detail), hint=plain_text(check.hint)) for check in checks
-        ]
-        lines = [*check_lines(plain), "", f"{options.name} {verdict}."]
+        lines = [*check_lines([*map(plain_check, checks)]), "", *traceback_lines(faults)]
+        lines.append(f"{options.name} {verdict}.")
     sys.stdout.write("".join(line + "\n" for line in lines))
     return 1 if faults else 0
 

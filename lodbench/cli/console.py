@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TextIO
 
 from lodbench.errors import LodbenchError
@@ -56,3 +57,16 @@ def check_lines(checks: Sequence[Check]) -> Iterator[str]:
         yield f"  {check.status:6}  {check.name.ljust(width)}  {check.detail}"
         if check.hint:
             yield f"  {'':6}  {'':{width}}  -> {check.hint}"
+
+
+def plain_check(check: Check) -> Check:
+    """Returns a check whose words, anybody's text, cannot move a terminal's cursor; indents are ours."""
+    return replace(check, detail=plain_text(check.detail), hint=plain_text(check.hint))
+
+
+def traceback_lines(checks: Sequence[Check]) -> Iterator[str]:
+    """Yields the tracebacks of checks, each below the name of its own."""
+    for check in checks:
+        if check.traceback:
+            yield f"{check.name}:"
+            yield from (f"  {plain_lines(line)}" for line in check.traceback.splitlines())

@@ -97,6 +97,10 @@ def exploding(self, query, city_map, streams):
     raise KeyError("oh")
 
 
+def mistaken(self, query, city_map, streams):
+    return Estimate(query.pryor, 0.5)
+
+
 GLOBAL = np.array([281_000.0, 5_657_000.0, 60.0])
 Stateful = variant("stateful", localize=stateful)
 Counting = variant("counting", localize=changed(score=lambda q, e: float(next(COUNTER))))
@@ -106,6 +110,7 @@ Crashing = variant("crashing", localize=crashing)
 Credulous = variant("credulous", localize=credulous)
 Speechless = variant("speechless", localize=speechless)
 Exploding = variant("exploding", localize=exploding)
+Mistaken = variant("mistaken", localize=mistaken)
 Wordless = variant("wordless", localize=lambda *_: None)
 NoNumber = variant(
     "no_number", localize=changed(pose=lambda q, e: Pose(q.prior.rotation, np.full(3, np.nan)))
@@ -189,6 +194,7 @@ BROKEN = [
     ("credulous", "empty mask", "answered"),
     ("speechless", "answers", "0 of 3 queries (I never know)"),
     ("exploding", "answers", "KeyError"),
+    ("mistaken", "answers", "AttributeError"),
     ("wordless", "answers", "NoneType"),
     ("no_number", "pose", "not finite"),
     ("sheared", "pose", "no rotation"),
@@ -293,7 +299,17 @@ def test_where_a_plug_in_raised_is_shown(capsys, monkeypatch, plug_in):
     assert main(["check-method", "exploding"]) == 1
     told = capsys.readouterr().out
     assert "in exploding" in told
-    assert 'raise KeyError("oh")' in told
+    assert '    raise KeyError("oh")' in told
+    assert "-> Its traceback is below. Where there is no answer, raise QueryFault with the reason." in told
+
+
+def test_a_slip_is_not_taken_for_a_query_without_an_answer(capsys, monkeypatch, plug_in):
+    monkeypatch.syspath_prepend(plug_in)
+    assert main(["check-method", "mistaken"]) == 1
+    told = capsys.readouterr().out
+    assert "-> Its traceback is below.\n" in told
+    assert "Estimate(query.pryor, 0.5)" in told
+    assert "QueryFault" not in told
 
 
 def test_a_violation_as_people_read_it(capsys, monkeypatch, plug_in):

@@ -27,6 +27,15 @@ def faults(rules, part, trial, tmp_path):
     return [f"{check.name}: {check.detail}" for check in check_rules(rules(tried)) if check.status != "ok"]
 
 
+def test_where_a_plug_in_raised_is_kept():
+    def rule() -> str:
+        raise KeyError("oh")
+
+    (check,) = check_rules([("rule", rule)])
+    assert (check.detail, check.hint) == ("KeyError: 'oh'", "Its traceback is below.")
+    assert 'raise KeyError("oh")' in check.traceback
+
+
 class Halves:
     """Takes both halves of a photo for a building each."""
 

@@ -10,7 +10,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
-from lodbench.checks import FAULT, OK, Check
+from lodbench.checks import FAULT, OK, Check, fault_of
 from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Dataset, Entry
@@ -70,10 +70,8 @@ def check_rules(rules: Rules) -> Iterator[Check]:
             continue
         except Violation as violation:
             yield Check("answers", title, FAULT, str(violation), violation.hint)
-        except LodbenchError as error:
-            yield Check("answers", title, FAULT, error.message, error.hint)
         except Exception as error:  # a plug-in may raise anything: that is what is told
-            yield Check("answers", title, FAULT, f"{type(error).__name__}: {error}")
+            yield fault_of(error, "answers", title)
         return
 
 

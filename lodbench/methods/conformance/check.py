@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import tempfile
 import time
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lodbench.checks import FAULT, OK, Check
-from lodbench.errors import LodbenchError
+from lodbench.checks import FAULT, OK, Check, fault_of
 from lodbench.methods.conformance import life
 from lodbench.methods.conformance.rules import (
     Violation,
@@ -30,6 +28,8 @@ from lodbench.methods.conformance.rules import (
 )
 from lodbench.methods.conformance.trial import Trial, TrialAnswers, ask, make_trial
 from lodbench.methods.protocol import Method, SupportsTrial
+
+_NO_ANSWER = "Where there is no answer, raise QueryFault with the reason."
 
 
 def check_class(
@@ -70,8 +70,7 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
             trial = make_trial(Path(folder), method)
             answers = _collect(make, trial)
         except Exception as error:  # a method may raise anything: that is what is told
-            hint = "Raise QueryFault where there is no answer."
-            yield Check("answers", "answers", FAULT, _words(error), hint, traceback=_traceback(error))
+            yield fault_of(error, "answers", "answers", _NO_ANSWER)
             return
         first = _checked("answers", "answers", lambda: answered(answers))
         yield first
@@ -113,30 +112,19 @@ def _look_closer(make: Callable[[], Method], answers: TrialAnswers) -> Iterator[
         yield _checked("answers", "batches", lambda: life.batches_answer_alike(prepared(), answers))
     yield _checked("answers", "another seed", lambda: life.another_seed(prepared(), answers))
     if untouched.status == OK:
-        yield _checked("answers", "empty mask", lambda: life.empty_mask(prepared(), answers))
+        yield _checked("answers", "empty mask", lambda: life.empty_mask(prepared(), answers), _NO_ANSWER)
     yield _checked("answers", "weights", lambda: life.weights_are_there(make()))
     yield _checked("answers", "prior width", lambda: right_prior_params(make()))
 
 
-def _checked(section: str, title: str, rule: Callable[[], str]) -> Check:
-    """Returns how a rule is kept."""
+def _checked(section: str, title: str, rule: Callable[[], str], on_purpose: str = "") -> Check:
+    """Returns how a rule is kept; what to do if something else was raised on purpose is in its hint."""
     try:
         return Check(section, title, OK, rule())
     except Violation as violation:
         return Check(section, title, FAULT, str(violation), violation.hint)
-    except LodbenchError as error:
-        return Check(section, title, FAULT, error.message, error.hint)
     except Exception as error:  # of the method, or of values that are not what they should be
-        return Check(section, title, FAULT, _words(error), traceback=_traceback(error))
-
-
-def _words(error: Exception) -> str:
-    return error.message if isinstance(error, LodbenchError) else f"{type(error).__name__}: {error}"
-
-
-def _traceback(error: Exception) -> str:
-    """Returns where a plug-in's code raised; nothing for a fault that it tells in words."""
-    return "" if isinstance(error, LodbenchError) else "".join(traceback.format_exception(error))
+        return fault_of(error, section, title, on_purpose)
 
 
 def _collect(make: Callable[[], Method], trial: Trial) -> TrialAnswers:
