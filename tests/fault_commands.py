@@ -265,7 +265,6 @@ COMMANDS = [
                 "grow_town",
                 "demo_props",
                 "citygml_text",
-                "fine_citygml_text",
                 "relief_text",
                 "ascii_grid_text",
                 "open_scene",

@@ -200,15 +200,15 @@ class Stage:
 
 
 def _remember(name: str) -> None:
-    """Lets a function compute in its first call only: writing is under test, and forks share the result."""
+    """Lets a function compute once for what it is told by name: writing is under test, not computing."""
     module, _, function = name.rpartition(".")
     real = getattr(import_module(module), function)
-    results: list[object] = []
+    results: dict[str, object] = {}
 
     def remembered(*args: object, **named: object) -> object:
-        if not results:
-            results.append(real(*args, **named))
-        return results[0]
+        if repr(named) not in results:
+            results[repr(named)] = real(*args, **named)
+        return results[repr(named)]
 
     setattr(import_module(module), function, remembered)
 

@@ -62,8 +62,8 @@ def measure_training_data(
     )  # fmt: skip
     try:
         scene, picture = open_cities(params, ReadOptions())
-        parts, made, _ = world_parts(params, scene, picture)
-        views = plan_views(params, scene, made.ground).views
+        parts, land, _ = world_parts(params, scene, picture)
+        views = plan_views(params, scene, land.ground).views
         rows: list[Figure] = []
         steps: list[Callable[[], list[Figure]]] = [
             lambda: _masks(params, parts, views, workers),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -40,15 +40,6 @@ class Place(NamedTuple):
     origin: Floats
 
 
-def candidates(params: GenerateParams, place: Place) -> list[Pose]:
-    """Returns all poses of ``params.sampling``, in the scene's frame, before any is judged.
-
-    Raises:
-        DatasetError: The pose file cannot be read or is empty.
-    """
-    return list(CAMERA_PATHS[params.sampling](params, place))
-
-
 def _on_grid(params: GenerateParams, place: Place) -> Iterator[Pose]:
     """Yields the poses of a grid over the buildings, its spacing half the height, as UAVD4L has it."""
     low, high = place.bases[:, :2].min(axis=0), place.bases[:, :2].max(axis=0)
@@ -58,10 +49,8 @@ def _on_grid(params: GenerateParams, place: Place) -> Iterator[Pose]:
         axes = [_steps(low[k], high[k], spacing) for k in (0, 1)]
         spots = np.stack([axis.ravel() for axis in np.meshgrid(*axes)], axis=1)
         centers = np.column_stack([spots, place.ground.at(spots) + height])
-        for pitch in params.pitches_from_nadir():
-            for center in centers:
-                for yaw in yaws:
-                    yield Pose.from_euler(EulerAngles(pitch, 0.0, float(yaw)), center)
+        for pitch, center, yaw in product(params.pitches_from_nadir(), centers, yaws):
+            yield Pose.from_euler(EulerAngles(pitch, 0.0, float(yaw)), center)
 
 
 def _steps(low: float, high: float, spacing: float) -> Floats:
@@ -116,10 +105,9 @@ def _along_trajectory(params: GenerateParams, place: Place) -> Iterator[Pose]:
             continue
         ahead = math.degrees(math.atan2(-way[0], way[1]))
         spacing = params.spacing_m or max(1.0, min(params.height) // 2)
-        for share in np.arange(0.0, 1.0, min(1.0, spacing / length)):
-            for pitch in params.pitches_from_nadir():
-                for yaw in yaws:
-                    yield Pose.from_euler(EulerAngles(pitch, 0.0, ahead + yaw), start + share * way)
+        shares = np.arange(0.0, 1.0, min(1.0, spacing / length))
+        for share, pitch, yaw in product(shares, params.pitches_from_nadir(), yaws):
+            yield Pose.from_euler(EulerAngles(pitch, 0.0, ahead + yaw), start + share * way)
 
 
 def _given(params: GenerateParams, place: Place) -> list[Pose]:
@@ -134,6 +122,7 @@ def _given(params: GenerateParams, place: Place) -> list[Pose]:
     return given
 
 
+# Each yields poses in the scene's frame, before any is judged.
 CAMERA_PATHS: dict[str, Callable[[GenerateParams, Place], Iterator[Pose]]] = {
     "grid": _on_grid,
     "random": _at_random,

@@ -26,7 +26,6 @@ def degraded_instances(
     *,
     merged: float = 0.1,
     split: float = 0.05,
-    pixels_per_m: float | None = None,
 ) -> NDArray[np.uint16]:
     """Returns labels of buildings, 0 for none, with the errors of a network: they fill a given mask.
 
@@ -36,20 +35,18 @@ def degraded_instances(
         generator: The only source of randomness.
         merged: Share of buildings that are taken for one with the neighbour they share most pixels with.
         split: Share of what is then left that is cut in two.
-        pixels_per_m: Image scale at the buildings; by default the benchmark's.
 
     Returns:
         (H, W) uint16 labels 1, 2, ..., above 0 where the mask is set. Parts of the mask that hold no
         building of the truth have labels of their own.
     """
-    wobbling = _wobbled(buildings, generator, pixels_per_m or typical_pixels_per_m(buildings.shape))
-    joined = _merged(wobbling, merged, generator)
-    cut = _split(joined, split, generator)
-    return filled(cut, mask)
+    joined = _merged(_wobbled(buildings, generator), merged, generator)
+    return filled(_split(joined, split, generator), mask)
 
 
-def _wobbled(buildings: Labels, generator: np.random.Generator, pixels_per_m: float) -> Labels:
+def _wobbled(buildings: Labels, generator: np.random.Generator) -> Labels:
     """Returns labels read beside their places, by a smooth random step."""
+    pixels_per_m = typical_pixels_per_m(buildings.shape)
     steps = [np.zeros(buildings.shape, np.float32) for _ in range(2)]
     for step in steps:
         for wavelength_m in _BORDER_BANDS_M:

@@ -30,8 +30,8 @@ class Photographer:
 
     def __init__(self, scene: Scene, look: str, seed: int) -> None:
         self._ranges, self._seed = look_ranges(look), seed
-        made = make_surroundings(scene, seed)
-        self._renderer = PhotoRenderer(scene, made.props, made.land_cover)
+        props, land = make_surroundings(scene, seed)
+        self._renderer = PhotoRenderer(scene, props, land.cover)
 
     def views(self, queries: Sequence[SyntheticQuery], camera: Camera) -> list[SyntheticQuery]:
         """Returns queries (scene frame) with photos, each in its own light; names become those of JPEGs."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,19 +26,20 @@ _PREVIEW_WIDTH = 150
 _CLEARANCE_M = 15.0
 # A view's centre lies this close to the middle of a building (standard deviation), metres.
 _TARGET_SPREAD_M = 20.0
+# Roll of a camera, and yaw, counter-clockwise from grid north.
+_ROLL_DEG, _YAW_DEG = (-1.0, 1.0), (-180.0, 180.0)
+_LIMITS = {"height_m": (0.0, 1e5), "pitch_deg": (0.0, 85.0), "building_share": (0.0, 1.0)}
 # Give up when fewer than one draw in this many is accepted.
 _MAX_DRAWS_PER_VIEW = 200
 
 
 @dataclass(frozen=True, slots=True)
 class ViewSampling:
-    """Which views to draw; every range is uniform, ends included.
+    """Which views to draw, from any side and almost level; every range is uniform, ends included.
 
     Attributes:
         height_m: Camera height above the ground at the view's centre, metres.
         pitch_deg: From nadir, degrees: 0 looks straight down.
-        roll_deg: Degrees.
-        yaw_deg: Counter-clockwise from grid north, degrees.
         building_share: Accepted share of building pixels in the picture.
         area_m: West, south, east and north bounds of the view centres, local metres, or None for
             the whole city.
@@ -50,20 +51,16 @@ class ViewSampling:
 
     height_m: tuple[float, float] = (100.0, 160.0)
     pitch_deg: tuple[float, float] = (20.0, 60.0)
-    roll_deg: tuple[float, float] = (-1.0, 1.0)
-    yaw_deg: tuple[float, float] = (-180.0, 180.0)
     building_share: tuple[float, float] = (0.10, 0.80)
     area_m: tuple[float, float, float, float] | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
-        limits = {"height_m": (0.0, 1e5), "pitch_deg": (0.0, 85.0), "building_share": (0.0, 1.0)}
-        for field in fields(self)[:5]:
-            low, high = getattr(self, field.name)
-            least, most = limits.get(field.name, (-360.0, 360.0))
+        for name, (least, most) in _LIMITS.items():
+            low, high = getattr(self, name)
             if not least <= low <= high <= most:
                 raise ConfigError(
-                    f"The views' {field.name} is ({low}, {high}), not an ascending range "
+                    f"The views' {name} is ({low}, {high}), not an ascending range "
                     f"within {least:g} to {most:g}."
                 )
 
@@ -165,25 +162,17 @@ class ViewCheck:
         west, south, east, north = area_m
         return np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north))
 
-    def is_clear(self, center: NDArray[np.float64]) -> bool:
-        """Returns whether a camera centre, (3,) metres, keeps its distance from every building."""
-        return self._boxes.are_clear_of(center, _CLEARANCE_M)
-
-    def share(self, pose: Pose) -> float:
-        """Returns the share of building pixels in a small picture of the view."""
-        return float(self._renderer.render(self._preview, pose).mean())
-
     def accepts(self, pose: Pose) -> bool:
-        """Returns whether a view is clear of buildings and its share of them is asked for."""
+        """Returns whether a view is clear of buildings and shows the share of them that is asked for."""
+        if not self._boxes.are_clear_of(pose.center, _CLEARANCE_M):
+            return False
         low, high = self._share
-        return self.is_clear(pose.center) and low <= self.share(pose) <= high
+        return bool(low <= self._renderer.render(self._preview, pose).mean() <= high)
 
 
 def _draw_view(sampling: ViewSampling, ground: NDArray[np.float64], generator: np.random.Generator) -> Pose:
     """Draws one view whose centre lies on the ground near one of the buildings, (B, 3) metres."""
     target = target_near(ground, generator)
-    height, pitch, roll, yaw = (
-        generator.uniform(*bounds)
-        for bounds in (sampling.height_m, sampling.pitch_deg, sampling.roll_deg, sampling.yaw_deg)
-    )
-    return view_of(target, height, EulerAngles(pitch, roll, yaw))
+    ranges = (sampling.height_m, sampling.pitch_deg, _ROLL_DEG, _YAW_DEG)
+    height, *angles = (generator.uniform(*bounds) for bounds in ranges)
+    return view_of(target, height, EulerAngles(*angles))

@@ -12,7 +12,7 @@ import pytest
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
 from lodbench.geometry import EulerAngles, Pose
-from lodbench.synthesis.camera_paths import Place, candidates
+from lodbench.synthesis.camera_paths import CAMERA_PATHS, Place
 from lodbench.synthesis.surroundings.ground import ground_from_bases
 from lodbench.synthesis.surroundings.land_cover import look_down
 from lodbench.synthesis.training_data.generate import generate_training_data
@@ -37,6 +37,10 @@ def town():
 
 def params(**settings):
     return GenerateParams("city.obj", "out", **{"size": (120, 90), **settings})
+
+
+def candidates(params, place):
+    return list(CAMERA_PATHS[params.sampling](params, place))
 
 
 def test_pitch_counts_from_nadir_and_30_60_are_the_same_two_either_way(town):

@@ -24,25 +24,24 @@ def props_of(surfaces, origin=(0.0, 0.0, 0.0)):
 
 def test_each_class_is_ground_building_or_occluder():
     for kind in SurfaceClass:
-        assert not (kind.is_building and kind.is_occluder)
-    assert SurfaceClass.WINDOW.is_building
-    assert SurfaceClass.CHIMNEY.is_building
+        assert not (kind.is_ground and kind.is_occluder)
+    assert SurfaceClass.WATER.is_ground
+    assert not SurfaceClass.WINDOW.is_ground
+    assert not SurfaceClass.CHIMNEY.is_occluder
     assert SurfaceClass.FOLIAGE.is_occluder
     assert SurfaceClass.CAR_BODY.is_occluder
-    assert not SurfaceClass.WATER.is_building
     assert not SurfaceClass.WATER.is_occluder
 
 
 def test_a_part_keeps_only_the_vertices_it_uses():
     props = props_of([SurfaceClass.ROAD, SurfaceClass.WALL, SurfaceClass.FOLIAGE])
     assert props.has_buildings
-    assert props.is_building.tolist() == [False, True, False]
-    assert props.is_occluder.tolist() == [False, False, True]
-    wall = props.part(props.is_building)
+    is_wall = props.surface == SurfaceClass.WALL
+    wall = props.part(is_wall)
     assert len(wall) == 1
     assert len(wall.vertices) == 3
     np.testing.assert_array_equal(wall.vertices[wall.triangles[0]], props.vertices[props.triangles[1]])
-    assert not props.part(~props.is_building).has_buildings
+    assert not props.part(~is_wall).has_buildings
 
 
 def test_props_stay_where_they_are_in_another_frame():

@@ -29,7 +29,7 @@ def corners_of(props, *kinds):
 def test_trees_cars_and_clutter_keep_clear_of_buildings(made, city):
     boxes = building_boxes(city)
     for kind in (SurfaceClass.TRUNK, SurfaceClass.CAR_BODY, SurfaceClass.CLUTTER):
-        points = corners_of(made.props, kind).reshape(-1, 3)
+        points = corners_of(made[0], kind).reshape(-1, 3)
         assert len(points) > 30
         inside = (points[:, None, :2] > boxes.low[:, :2] + 0.5) & (
             points[:, None, :2] < boxes.high[:, :2] - 0.5
@@ -40,17 +40,17 @@ def test_trees_cars_and_clutter_keep_clear_of_buildings(made, city):
 def test_everything_stands_on_the_ground(made):
     # Trunks are rooted.
     for kind, lowest_m, highest_m in ((SurfaceClass.CAR_BODY, -0.5, 2.2), (SurfaceClass.TRUNK, -3.0, 12.0)):
-        points = corners_of(made.props, kind).reshape(-1, 3)
-        above = points[:, 2] - made.ground.at(points)
+        points = corners_of(made[0], kind).reshape(-1, 3)
+        above = points[:, 2] - made[1].ground.at(points)
         assert above.min() > lowest_m
         assert above.max() < highest_m
 
 
 def test_the_same_seed_makes_the_same_and_another_something_else(made, city):
     again, other = make_surroundings(city, seed=3), make_surroundings(city, seed=4)
-    np.testing.assert_array_equal(again.props.vertices, made.props.vertices)
-    np.testing.assert_array_equal(again.land_cover.classes, made.land_cover.classes)
-    assert len(other.props.vertices) != len(made.props.vertices)
+    np.testing.assert_array_equal(again[0].vertices, made[0].vertices)
+    np.testing.assert_array_equal(again[1].cover.classes, made[1].cover.classes)
+    assert len(other[0].vertices) != len(made[0].vertices)
 
 
 def test_ground_is_interpolated_and_flat_beyond_its_rim():
@@ -72,4 +72,5 @@ def test_clutter_stays_in_its_circle_on_the_slope(kind):
         above = points[:, 2] - SLOPE.at(points)
         assert above.min() > -4.0
         assert above.max() < 9.0
-        assert not props.is_building.any()
+        kinds = [SurfaceClass(kind) for kind in set(props.surface.tolist())]
+        assert all(kind.is_ground or kind.is_occluder for kind in kinds)

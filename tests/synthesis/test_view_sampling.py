@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lodbench.errors import ConfigError, DatasetError
-from lodbench.geometry import EulerAngles
+from lodbench.geometry import EulerAngles, Pose
 from lodbench.synthesis.view_sampling import (
     FINE_SIZE,
     RGB_CAMERA,
@@ -68,8 +68,9 @@ def test_hopeless_asks_stop_with_a_sentence(city, renderer):
 
 def test_a_camera_among_buildings_is_not_clear(city, renderer):
     check = ViewCheck(city, renderer, CAMERA, (0.0, 1.0))
-    assert not check.is_clear(np.array([10.0, 10.0, 35.0]))
-    assert check.is_clear(np.array([10.0, 10.0, 90.0]))
+    down = EulerAngles(0.0, 0.0, 0.0)
+    assert not check.accepts(Pose.from_euler(down, [10.0, 10.0, 35.0]))
+    assert check.accepts(Pose.from_euler(down, [10.0, 10.0, 90.0]))
 
 
 def test_view_of_meets_its_target():

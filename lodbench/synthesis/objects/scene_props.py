@@ -10,8 +10,8 @@ made in two ways, and a renderer takes either:
 What a renderer does with them: it draws the triangles of ``SceneProps`` and, where they hold no
 building surfaces (``has_buildings`` is false), those of the city's ``Scene`` too. Where they do, the
 buildings are complete, windows included: the scene's are not drawn, and no facade is painted on.
-Trees, cars and fences (``is_occluder``) hide what is behind them in the picture; whether they do in a
-mask is up to the caller. Ground surfaces need no depth bias: what lies on the ground is cut out of it or
+Occluders (trees, cars and fences) hide what is behind them in the picture; whether they do in a mask is up to
+the caller. Ground surfaces need no depth bias: what lies on the ground is cut out of it or
 stands at least 3 cm above.
 """
 
@@ -34,6 +34,7 @@ from lodbench.storage.atomic import write_bytes
 class SurfaceClass(IntEnum):
     """What a surface is made of. Numbers are written to files: never change or reuse one."""
 
+    # Ground below 20, then what belongs to buildings and hence to their masks, then occluders from 40 on.
     GROUND = 0  # bare earth, gravel
     GRASS = 1
     FIELD = 2  # crops, meadows beyond the town
@@ -57,14 +58,14 @@ class SurfaceClass(IntEnum):
     CLUTTER = 45  # containers, tents
 
     @property
-    def is_building(self) -> bool:
-        """Whether it belongs to a building, hence to a building mask."""
-        return 20 <= self < 40
+    def is_ground(self) -> bool:
+        """Whether it lies on the ground or is the ground."""
+        return self < SurfaceClass.WALL
 
     @property
     def is_occluder(self) -> bool:
         """Whether it stands before buildings without being one."""
-        return self >= 40
+        return self >= SurfaceClass.TRUNK
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,20 +98,7 @@ class SceneProps:
     @property
     def has_buildings(self) -> bool:
         """Whether the buildings themselves are among the triangles."""
-        return bool(self._of(SurfaceClass.WALL).any())
-
-    @property
-    def is_building(self) -> NDArray[np.bool_]:
-        """Returns (T,) whether a triangle belongs to a building."""
-        return self._of(*[kind for kind in SurfaceClass if kind.is_building])
-
-    @property
-    def is_occluder(self) -> NDArray[np.bool_]:
-        """Returns (T,) whether a triangle stands before buildings without being one."""
-        return self._of(*[kind for kind in SurfaceClass if kind.is_occluder])
-
-    def _of(self, *kinds: SurfaceClass) -> NDArray[np.bool_]:
-        return np.isin(self.surface, np.array(kinds, dtype=np.uint8))
+        return bool((self.surface == SurfaceClass.WALL).any())
 
     def part(self, chosen: NDArray[np.bool_]) -> SceneProps:
         """Returns some of the triangles, chosen by a (T,) mask, and the vertices they use."""

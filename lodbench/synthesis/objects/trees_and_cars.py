@@ -133,8 +133,7 @@ def _unit_car() -> tuple[Points, Triangles, NDArray[np.bool_]]:
         [(back, -half, z), (front, -half, z), (front, half, z), (back, half, z)]
         for back, front, half, z in _RINGS
     ]
-    sides = [(4 * ring + k, 4 * ring + (k + 1) % 4) for ring in range(3) for k in range(4)]
-    faces = [face for a, b in sides for face in ((a, b, b + 4), (a, b + 4, a + 4))]
-    roof = [(12, 13, 14), (12, 14, 15)]
-    is_glass = np.arange(len(faces) + len(roof)) // 8 == 2
-    return np.array(rings, float).reshape(-1, 3), np.array([*faces, *roof]), is_glass
+    # Both triangles of a side in a row: eight of the hull's foot, eight of the hull, eight panes, the roof.
+    sides = ring_walls(4, 4).reshape(2, -1, 3).swapaxes(0, 1).reshape(-1, 3)
+    faces = np.concatenate([sides, [(12, 13, 14), (12, 14, 15)]])
+    return np.array(rings, float).reshape(-1, 3), faces, np.arange(len(faces)) // 8 == 2

@@ -54,10 +54,10 @@ class LandCover(NamedTuple):
     pavement_m: float
 
 
-def no_land_cover() -> LandCover:
-    """Returns a grid of one cell of grass, for scenes whose triangles all say what they are."""
-    far, east = np.full((1, 1), 1e6, dtype=np.float32), np.zeros((1, 1), dtype=np.float32)
-    return LandCover(np.full((1, 1), _GRASS, dtype=np.uint8), far, east, 0.0, 0.0, 1.0, 3.0, 1.5)
+_GRASSLAND = np.full((1, 1), _GRASS, dtype=np.uint8)
+_FAR, _EAST = np.full((1, 1), 1e6, dtype=np.float32), np.zeros((1, 1), dtype=np.float32)
+# One cell of grass, for scenes whose triangles all say what they are.
+NO_LAND_COVER = LandCover(_GRASSLAND, _FAR, _EAST, 0.0, 0.0, 1.0, 3.0, 1.5)
 
 
 @per_pixel

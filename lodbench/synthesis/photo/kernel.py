@@ -9,11 +9,11 @@ import numpy as np
 from lodbench.rendering.compiled import per_pixel, pixel_loop
 from lodbench.rendering.pixel_samples import same_samples
 from lodbench.rendering.texture_charts import Charts, make_charts, texture_light
-from lodbench.synthesis.photo.ground import TEXTURED, LandCover, no_land_cover
+from lodbench.synthesis.photo.ground import NO_LAND_COVER, TEXTURED, LandCover
 from lodbench.synthesis.photo.look import Look
 from lodbench.synthesis.photo.noise import mix
 from lodbench.synthesis.photo.render_scene import Skin
-from lodbench.synthesis.photo.sunlight import SunMap, no_sun_map, sun_share
+from lodbench.synthesis.photo.sunlight import NO_SUN_MAP, SunMap, sun_share
 from lodbench.synthesis.photo.surfaces import PALETTES, Palettes, surface_colour
 
 _TEXTURED = int(TEXTURED)
@@ -32,7 +32,7 @@ class Shading(NamedTuple):
 
 def plain_shading(skin: Skin, look: Look) -> Shading:
     """Returns the shading of triangles that all say what they are: no land cover, no textures; no shadows."""
-    return Shading(skin, look, no_land_cover(), no_sun_map(), PALETTES, make_charts(None))
+    return Shading(skin, look, NO_LAND_COVER, NO_SUN_MAP, PALETTES, make_charts(None))
 
 
 @per_pixel

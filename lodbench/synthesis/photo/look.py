@@ -159,19 +159,13 @@ def draw_look(ranges: LookRanges, generator: np.random.Generator) -> tuple[Look,
     sun_colour = np.array([1.0 + 0.22 * warmth, 1.0, 1.0 - 0.38 * warmth])
     share, white = drawn["sun_share"], drawn["sky_white"]
     sun_rgb = sun_colour * share * 1.15 / max(0.45, math.sin(elevation))
-    blue, grey = np.array([0.75, 0.95, 1.3]), np.ones(3)
-    sky_rgb = (1.05 - share) * (white * grey + (1.0 - white) * blue)
     brightness = 0.55 + 0.35 * share
-    haze_rgb = brightness * (
-        white * np.array([0.92, 0.94, 0.96]) + (1 - white) * np.array([0.66, 0.78, 0.94])
-    )
-    zenith = brightness * (white * np.array([0.8, 0.84, 0.9]) + (1 - white) * np.array([0.16, 0.33, 0.72]))
     light = Look(
         sun=_triple(sun),
         sun_rgb=_triple(sun_rgb),
-        sky_rgb=_triple(sky_rgb),
-        haze_rgb=_triple(haze_rgb),
-        zenith_rgb=_triple(zenith),
+        sky_rgb=_sky((1.0, 1.0, 1.0), (0.75, 0.95, 1.3), white, 1.05 - share),
+        haze_rgb=_sky((0.92, 0.94, 0.96), (0.66, 0.78, 0.94), white, brightness),
+        zenith_rgb=_sky((0.8, 0.84, 0.9), (0.16, 0.33, 0.72), white, brightness),
         haze_per_m=1.0 / drawn["haze_range_m"],
         seed=int(seeds[0]),
         **{name: drawn[name] for name in Look._fields[6:-1]},
@@ -179,6 +173,11 @@ def draw_look(ranges: LookRanges, generator: np.random.Generator) -> tuple[Look,
     camera = {name: drawn[name] for name in CameraResponse._fields[:-2]}
     quality = round(drawn["jpeg_quality"])
     return light, CameraResponse(**camera, jpeg_quality=quality, seed=int(seeds[1]))
+
+
+def _sky(overcast: Triple, clear: Triple, white: float, brightness: float) -> Triple:
+    """Returns a colour between that of an overcast and of a clear sky."""
+    return _triple(brightness * (white * np.array(overcast) + (1.0 - white) * np.array(clear)))
 
 
 def _triple(values: NDArray[np.float64]) -> Triple:

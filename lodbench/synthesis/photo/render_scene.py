@@ -23,9 +23,9 @@ _WALL_UP, _FLAT_UP = 0.3, 0.985
 _TILED_TOPS = 0.5
 # Level faces of a building, floors included, that are larger than this are no tiled roof.
 _MOST_TILED_M2 = 1600.0
-_ON_GROUND = [kind for kind in SurfaceClass if not kind.is_building and not kind.is_occluder]
+ON_GROUND = [kind for kind in SurfaceClass if kind.is_ground]
 _ON_WALLS = [SurfaceClass.WINDOW, SurfaceClass.DOOR, SurfaceClass.FRAME]
-_NO_CASTERS = np.array([*_ON_GROUND, *_ON_WALLS, LAND_COVER, TEXTURED], dtype=np.uint8)
+_NO_CASTERS = np.array([*ON_GROUND, *_ON_WALLS, LAND_COVER, TEXTURED], dtype=np.uint8)
 
 
 class Skin(NamedTuple):

@@ -15,11 +15,11 @@ from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo.camera_response import apply_camera_response
-from lodbench.synthesis.photo.ground import LandCover, no_land_cover
+from lodbench.synthesis.photo.ground import NO_LAND_COVER, LandCover
 from lodbench.synthesis.photo.kernel import Shading, resolve_photo
 from lodbench.synthesis.photo.look import CameraResponse, Look
 from lodbench.synthesis.photo.render_scene import make_render_scene
-from lodbench.synthesis.photo.sunlight import SunMap, draw_sun_map, ground_in_view, no_sun_map
+from lodbench.synthesis.photo.sunlight import NO_SUN_MAP, SunMap, draw_sun_map, ground_in_view
 from lodbench.synthesis.photo.surfaces import PALETTES, linear
 
 # Side of the shadow map, pixels: of the largest one each is half a metre where 450 m are in view.
@@ -52,7 +52,7 @@ class PhotoRenderer:
         textured: TexturedMesh | None = None,
     ) -> None:
         self._render_scene = make_render_scene(scene, props, textured)
-        self._cover = cover or no_land_cover()
+        self._cover = cover or NO_LAND_COVER
         self._raster = RasterRenderer(self._render_scene.mesh, threads, band=_BAND)
         casters = self._render_scene.casters
         self._casters = None if casters is None else RasterRenderer(casters, threads, band=_BAND)
@@ -96,7 +96,7 @@ class PhotoRenderer:
 
     def _sun_map(self, camera: Camera, pose: Pose, look: Look) -> SunMap:
         if self._casters is None:
-            return no_sun_map()
+            return NO_SUN_MAP
         seen = ground_in_view(camera, pose, *self._levels_m)
         # As fine as the picture, about: in steps, so that its memory is used again.
         size = min(_MOST_SUN_MAP, max(_LEAST_SUN_MAP, (3 * max(camera.width, camera.height) // 2) // 64 * 64))

@@ -37,6 +37,11 @@ class SunMap(NamedTuple):
     texel_m: float
 
 
+_LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+# Nothing casts a shadow.
+NO_SUN_MAP = SunMap(np.zeros((1, 1), dtype=np.float32), _LEVEL, (0.0, 0.0, 0.0), 1.0, 0.0)
+
+
 def ground_in_view(camera: Camera, pose: Pose, low_m: float, high_m: float) -> Floats:
     """Returns places, (N, 3), where a view meets the lowest and the highest level of a scene.
 
@@ -53,12 +58,6 @@ def ground_in_view(camera: Camera, pose: Pose, low_m: float, high_m: float) -> F
     points = (pose.center + rays * distance[..., None]).reshape(-1, 3)
     points[:, 2] = np.clip(points[:, 2], low_m, high_m)
     return np.asarray(points)
-
-
-def no_sun_map() -> SunMap:
-    """Returns a map in which nothing casts a shadow."""
-    level = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    return SunMap(np.zeros((1, 1), dtype=np.float32), level, (0.0, 0.0, 0.0), 1.0, 0.0)
 
 
 def draw_sun_map(raster: RasterRenderer, sun: Floats, seen: Floats, size: int) -> SunMap:

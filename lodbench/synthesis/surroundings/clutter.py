@@ -22,9 +22,7 @@ from lodbench.synthesis.objects.mesh_builder import (
 )
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.objects.trees_and_cars import add_cars
-from lodbench.synthesis.photo import LandCover
-from lodbench.synthesis.surroundings.ground import Ground
-from lodbench.synthesis.surroundings.land_cover import TopView
+from lodbench.synthesis.surroundings.ground import Ground, Land
 
 Floats = NDArray[np.float64]
 
@@ -56,21 +54,19 @@ class Spot(NamedTuple):
         return np.asarray(self.middle + local[..., :1] * self.along + local[..., 1:] * across)
 
 
-def add_clutter(
-    builder: MeshBuilder, view: TopView, cover: LandCover, ground: Ground, chances: np.random.Generator
-) -> None:
+def add_clutter(builder: MeshBuilder, land: Land, chances: np.random.Generator) -> None:
     """Adds clutter to open land between and around buildings, clear of roads and water."""
-    places = view.jittered(_SPACING_M, chances)
-    row, column = view.cells_of(places)
-    free_m = np.minimum(view.free_m[row, column], np.sqrt(cover.road_m2[row, column]) - cover.half_road_m)
-    dry = (cover.classes[row, column] != SurfaceClass.WATER) & (view.free_m[row, column] < 90.0)
+    places = land.view.jittered(_SPACING_M, chances)
+    kind, road_m, built_m = land.at(places)
+    free_m = np.minimum(built_m, road_m - land.cover.half_road_m)
+    dry = (kind != SurfaceClass.WATER) & (built_m < 90.0)
     chosen = np.flatnonzero(dry & (chances.random(len(places)) < _SHARE))
     kinds = list(CLUTTER.values())
     for k in chances.permutation(chosen)[:_MOST]:
         add, radius_m = kinds[int(chances.integers(len(kinds)))]
         turn = float(chances.uniform(0.0, 2 * np.pi))
         if free_m[k] > radius_m:
-            add(builder, Spot(places[k], np.array([np.cos(turn), np.sin(turn)]), ground), chances)
+            add(builder, Spot(places[k], np.array([np.cos(turn), np.sin(turn)]), land.ground), chances)
 
 
 def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, tint: Floats) -> None:

@@ -1,8 +1,9 @@
-"""The ground under a city as a mesh: from the bases of its buildings, or from a terrain raster."""
+"""The land of a city: its ground, from the bases of buildings or a terrain raster, and what covers it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.terrain import ground_under
 from lodbench.errors import DatasetError
 from lodbench.synthesis.objects.mesh_builder import grid_triangles
+from lodbench.synthesis.photo import LandCover
 from lodbench.synthesis.surroundings.land_cover import MARGIN_M, TopView
 
 Floats = NDArray[np.float64]
@@ -70,6 +72,19 @@ class Ground:
         after, far_after = np.roll(rim, -1), np.roll(far, -1)
         skirt = [np.stack([rim, far, far_after], axis=1), np.stack([rim, far_after, after], axis=1)]
         return np.concatenate([grid, out]), np.concatenate([grid_triangles(rows, columns), *skirt])
+
+
+class Land(NamedTuple):
+    """A city from above, its ground heights, and what covers the ground."""
+
+    view: TopView
+    ground: Ground
+    cover: LandCover
+
+    def at(self, places: Floats) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+        """Returns of places, (N, 2): what covers them, metres to the middle of a road and to a building."""
+        cell = self.view.cells_of(places)
+        return self.cover.classes[cell], np.sqrt(self.cover.road_m2[cell]), self.view.free_m[cell]
 
 
 def ground_from_bases(view: TopView) -> Ground:

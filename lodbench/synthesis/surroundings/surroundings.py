@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from lodbench.citymodel.scene import Scene
@@ -11,10 +9,10 @@ from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Points
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.objects.trees_and_cars import add_cars, add_trees
-from lodbench.synthesis.photo import LAND_COVER, LandCover
+from lodbench.synthesis.photo import LAND_COVER
 from lodbench.synthesis.surroundings.clutter import add_clutter
-from lodbench.synthesis.surroundings.ground import Ground, ground_from_bases, ground_from_raster
-from lodbench.synthesis.surroundings.land_cover import TopView, draw_land_cover, look_down
+from lodbench.synthesis.surroundings.ground import Land, ground_from_bases, ground_from_raster
+from lodbench.synthesis.surroundings.land_cover import draw_land_cover, look_down
 
 _TREE_SPACING_M, _MAX_TREES = 6.0, 9000
 _CAR_SPACING_M, _MAX_CARS = 7.0, 3000
@@ -29,25 +27,8 @@ _TREE_CHANCE = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
-    """What was made up around a city.
-
-    Attributes:
-        view: The city from above.
-        ground: Ground heights.
-        land_cover: What covers the ground.
-        props: Ground, trees and cars, in the scene's frame.
-    """
-
-    view: TopView
-    ground: Ground
-    land_cover: LandCover
-    props: SceneProps
-
-
-def make_surroundings(scene: Scene, seed: int, terrain: str | None = None) -> Surroundings:
-    """Returns ground, roads, trees and cars that fit a city; the same for a seed everywhere.
+def make_surroundings(scene: Scene, seed: int, terrain: str | None = None) -> tuple[SceneProps, Land]:
+    """Returns ground, roads, trees and cars that fit a city, in its frame; the same for a seed everywhere.
 
     Args:
         scene: The city.
@@ -59,62 +40,53 @@ def make_surroundings(scene: Scene, seed: int, terrain: str | None = None) -> Su
     """
     view = look_down(scene, threads=1)
     ground = ground_from_raster(view, scene, terrain) if terrain else ground_from_bases(view)
-    cover = draw_land_cover(view, random_stream(seed, "training", "land"))
+    land = Land(view, ground, draw_land_cover(view, random_stream(seed, "training", "land")))
     builder = MeshBuilder(scene.num_buildings)
     # Black, as what has no colour of its own: the cover decides, place by place.
     builder.add(np.full(1, LAND_COVER), *ground.mesh(), (0, 0, 0))
-    _plant_trees(builder, view, cover, ground, random_stream(seed, "training", "trees"))
-    _park_cars(builder, view, cover, ground, random_stream(seed, "training", "cars"))
-    add_clutter(builder, view, cover, ground, random_stream(seed, "training", "clutter"))
-    return Surroundings(view, ground, cover, builder.build(scene.origin))
+    _plant_trees(builder, land, random_stream(seed, "training", "trees"))
+    _park_cars(builder, land, random_stream(seed, "training", "cars"))
+    add_clutter(builder, land, random_stream(seed, "training", "clutter"))
+    return builder.build(scene.origin), land
 
 
-def _plant_trees(
-    builder: MeshBuilder, view: TopView, cover: LandCover, ground: Ground, generator: np.random.Generator
-) -> None:
+def _plant_trees(builder: MeshBuilder, land: Land, generator: np.random.Generator) -> None:
     """Adds trees in gardens, along streets and in copses; none on a building or a carriageway."""
-    places = view.jittered(_TREE_SPACING_M, generator)
-    row, column = view.cells_of(places)
-    away = np.sqrt(cover.road_m2[row, column])
+    places = land.view.jittered(_TREE_SPACING_M, generator)
+    cover, road_m, free_m = land.at(places)
     chance = np.zeros(len(places))
     for kind, share in _TREE_CHANCE.items():
-        chance[cover.classes[row, column] == kind] = share
+        chance[cover == kind] = share
     copse = _patches(places, generator)
-    chance = np.where(
-        copse > 0.45, np.maximum(2.0 * chance, 0.0) + 0.25 * (chance > 0), chance * (0.4 + copse)
-    )
-    verge = cover.half_road_m + cover.pavement_m
-    chance[(away > verge) & (away < verge + 2.5)] += 0.18
-    chance[away < verge + 0.4] = 0.0
-    chance[cover.classes[row, column] == SurfaceClass.WATER] = 0.0
-    free_m = view.free_m[row, column].astype(np.float64)
-    chance[free_m < _TREE_GAP_M] = 0.0
+    chance = np.where(copse > 0.45, 2.0 * chance + 0.25 * (chance > 0), chance * (0.4 + copse))
+    verge_m = land.cover.half_road_m + land.cover.pavement_m
+    chance[(road_m > verge_m) & (road_m < verge_m + 2.5)] += 0.18
+    chance[(road_m < verge_m + 0.4) | (cover == SurfaceClass.WATER) | (free_m < _TREE_GAP_M)] = 0.0
     kept = np.flatnonzero(generator.random(len(places)) < chance)
     kept = kept[generator.permutation(len(kept))[:_MAX_TREES]]
     # A crown may touch a wall.
-    add_trees(builder, ground.on_ground(places[kept]), generator, _BROADLEAF, free_m[kept] + 0.4)
+    room_m = free_m[kept].astype(np.float64) + 0.4
+    add_trees(builder, land.ground.on_ground(places[kept]), generator, _BROADLEAF, room_m)
 
 
-def _park_cars(
-    builder: MeshBuilder, view: TopView, cover: LandCover, ground: Ground, generator: np.random.Generator
-) -> None:
+def _park_cars(builder: MeshBuilder, land: Land, generator: np.random.Generator) -> None:
     """Adds cars on the carriageways, most of them at the kerb."""
-    places = view.jittered(_CAR_SPACING_M, generator)
-    row, column = view.cells_of(places)
-    away, turn = np.sqrt(cover.road_m2[row, column]), cover.road_rad[row, column].astype(np.float64)
-    on_road = (away < cover.half_road_m) & (view.free_m[row, column] > _CAR_GAP_M)
-    chosen = on_road & (generator.random(len(places)) < 0.45)
-    chosen &= cover.classes[row, column] != SurfaceClass.FIELD
-    places, away, turn = places[chosen][:_MAX_CARS], away[chosen][:_MAX_CARS], turn[chosen][:_MAX_CARS]
+    places = land.view.jittered(_CAR_SPACING_M, generator)
+    cover, road_m, free_m = land.at(places)
+    half_m = land.cover.half_road_m
+    chosen = (road_m < half_m) & (free_m > _CAR_GAP_M) & (cover != SurfaceClass.FIELD)
+    chosen &= generator.random(len(places)) < 0.45
+    places, away = places[chosen][:_MAX_CARS], road_m[chosen][:_MAX_CARS]
+    turn = land.cover.road_rad[land.view.cells_of(places)].astype(np.float64)
     # Aside, onto the kerb or a lane: the way there is across the road, away from its middle.
     across = np.stack([-np.sin(turn), np.cos(turn)], axis=1)
-    wanted = np.where(generator.random(len(away)) < 0.75, cover.half_road_m - 1.05, 0.5 * cover.half_road_m)
-    row, column = view.cells_of(places + across * 0.8)
-    outward = np.where(np.sqrt(cover.road_m2[row, column]) > away, 1.0, -1.0)
+    wanted = np.where(generator.random(len(away)) < 0.75, half_m - 1.05, 0.5 * half_m)
+    _, aside_m, _ = land.at(places + across * 0.8)
+    outward = np.where(aside_m > away, 1.0, -1.0)
     places = places + across * (outward * (wanted - away))[:, None]
     ways = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    rise = ground.at(places + 2.0 * ways) - ground.at(places - 2.0 * ways)
-    add_cars(builder, ground.on_ground(places), ways, rise / 4.0, generator)
+    rise = land.ground.at(places + 2.0 * ways) - land.ground.at(places - 2.0 * ways)
+    add_cars(builder, land.ground.on_ground(places), ways, rise / 4.0, generator)
 
 
 def _patches(places: Points, generator: np.random.Generator) -> Points:

@@ -14,10 +14,9 @@ from lodbench.citymodel.scene import Scene
 from lodbench.errors import RenderingError
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import write_bytes
-from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.photo.camera_response import apply_camera_response
 from lodbench.synthesis.photo.kernel import Shading, plain_shading
-from lodbench.synthesis.photo.render_scene import make_render_scene, make_skin
+from lodbench.synthesis.photo.render_scene import ON_GROUND, make_render_scene, make_skin
 from lodbench.synthesis.photo.sunlight import draw_sun_map
 from lodbench.synthesis.survey.baking import baked, corner_light, lay_out_faces, lay_out_ground
 from lodbench.synthesis.survey.town_then import survey_look, town_then
@@ -30,7 +29,6 @@ _TILES, _TILE_M, _AROUND_M = 4, 325.0, 1500.0
 # Ground triangles hang over a tile's edge.
 _HANG_M = 24.0
 _SUN_MAP, _BAND = 2048, 256
-_GROUND = [kind for kind in SurfaceClass if not kind.is_building and not kind.is_occluder]
 
 
 class Patch(NamedTuple):
@@ -72,7 +70,7 @@ class _Painter:
         then, self.polygon = town_then(town)
         props = then.in_frame(scene.origin)
         self.corners = props.vertices[props.triangles].astype(np.float64)
-        self.is_ground = np.isin(props.surface, _GROUND)
+        self.is_ground = np.isin(props.surface, ON_GROUND)
         look, self.response = survey_look(town.seed)
         self.shading = plain_shading(make_skin(props), look)
         self.middle = (then.origin - scene.origin)[:2]

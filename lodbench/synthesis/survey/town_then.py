@@ -9,10 +9,10 @@ from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.photo import CameraResponse, Look, LookRanges, draw_look
-from lodbench.synthesis.town.building import Age, Building
+from lodbench.synthesis.town.building import Age
 from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import add_ground
-from lodbench.synthesis.town.props import Body, add_buildings, building_colours, fine_bodies
+from lodbench.synthesis.town.props import add_buildings, building_colours, fine_bodies
 from lodbench.synthesis.town.town import Town
 from lodbench.synthesis.town.trees_and_cars import add_greenery
 
@@ -52,7 +52,8 @@ def town_then(town: Town) -> tuple[SceneProps, NDArray[np.int64]]:
     numbers = np.array([now.get(b.identifier, gone[k]) for k, b in enumerate(town.mapped)], dtype=np.int64)
     colours = np.stack([_colours_then(town, building.identifier) for building in town.mapped])
     then = MeshBuilder(len(now))
-    polygon = add_buildings(then, [_bodies_then(building) for building in town.mapped], colours, numbers)
+    bodies = [[(b.lod2, None)] if b.age is Age.RAISED else fine_bodies(b) for b in town.mapped]
+    polygon = add_buildings(then, bodies, colours, numbers)
     then.add_props(land)
     return then.build(ORIGIN_M), np.concatenate([polygon, np.full(len(land), -1)])
 
@@ -61,10 +62,6 @@ def survey_look(seed: int) -> tuple[Look, CameraResponse]:
     """Returns the light of the survey's day, and the camera that saw it."""
     look, response = draw_look(_DAY, random_stream(seed, "demo", "survey", "day"))
     return look._replace(seed=seed, haze_per_m=0.0), response
-
-
-def _bodies_then(building: Building) -> list[Body]:
-    return [(building.lod2, None)] if building.age is Age.RAISED else fine_bodies(building)
 
 
 def _colours_then(town: Town, name: str) -> NDArray[np.float64]:

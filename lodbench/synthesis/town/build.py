@@ -18,7 +18,6 @@ from lodbench.synthesis.town.citygml_writer import (
     CRS_NAME,
     ascii_grid_text,
     citygml_text,
-    fine_citygml_text,
     relief_text,
     title,
 )
@@ -114,7 +113,7 @@ def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
     props = demo_props(town)
     texts = {
         CITY_FILE: citygml_text(town),
-        FINE_CITY_FILE: fine_citygml_text(town),
+        FINE_CITY_FILE: citygml_text(town, is_fine=True),
         RELIEF_FILE: relief_text(town.terrain, f"{title(town)}: relief"),
         TERRAIN_FILE: ascii_grid_text(town.terrain),
     }

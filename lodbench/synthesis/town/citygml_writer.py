@@ -7,14 +7,12 @@ CityGML files look like is in ``templates``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lodbench.citymodel.model import SurfaceKind
-from lodbench.synthesis.town.building import Building
 from lodbench.synthesis.town.shapes import Points
 from lodbench.synthesis.town.terrain import Terrain
 from lodbench.synthesis.town.town import TOWN_VERSION, Town
@@ -48,19 +46,11 @@ GRID_CELL_M = 4.0
 TIN_STEP_M = 20.0
 
 
-def citygml_text(town: Town) -> str:
-    """Returns the file with LoD1 and LoD2: coordinates in `CRS_NAME`, metres with three decimals."""
-    return _city_text(town, town.mapped, is_fine=False)
-
-
-def fine_citygml_text(town: Town) -> str:
-    """Returns the file with LoD3, likewise."""
-    return _city_text(town, town.standing, is_fine=True)
-
-
-def _city_text(town: Town, buildings: Sequence[Building], *, is_fine: bool) -> str:
+def citygml_text(town: Town, *, is_fine: bool = False) -> str:
+    """Returns the file with LoD1 and LoD2, or the fine one with LoD3, coordinates in `CRS_NAME`."""
     # One envelope for both files, so that readers give them one frame.
     points = np.concatenate([solid.points for b in town.buildings for solid in (b.lod1, b.lod2, b.lod3)])
+    buildings = town.standing if is_fine else town.mapped
     return _filled_in("town.gml.jinja", name=title(town), points=points, buildings=buildings, is_fine=is_fine)
 
 

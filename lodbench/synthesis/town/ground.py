@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Triangles, palette
+from lodbench.synthesis.objects.mesh_builder import MeshBuilder, Triangles, grid_triangles, palette
 from lodbench.synthesis.objects.scene_props import SurfaceClass
 from lodbench.synthesis.town.shapes import (
     Points,
@@ -127,10 +127,7 @@ def _ribbon(line: Points, half_m: float, height: float | Points) -> tuple[Points
 
 def _strip(front: Points, back: Points) -> tuple[Points, Triangles]:
     """Returns the points of two lines, (2K, 3), and the triangles between them."""
-    count = len(front)
-    k = np.arange(count - 1)
-    fans = ((k, k + 1, k + 1 + count), (k, k + 1 + count, k + count))
-    return np.concatenate([front, back]), np.concatenate([np.stack(fan, axis=1) for fan in fans])
+    return np.concatenate([front, back]), grid_triangles(2, len(front))
 
 
 def _add_markings(builder: MeshBuilder, town: Town, street: Street) -> None:

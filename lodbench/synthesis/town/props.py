@@ -17,7 +17,7 @@ from lodbench.synthesis.town.building import Building
 from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.shapes import Points
-from lodbench.synthesis.town.solid import Face, Solid
+from lodbench.synthesis.town.solid import Solid
 from lodbench.synthesis.town.town import Town
 from lodbench.synthesis.town.trees_and_cars import add_greenery, add_traffic
 
@@ -31,6 +31,7 @@ _CLASSES = {
     SurfaceKind.GROUND: SurfaceClass.FLOOR,
     SurfaceKind.FLOOR: SurfaceClass.FLOOR,
 }
+_OPENINGS = {False: SurfaceClass.WINDOW, True: SurfaceClass.DOOR}
 # What is alike on all buildings: its colour, and how much darker and brighter it may be.
 _FITTINGS = {
     SurfaceClass.WINDOW: (palette("3a444e"), 0.8, 1.25),
@@ -66,7 +67,7 @@ def add_buildings(
         objects: (B,) their numbers.
     """
     faces = [
-        (number, solid.points, face, part or _class_of(face))
+        (number, solid.points, face, part or _CLASSES.get(face.kind, _OPENINGS[face.is_door]))
         for number, bodies in enumerate(buildings)
         for solid, part in bodies
         for face in solid.faces
@@ -86,10 +87,6 @@ def add_buildings(
     tint = colours[owner, surface - SurfaceClass.WALL]
     builder.add(surface, polygons.points, result.triangles, tint, objects[owner])
     return result.polygon
-
-
-def _class_of(face: Face) -> SurfaceClass:
-    return _CLASSES.get(face.kind, SurfaceClass.DOOR if face.is_door else SurfaceClass.WINDOW)
 
 
 def _starts(parts: Sequence[Sized]) -> NDArray[np.int64]:

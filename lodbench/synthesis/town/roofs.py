@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 
 class RoofShape(NamedTuple):
     """What all roofs of a shape have in common.
@@ -65,12 +67,7 @@ class Roof:
 
     def height_at(self, share: float) -> float:
         """Returns the height above the base at a share of the way across, hips left aside."""
-        shares, heights = zip(*self.profile, strict=True)
-        for k in range(len(shares) - 1):
-            if share <= shares[k + 1]:
-                t = (share - shares[k]) / (shares[k + 1] - shares[k])
-                return float(heights[k] + t * (heights[k + 1] - heights[k]))
-        return float(heights[-1])
+        return float(np.interp(share, *zip(*self.profile, strict=True)))
 
     def lowered(self, by_m: float) -> Roof:
         """Returns the same roof over lower walls."""

@@ -90,7 +90,8 @@ def draw_streets(generator: np.random.Generator, rings: float = 1.0) -> StreetPl
         banks.append(bend.line(bank, closed=True))
         divider = _Divider(generator, rings)
         for ring in divider.divide(bank, 0):
-            blocks.append(Block(bend.ring(ring), beyond_river=sign > 0))
+            bent = _without_flat_corners(bend.line(ring, closed=True))
+            blocks.append(Block(bent, beyond_river=sign > 0))
         cuts += divider.streets
     blocks.sort(key=lambda block: float(np.hypot(*block.center)))
     streets = [Street(bend.line(street.line, closed=False), street.width_m) for street in cuts]
@@ -173,15 +174,6 @@ class _Warp:
             waves.append([*(2 * np.pi / wavelength * along), phase, *(amplitude * aside)])
         return cls(np.array(waves))
 
-    def points(self, points: Points) -> Points:
-        """Returns displaced positions, (N, 2)."""
-        phase = points @ self.waves[:, :2].T + self.waves[:, 2]
-        return np.asarray(points + np.sin(phase) @ self.waves[:, 3:])
-
-    def ring(self, ring: Points) -> Points:
-        """Returns a displaced ring whose long edges follow the bend."""
-        return _without_flat_corners(self.line(ring, closed=True))
-
     def line(self, line: Points, *, closed: bool) -> Points:
         """Returns a displaced polyline with corners every so often, so that it follows the bend."""
         ahead = np.roll(line, -1, axis=0) if closed else line[1:]
@@ -189,7 +181,9 @@ class _Warp:
         for start, end in zip(line if closed else line[:-1], ahead, strict=True):
             parts = max(1, round(float(np.hypot(*(end - start))) / _BEND_EVERY_M))
             fine += [start + (end - start) * (k / parts) for k in range(parts)]
-        return self.points(np.array(fine if closed else [*fine, line[-1]]))
+        points = np.array(fine if closed else [*fine, line[-1]])
+        phase = points @ self.waves[:, :2].T + self.waves[:, 2]
+        return np.asarray(points + np.sin(phase) @ self.waves[:, 3:])
 
 
 def _without_flat_corners(ring: Points) -> Points:

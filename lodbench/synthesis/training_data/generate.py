@@ -24,7 +24,8 @@ from lodbench.execution import Progress
 from lodbench.execution.executor import DASK, PROCESS, ExecutorParams, spread
 from lodbench.storage import make_folder, random_stream, remove_leftovers
 from lodbench.synthesis.objects.scene_props import read_props
-from lodbench.synthesis.surroundings.surroundings import Surroundings, make_surroundings
+from lodbench.synthesis.surroundings.ground import Land
+from lodbench.synthesis.surroundings.surroundings import make_surroundings
 from lodbench.synthesis.training_data.manifest import SHEET_FILE, begin_manifest, finish_manifest, write_sheet
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
@@ -89,22 +90,22 @@ def generate_training_data(
 def _prepare(params: GenerateParams, options: ReadOptions) -> tuple[PictureParts, ViewPlan, tuple[str, ...]]:
     """Returns the city with its surroundings, the views to take of it, and what was met."""
     city, picture = open_cities(params, options)
-    parts, made, notes = world_parts(params, city, picture)
+    parts, land, notes = world_parts(params, city, picture)
     with Progress("views judged", None) as progress:
-        plan = plan_views(params, city, made.ground, progress.advance)
+        plan = plan_views(params, city, land.ground, progress.advance)
     return parts, plan, notes
 
 
 def world_parts(
     params: GenerateParams, city: Scene, picture: Scene
-) -> tuple[PictureParts, Surroundings, tuple[str, ...]]:
-    """Returns what workers draw from, the surroundings made up for it, and notes for the reader.
+) -> tuple[PictureParts, Land, tuple[str, ...]]:
+    """Returns what workers draw from, the land made up for it, and notes for the reader.
 
     Raises:
         LodbenchError: The terrain, the props or the textured mesh cannot be read or lies elsewhere.
     """
-    made = make_surroundings(picture, params.seed, params.terrain)
-    parts = PictureParts(city, picture, made.props, made.land_cover)
+    props, land = make_surroundings(picture, params.seed, params.terrain)
+    parts = PictureParts(city, picture, props, land.cover)
     notes: tuple[str, ...] = ()
     if params.texture_model is not None:
         model = Path(params.texture_model).expanduser()
@@ -115,7 +116,7 @@ def world_parts(
         parts, notes = PictureParts(city, picture, None, None, offset), (note,)
     elif params.props is not None:
         parts = PictureParts(city, picture, read_props(Path(params.props).expanduser()), None)
-    return parts, made, notes
+    return parts, land, notes
 
 
 def open_cities(params: GenerateParams, options: ReadOptions) -> tuple[Scene, Scene]:

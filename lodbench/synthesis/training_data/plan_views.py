@@ -15,7 +15,7 @@ from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.camera_paths import Place, candidates
+from lodbench.synthesis.camera_paths import CAMERA_PATHS, Place
 from lodbench.synthesis.surroundings.ground import Ground
 from lodbench.synthesis.training_data.params import GenerateParams
 
@@ -79,10 +79,11 @@ def plan_views(
     """Returns the views to write; with a limit, a random choice of them.
 
     Raises:
-        DatasetError: No view is left.
+        DatasetError: No view is left, or the file of poses cannot be read or is empty.
     """
     view_filter = _ViewFilter(params, scene, ground)
-    poses = candidates(params, Place(view_filter.boxes.bases, ground, scene.origin))
+    place = Place(view_filter.boxes.bases, ground, scene.origin)
+    poses = list(CAMERA_PATHS[params.sampling](params, place))
     order = np.arange(len(poses))
     if params.limit is not None:
         order = random_stream(params.seed, "training", "choice").permutation(len(poses))

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.texture_files import read_textured
-from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pictures import encoded, encoded_mask
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, random_stream, write_bytes
 from lodbench.synthesis.objects.scene_props import SceneProps
-from lodbench.synthesis.photo import CameraResponse, LandCover, Look, PhotoRenderer, draw_look
+from lodbench.synthesis.photo import LandCover, PhotoRenderer, draw_look
 from lodbench.synthesis.photo.renderer import PyrenderPhotos, photo_file
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView
@@ -57,7 +56,11 @@ class PictureParts:
 
 
 class ViewWriter:
-    """Draws and writes the files of views."""
+    """Draws and writes the files of views.
+
+    Raises:
+        DatasetError: The textured mesh cannot be read.
+    """
 
     def __init__(self, params: GenerateParams, parts: PictureParts) -> None:
         self._params, self._camera = params, params.camera
@@ -66,7 +69,10 @@ class ViewWriter:
         self._photos: PhotoRenderer | None = None
         self._painter: PhotoRenderer | PyrenderPhotos | None = None
         if params.images or params.depth or params.occluders_in_mask:
-            mesh = textured_mesh(params, parts)
+            mesh = None
+            if params.texture_model is not None and parts.texture_offset is not None:
+                mesh = read_textured(Path(params.texture_model).expanduser(), params.texture_up)
+                mesh = mesh.shifted(parts.texture_offset)
             self._photos = PhotoRenderer(parts.picture_scene, parts.props, parts.cover, 1, mesh)
             self._painter = self._photos
             if params.renderer == "pyrender" and mesh is not None:
@@ -85,7 +91,9 @@ class ViewWriter:
                 write_bytes(path, content, survives_power_cut=False)
 
     def _images(self, view: PlannedView) -> bytes:
-        look, response = look_of(self._params, view)
+        # The seed and the name decide the look, nothing else.
+        stream = random_stream(self._params.seed, "training", "look", view.key)
+        look, response = draw_look(self._params.look, stream)
         assert self._painter is not None  # noqa: S101
         picture = self._painter.photo(self._camera, view.pose, look, response)
         return photo_file(picture, f".{self._params.format}", response)
@@ -111,29 +119,9 @@ class ViewWriter:
         return self._photos
 
 
-def textured_mesh(params: GenerateParams, parts: PictureParts) -> TexturedMesh | None:
-    """Returns the textured mesh in the scene's frame, or None where the city itself is pictured.
-
-    Raises:
-        DatasetError: As for ``read_textured``.
-    """
-    if params.texture_model is None or parts.texture_offset is None:
-        return None
-    mesh = read_textured(Path(params.texture_model).expanduser(), params.texture_up)
-    return mesh.shifted(parts.texture_offset)
-
-
-def look_of(params: GenerateParams, view: PlannedView) -> tuple[Look, CameraResponse]:
-    """Returns the look of a view: the seed and its name decide it, nothing else."""
-    return draw_look(params.look, random_stream(params.seed, "training", "look", view.key))
-
-
 def is_written(path: Path) -> bool:
     """Tells whether a file is there and not empty."""
-    try:
-        return path.stat().st_size > 0
-    except FileNotFoundError:
-        return False
+    return path.is_file() and path.stat().st_size > 0
 
 
 def files_of(params: GenerateParams, view: PlannedView, folder: Path) -> list[Path]:

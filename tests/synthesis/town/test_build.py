@@ -160,7 +160,7 @@ def test_nothing_is_left_of_a_build_that_fails(tmp_path, monkeypatch, town):
         raise OSError("disk full")
 
     monkeypatch.setattr(build, "grow_town", lambda seed, look: town)
-    monkeypatch.setattr(build, "fine_citygml_text", fail)
+    monkeypatch.setattr(build, "relief_text", fail)
     with pytest.raises(OSError, match="disk full"):
         build_demo(tmp_path / "demo", num_queries=2)
     assert list(tmp_path.iterdir()) == []

@@ -10,7 +10,7 @@ from solid_checks import volume_m3
 from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.synthesis.town.building import Age
-from lodbench.synthesis.town.citygml_writer import ORIGIN_M, citygml_text, fine_citygml_text
+from lodbench.synthesis.town.citygml_writer import ORIGIN_M, citygml_text
 from lodbench.synthesis.town.town import grow_town
 
 NAMES = {
@@ -112,7 +112,7 @@ def test_scenes_are_the_town(city_file, town, lod):
 @pytest.fixture(scope="module")
 def fine(town, tmp_path_factory):
     path = tmp_path_factory.mktemp("fine") / "town_lod3.gml"
-    path.write_text(fine_citygml_text(town), encoding="utf-8")
+    path.write_text(citygml_text(town, is_fine=True), encoding="utf-8")
     return read_city_model(path)
 
 
@@ -158,7 +158,7 @@ def test_what_was_read_is_closed_and_loses_no_area(fine, town):
 
 
 def test_openings_hang_on_the_surfaces_they_open(town):
-    root = etree.fromstring(fine_citygml_text(town).encode())
+    root = etree.fromstring(citygml_text(town, is_fine=True).encode())
     openings = root.findall(".//b:opening/*", NAMES)
     names = {etree.QName(element).localname for element in openings}
     assert names == {"Window", "Door"}
