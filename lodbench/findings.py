@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -17,15 +18,31 @@ class Severity(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FindingCode:
-    """A kind of defect, for example ``LB101 RING_TOO_SHORT``; codes never change their meaning."""
+    """A kind of defect, for example ``LB101 RING_TOO_SHORT``; codes never change their meaning.
 
-    code: str
-    name: str
+    ``name`` is what its module calls it, once ``catalogue_of`` has seen that.
+    """
+
+    number: int
     severity: Severity
     meaning: str
+    name: str = field(default="", init=False, compare=False)
+
+    @property
+    def code(self) -> str:
+        """Returns what it is called in files and reports, ``LB101``."""
+        return f"LB{self.number}"
 
     def __str__(self) -> str:
         return f"{self.code} {self.name}"
+
+
+def catalogue_of(module: Mapping[str, object]) -> dict[str, FindingCode]:
+    """Names the codes of a module, ``globals()``, as it calls them; returns them by code, in order."""
+    codes = [(name, code) for name, code in module.items() if isinstance(code, FindingCode)]
+    for name, code in codes:
+        object.__setattr__(code, "name", name)
+    return {code.code: code for _, code in sorted(codes, key=lambda item: item[1].number)}
 
 
 @dataclass(frozen=True, slots=True)
