@@ -6,15 +6,19 @@ import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter, process_time
+from typing import NamedTuple
 
 import numpy as np
 
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.flights import queries_of
 from lodbench.citymap import CityMap
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
 from lodbench.execution.one_blas_thread import on_one_blas_thread
+from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.methods.flight import FlightMethod
 from lodbench.methods.protocol import Estimate
@@ -58,46 +62,73 @@ def measure_joint_solves(
         raise AssertionError("flights are drawn over a city")
     scene = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height).scene
     every, truth = queries_of(dataset, scene, 0)
-    # As runs ask methods.
-    solve_jointly = on_one_blas_thread(method.solve_jointly)
-    rows, walls, peaks = [], [], []
+    solves = []
     for number, size in enumerate(sizes):
-        chosen = np.linspace(0, len(every) - 1, size).round().astype(int)
-        queries = [every[k] for k in chosen]
-        alone = [
-            Estimate(moved(truth[k], _ALONE.draw(random_stream(params.flights_seed, "alone", k))), 1.0)
-            for k in chosen.tolist()
-        ]
-        began, cpu = perf_counter(), process_time()
-        found = solve_jointly(queries, alone, CityMap(scene))
-        walls.append(perf_counter() - began)
-        cpu = process_time() - cpu
-        errors = [
-            pose_error(each.pose, truth[k]).translation_m
-            for each, k in zip(found.estimates, chosen, strict=True)
-            if isinstance(each, Estimate)
-        ]
-        row = [str(size), f"{walls[-1]:.1f}", f"{cpu:.1f}", f"{1000 * cpu / size:.0f}"]
-        if traces_memory:
-            tracemalloc.start()
-            solve_jointly(queries, alone, CityMap(scene))
-            peaks.append(tracemalloc.get_traced_memory()[1] / 2**20)
-            tracemalloc.stop()
-        rows.append([*row, f"{peaks[-1]:.0f}" if peaks else "-", f"{np.median(errors):.2f}"])
+        chosen = np.linspace(0, len(every) - 1, size).round().astype(int).tolist()
+        draws = [_ALONE.draw(random_stream(params.flights_seed, "alone", k)) for k in chosen]
+        alone = [Estimate(moved(truth[k], draw), 1.0) for k, draw in zip(chosen, draws, strict=True)]
+        photos = [every[k] for k in chosen], alone, [truth[k] for k in chosen]
+        solves.append(_solve(method, *photos, scene, traces_memory=traces_memory))
         progress(number + 1, len(sizes))
     head = ["photos", "seconds", "CPU s", "CPU ms per photo", "memory MiB", "median m"]
-    figures = [
-        Figure(f"joint solve of {size} photos", wall, "s") for size, wall in zip(sizes, walls, strict=True)
-    ]
-    figures += [
-        Figure(f"memory, {size} photos", peak, "MiB") for size, peak in zip(sizes, peaks, strict=False)
-    ]
+    rows = [_row(size, solve) for size, solve in zip(sizes, solves, strict=True)]
     note = f"{dataset.city_model.name}: one flight ({params.path}), beyond what each photo by itself takes."
+    return Report("\n".join([format_columns([head, *rows]), note]), _figures(sizes, solves))
+
+
+class _Solve(NamedTuple):
+    """What a joint solve took by the clock and of CPU, metres off in the median; memory if measured."""
+
+    wall_s: float
+    cpu_s: float
+    error_m: float
+    peak_mib: float | None
+
+
+def _solve(
+    method: FlightMethod,
+    queries: list[Query],
+    alone: list[Estimate],
+    truth: list[Pose],
+    scene: Scene,
+    *,
+    traces_memory: bool,
+) -> _Solve:
+    # As runs ask methods.
+    solve_jointly = on_one_blas_thread(method.solve_jointly)
+    began, cpu = perf_counter(), process_time()
+    found = solve_jointly(queries, alone, CityMap(scene))
+    wall_s, cpu_s = perf_counter() - began, process_time() - cpu
+    errors = [
+        pose_error(each.pose, true).translation_m
+        for each, true in zip(found.estimates, truth, strict=True)
+        if isinstance(each, Estimate)
+    ]
+    peak_mib = None
+    if traces_memory:
+        tracemalloc.start()
+        solve_jointly(queries, alone, CityMap(scene))
+        peak_mib = tracemalloc.get_traced_memory()[1] / 2**20
+        tracemalloc.stop()
+    return _Solve(wall_s, cpu_s, float(np.median(errors)), peak_mib)
+
+
+def _row(size: int, solve: _Solve) -> list[str]:
+    memory = "-" if solve.peak_mib is None else f"{solve.peak_mib:.0f}"
+    times = [f"{solve.wall_s:.1f}", f"{solve.cpu_s:.1f}", f"{1000 * solve.cpu_s / size:.0f}"]
+    return [str(size), *times, memory, f"{solve.error_m:.2f}"]
+
+
+def _figures(sizes: Sequence[int], solves: Sequence[_Solve]) -> list[Figure]:
+    walls = [solve.wall_s for solve in solves]
+    peaks = [solve.peak_mib for solve in solves if solve.peak_mib is not None]
+    figures = [Figure(f"joint solve of {n} photos", wall, "s") for n, wall in zip(sizes, walls, strict=True)]
+    figures += [Figure(f"memory, {n} photos", peak, "MiB") for n, peak in zip(sizes, peaks, strict=False)]
     if len(sizes) > 1:
         figures.append(Figure("growth of time, power of the number", _power(sizes, walls), ""))
         if peaks:
             figures.append(Figure("growth of memory, power of the number", _power(sizes, peaks), ""))
-    return Report("\n".join([format_columns([head, *rows]), note]), figures)
+    return figures
 
 
 def _power(sizes: Sequence[int], values: Sequence[float]) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,15 +210,29 @@ class _Reader:
             for name, column in self._columns.items():
                 column.extend(getattr(arrays, name))
 
-    def result(self) -> RawCity:
+    def _report_what_is_left_out(self) -> None:
         self.links.report_unresolved(self._building_ids)
         for name, count in sorted(self._others.items()):
             if not name.startswith("Appearance"):
                 self.findings.add(NOT_A_BUILDING, name, f"{count} of them")
         if not self._building_ids:
             raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
+
+    def _painted_corners(
+        self,
+        joined: dict[str, NDArray[Any]],
+        ring_starts: NDArray[np.int64],
+        polygon_starts: NDArray[np.int64],
+    ) -> tuple[NDArray[np.int32] | None, NDArray[np.float64] | None]:
+        """Returns the picture of each polygon and the place of each point on it, None without pictures."""
+        if self._painted is None:
+            return None, None
+        serial, points = joined["serial"], joined["points"]
+        return self._painted.paint(serial, points, ring_starts, polygon_starts, self._flipped)
+
+    def result(self) -> RawCity:
+        self._report_what_is_left_out()
         joined = {name: column.finish() for name, column in self._columns.items()}
-        types = self._objects.types
         solids: Solids | None = None
         polygon_ids: tuple[str, ...] = ()
         if self._objects.has_details:
@@ -226,19 +240,14 @@ class _Reader:
         # Where buildings have no parts, their own numbers say it all.
         is_plain = self._objects.is_plain
         ring_starts, polygon_starts = starts_of(joined["ring_lengths"]), starts_of(joined["ring_counts"])
-        picture: NDArray[np.int32] | None = None
-        uv: NDArray[np.float64] | None = None
-        if self._painted is not None:
-            picture, uv = self._painted.paint(
-                joined["serial"], joined["points"], ring_starts, polygon_starts, self._flipped
-            )
+        picture, uv = self._painted_corners(joined, ring_starts, polygon_starts)
         return RawCity(
             source=self._source,
             format="CityGML",
             version=self._version or None,
             srs_names=tuple(self.walk.srs_names.names),
             building_ids=tuple(self._building_ids),
-            num_parts=types.count("BuildingPart"),
+            num_parts=self._objects.types.count("BuildingPart"),
             lods=tuple(name or "" for name in self.walk.lods.names),
             points=joined["points"],
             ring_starts=ring_starts,

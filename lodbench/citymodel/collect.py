@@ -61,6 +61,17 @@ class PolygonCollector:
             self.lods.append(name)
         return self.lods.index(name)
 
+    def _painted_corners(
+        self, firsts: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int32] | None, NDArray[np.float64] | None]:
+        """Returns the picture of each polygon and the place of each point on it; ``firsts``: (N + 1,)."""
+        if self.pictures is None:
+            return None, None
+        picture, uv = blank(len(firsts) - 1, int(firsts[-1]))
+        for polygon, (number, places) in self.painted.items():
+            picture[polygon], uv[firsts[polygon] : firsts[polygon + 1]] = number, places
+        return picture, uv
+
     def finish(
         self, *, source: str, format: str, version: str | None, srs_names: tuple[str | None, ...]
     ) -> RawCity:
@@ -76,13 +87,7 @@ class PolygonCollector:
         points = np.concatenate(self.point_blocks) if self.point_blocks else np.zeros((0, 3))
         ring_starts = starts_of(np.asarray(self.ring_lengths, np.int64))
         polygon_starts = starts_of(np.asarray(self.ring_counts, np.int64))
-        picture: NDArray[np.int32] | None = None
-        uv: NDArray[np.float64] | None = None
-        if self.pictures is not None:
-            picture, uv = blank(len(owners), len(points))
-            firsts = ring_starts[polygon_starts]
-            for polygon, (number, places) in self.painted.items():
-                picture[polygon], uv[firsts[polygon] : firsts[polygon + 1]] = number, places
+        picture, uv = self._painted_corners(ring_starts[polygon_starts])
         return RawCity(
             source=source,
             format=format,

@@ -17,6 +17,7 @@ from lodbench.citymodel.layers import INTERIORS
 from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.naming import unique_ids, unique_objects
 from lodbench.citymodel.newell import newell
+from lodbench.citymodel.objects import Solids
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.pictures import Pictures
 from lodbench.citymodel.raw import RawCity
@@ -42,24 +43,14 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         CityModelError: Coordinates are not finite, or their reference system cannot be settled.
     """
     options = options or ReadOptions()
-    raw.points = np.require(raw.points, np.float64, ["C", "W"])
-    if not np.isfinite(_largest(raw.points)):
-        raise CityModelError(
-            f"{raw.source} has coordinates that are not finite numbers.",
-            "See which: lodbench city check FILE.",
-        )
+    _make_points_writable(raw)
     raw.building_ids = unique_ids(raw.building_ids, raw.findings)
     objects = None if raw.objects is None else unique_objects(raw.objects, raw.building_ids, raw.findings)
-    num_polygons = len(raw.building)
     num_read = np.bincount(raw.lod, minlength=len(raw.lods))
     # A level that only empty elements name is none: by default the lowest there is would be taken.
     order = sorted(np.flatnonzero(num_read).tolist(), key=lambda i: raw.lods[i])
     polygons, kept = clean_polygons(raw)
-    label = _bring_to_metres(polygons, raw.srs[kept], raw, options)
-    if options.ecef_origin is not None:
-        polygons.points[:] = ShiftedEcef(*options.ecef_origin).points_to_enu(polygons.points)
-    move_bases(polygons, raw.building_ids, label, options, raw.findings)
-    origin = _subtract_origin(polygons.points, label, raw, options)
+    label, origin = _bring_to_local_frame(polygons, raw.srs[kept], raw, options)
     rank = np.zeros(len(raw.lods), np.int16)
     rank[order] = np.arange(len(order))
     polygons = replace(polygons, lod=rank[polygons.lod])
@@ -70,13 +61,8 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     pictures = _lost_pictures(raw.pictures, given, polygons, kept_as)
     solids = raw.solids
     if solids is not None:
-        places = np.full(num_polygons + 1, -1, np.int64)
-        places[kept] = kept_as
-        is_turned = np.zeros(num_polygons + 1, np.bool_)
-        is_turned[kept] = _is_turned(given, first_kept[kept_as])
-        solids = replace(
-            solids, faces=places[solids.faces], is_flipped=solids.is_flipped ^ is_turned[solids.faces]
-        )
+        is_turned = _is_turned(given, first_kept[kept_as])
+        solids = _renumbered(solids, len(raw.building), kept, kept_as, is_turned)
     return CityModel(
         source=raw.source,
         format=raw.format,
@@ -96,6 +82,52 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
         has_textures=raw.has_textures,
         pictures=pictures,
     )
+
+
+def _make_points_writable(raw: RawCity) -> None:
+    """Lets the points be changed in place.
+
+    Raises:
+        CityModelError: One is not finite.
+    """
+    raw.points = np.require(raw.points, np.float64, ["C", "W"])
+    if not np.isfinite(_largest(raw.points)):
+        raise CityModelError(
+            f"{raw.source} has coordinates that are not finite numbers.",
+            "See which: lodbench city check FILE.",
+        )
+
+
+def _bring_to_local_frame(
+    polygons: Polygons, srs: NDArray[np.int16], raw: RawCity, options: ReadOptions
+) -> tuple[str | None, NDArray[np.float64]]:
+    """Changes points to metres of a local frame; returns its reference system, and its origin, (3,)."""
+    label = _bring_to_metres(polygons, srs, raw, options)
+    if options.ecef_origin is not None:
+        polygons.points[:] = ShiftedEcef(*options.ecef_origin).points_to_enu(polygons.points)
+    move_bases(polygons, raw.building_ids, label, options, raw.findings)
+    return label, _subtract_origin(polygons.points, label, raw, options)
+
+
+def _renumbered(
+    solids: Solids,
+    num_read: int,
+    kept: NDArray[np.int64],
+    kept_as: NDArray[np.int64],
+    is_turned: NDArray[np.bool_],
+) -> Solids:
+    """Returns solids of polygons that were read as solids of those that stand for them, -1 for none.
+
+    Args:
+        solids: Their faces are numbers below ``num_read``, or -1.
+        num_read: How many polygons there were.
+        kept: (N,) which of them are clean.
+        kept_as: (N,) which polygon stands for each of these.
+        is_turned: (N,) whether that one looks the other way.
+    """
+    places, turned = np.full(num_read + 1, -1, np.int64), np.zeros(num_read + 1, np.bool_)
+    places[kept], turned[kept] = kept_as, is_turned
+    return replace(solids, faces=places[solids.faces], is_flipped=solids.is_flipped ^ turned[solids.faces])
 
 
 def _lost_pictures(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 
@@ -101,10 +101,6 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
     pictures, picture, uv = merge_pictures(
         [(city.pictures, city.picture, city.uv, len(city.building), len(city.points)) for city in cities]
     )
-    points = GrowingArray(np.float64, (3,))
-    for city in cities:
-        points.extend(city.points)
-        city.points = np.zeros((0, 3))
     before = starts_of(np.asarray([len(city.building_ids) for city in cities]))
     part, objects, solids, polygon_ids = _merge_objects(cities)
     return RawCity(
@@ -115,12 +111,10 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
         building_ids=building_ids,
         num_parts=sum(city.num_parts for city in cities),
         lods=lods,
-        points=points.finish(),
+        points=_taken_points(cities),
         ring_starts=starts_of(np.concatenate([np.diff(city.ring_starts) for city in cities])),
         polygon_starts=starts_of(np.concatenate([np.diff(city.polygon_starts) for city in cities])),
-        building=np.concatenate([c.building + n for c, n in zip(cities, before, strict=False)]).astype(
-            np.int32
-        ),
+        building=_counted_on([city.building for city in cities], before[:-1]),
         lod=np.concatenate([_renamed(c.lod, c.lods, lods) for c in cities]),
         kind=np.concatenate([city.kind for city in cities]),
         srs=np.concatenate([_renamed(c.srs, c.systems(), systems) for c in cities]),
@@ -140,6 +134,20 @@ def merge_cities(source: str, cities: list[RawCity]) -> RawCity:
     )
 
 
+def _taken_points(cities: list[RawCity]) -> NDArray[np.float64]:
+    """Returns the points of all cities, (P, 3), which have none afterwards: they are not held twice."""
+    points = GrowingArray(np.float64, (3,))
+    for city in cities:
+        points.extend(city.points)
+        city.points = np.zeros((0, 3))
+    return points.finish()
+
+
+def _counted_on(columns: Sequence[NDArray[np.int32]], firsts: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Returns columns of numbers in a row, those of each column counted from its first."""
+    return np.concatenate([c + n for c, n in zip(columns, firsts, strict=True)]).astype(np.int32)
+
+
 def _merge_objects(
     cities: list[RawCity],
 ) -> tuple[NDArray[np.int32] | None, CityObjects | None, Solids | None, tuple[str, ...]]:
@@ -157,12 +165,12 @@ def _merge_objects(
         np.concatenate(
             [np.where(t.parents < 0, -1, t.parents + n) for t, n in zip(tables, firsts, strict=True)]
         ).astype(np.int32),
-        np.concatenate([t.building + n for t, n in zip(tables, buildings, strict=True)]).astype(np.int32),
+        _counted_on([table.building for table in tables], buildings),
         tuple(values for table in tables for values in (table.attributes or ({},) * len(table)))
         if any(table.attributes for table in tables)
         else (),
     )
-    part = np.concatenate([p + n for p, n in zip(parts, firsts, strict=True)]).astype(np.int32)
+    part = _counted_on(parts, firsts)
     if all(city.solids is None for city in cities):
         return part, objects, None, ()
     told = [

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,36 +32,15 @@ def join_scenes(
         CityModelError: A part is damaged, there is nothing to see, or there are too many corners to number.
         OSError: As for ``write_scene``.
     """
-    shapes, origins = [], []
-    counts: dict[str, list[NDArray[np.int64]]] = {"vertices": [], "triangles": []}
-    low, high, lod, crs = np.full(3, np.inf), np.full(3, -np.inf), "", None
-    for folder in folders:
-        scene, _ = read_scene(folder)
-        shapes.append((len(scene.vertices), len(scene.triangles)))
-        origins.append(scene.origin)
-        counts["vertices"].append(np.diff(scene.vertex_starts))
-        counts["triangles"].append(np.diff(scene.triangle_starts))
-        if len(scene.vertices):
-            corners = scene.extent_m
-            low, high = (
-                np.minimum(low, corners[0] + scene.origin),
-                np.maximum(high, corners[1] + scene.origin),
-            )
-            lod, crs = scene.lod, scene.crs
-    num_vertices, num_triangles = (sum(column) for column in zip(*shapes, strict=True)) if shapes else (0, 0)
-    if num_triangles == 0:
-        raise CityModelError("The tiles have no surfaces to render.", "Ask for another lod.")
-    if num_vertices > _MAX_VERTICES:
-        raise CityModelError(
-            f"The tiles have {num_vertices:,} corners, more than one scene can number.",
-            "Make several scenes.",
-        )
-    origin = np.min(origins, axis=0)
-    starts = {name: starts_of(np.concatenate(parts)) for name, parts in counts.items()}
-    firsts = starts_of(np.array([shape[0] for shape in shapes]))
+    parts = _looked_at(folders)
+    origin = np.min(parts.origins, axis=0)
+    firsts = starts_of(np.array([counts.sum() for counts in parts.vertices]))
+    vertex_starts, triangle_starts = (
+        starts_of(np.concatenate(counts)) for counts in (parts.vertices, parts.triangles)
+    )
 
     def moved() -> Iterator[NDArray[np.float32]]:
-        for folder, place in zip(folders, origins, strict=True):
+        for folder, place in zip(folders, parts.origins, strict=True):
             scene, _ = read_scene(folder)
             yield (scene.vertices + (place - origin)).astype(np.float32)
 
@@ -71,23 +50,67 @@ def join_scenes(
             yield scene.triangles + np.int32(first)
 
     def write(partial: Path) -> dict[str, str]:
-        blocks: dict[str, tuple[Callable[[], Iterator[NDArray[Any]]], Any, tuple[int, ...]]] = {
-            "vertices": (moved, np.float32, (num_vertices, 3)),
-            "triangles": (renumbered, np.int32, (num_triangles, 3)),
-            "vertex_starts": (lambda: iter([starts["vertices"]]), np.int64, starts["vertices"].shape),
-            "triangle_starts": (lambda: iter([starts["triangles"]]), np.int64, starts["triangles"].shape),
+        blocks: dict[str, tuple[Iterator[NDArray[Any]], Any, tuple[int, ...]]] = {
+            "vertices": (moved(), np.float32, (int(vertex_starts[-1]), 3)),
+            "triangles": (renumbered(), np.int32, (int(triangle_starts[-1]), 3)),
+            "vertex_starts": (iter([vertex_starts]), np.int64, vertex_starts.shape),
+            "triangle_starts": (iter([triangle_starts]), np.int64, triangle_starts.shape),
         }
-        return {
-            name: write_blocks(partial / f"{name}.npy", make(), dtype, shape)
-            for name, (make, dtype, shape) in blocks.items()
-        }
+        return {name: write_blocks(partial / f"{name}.npy", *block) for name, block in blocks.items()}
 
     about = {
         "building_ids": list(building_ids),
-        "lod": lod,
-        "crs": crs,
+        "lod": parts.lod,
+        "crs": parts.crs,
         "origin": origin.tolist(),
-        "extra": {**extra, "extent": [low.tolist(), high.tolist()], "triangles": num_triangles},
+        "extra": {**extra, "extent": parts.extent, "triangles": int(triangle_starts[-1])},
     }
     scene_folder(target, about, write)
     return about
+
+
+class _Parts(NamedTuple):
+    """What there is to know of scenes before they are joined.
+
+    Attributes:
+        origins: (3,) of each.
+        vertices: How many each of its buildings has, (B,), scene by scene.
+        triangles: Likewise.
+        extent: Lower and upper corner of all, coordinates.
+        lod, crs: Of the last that has anything in it.
+    """
+
+    origins: list[NDArray[np.float64]]
+    vertices: list[NDArray[np.int64]]
+    triangles: list[NDArray[np.int64]]
+    extent: list[list[float]]
+    lod: str
+    crs: str | None
+
+
+def _looked_at(folders: Sequence[Path]) -> _Parts:
+    """Returns what there is to know of scenes.
+
+    Raises:
+        CityModelError: One is damaged, there is nothing to see, or there are too many corners to number.
+    """
+    origins, vertices, triangles = [], [], []
+    low, high, lod, crs = np.full(3, np.inf), np.full(3, -np.inf), "", None
+    for folder in folders:
+        scene, _ = read_scene(folder)
+        origins.append(scene.origin)
+        vertices.append(np.diff(scene.vertex_starts))
+        triangles.append(np.diff(scene.triangle_starts))
+        if len(scene.vertices):
+            corners = np.stack(scene.extent_m) + scene.origin
+            low, high = np.minimum(low, corners[0]), np.maximum(high, corners[1])
+            lod, crs = scene.lod, scene.crs
+    num_vertices, num_triangles = (sum(int(n.sum()) for n in counts) for counts in (vertices, triangles))
+    if num_triangles == 0:
+        raise CityModelError("The tiles have no surfaces to render.", "Ask for another lod.")
+    if num_vertices > _MAX_VERTICES:
+        raise CityModelError(
+            f"The tiles have {num_vertices:,} corners, more than one scene can number.",
+            "Make several scenes.",
+        )
+    return _Parts(origins, vertices, triangles, [low.tolist(), high.tolist()], lod, crs)

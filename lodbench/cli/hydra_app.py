@@ -62,10 +62,7 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         LodbenchError: An override is malformed, unknown or of the wrong type; or the only job's own.
         Exception: What else a job raised, as it was raised; the jobs after it are not run.
     """
-    import hydra
     from hydra.core.hydra_config import HydraConfig
-    from hydra.errors import HydraException
-    from yaml import YAMLError
 
     jobs: list[list[str]] = []
     faults: dict[int, LodbenchError] = {}
@@ -87,6 +84,26 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         sys.stdout.write(help_text(command, config_name, argv))
         return 0
     typed, argv = argv, settings_of(command, argv)
+    _run_jobs(command, config_name, job, argv)
+    if crashes:
+        raise crashes[0]
+    if faults and not any(word in _SWEEP_FLAGS for word in argv):
+        raise faults[0]
+    _report_faults(jobs, faults)
+    tell_old_names(command, typed)
+    return 2 if faults else 0
+
+
+def _run_jobs(command: str, config_name: str, job: Callable[[DictConfig], None], argv: Sequence[str]) -> None:
+    """Lets Hydra compose the configuration of a command and run each job of it.
+
+    Raises:
+        LodbenchError: An override is malformed, unknown or of the wrong type.
+    """
+    import hydra
+    from hydra.errors import HydraException
+    from yaml import YAMLError
+
     register_config_sources()
     # Hydra would print the fault and exit by itself; with this it lets the exception through.
     os.environ["HYDRA_FULL_ERROR"] = "1"
@@ -100,13 +117,6 @@ def run_hydra(command: str, config_name: str, task: Callable[[DictConfig], None]
         raise explained(error, config_name) from error
     finally:
         sys.argv = saved
-    if crashes:
-        raise crashes[0]
-    if faults and not any(word in _SWEEP_FLAGS for word in argv):
-        raise faults[0]
-    _report_faults(jobs, faults)
-    tell_old_names(command, typed)
-    return 2 if faults else 0
 
 
 def _report_faults(jobs: Sequence[Sequence[str]], faults: dict[int, LodbenchError]) -> None:

@@ -54,9 +54,7 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
     found = survey(spec, params.root, params.city_model, params.prior_file)
     require_data(found)
     findings = Findings()
-    for split in spec.splits:
-        if split.is_test and split.name not in {files.spec.name for files in found.splits}:
-            findings.add(SPLIT_MISSING, split.name, f"no folder {split.folders[0]}")
+    _note_missing_splits(spec, found, findings)
     complete = [files for files in found.splits if files.is_complete]
     contents = [read_split(files, findings) for files in complete]
     options = ReadOptions()
@@ -88,6 +86,12 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
         photo_crs=spec.photo_crs,
         photo_origin=None if params.origin is None else tuple(params.origin),
     )
+
+
+def _note_missing_splits(spec: PublishedSpec, found: Survey, findings: Findings) -> None:
+    for split in spec.splits:
+        if split.is_test and split.name not in {files.spec.name for files in found.splits}:
+            findings.add(SPLIT_MISSING, split.name, f"no folder {split.folders[0]}")
 
 
 def _to_enu(

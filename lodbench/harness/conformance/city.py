@@ -52,19 +52,6 @@ def reader_rules(tried: Tried) -> Rules:
 def renderer_rules(tried: Tried) -> Rules:
     """Returns the rules of a renderer."""
     renderer = _Once(lambda: tried.part(tried.scene, 1))
-    reference = open_renderer("reference", tried.scene, 1)
-
-    def silhouettes() -> str:
-        worst = 0.0
-        for pose in tried.truths:
-            drawn = renderer().render(CAMERA, pose)
-            size = (CAMERA.height, CAMERA.width)
-            require(
-                drawn.shape == size and drawn.dtype == np.bool_, f"{drawn.shape} {drawn.dtype}", "(H, W) bool"
-            )
-            worst = max(worst, float(np.mean(drawn != reference.render(CAMERA, pose))))
-        require(worst <= _MOST_DIFFERENT, f"{100 * worst:.2f} % of the pixels are not the reference's")
-        return f"(H, W) bool; {100 * worst:.2f} % of the pixels at most are not the reference's"
 
     def same_again() -> str:
         before = tried.scene.vertices.copy(), tried.scene.triangles.copy()
@@ -83,29 +70,41 @@ def renderer_rules(tried: Tried) -> Rules:
         require(not renderer().render(CAMERA, far).any(), "a silhouette where no building is in view")
         return "nothing is drawn where no building is in view"
 
-    def depth() -> str:
-        if not hasattr(tried.part, DEPTH):
-            return "not offered"
-        pose = tried.truths[0]
-        found, mask = renderer().depth(CAMERA, pose), renderer().render(CAMERA, pose)
-        require(found.shape == mask.shape and found.dtype == np.float32, f"{found.shape} {found.dtype}")
-        differing = float(np.mean((found > 0) != mask))
-        require(
-            differing <= _MOST_DIFFERENT, f"{100 * differing:.1f} % of the pixels: depth here, silhouette not"
-        )
-        return f"{found[found > 0].min():.1f} to {found.max():.1f} m, 0 beside the buildings"
-
     def not_finite() -> str:
         broken = Pose(tried.truths[0].rotation, np.array([0.0, np.nan, 0.0]))
         return refuses(lambda: renderer().render(CAMERA, broken), "a pose that is not finite")
 
     return [
-        ("silhouettes", silhouettes),
+        ("silhouettes", lambda: _silhouettes(tried, renderer())),
         ("same again", same_again),
         ("nothing in view", away),
-        ("depth", depth),
+        ("depth", lambda: _depth(tried, renderer()) if hasattr(tried.part, DEPTH) else "not offered"),
         ("no pose", not_finite),
     ]
+
+
+def _silhouettes(tried: Tried, renderer: Any) -> str:
+    reference, worst = open_renderer("reference", tried.scene, 1), 0.0
+    for pose in tried.truths:
+        drawn = renderer.render(CAMERA, pose)
+        size = (CAMERA.height, CAMERA.width)
+        require(
+            drawn.shape == size and drawn.dtype == np.bool_, f"{drawn.shape} {drawn.dtype}", "(H, W) bool"
+        )
+        worst = max(worst, float(np.mean(drawn != reference.render(CAMERA, pose))))
+    require(worst <= _MOST_DIFFERENT, f"{100 * worst:.2f} % of the pixels are not the reference's")
+    return f"(H, W) bool; {100 * worst:.2f} % of the pixels at most are not the reference's"
+
+
+def _depth(tried: Tried, renderer: Any) -> str:
+    pose = tried.truths[0]
+    found, mask = renderer.depth(CAMERA, pose), renderer.render(CAMERA, pose)
+    require(found.shape == mask.shape and found.dtype == np.float32, f"{found.shape} {found.dtype}")
+    differing = float(np.mean((found > 0) != mask))
+    require(
+        differing <= _MOST_DIFFERENT, f"{100 * differing:.1f} % of the pixels: depth here, silhouette not"
+    )
+    return f"{found[found > 0].min():.1f} to {found.max():.1f} m, 0 beside the buildings"
 
 
 class _Once:

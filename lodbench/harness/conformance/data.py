@@ -48,23 +48,29 @@ def dataset_rules(tried: Tried) -> Rules:
             return f"not here, and it says so: {error.message}"
         require(isinstance(dataset, Dataset), f"it returned {type(dataset).__name__}", "Return a Dataset.")
         require(dataset.name == tried.name, f"its name is {dataset.name!r}: runs are stored under that")
-        keys = [entry.key for entry in dataset.entries]
-        require(len(keys) > 0 and len(set(keys)) == len(keys), "no query, or one twice")
-        strays = sorted(set(dataset.truth) - set(keys))
-        require(not strays, f"a truth of {strays[:1]}, which is no query")
-        splits = {entry.split for entry in dataset.entries}
-        require(
-            splits <= set(dataset.splits), f"queries of {sorted(splits - set(dataset.splits))}: no such split"
-        )
-        for entry in dataset.entries:
-            for path in (entry.image, entry.mask):
-                require(path is None or path.is_file(), f"{entry.key}: {path} is not there")
-            for pose in (entry.prior, dataset.truth.get(entry.key)):
-                _require_pose(pose, entry.key)
+        _require_sound(dataset)
         require(prior_digest(opened().entries) == prior_digest(dataset.entries), "opened twice, other priors")
-        return f"{len(keys)} queries in {', '.join(dataset.splits)}; poses sound, files there, the same again"
+        found = f"{len(dataset.entries)} queries in {', '.join(dataset.splits)}"
+        return f"{found}; poses sound, files there, the same again"
 
     return [("parameters", parameters), ("content", content)]
+
+
+def _require_sound(dataset: Dataset) -> None:
+    """Raises what ``require`` does where queries, truths, splits and files do not belong together."""
+    keys = [entry.key for entry in dataset.entries]
+    require(len(keys) > 0 and len(set(keys)) == len(keys), "no query, or one twice")
+    strays = sorted(set(dataset.truth) - set(keys))
+    require(not strays, f"a truth of {strays[:1]}, which is no query")
+    splits = {entry.split for entry in dataset.entries}
+    require(
+        splits <= set(dataset.splits), f"queries of {sorted(splits - set(dataset.splits))}: no such split"
+    )
+    for entry in dataset.entries:
+        for path in (entry.image, entry.mask):
+            require(path is None or path.is_file(), f"{entry.key}: {path} is not there")
+        for pose in (entry.prior, dataset.truth.get(entry.key)):
+            _require_pose(pose, entry.key)
 
 
 def prior_rules(tried: Tried) -> Rules:

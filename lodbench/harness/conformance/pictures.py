@@ -33,31 +33,9 @@ def extractor_rules(tried: Tried) -> Rules:
     def same_again() -> str:
         picture = _picture(tried)
         first, again = tried.make().extract(picture), tried.make().extract(picture)
-        for name in ("keypoints", "descriptors", "scores"):
-            require(
-                np.array_equal(getattr(first, name), getattr(again, name)), f"other {name}", "Fix the seeds."
-            )
+        _require_same(first, again, "keypoints", "descriptors", "scores")
         require(np.array_equal(picture, _picture(tried)), "the picture was written to", "Work on a copy.")
         return "the same picture, the same features to the bit; it is only read"
-
-    def convention() -> str:
-        # A dot whose centre is known: (41.5, 31.5) where the first pixel's centre is (0.5, 0.5).
-        rows, columns = np.mgrid[0:62, 0:82] + 0.5
-        dot = 230.0 * np.exp(-((columns - 41.5) ** 2 + (rows - 31.5) ** 2) / 18.0) + 10
-        picture = np.repeat(dot.astype(np.uint8)[:, :, None], 3, axis=2)
-        features = tried.make().extract(picture)
-        # A detector of corners is not sure of anything in a dot.
-        sure = 0.1 * float(tried.make().extract(_picture(tried)).scores.max())
-        found = features.keypoints[features.scores >= sure]
-        if not len(found):
-            return "not seen: it is sure of nothing in a lone dot"
-        off = np.abs(found.mean(axis=0) - [41.5, 31.5]).max()
-        require(
-            off < 0.4,
-            f"a dot at (41.5, 31.5) is found {off:.2f} px off",
-            "The first pixel's centre is (0.5, 0.5).",
-        )
-        return f"a dot at (41.5, 31.5) is found {off:.2f} px off"
 
     def blank() -> str:
         found = tried.make().extract(np.full((48, 64, 3), 128, np.uint8))
@@ -66,13 +44,36 @@ def extractor_rules(tried: Tried) -> Rules:
     return [
         ("features", features),
         ("same again", same_again),
-        ("pixels", convention),
+        ("pixels", lambda: _dot_s_place(tried)),
         ("nothing to see", blank),
         (
             "no picture",
             lambda: refuses(lambda: tried.make().extract(np.zeros((9, 9))), "a (9, 9) float array"),
         ),
     ]
+
+
+def _require_same(one: object, other: object, *names: str) -> None:
+    for name in names:
+        same = np.array_equal(getattr(one, name), getattr(other, name))
+        require(same, f"other {name}", "Fix the seeds.")
+
+
+def _dot_s_place(tried: Tried) -> str:
+    # A dot whose centre is known: (41.5, 31.5) where the first pixel's centre is (0.5, 0.5).
+    rows, columns = np.mgrid[0:62, 0:82] + 0.5
+    dot = 230.0 * np.exp(-((columns - 41.5) ** 2 + (rows - 31.5) ** 2) / 18.0) + 10
+    picture = np.repeat(dot.astype(np.uint8)[:, :, None], 3, axis=2)
+    features = tried.make().extract(picture)
+    # A detector of corners is not sure of anything in a dot.
+    sure = 0.1 * float(tried.make().extract(_picture(tried)).scores.max())
+    found = features.keypoints[features.scores >= sure]
+    if not len(found):
+        return "not seen: it is sure of nothing in a lone dot"
+    off = np.abs(found.mean(axis=0) - [41.5, 31.5]).max()
+    told = f"a dot at (41.5, 31.5) is found {off:.2f} px off"
+    require(off < 0.4, told, "The first pixel's centre is (0.5, 0.5).")
+    return told
 
 
 def matcher_rules(tried: Tried) -> Rules:
@@ -86,9 +87,8 @@ def matcher_rules(tried: Tried) -> Rules:
         return kind(kind.params_type()).extract(picture)
 
     def takes_what() -> str:
-        require(
-            takes in (FEATURES, IMAGES), f"takes is {takes!r}", f"Set takes = {FEATURES!r} or {IMAGES!r}."
-        )
+        hint = f"Set takes = {FEATURES!r} or {IMAGES!r}."
+        require(takes in (FEATURES, IMAGES), f"takes is {takes!r}", hint)
         return f"{takes}"
 
     def matches() -> str:
@@ -103,10 +103,7 @@ def matcher_rules(tried: Tried) -> Rules:
     def same_again() -> str:
         first, second = side(_picture(tried, 0)), side(_picture(tried, 1))
         one, other = tried.make().match(first, second), tried.make().match(first, second)
-        for name in ("first", "second", "scores"):
-            require(
-                np.array_equal(getattr(one, name), getattr(other, name)), f"other {name}", "Fix the seeds."
-            )
+        _require_same(one, other, "first", "second", "scores")
         return f"{len(one.first)} of two photos, the same to the bit"
 
     def nothing() -> str:

@@ -18,18 +18,9 @@ _COUNT, _OUTLIERS = 300, 0.3
 def solver_rules(tried: Tried) -> Rules:
     """Returns the rules of a pose solver."""
 
-    def solved(outliers: float, count: int = _COUNT) -> list[tuple[SolvedPose | None, Pose]]:
-        found = []
-        for number, truth in enumerate(tried.truths):
-            points, pixels = _correspondences(truth, outliers, number)
-            prior = truth.shifted([8.0, -6.0, 4.0])
-            answer = tried.make().solve(points[:count], pixels[:count], CAMERA, prior)
-            found.append((answer, truth))
-        return found
-
     def exact(outliers: float, limit_m: float) -> str:
         worst = 0.0
-        for answer, truth in solved(outliers):
+        for answer, truth in _solved(tried, outliers):
             if answer is None:
                 require(False, "no pose")
                 continue
@@ -40,7 +31,8 @@ def solver_rules(tried: Tried) -> Rules:
         return f"{worst:.3f} m off at worst"
 
     def same_again() -> str:
-        for (first, _), (again, _) in zip(solved(_OUTLIERS), solved(_OUTLIERS), strict=True):
+        twice = _solved(tried, _OUTLIERS), _solved(tried, _OUTLIERS)
+        for (first, _), (again, _) in zip(*twice, strict=True):
             same = first is not None and again is not None
             require(
                 same and np.array_equal(first.pose.cam_from_world, again.pose.cam_from_world),  # type: ignore[union-attr]
@@ -50,7 +42,7 @@ def solver_rules(tried: Tried) -> Rules:
         return "the same correspondences, the same pose to the bit"
 
     def too_few() -> str:
-        require(all(answer is None for answer, _ in solved(0.0, count=1)), "a pose of one point")
+        require(all(answer is None for answer, _ in _solved(tried, 0.0, count=1)), "a pose of one point")
         return "no pose of one point"
 
     return [
@@ -59,6 +51,17 @@ def solver_rules(tried: Tried) -> Rules:
         ("same again", same_again),
         ("too few", too_few),
     ]
+
+
+def _solved(tried: Tried, outliers: float, count: int = _COUNT) -> list[tuple[SolvedPose | None, Pose]]:
+    """Returns the answer for each true pose, given so many of its correspondences, and that pose."""
+    found = []
+    for number, truth in enumerate(tried.truths):
+        points, pixels = _correspondences(truth, outliers, number)
+        prior = truth.shifted([8.0, -6.0, 4.0])
+        answer = tried.make().solve(points[:count], pixels[:count], CAMERA, prior)
+        found.append((answer, truth))
+    return found
 
 
 def _correspondences(truth: Pose, outliers: float, number: int) -> tuple[Floats, Floats]:

@@ -137,11 +137,7 @@ def write_answer(
         camera_source=photo.camera_source,
         overlay=overlay,
         geojson=geojson,
-        notes=(
-            *place.city.notes(),
-            *(notes_of(request.segmenter) if has_mask and request.mask is None else ()),
-            *_notes(photo, frame, view, estimate),
-        ),
+        notes=_notes(photo, place, view, estimate),
         features=tuple(features),
         thumbnail=view.thumbnail(),
     )
@@ -169,9 +165,12 @@ def _label(out: Path, stem: str, digest: str) -> str:
     raise AssertionError("numbers do not end")
 
 
-def _notes(photo: PreparedPhoto, frame: MapFrame | None, view: PhotoView, estimate: Estimate) -> list[str]:
-    datum = None if frame is None else datum_note(frame)
-    notes = [*estimate.notes] if datum is None else [*estimate.notes, datum]
+def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Estimate) -> tuple[str, ...]:
+    notes = [*place.city.notes()]
+    if photo.mask is not None and photo.request.mask is None:
+        notes += notes_of(photo.request.segmenter)
+    datum = None if place.frame is None else datum_note(place.frame)
+    notes += estimate.notes if datum is None else (*estimate.notes, datum)
     if photo.stated.orientation > 1:
         notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
     if view.pixels is None:
@@ -180,7 +179,7 @@ def _notes(photo: PreparedPhoto, frame: MapFrame | None, view: PhotoView, estima
         notes.append(f"the lens distortion ({view.camera.lens}) was undone before localising")
     if not is_trusted(estimate.probability, estimate.score, view.mask is not None):
         notes.append(_warning(estimate, view.mask is not None))
-    return notes
+    return tuple(notes)
 
 
 def _warning(estimate: Estimate, has_mask: bool) -> str:

@@ -100,20 +100,14 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
         LodbenchError: A fault of the dataset or the settings, before any work is done.
     """
     dataset, splits, entries, city_map, textured = _opened(method, dataset, segmenter, settings)
-    needs = made_inputs(method)
-    if looks_at_photos(method, segmenter):
-        needs |= {Input.IMAGE}
+    needs = made_inputs(method) | ({Input.IMAGE} if looks_at_photos(method, segmenter) else set())
     preparation = Preparation(dataset, city_map.scene, segmenter, settings.tilt, needs, city_map)
     inputs = {
-        "scene": scene_digest(city_map.scene),
-        "queries": queries_digest(dataset, entries),
-        "priors": prior_digest(entries),
-        "code": code_digest(method, segmenter),
-        **({} if textured is None else {"textured_map": textured.digest()}),
+        **_fixed_inputs(method, segmenter, dataset, entries, city_map.scene, textured),
         **_read_inputs(method, segmenter, dataset, entries),
     }
-    digest = digest_of({"config": settings.config, "inputs": inputs})
-    folder = settings.runs_root / dataset.name / method.name / digest
+    runs = settings.runs_root / dataset.name / method.name
+    folder = runs / digest_of({"config": settings.config, "inputs": inputs})
     work = Work(
         # A worker prepares its own.
         method if settings.executor.name == SERIAL else copy(method),
@@ -203,6 +197,24 @@ def _answered(
                 now = _read_inputs(method, work.segmenter, work.dataset, entries)
                 _require_unchanged(work.inputs, now, folder)
     return predictions, resumed
+
+
+def _fixed_inputs(
+    method: Method,
+    segmenter: Segmenter,
+    dataset: Dataset,
+    entries: tuple[Entry, ...],
+    scene: Scene,
+    textured: TexturedMesh | None,
+) -> dict[str, str]:
+    """Returns digests of what is in memory by now, and of the code."""
+    inputs = {
+        "scene": scene_digest(scene),
+        "queries": queries_digest(dataset, entries),
+        "priors": prior_digest(entries),
+        "code": code_digest(method, segmenter),
+    }
+    return inputs if textured is None else inputs | {"textured_map": textured.digest()}
 
 
 def _read_inputs(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -83,26 +83,14 @@ class Region:
             raise QueryFault("no outline of a building is in view of any pose that fits")
         judge = final.with_edges(params.judging_edge_weight)
         modes = judged(modes, judge)
-        vector, nats, is_by_lines, apart_m, sharpness = self._on_lines(
-            photo, query, city_map, modes[0].cloud.mean, final, around, streams
-        )
-        information = information_at(nats, vector, final, around)
-        prior, outline = final.prior_information(), around.outline(vector, final)
+        chosen = self._on_lines(photo, query, city_map, modes[0].cloud.mean, final, around, streams)
+        information = information_at(chosen.nats, chosen.vector, final, around)
+        prior, outline = final.prior_information(), around.outline(chosen.vector, final)
         if_map_is_right: Floats = np.asarray(np.linalg.inv(information + prior))
         covariance = covariance_under_map_errors(information, prior, outline)
-        offset, half_widths = final.offsets(vector[None])[0], params.half_widths()
-        # Of the best pose: its fit and its lines say whether it is the right one, which no mean changes.
-        signs = Signs(
-            probability_within(if_map_is_right, vector),
-            apart_m,
-            sharpness,
-            float(judge.fits(vector[None])[0]),
-            max(0.0, float(abs(offset[2]) / half_widths[2]) - 1.0),
-        )
-        if params.mean_pixels > 0:
-            if not is_by_lines:
-                nats = self._evidence(query, city_map, photo, params.mean_width, is_coarse=False).nats
-            vector = posterior_mean(nats, final.log_prior, params.mean_share(), vector, covariance)
+        half_widths = params.half_widths()
+        signs = _signs(chosen, final, judge, if_map_is_right, half_widths)
+        vector = self._mean(photo, query, city_map, chosen, final, covariance)
         finished = time.perf_counter()
         return Estimate(
             pose=pose_from_vector(vector),
@@ -149,11 +137,42 @@ class Region:
             return _Chosen(vector, final.nats, False, apart_m, lines.sharpness)
         return _Chosen(lines.vector, lines.nats, True, apart_m, lines.sharpness)
 
+    def _mean(
+        self,
+        photo: NDArray[np.uint8],
+        query: Query,
+        city_map: CityMap,
+        chosen: _Chosen,
+        final: Evidence,
+        covariance: Floats,
+    ) -> Floats:
+        """Returns the mean of the poses around the best one, or that one where no mean is asked for."""
+        params, nats = self.params, chosen.nats
+        if params.mean_pixels <= 0:
+            return chosen.vector
+        if not chosen.is_by_lines:
+            nats = self._evidence(query, city_map, photo, params.mean_width, is_coarse=False).nats
+        return posterior_mean(nats, final.log_prior, params.mean_share(), chosen.vector, covariance)
+
     def _evidence(
         self, query: Query, city_map: CityMap, photo: NDArray[np.uint8], width: int, is_coarse: bool
     ) -> Evidence:
         size = _size(query.camera, width)
         return Evidence(query, city_map, PhotoFit(photo, size, self.params, is_coarse), self.params)
+
+
+def _signs(
+    chosen: _Chosen, final: Evidence, judge: Evidence, covariance: Floats, half_widths: Sequence[float]
+) -> Signs:
+    """Returns what says whether the best pose, not the mean, is the right one: its fit and its lines."""
+    offset = final.offsets(chosen.vector[None])[0]
+    return Signs(
+        probability_within(covariance, chosen.vector),
+        chosen.apart_m,
+        chosen.sharpness,
+        float(judge.fits(chosen.vector[None])[0]),
+        max(0.0, float(abs(offset[2]) / half_widths[2]) - 1.0),
+    )
 
 
 def _size(camera: Camera, width: int) -> tuple[int, int]:
