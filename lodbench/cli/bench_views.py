@@ -16,8 +16,7 @@ from lodbench.bench.wide_priors import measure_wide_priors
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
-from lodbench.synthesis.map_and_camera_errors import World
-from lodbench.synthesis.views_dataset import AREAS, ViewsParams
+from lodbench.synthesis.views_dataset import AREAS, ViewsParams, World
 
 _WORLD = (
     "how what is seen differs from the map: shared_roofs and hidden_feet in metres, focal as a share, "

@@ -15,8 +15,8 @@ room                   what it makes
                        ``instance_degradation``
 ``queries``            made-up queries, and the one way they become a folder
 ``demo``               ``dataset=demo`` and ``demo_train``, with what they have on demand
-``views_dataset``      ``dataset=views``: seeded views of any city; their photos are in ``view_photos``,
-                       what map and camera are wrong about in ``map_and_camera_errors``
+``views_dataset``      ``dataset=views``: seeded views of any city, what map and camera are wrong about; their
+                       photos are in ``view_photos``
 ``training_data``      ``generate-training-data``: settings, plan of views, files, manifest, sheet
 =====================  ===========================================================================
 

@@ -63,8 +63,7 @@ def _at_random(params: GenerateParams, place: Place) -> Iterator[Pose]:
     """Yields poses that look at places near buildings, from any side."""
     for index in range(params.count):
         generator = random_stream(params.seed, "training", "camera", index)
-        target = target_near(place.bases, generator)
-        yield _looking_at(target, params, generator)
+        yield _looking_at(target_near(place.bases, generator), params, generator)
 
 
 def _looking_at(target: Floats, params: GenerateParams, generator: np.random.Generator) -> Pose:

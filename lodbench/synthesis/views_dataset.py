@@ -8,9 +8,12 @@ has a drawn photo too.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from lodbench.citymodel.cache import open_cached_city
 from lodbench.citymodel.options import ReadOptions
@@ -18,13 +21,13 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, DatasetError, require_numbers, require_within
+from lodbench.errors import ConfigError, DatasetError, nearest_names, require_numbers, require_within
+from lodbench.geometry import Camera
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
-from lodbench.synthesis.map_and_camera_errors import World
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
 from lodbench.synthesis.queries import SyntheticQuery, write_queries
@@ -37,6 +40,83 @@ SPLIT = "views"
 # The halves of a city's bounding box: tune on one, report on the other.
 AREAS = ("west", "east", "south", "north")
 _FACTS_FILE = "drawn.json"
+# What a building keeps of its height at least, metres.
+_LEAST_RISE_M = 0.5
+_WORLD_LIMITS = {"shared_roofs_m": (-50, 50), "hidden_feet_m": (0, 50), "focal": (-0.5, 0.5), "tilt": (0, 30)}
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """How what is seen differs from the map that is searched and from what is told, in all views alike.
+
+    Attributes:
+        shared_roofs_m: Every building reaches so much higher than in the map; below 0 less high.
+        hidden_feet_m: So much of the lowest part of every wall is hidden, by hedges or cars.
+        focal: The lens is longer than told by this share of its focal length, in every second view shorter.
+        tilt: Pitch and roll of the priors err so many times as far as told.
+
+    Raises:
+        ConfigError: A value is not finite or beyond what there is.
+    """
+
+    shared_roofs_m: float = 0.0
+    hidden_feet_m: float = 0.0
+    focal: float = 0.0
+    tilt: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _WORLD_LIMITS.items():
+            if not low <= getattr(self, name) <= high:
+                raise ConfigError(f"world.{name} lies within {low} and {high}, not {getattr(self, name)}.")
+
+    @classmethod
+    def parse(cls, text: str) -> World:
+        """Returns the world of ``NAME=VALUE,NAME=VALUE``; the unit ``_m`` may be left out of a name.
+
+        Raises:
+            ConfigError: A name is not known or a value is no number.
+        """
+        known = {field.name.removesuffix("_m"): field.name for field in fields(cls)}
+        values = {}
+        for part in filter(None, text.split(",")):
+            name, _, value = part.partition("=")
+            name = name.strip().removesuffix("_m")
+            if name not in known:
+                raise ConfigError(f"A world has no {name!r}.", nearest_names(name, known))
+            try:
+                values[known[name]] = float(value)
+            except ValueError as error:
+                raise ConfigError(
+                    f"{name}={value} is no number.", "Write --world shared_roofs=1.5,focal=0.01"
+                ) from error
+        return cls(**values)
+
+    def describe(self) -> str:
+        """Returns in words what is wrong, or "" where nothing is."""
+        plain = World()
+        wrong = [f for f in fields(self) if getattr(self, f.name) != getattr(plain, f.name)]
+        return ", ".join(f"{f.name}={getattr(self, f.name):g}" for f in wrong)
+
+    def seen(self, scene: Scene) -> Scene:
+        """Returns what is seen of a city: its roofs as high as they are, without the feet that are hidden."""
+        if not (self.shared_roofs_m or self.hidden_feet_m):
+            return scene
+        vertices = np.array(scene.vertices)
+        for first, last in pairwise(scene.vertex_starts):
+            heights = vertices[first:last, 2]
+            if len(heights) == 0 or heights.max() == heights.min():
+                continue
+            floor, rise = heights.min(), heights.max() - heights.min()
+            stretch = max(rise + self.shared_roofs_m, min(rise, _LEAST_RISE_M)) / rise
+            vertices[first:last, 2] = np.maximum(
+                floor + stretch * (heights - floor), floor + self.hidden_feet_m
+            )
+        return replace(scene, vertices=vertices, stored_digest="")
+
+    def lens(self, camera: Camera, view: int) -> Camera:
+        """Returns the camera that takes the view of a number, given the one that is told."""
+        stretch = 1.0 + (self.focal if view % 2 == 0 else -self.focal)
+        return replace(camera, fx=stretch * camera.fx, fy=stretch * camera.fy)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,8 @@ import pytest
 from lodbench.citymodel import open_scene
 from lodbench.errors import ConfigError
 from lodbench.segmentation.masks import read_mask
-from lodbench.synthesis.map_and_camera_errors import World
 from lodbench.synthesis.view_sampling import RGB_CAMERA
-from lodbench.synthesis.views_dataset import ViewsParams, open_views
+from lodbench.synthesis.views_dataset import ViewsParams, World, open_views
 from tests.town import box_obj
 
 

@@ -61,7 +61,7 @@ def shading_of(corners, surface):
     from lodbench.synthesis.objects.scene_props import SceneProps
     from lodbench.synthesis.photo.kernel import plain_shading
     from lodbench.synthesis.photo.render_scene import make_skin
-    from lodbench.synthesis.survey.town_then import survey_look
+    from lodbench.synthesis.survey.textured_map import survey_look
 
     count = len(corners)
     props = SceneProps(

@@ -9,9 +9,8 @@ from enum import Enum
 import numpy as np
 
 from lodbench.storage import random_stream
-from lodbench.synthesis.town.details import Annex, Detail, RoofBox
 from lodbench.synthesis.town.extrusion import Body, Strip
-from lodbench.synthesis.town.fittings import STOREY_M, balconies, chance, chimneys
+from lodbench.synthesis.town.fittings import STOREY_M, Annex, Detail, RoofBox, balconies, chance, chimneys
 from lodbench.synthesis.town.looks import TownLook
 from lodbench.synthesis.town.occupancy import Occupancy
 from lodbench.synthesis.town.openings import Neighbourhood, add_openings, has_balconies

@@ -8,7 +8,7 @@ CityGML files look like is in ``templates``.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from lodbench.synthesis.town.terrain import Terrain
 from lodbench.synthesis.town.town import TOWN_VERSION, Town
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
+    from jinja2 import Template
 
 CRS_NAME = "urn:ogc:def:crs,crs::EPSG::25832,crs::EPSG::7837"
 # Where the made-up town lies in UTM zone 32: easting, northing and height of its local origin, metres.
@@ -51,7 +51,8 @@ def citygml_text(town: Town, *, is_fine: bool = False) -> str:
     # One envelope for both files, so that readers give them one frame.
     points = np.concatenate([solid.points for b in town.buildings for solid in (b.lod1, b.lod2, b.lod3)])
     buildings = town.standing if is_fine else town.mapped
-    return _filled_in("town.gml.jinja", name=title(town), points=points, buildings=buildings, is_fine=is_fine)
+    template = _template("town.gml.jinja")
+    return template.render(name=title(town), points=points, buildings=buildings, is_fine=is_fine)
 
 
 def title(town: Town) -> str:
@@ -80,7 +81,7 @@ def relief_text(terrain: Terrain, name: str) -> str:
     )
     halves = ((south_west, south_east, north_east), (south_west, north_east, north_west))
     rings = np.concatenate([np.stack([*corners, corners[0]], axis=1) for corners in halves])
-    return _filled_in("relief.gml.jinja", name=name, points=grid.reshape(-1, 3), rings=rings)
+    return _template("relief.gml.jinja").render(name=name, points=grid.reshape(-1, 3), rings=rings)
 
 
 def _grid(terrain: Terrain, axis: Points) -> Points:
@@ -89,13 +90,9 @@ def _grid(terrain: Terrain, axis: Points) -> Points:
     return terrain.on_ground(places).reshape(len(axis), len(axis), 3)
 
 
-def _filled_in(template: str, **values: Any) -> str:
-    """Returns a file of a name in ``templates``, filled in."""
-    return _environment().get_template(template).render(**values)
-
-
 @cache
-def _environment() -> Environment:
+def _template(name: str) -> Template:
+    """Returns a file of ``templates``, to be filled in."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -108,7 +105,7 @@ def _environment() -> Environment:
     )
     environment.globals |= {"coordinates": _coordinates, "crs_name": CRS_NAME}
     environment.globals |= {"functions": _FUNCTIONS, "boundaries": _BOUNDARIES}
-    return environment
+    return environment.get_template(name)
 
 
 def _coordinates(points: Points) -> str:

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lodbench.synthesis.town.details import Detail
 from lodbench.synthesis.town.extrusion import Strip
-from lodbench.synthesis.town.fittings import annex, chance, dormers, eaves, town_roof
+from lodbench.synthesis.town.fittings import Detail, annex, chance, dormers, eaves, town_roof
 from lodbench.synthesis.town.roofs import Roof, flat, gabled
 from lodbench.synthesis.town.shapes import (
     Points,

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lodbench.synthesis.town.details import Detail
 from lodbench.synthesis.town.extrusion import Strip
-from lodbench.synthesis.town.fittings import annex, chance, dormers, eaves, house_roof
+from lodbench.synthesis.town.fittings import Detail, annex, chance, dormers, eaves, house_roof
 from lodbench.synthesis.town.roofs import flat, gabled
 from lodbench.synthesis.town.shapes import Points, edge_directions, edge_lengths, left_of
 from lodbench.synthesis.town.site import Site

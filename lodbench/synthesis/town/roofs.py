@@ -67,7 +67,8 @@ class Roof:
 
     def height_at(self, share: float) -> float:
         """Returns the height above the base at a share of the way across, hips left aside."""
-        return float(np.interp(share, *zip(*self.profile, strict=True)))
+        shares, heights = zip(*self.profile, strict=True)
+        return float(np.interp(share, shares, heights))
 
     def lowered(self, by_m: float) -> Roof:
         """Returns the same roof over lower walls."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from lodbench.synthesis.town.building import Plan
-from lodbench.synthesis.town.details import Detail
 from lodbench.synthesis.town.extrusion import Strip
+from lodbench.synthesis.town.fittings import Detail
 from lodbench.synthesis.town.roofs import Roof
 from lodbench.synthesis.town.shapes import Points, box_of, contains, keeps_apart, left_of
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from solid_checks import assert_sound, volume_m3
 
 from lodbench.citymodel.model import SurfaceKind
-from lodbench.synthesis.town.details import Annex, RoofBox
 from lodbench.synthesis.town.extrusion import Body, Strip
+from lodbench.synthesis.town.fittings import Annex, RoofBox
 from lodbench.synthesis.town.roofs import Roof, flat, gabled, hipped, mansard, serrated
 from lodbench.synthesis.town.solid import prism
 
