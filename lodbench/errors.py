@@ -97,7 +97,8 @@ def require_within(
         if low == -math.inf and high == math.inf:
             bounds = "finite"
         elif high == math.inf:
-            bounds = f"finite and {'above' if ends[0] == '(' else 'at least'} {low:g}"
+            lowest = f"{'above' if ends[0] == '(' else 'at least'} {low:g}"
+            bounds = lowest if math.isfinite(number) else f"finite and {lowest}"
         else:
             is_closed = ends == "[]"
             bounds = f"within {low:g} to {high:g}" if is_closed else f"in {ends[0]}{low:g}, {high:g}{ends[1]}"

@@ -39,6 +39,8 @@ _CHUNK_POINTS = 1 << 16
 _SAMPLE_POINTS = 1 << 15
 # Areas of use are bounding boxes of countries and zones; tiles at their rim reach a little out.
 _AREA_MARGIN_DEG = 0.5
+# Nobody's city is wider.
+_WIDEST_DEG = 60.0
 # No town lies further south or north; it tells latitudes from longitudes where the area is the world.
 _INHABITED_LATITUDES_DEG = (-56.0, 80.0)
 
@@ -82,6 +84,7 @@ def to_metres(
     if len(points) == 0:
         return known.label
     _strip_zone_prefix(points, known, findings)
+    _require_degrees(points, known)
     if axis_order == "auto":
         order = _settle_order(points, known, findings)
     else:
@@ -132,6 +135,15 @@ def _check_without_crs(points: NDArray[np.float64], srs_name: str | None, findin
         findings.add(CRS_MISSING, "", "")
     else:
         findings.add(CRS_UNKNOWN, "", srs_name)
+    require_no_degrees(points)
+
+
+def require_no_degrees(points: NDArray[np.float64]) -> None:
+    """Makes sure that (P, 3) points without a reference system do not look like degrees.
+
+    Raises:
+        CityModelError: They do.
+    """
     if len(points):
         low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
         # A town in degrees: small numbers, a tiny extent, and not around the origin.
@@ -168,6 +180,21 @@ def _strip_zone_prefix(points: NDArray[np.float64], known: KnownCrs, findings: F
         points[:, column] -= prefix
 
 
+def _require_degrees(points: NDArray[np.float64], known: KnownCrs) -> None:
+    """Makes sure that what is called degrees can be: a country at most, and somewhere on Earth.
+
+    Raises:
+        CityModelError: It cannot.
+    """
+    if known.horizontal.is_geographic:
+        low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+        if max(high.max(), -low.min()) > 360.0 or (high - low).max() > _WIDEST_DEG:
+            raise CityModelError(
+                f"The coordinates are no degrees, although {known.label} says so.",
+                "Name the right reference system with crs=EPSG:...",
+            )
+
+
 def _settle_order(points: NDArray[np.float64], known: KnownCrs, findings: Findings) -> _Order:
     """Returns how to read the first two columns."""
     axes = [axis.direction.lower() for axis in known.horizontal.axis_info[:2]]
@@ -188,11 +215,6 @@ def _settle_order(points: NDArray[np.float64], known: KnownCrs, findings: Findin
             "",
             f"{known.label}: the middle ({middle[0]:.6g}, {middle[1]:.6g}) lies outside its area of use",
         )
-        if known.horizontal.is_geographic and np.abs(middle).max() > 360.0:
-            raise CityModelError(
-                f"The coordinates are no degrees, although {known.label} says so.",
-                "Name the right reference system with crs=EPSG:...",
-            )
         # Files of projected systems store east first more often than not.
         return swapped if known.horizontal.is_projected and is_declared_north_first else declared
     if known.horizontal.is_projected and is_declared_north_first:

@@ -12,7 +12,7 @@ from lodbench.citymodel.cleaning import clean_polygons
 from lodbench.citymodel.codes import CRS_MIXED
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.duplicates import drop_repeats
-from lodbench.citymodel.frame import to_metres
+from lodbench.citymodel.frame import require_no_degrees, to_metres
 from lodbench.citymodel.layers import INTERIORS
 from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.naming import unique_ids, unique_objects
@@ -209,6 +209,7 @@ def _bring_to_metres(
     if not raw.srs_names and options.origin is not None:
         return None if override is None else require_crs(override).label
     if not raw.srs_names and override is None:
+        require_no_degrees(points)
         return None  # a format that cannot name a reference system
     systems = raw.systems()
     if options.axis_order != "auto":

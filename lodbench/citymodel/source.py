@@ -121,6 +121,11 @@ def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:
     return (Source(str(path), lambda: path.open("rb"), path),)
 
 
+def is_city_file(path: Path) -> bool:
+    """Returns whether a file is called as city models are; archives may hold anything."""
+    return path.suffix.lower() in _CITY_SUFFIXES + _VECTOR_SUFFIXES and path.is_file()
+
+
 def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
     # Its scene.json would pass for a city file by its ending.
     if is_scene(folder):

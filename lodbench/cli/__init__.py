@@ -103,6 +103,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _run(words)
     except LodbenchError as error:
+        if words[0] in _WITH_FLAGS:
+            from lodbench.cli.flags import in_flags
+
+            error.hint = in_flags(error.hint)
         report_fault(error)
         return 2
     except BrokenPipeError:
@@ -110,7 +114,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:
-        reason = f"{error.filename or 'A file'}: {error.strerror or error}."
+        from lodbench.storage.atomic import final_name
+
+        reason = f"{final_name(error.filename) or 'A file'}: {error.strerror or error}."
         report_fault(LodbenchError(reason, "Check the path, its permissions and the free space."))
         return 2
     except KeyboardInterrupt:
@@ -119,6 +125,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
 
 
+# Commands of photos that have no settings as KEY=VALUE: hints of what they call are turned into options.
+_WITH_FLAGS = ("localize", "track", "georeference", "mask")
 # What a command does that is given again after it was stopped.
 _GOES_ON = dict.fromkeys(("run", "basin", "generate-training-data"), "goes on from here") | {
     "train": "goes on after the last epoch that was validated, if there is one, else from the start"

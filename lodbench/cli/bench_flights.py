@@ -11,6 +11,7 @@ from lodbench.bench.figures import Report
 from lodbench.bench.flights import measure_flights
 from lodbench.bench.joint_solves import measure_joint_solves
 from lodbench.cli.bench_views import seeds, whole_numbers
+from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.execution import ProgressCallback
 from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.flight.params import RELATIVE_POSES
@@ -20,8 +21,9 @@ from lodbench.synthesis.flights.paths import PATHS
 
 def add_flights(actions: Any) -> argparse.ArgumentParser:
     """Adds the command's parser to others, and returns it."""
+    what = "whole flights: recall, constants of the drone, errors of the map, calibration"
     parser: argparse.ArgumentParser = actions.add_parser(
-        "flights", help="whole flights: recall, constants of the drone, errors of the map, calibration"
+        "flights", help=what, description=f"Measure {what}. Photos, priors and masks are drawn over a city."
     )
     add = parser.add_argument
     add("--city", type=Path, required=True, help="city model")
@@ -48,7 +50,12 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
 
 
 def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    """Returns what the command measures."""
+    """Returns what the command measures.
+
+    Raises:
+        LodbenchError: An option is out of range, or as ``measure_flights``.
+    """
+    _require_sound(options)
     flights = FlightsParams(
         city_model=str(options.city),
         num_flights=options.flights,
@@ -69,6 +76,20 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
         return measure_flights(flights, options.seeds, method, steps)
     flights = replace(flights, flights_seed=options.seeds[0], path=flights.path or "orbit")
     return measure_joint_solves(flights, options.joint, method, traces_memory=options.memory, progress=steps)
+
+
+def _require_sound(options: argparse.Namespace) -> None:
+    """Refuses here what flights would refuse by names that are not typed."""
+    if not options.city.exists():
+        raise DatasetError(f"The city model {options.city} does not exist.", "Check the path after --city.")
+    require_within("--flights", options.flights, 1)
+    require_within("--photos", options.photos, 1)
+    require_within("--focal", options.focal, 0, 0.2)
+    require_within("--shared-height", options.shared_height, 0)
+    for name in ("wrong_heights", "missing", "extra"):
+        require_within(f"--{name.replace('_', '-')}", getattr(options, name), 0, 0.5)
+    if options.reconstruct and options.look is None:
+        raise ConfigError("--reconstruct needs photos.", "Add --look plain.")
 
 
 def _counts(text: str) -> list[int]:

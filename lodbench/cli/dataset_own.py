@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.cli.flags import hints_in_flags
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
 from lodbench.cli.source_profiles import load_profile
+from lodbench.errors import require_within
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.own_dataset import OwnDataset
@@ -41,12 +44,18 @@ def main(argv: Sequence[str]) -> int:
     parser = Parser("lodbench dataset")
     _add_actions(parser.add_subparsers(dest="action", required=True))
     asked = parser.parse_args(argv)
-    code: int = asked.make(asked)
+    with hints_in_flags():
+        code: int = asked.make(asked)
     return code
 
 
 def _add_actions(actions: Any) -> None:
-    init = actions.add_parser("init", help="a dataset from your photos and a city model", epilog=_INIT_EPILOG)
+    init = actions.add_parser(
+        "init",
+        help="a dataset from your photos and a city model",
+        description="Make a dataset of your photos and a city model, as dataset=folder of a run takes it.",
+        epilog=_INIT_EPILOG,
+    )
     init.add_argument("folder", type=Path, metavar="DIR", help="new folder")
     init.add_argument(
         "--images", type=Path, required=True, metavar="DIR", help="photos, as the drone stored them"
@@ -108,6 +117,7 @@ def _import(asked: argparse.Namespace) -> int:
 def _make(asked: argparse.Namespace, **sources: Any) -> int:
     from lodbench.harness.photo.own_dataset import OwnRequest, make_own_dataset, to_json
 
+    require_within("--offset", asked.offset, -math.inf)
     profile = load_profile(asked.source, asked.option, asked.crs)
     made = make_own_dataset(
         OwnRequest(

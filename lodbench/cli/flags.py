@@ -15,11 +15,15 @@ _FLAGS = {
     "lod": "--lod",
     "roof_height": "--roof-height",
     "city": "--city",
+    "method": "--method",
+    "segmenter": "--segmenter",
     "dataset.root": "--root",
     "dataset.crs": "--crs",
     "dataset.lod": "--lod",
 }
 _OPTIONS = {field.name: f"--option {field.name}" for field in fields(ReadOptions)}
+# Settings of these are words of one option.
+_OF_PART = re.compile(r"(?<![\w.])(method|segmenter)\.(?=\w+=)")
 _SETTING = re.compile(rf"(?<![\w.])({'|'.join(map(re.escape, [*_FLAGS, *_OPTIONS]))})=")
 
 
@@ -31,6 +35,8 @@ def in_flags(text: str) -> str:
         'Name it: --crs EPSG:4326, or --option default_height_m=9.'
         >>> in_flags("Is it right? crs= names another.")
         'Is it right? --crs names another.'
+        >>> in_flags("Set segmenter=compact, or method.single=region.")
+        'Give --segmenter compact, or --method-option single=region.'
     """
 
     def flag(match: re.Match[str]) -> str:
@@ -39,7 +45,8 @@ def in_flags(text: str) -> str:
             return f"{_OPTIONS[name]}="
         return _FLAGS[name] + ("" if match.string[match.end() : match.end() + 1] in (" ", "") else " ")
 
-    return _SETTING.sub(flag, text).replace("Set --", "Give --")
+    found = _OF_PART.sub(r"--\1-option ", _SETTING.sub(flag, text))
+    return found.replace("Set --", "Give --")
 
 
 @contextmanager

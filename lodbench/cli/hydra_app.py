@@ -6,6 +6,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -235,7 +236,7 @@ def explained(error: Exception, config_name: str) -> ConfigError:
     if isinstance(error, OverrideParseException):
         for word in sys.argv[1:]:
             if not word.startswith("-") and not _is_override(word):
-                return _unread(word)
+                return _unread(word, config_name)
     return ConfigError(f"The command line cannot be read: {text.splitlines()[0]}", "Settings are key=value.")
 
 
@@ -251,11 +252,16 @@ def _is_override(word: str) -> bool:
     return True
 
 
-def _unread(word: str) -> ConfigError:
+def _unread(word: str, config_name: str) -> ConfigError:
     """Returns what is wrong with a word that is no override."""
     key, equals, value = word.partition("=")
     if not equals or not re.fullmatch(r"[+~]*[\w./@-]+", key):
-        return ConfigError(f"{word} is no setting.", "Settings are key=value.")
+        hint = "Settings are key=value."
+        if config_name == "run" and Path(word).is_dir():
+            hint = f"Settings are key=value: dataset=folder dataset.root={word} city=FILE"
+        elif config_name == "run" and Path(word).is_file():
+            hint = "Settings are key=value. A photo's place is found by: lodbench localize PHOTO --city FILE"
+        return ConfigError(f"{word} is no setting.", hint)
     return ConfigError(
         f"{word} cannot be read: some of {value!r} has a meaning of its own here.",
         f"Quote a value that holds = , : or brackets: '{key}=\"{value}\"'.",

@@ -58,6 +58,7 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
+    from lodbench.datasets.own import require_some_mask
     from lodbench.harness.photo.flights import localize_flights
     from lodbench.harness.photo.localize import localize_photo, open_map
     from lodbench.harness.photo.many import localize_photos, photos_of
@@ -71,6 +72,8 @@ def main(argv: Sequence[str]) -> int:
     photos = photos_of(asked.photos, masks)
     method = _method(asked, is_one, masks)
     masks = masks if "mask" in method.requires else None
+    if masks is not None:
+        require_some_mask(masks, [f"{photo.parent.name}/{photo.name}" for photo in photos])
     request = _request(asked, photos[0], method, masks)
     if asked.sidecars:
         frame_on_earth(open_map(request).scene.crs)
@@ -138,11 +141,17 @@ def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path
 
 
 def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
-    """Refuses what would be meant for one photo and applied to many, and the other way round.
+    """Refuses a city where photos are meant, and what is meant for one photo and given for many, and back.
 
     Raises:
         ConfigError: There is such an option.
     """
+    from lodbench.citymodel.source import is_city_file
+
+    cities = [photo for photo in asked.photos if is_city_file(photo)]
+    if cities:
+        hint = "The photos come first, the city model after --city."
+        raise ConfigError(f"{cities[0]} is a city model by its name, not a photo.", hint)
     own = [f"--{name}" for name in ("mask", "lat", "lon", "center") if getattr(asked, name) is not None]
     if own and not is_one:
         hint = (

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lodbench.cli.parser import Parser
+from lodbench.errors import ConfigError, require_within
 
 if TYPE_CHECKING:
     from lodbench.harness.mask.session import MaskSession
@@ -32,6 +33,12 @@ def main(argv: Sequence[str]) -> int:
     asked = _parser().parse_args(argv)
     from lodbench.harness.mask.files import opened_session, saved
 
+    out = asked.out or asked.photo.with_name(f"{asked.photo.stem}_mask.png")
+    require_within("--port", asked.port, 0, 65535)
+    if out.suffix.lower() != ".png" or out.is_dir():
+        raise ConfigError(f"--out {out} is no PNG file.", f"Masks are PNG: --out {out.with_suffix('.png')}")
+    if out.exists() and asked.photo.exists() and out.samefile(asked.photo):
+        raise ConfigError("--out is the photo itself.", "Leave it out, or name another file.")
     segmenter = None
     if asked.mask is None and asked.polygons is None:
         from lodbench.cli.segmenters import segmenter_of
@@ -40,7 +47,6 @@ def main(argv: Sequence[str]) -> int:
 
         made = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
         segmenter = require_photo_segmenter(made)
-    out = asked.out or asked.photo.with_name(f"{asked.photo.stem}_mask.png")
     session = opened_session(asked.photo, asked.mask, asked.polygons, segmenter)
     formats = tuple(dict.fromkeys(asked.export))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, NoReturn
 
 from lodbench.errors import ConfigError, nearest_names
@@ -45,13 +47,21 @@ class Parser(argparse.ArgumentParser):
         return found, left
 
     def _require_flags(self, words: Sequence[str]) -> None:
-        for word in words:
+        for before, word in pairwise(["", *words]):
             if word == "--":
                 return
+            if not before.startswith("-"):
+                self._require_dashes(word)
             flag = word.partition("=")[0]
             if flag.startswith("--") and flag not in self._option_string_actions:
                 known = [name for name in self._option_string_actions if name.startswith("--")]
                 raise ConfigError(f"{self.prog} has no option {flag}.", nearest_names(flag, known))
+
+    def _require_dashes(self, word: str) -> None:
+        """Refuses ``key=value``, as commands of settings have it, where an option is meant."""
+        name, equals, value = word.partition("=")
+        if equals and f"--{name}" in self._option_string_actions and not Path(word).exists():
+            raise ConfigError(f"{self.prog}: {word} is no file.", f"Options have dashes: --{name} {value}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:

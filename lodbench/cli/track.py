@@ -18,7 +18,7 @@ from lodbench.cli.place_options import (
     rough_settings,
 )
 from lodbench.cli.segmenters import segmenter_of
-from lodbench.errors import ConfigError, DatasetError
+from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.choice import FOR_PHOTOS
 
@@ -44,6 +44,7 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
+    from lodbench.datasets.own import find_photos, require_some_mask
     from lodbench.harness.track.frames import Footage
     from lodbench.harness.track.track import TrackRequest, track
 
@@ -51,9 +52,11 @@ def main(argv: Sequence[str]) -> int:
         raise DatasetError(f"{asked.footage} does not exist.", "Check the path.")
     if asked.masks is not None and not asked.masks.is_dir():
         raise DatasetError(f"{asked.masks} is no folder.", "Name the folder of the frames' masks.")
-    if asked.every < 1 or (asked.fps is not None and not asked.fps > 0):
-        raise ConfigError("--every is at least 1, --fps above 0.")
+    require_within("--every", asked.every, 1)
+    require_within("--fps", asked.fps, 0, ends="(]")
     segmenter = None
+    if asked.masks is not None and asked.footage.is_dir():
+        require_some_mask(asked.masks, [photo.name for photo in find_photos(asked.footage)])
     if asked.masks is None:
         segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
         if not hasattr(segmenter, "probability"):

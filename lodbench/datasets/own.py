@@ -81,6 +81,17 @@ def find_mask(folder: Path | None, name: str) -> Path | None:
     return find_inside(folder, name) or find_inside(folder, str(path.parent / f"{path.stem}.png"))
 
 
+def require_some_mask(folder: Path, names: Sequence[str]) -> None:
+    """Makes sure that a folder holds the mask of one image at least.
+
+    Raises:
+        DatasetError: It holds none; the hint says what the first is looked for as.
+    """
+    if not any(find_mask(folder, name) for name in names):
+        wanted = PurePosixPath(names[0]).with_suffix(".png").name
+        raise DatasetError(f"{folder} holds no mask of any image.", f"The first is looked for as {wanted}.")
+
+
 def find_inside(folder: Path, name: str) -> Path | None:
     """Returns the file that a model's name means: with its folders, or else without; never one outside."""
     root = folder.resolve()

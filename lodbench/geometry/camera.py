@@ -65,7 +65,8 @@ class Camera:
     def __post_init__(self) -> None:
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if self.width < 1 or self.height < 1 or self.fx <= 0 or self.fy <= 0:
-            raise LodbenchError(f"A camera needs positive sizes and focal lengths, not {self}.")
+            given = f"{self.width} x {self.height} and {self.fx:g}, {self.fy:g}"
+            raise LodbenchError(f"A camera needs positive sizes and focal lengths, not {given}.")
         if not all(math.isfinite(v) for v in numbers):
             raise LodbenchError(f"A camera has values that are not finite: {self}.")
         if self.distortion and len(self.distortion) != len(LENSES.get(self.lens, ())):

@@ -95,7 +95,9 @@ def make_fit(name: str, query: Query, size: tuple[int, int]) -> Fit:
     # Averaging in float32 may step out of [0, 1] by rounding.
     small = np.clip(resized(query.mask, *size), np.float32(0), np.float32(1))
     if not (small >= BUILDING_THRESHOLD).any():
-        raise QueryFault("the mask holds no building")
+        raise QueryFault(
+            "the mask holds no building", "Buildings are white (255) in a mask, all else is black."
+        )
     return cast(Fit, make(small))
 
 

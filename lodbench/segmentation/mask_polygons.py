@@ -128,7 +128,10 @@ def read_polygons(path: Path, photo: str, height: int, width: int) -> Mask:
             return _from_labelme(stored, path, height, width)
         if isinstance(stored, dict) and "annotations" in stored:
             return _from_coco(stored, path, photo, height, width)
-    except (KeyError, IndexError, TypeError, ValueError, UnicodeDecodeError) as error:
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        hint = "It takes polygons; a mask that is a picture is given with --mask."
+        raise DatasetError(f"{path.name} is no JSON file.", hint) from error
+    except (KeyError, IndexError, TypeError, ValueError) as error:
         raise DatasetError(f"{path.name} cannot be read: {type(error).__name__} {error}.", _HINT) from error
     raise DatasetError(f"{path.name} is neither LabelMe's JSON nor COCO's.", _HINT)
 

@@ -16,6 +16,9 @@ from lodbench.errors import QueryFault
 from lodbench.storage import digest_of
 from lodbench.storage.contents import content_digest, read_content
 
+# What a mask is.
+_WHITE = "A mask is a grey picture, PNG for example: buildings are white, all else is black."
+
 
 def read_mask(path: str | Path) -> NDArray[np.float32]:
     """Returns an 8 or 16 bit grey image as (H, W) float32 in [0, 1]: white is building.
@@ -29,16 +32,18 @@ def read_mask(path: str | Path) -> NDArray[np.float32]:
     try:
         content = read_content(Path(path))
     except OSError as error:
-        raise QueryFault(f"mask {Path(path).name} cannot be read: {error.strerror}") from error
+        raise QueryFault(
+            f"mask {Path(path).name} cannot be read: {error.strerror}", "Check the path."
+        ) from error
     if has_too_many_pixels(content):
-        raise QueryFault(f"mask {Path(path).name} has too many pixels")
+        raise QueryFault(f"mask {Path(path).name} has too many pixels", "Scale it down.")
     image = decoded(content, as_stored=True)
     white = {"uint8": 255, "uint16": 65535}.get(str(image.dtype)) if image is not None else None
     if image is None or white is None:
-        raise QueryFault(f"mask {Path(path).name} is not a readable 8 or 16 bit image")
+        raise QueryFault(f"mask {Path(path).name} is not a readable 8 or 16 bit image", _WHITE)
     grey = _grey(image, Path(path).name)
     if grey.max() == 1:
-        raise QueryFault(f"mask {Path(path).name}: its largest value is 1; {white} means building")
+        raise QueryFault(f"mask {Path(path).name}: its largest value is 1; {white} means building", _WHITE)
     return np.asarray(grey, dtype=np.float32) / np.float32(white)
 
 
@@ -54,7 +59,7 @@ def _grey(image: NDArray[Any], name: str) -> NDArray[Any]:
     if image.shape[2] == 2:
         colours, alpha = image[:, :, :1], image[:, :, 1:]
     if (colours != colours[:, :, :1]).any():
-        raise QueryFault(f"mask {name} is in colour: white means building, in a grey image")
+        raise QueryFault(f"mask {name} is in colour: white means building, in a grey image", _WHITE)
     if (alpha != alpha[:1, :1]).any():
         raise QueryFault(f"mask {name} has an alpha channel that varies: white means building, without alpha")
     return colours[:, :, 0]

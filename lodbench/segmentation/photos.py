@@ -26,7 +26,7 @@ def read_photo(path: str | Path) -> NDArray[np.uint8]:
     try:
         content = read_content(Path(path))
     except OSError as error:
-        raise QueryFault(f"photo {name} cannot be read: {error.strerror}") from error
+        raise QueryFault(f"photo {name} cannot be read: {error.strerror}", "Check the path.") from error
     return photo_of(content, name)
 
 
@@ -37,10 +37,10 @@ def photo_of(content: bytes, name: str) -> NDArray[np.uint8]:
         QueryFault: They are no image, have too many pixels, or neither 8 nor 16 bits.
     """
     if has_too_many_pixels(content):
-        raise QueryFault(f"photo {name} has too many pixels")
+        raise QueryFault(f"photo {name} has too many pixels", "Scale it down.")
     image = decoded(content, as_stored=True)
     if image is None or str(image.dtype) not in ("uint8", "uint16"):
-        raise QueryFault(f"photo {name} is not a readable 8 or 16 bit image")
+        raise QueryFault(f"photo {name} is not a readable 8 or 16 bit image", "Is it a JPEG, PNG or TIFF?")
     return as_rgb(image)
 
 

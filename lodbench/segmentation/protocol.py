@@ -150,7 +150,8 @@ def check_mask(mask: ArrayLike, camera: Camera) -> NDArray[np.float32]:
     rounding = 0.5 * max(1.0 / width, 1.0 / height)
     if abs(aspect - 1.0) > max(_ASPECT_TOLERANCE, rounding):
         raise QueryFault(
-            f"the mask is {width} x {height}, the camera {camera.width} x {camera.height}: another aspect"
+            f"the mask is {width} x {height}, the camera {camera.width} x {camera.height}: another aspect",
+            "A mask shows all of its photo; it may be smaller or larger. Is it this photo's?",
         )
     return np.clip(given.astype(np.float32), np.float32(0), np.float32(1))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,11 @@ from lodbench.storage.disk import disk
 _PARTIAL = ".lodbench.part"
 # Folders that this process has swept: what was left there before it came is gone.
 _swept: set[Path] = set()
+
+
+def final_name(path: object) -> str:
+    """Returns what a file or folder that is being written will be called; other names as they stand."""
+    return re.sub(rf"\.([^/]+)\.\w{{8}}{re.escape(_PARTIAL)}\b", r"\1", str(path or ""))
 
 
 def write_bytes(path: Path, content: bytes, survives_power_cut: bool = True, mode: int | None = None) -> None:

@@ -201,7 +201,7 @@ class TestCommand:
             (["--mask", str(photo.parent / "small.png")], "24 x 16 pixels, the photo 240 x 160"),
             (["--segmenter", "masks"], "looks at no photo alone"),
             (["--segmenter", "semantic"], "segmenter.weights is not set"),
-            (["--import", str(photo)], "cannot be read"),
+            (["--import", str(photo)], "is no JSON file"),
         ):
             assert main(["mask", str(photo), "--no-page", *words]) == 2
             assert told in capsys.readouterr().err

@@ -109,7 +109,7 @@ def test_every_second_frame_of_a_video(capsys, footage, tmp_path):
         ("city.obj", (), "no video that OpenCV reads"),
         ("photos/photo_0.png", (), "is one photo"),
         ("photos", ("--masks", "nowhere"), "nowhere is no folder"),
-        ("photos", ("--every", "0"), "--every is at least 1"),
+        ("photos", ("--every", "0"), "--every=0 is not at least 1"),
         ("photos", ("--center", 9e5, 0, 100), "km outside the city model"),
     ],
 )

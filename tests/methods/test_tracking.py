@@ -89,7 +89,7 @@ def test_a_lost_camera_says_so_and_is_found_again(city_map):
 
 
 def test_a_wrong_setting_is_named():
-    with pytest.raises(ConfigError, match="fit=0 is not finite and above 0"):
+    with pytest.raises(ConfigError, match="fit=0 is not above 0"):
         Params(fit=0.0)
 
 

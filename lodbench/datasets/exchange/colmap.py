@@ -59,7 +59,8 @@ def read_colmap(path: Path) -> Iterator[FoundPose]:
         if not path.is_file():
             raise DatasetError(f"{path.parent} holds no COLMAP model.", "It has images.txt or images.bin.")
         if not path.with_stem("cameras").is_file():
-            raise DatasetError(f"{path.parent} has no {path.with_stem('cameras').name}.")
+            hint = "A COLMAP model has images and cameras, both as .txt or as .bin."
+            raise DatasetError(f"{path.parent} has no {path.with_stem('cameras').name}.", hint)
     cameras_file = path.with_stem("cameras")
     read_cameras, read_images = (
         (_binary_cameras, _binary_images) if path.suffix == ".bin" else (_text_cameras, _text_images)

@@ -66,8 +66,12 @@ def read_text(path: Path) -> str:
     """
     try:
         return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path} cannot be read: {error}.") from error
+    except UnicodeDecodeError as error:
+        raise DatasetError(
+            f"{path} is no text file.", "Poses are text: lines of numbers, for example."
+        ) from error
+    except OSError as error:
+        raise DatasetError(f"{path} cannot be read: {error.strerror}.", "Check the path.") from error
 
 
 def content(path: Path, keep_empty: bool = False) -> Iterator[tuple[str, str]]:

@@ -35,7 +35,10 @@ def opened_session(
         given = read_mask(mask)
         if given.shape != (height, width):
             size = f"{given.shape[1]} x {given.shape[0]}"
-            raise DatasetError(f"{mask.name} has {size} pixels, the photo {width} x {height}.")
+            raise DatasetError(
+                f"{mask.name} has {size} pixels, the photo {width} x {height}.",
+                "A mask to correct has the size of its photo.",
+            )
         return MaskSession(pixels, np.asarray(given >= 0.5))
     if segmenter is not None:
         return MaskSession(pixels, binary_mask(photo_probability(segmenter, photo), width, height))

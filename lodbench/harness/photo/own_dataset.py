@@ -14,7 +14,14 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.kapture import unposed_images
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import PHOTO_SUFFIXES, OwnImage, Written, require_new_folder, write_dataset
+from lodbench.datasets.own import (
+    PHOTO_SUFFIXES,
+    OwnImage,
+    Written,
+    require_new_folder,
+    require_some_mask,
+    write_dataset,
+)
 from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
 from lodbench.datasets.photo_pose import HeightOptions, datum_note
 from lodbench.datasets.pictures import picture_size
@@ -82,11 +89,8 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
             raise DatasetError(f"{path} does not exist.", "Check the path.")
     scene, frame = _open_frame(request)
     images, left_out, kind = _images(request, frame)
-    if request.masks is not None and not any(image.mask for image in images):
-        wanted = Path(images[0].name).with_suffix(".png").name
-        raise DatasetError(
-            f"{request.masks} holds no mask of any image.", f"The first is looked for as {wanted}."
-        )
+    if request.masks is not None:
+        require_some_mask(request.masks, [image.name for image in images])
     if scene is not None:
         images, far = _near(images, scene)
         left_out += far
@@ -168,6 +172,8 @@ def _images(request: OwnRequest, frame: MapFrame | None) -> tuple[list[OwnImage]
         if not images:
             name, reason = left_out[0]
             hint = "Give --cameras FILE or --camera 'MODEL W H ...'." if "camera" in reason else ""
+            if "no such photo" in reason:
+                hint = "--images is the folder of the photos that the poses are of."
             raise DatasetError(f"No image can be used; the first is {name}: {reason}.", hint)
         return images, left_out, kind
     if request.photos is None or frame is None:

@@ -51,7 +51,10 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
     fits = evidence.fits(vectors)
     best = float(fits.max())
     if best <= 0:
-        raise QueryFault("the photo fits no view of the map: the prior may be far from the city")
+        raise QueryFault(
+            "the photo fits no view of the map: the prior may be far from the city",
+            "lodbench city info FILE says where the city is, and in which reference system.",
+        )
     axes = (grid.yaw, grid.x, grid.y, grid.z)
     values = fits.reshape([axis.count for axis in axes])
     # Tops first, one of each hill: a broad false one shall not take every start. Then the best besides.

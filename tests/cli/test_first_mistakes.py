@@ -1,0 +1,136 @@
+"""What people get wrong on their first day: one line, a hint in the words they typed, exit code 2."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.cli import main
+from tests.fault_commands import CRS, prepare_inputs
+
+DEGREES = "v 11.5 48.1 500\nv 11.6 48.1 500\nv 11.6 48.2 500\nv 11.5 48.1 520\nf 1 2 3\nf 1 2 4\n"
+ABOUT = "--center 8 5.5 126 --heading 67 --pitch -70 --camera".split()
+CAMERA = "PINHOLE 320 240 230 228 161 118.5"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """A town with a flight over it, and what is mistaken for them."""
+    folder = prepare_inputs(tmp_path_factory.mktemp("day one"))
+    made = SimpleNamespace(
+        city=str(folder / "town/city.obj"),
+        flight=str(folder / "flight"),
+        photo=str(folder / "flight/DJI_00.JPG"),
+        png=str(folder / "town/data/Query_image/view_00.png"),
+        photos=str(folder / "town/data/Query_image"),
+        mask=str(folder / "flight_masks/DJI_00.png"),
+        model=str(folder / "model"),
+        start=str(folder / "three/data/GPS_pose.txt"),
+        masks=str(folder / "three/data/masks"),
+        small=str(folder / "small.png"),
+        black=str(folder / "black.png"),
+        empty=str(folder / "empty"),
+        degrees=str(folder / "degrees.obj"),
+        no_cameras=str(folder / "no_cameras"),
+        folder=folder,
+    )
+    cv2.imwrite(made.small, np.full((24, 16), 255, np.uint8))
+    cv2.imwrite(made.black, np.zeros((240, 320), np.uint8))
+    Path(made.empty).mkdir()
+    Path(made.degrees).write_text(DEGREES)
+    shutil.copytree(made.model, made.no_cameras)
+    (Path(made.no_cameras) / "cameras.txt").unlink()
+    return made
+
+
+Words = Callable[[SimpleNamespace], list[str]]
+CASES: list[tuple[Words, str, str]] = [
+    (lambda f: ["localize", f.city, "--city", f.photo], "is a city model by its name", "after --city"),
+    (lambda f: ["localize", f.photo, f"city={f.city}"], "is no file", f"--city {'{city}'}"),
+    (lambda f: [*_at(f), "method=region"], "method=region is no file", "--method region"),
+    (lambda f: [*_at(f), "--mask", f.small], "16 x 24, the camera 320 x 240", "shows all of its photo"),
+    (lambda f: [*_at(f), "--mask", f.black], "holds no building", "white (255)"),
+    (lambda f: [*_at(f), "--mask", f.empty], "Is a directory", "Check the path"),
+    (lambda f: [*_at(f), "--lat", "120", "--lon", "51"], "--lat=120 is not within -90 to 90", ""),
+    (lambda f: [*_at(f), "--takeoff", "nan"], "--takeoff=nan is not finite", ""),
+    (lambda f: [*_at(f), "--camera", "PINHOLE -320 240 1 1 1 1"], "not -320 x 240", "PINHOLE W H"),
+    (lambda f: ["localize", f.photo, "--city", f.degrees], "look like degrees", "--crs EPSG:"),
+    (lambda f: [*_at(f)[:-1], "EPSG:4326"], "are no degrees", "--crs EPSG:"),
+    (lambda f: [*_at(f, f.flight), "--masks", f.empty], "holds no mask of any image", "DJI_00.png"),
+    (lambda f: [*_track(f), "--masks", f.empty], "holds no mask of any image", "view_00.png"),
+    (lambda f: [*_track(f), "--masks", f.masks, "--fps", "nan"], "--fps=nan", ""),
+    (lambda f: [*_placed(f, f.photo)], "is no folder", "folder that holds it"),
+    (lambda f: [*_placed(f, f.no_cameras), "--start", f.start], "has no cameras.txt", "COLMAP model"),
+    (lambda f: [*_placed(f, f.model), "--start", f.photo], "is no text file", "Poses are text"),
+    (lambda f: ["mask", f.png, "--mask", f.black, "--port", "99999"], "--port=99999", ""),
+    (lambda f: [*_drawn(f), "--out", f.png], "--out is the photo itself", "another file"),
+    (lambda f: [*_drawn(f), "--out", "mask.jpg"], "is no PNG file", "--out mask.png"),
+    (lambda f: [*_drawn(f), "--out", "/proc/mask.png"], "lodbench: /proc/mask.png: ", "permissions"),
+    (lambda f: ["mask", f.png, "--no-page", "--mask", f.small], "16 x 24 pixels", "size of its photo"),
+    (lambda f: ["mask", f.png, "--no-page", "--import", f.black], "is no JSON file", "--mask"),
+    (lambda f: ["mask", "nowhere.jpg", "--no-page"], "nowhere.jpg cannot be read", "Check the path"),
+    (lambda f: ["city", "info", f.degrees], "look like degrees", "--crs EPSG:"),
+    (lambda f: [*_init(f), "--offset", "nan", "0", "0"], "--offset=nan is not finite", ""),
+    (lambda f: [*_init(f), "--colmap", f.model], "no such photo", "--images is the folder"),
+    (lambda f: ["bench", "flights", "--city", "no.gml"], "no.gml does not exist", "--city"),
+    (lambda f: [*_bench(f), "--flights", "0"], "--flights=0 is not at least 1", ""),
+    (lambda f: [*_bench(f), "--missing", "3"], "--missing=3 is not within 0 to 0.5", ""),
+    (lambda f: [*_bench(f), "--shared-height", "inf"], "--shared-height=inf is not finite", ""),
+    (lambda f: [*_bench(f), "--reconstruct"], "--reconstruct needs photos", "--look plain"),
+    (lambda f: ["run", f.photos], "is no setting", "dataset.root="),
+    (lambda f: ["run", f.photo], "is no setting", "lodbench localize PHOTO"),
+]
+
+
+def _at(f: SimpleNamespace, photo: str = "") -> list[str]:
+    return ["localize", photo or f.photo, "--city", f.city, "--crs", CRS]
+
+
+def _track(f: SimpleNamespace) -> list[str]:
+    return ["track", f.photos, "--city", f.city, *ABOUT, CAMERA]
+
+
+def _placed(f: SimpleNamespace, model: str) -> list[str]:
+    return ["georeference", model, "--city", f.city, "--crs", CRS, "--masks", f.masks]
+
+
+def _drawn(f: SimpleNamespace) -> list[str]:
+    return ["mask", f.png, "--mask", f.black, "--no-page"]
+
+
+def _init(f: SimpleNamespace) -> list[str]:
+    return ["dataset", "init", "own", "--images", f.flight, "--city", f.city, "--crs", CRS]
+
+
+def _bench(f: SimpleNamespace) -> list[str]:
+    return ["bench", "flights", "--city", f.city]
+
+
+@pytest.mark.parametrize(("words", "said", "hint"), CASES, ids=[said for _, said, _ in CASES])
+def test_a_mistake_is_one_line_and_a_hint(files, capsys, tmp_path, monkeypatch, words, said, hint):
+    monkeypatch.chdir(tmp_path)
+    assert main(words(files)) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert (len(lines), lines[0][:10]) == (2 if hint else 1, "lodbench: ")
+    assert said in lines[0]
+    assert hint.format(city=files.city) in lines[-1]
+    assert not list(tmp_path.iterdir())
+
+
+def test_names_and_line_ends_of_other_systems_are_no_mistake(files, capsys, tmp_path):
+    folder = tmp_path / "Größe und Ümläut 写真"
+    folder.mkdir()
+    city, photo, mask = folder / "Stadt α.obj", folder / "Föto 1.JPG", folder / "Mäske 1.png"
+    city.write_bytes(Path(files.city).read_bytes().replace(b"\n", b"\r\n"))
+    shutil.copy(files.photo, photo)
+    shutil.copy(files.mask, mask)
+    given = ["localize", str(photo), "--city", str(city), "--crs", CRS, "--mask", str(mask)]
+    code = main([*given, "--method", "lodlocv2", "--method-option", "steps=1", "--out", str(folder / "o ö")])
+    assert code in (0, 3), capsys.readouterr().err
+    assert (folder / "o ö" / "Föto 1_overlay.png").is_file()
