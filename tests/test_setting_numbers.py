@@ -27,13 +27,13 @@ _SECTIONS = {
     "lodbench.baselines.": "method.",
     "lodbench.segmentation.": "segmenter.",
     "lodbench.synthesis.views_dataset": "dataset.",
-    "lodbench.synthesis.map_and_camera_errors": "world.",
-    "lodbench.synthesis.photo.look": "look.",
     "lodbench.datasets.published.": "dataset.",
     "lodbench.datasets.prior": "prior.",
     "lodbench.execution.": "executor.",
     "lodbench.harness.remote.": "runner.",
 }
+# Settings within settings, wherever they are defined.
+_GROUPS = {"World": "world.", "LookRanges": "look."}
 # What is an option with dashes, where the option is not the field's name.
 _OPTIONS = {
     ("TracedOptions", "map_error_m"): "--map-error",
@@ -101,7 +101,8 @@ def _made(cls: type) -> Any:
 
 def _typed(cls: type, name: str) -> str:
     sections = [section for start, section in _SECTIONS.items() if f"{cls.__module__}.".startswith(start)]
-    return _OPTIONS.get((cls.__name__, name), (sections or [""])[-1] + name)
+    section = _GROUPS.get(cls.__name__, (sections or [""])[-1])
+    return _OPTIONS.get((cls.__name__, name), section + name)
 
 
 def test_all_kinds_of_settings_are_found() -> None:

@@ -9,7 +9,7 @@ from typing import Any, get_args
 from lodbench.cli.source_profiles import load_profile
 from lodbench.datasets.photo_pose import HeightOptions, HeightSource, RoughPlace
 from lodbench.datasets.pose_text import parse_camera
-from lodbench.errors import ConfigError, LodbenchError
+from lodbench.errors import ConfigError, LodbenchError, require_choice
 from lodbench.geometry import Camera
 
 
@@ -35,8 +35,16 @@ def add_map_options(parser: argparse.ArgumentParser) -> None:
 
 
 def city_settings(asked: argparse.Namespace) -> dict[str, Any]:
-    """Returns what a ``CityRequest`` takes of ``add_map_options``, ``add_height_options`` and ``--out``."""
+    """Returns what a ``CityRequest`` takes of ``add_map_options``, ``add_height_options`` and ``--out``.
+
+    Raises:
+        ConfigError: The profile, an option or the rule of roofs is unknown.
+    """
+    from lodbench.citymodel.derive import ROOF_HEIGHTS
+
     profile = load_profile(asked.source, asked.option, asked.crs)
+    if asked.roof_height is not None:
+        require_choice("--roof-height", asked.roof_height, ROOF_HEIGHTS)
     return {
         "city": asked.city,
         "out": asked.out,

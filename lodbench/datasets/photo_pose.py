@@ -96,8 +96,8 @@ class RoughPlace:
         require_within("--lon", self.longitude_deg, -180, 360)
         require_within("--height", self.height_m, -math.inf)
         require_within("--heading", self.heading_deg, -math.inf)
-        require_within("--pitch", self.pitch_deg, -math.inf)
-        require_within("--roll", self.roll_deg, -math.inf)
+        require_within("--pitch", self.pitch_deg, -180, 180)
+        require_within("--roll", self.roll_deg, -180, 180)
 
 
 def require_stated(

@@ -98,9 +98,11 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
 def _require_enough(usable: int, count: int, left_out: Sequence[tuple[str, str]]) -> None:
     if usable < FEWEST_POSES:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:3])
+        hint = "Name the masks as the photos, or give --images and leave --masks out."
+        if any(reason.startswith("there is no photo") for _, reason in left_out):
+            hint = "--images is the folder of the model's photos, under the names that the model has."
         raise DatasetError(
-            f"{usable} of {count} photos can be used, and {FEWEST_POSES} are needed: {reasons}.",
-            "Name the masks as the photos, or give --images and leave --masks out.",
+            f"{usable} of {count} photos can be used, and {FEWEST_POSES} are needed: {reasons}.", hint
         )
 
 

@@ -83,7 +83,10 @@ class LodLocV2:
 
         found = search(scorer_at, query.prior, self.params, streams)
         if found.score <= 0:
-            raise QueryFault("no hypothesis fits the query: the prior may be far from the city")
+            raise QueryFault(
+                "no hypothesis fits the query: the prior may be far from the city",
+                "lodbench city info FILE says where the city is, and in which reference system.",
+            )
         return found
 
 
