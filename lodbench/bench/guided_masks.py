@@ -20,6 +20,7 @@ from lodbench.reporting.aligned_text import format_columns
 from lodbench.segmentation.map_guided import MapGuided, guided_mask, without_map
 from lodbench.segmentation.photos import read_photo
 from lodbench.segmentation.region_cut import signed_distance
+from lodbench.synthesis.mask_degradation import mask_iou
 
 Mask = NDArray[np.bool_]
 
@@ -180,8 +181,8 @@ def _measured(
         probability = guided_mask(photo, given, segmenter.params).probability
         found = cv2.resize(probability, truth.shape[::-1], interpolation=cv2.INTER_LINEAR) >= 0.5
         seconds += process_time() - started
-        peer = [_iou(_grabcut(photo, guide, sure_px), truth)] if options.has_grabcut else []
-        ious.append((_iou(guide, truth), _iou(found, truth), *peer))
+        peer = [mask_iou(_grabcut(photo, guide, sure_px), truth)] if options.has_grabcut else []
+        ious.append((mask_iou(guide, truth), mask_iou(found, truth), *peer))
         if pictures is not None and draw == 0:
             folder = pictures / str(disturbance).replace(", ", "_").replace(" ", "")
             write_overlay(PhotoMask(place, path, truth, np.asarray(found), seconds), folder)
@@ -208,10 +209,6 @@ def _grabcut(photo: NDArray[np.uint8], guide: Mask, sure_px: float) -> Mask:
     cv2.grabCut(picture, labels, (0, 0, 0, 0), outside, inside, _GRABCUT_ROUNDS, cv2.GC_INIT_WITH_MASK)
     found = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD)).astype(np.float32)
     return np.asarray(cv2.resize(found, guide.shape[::-1], interpolation=cv2.INTER_LINEAR) >= 0.5)
-
-
-def _iou(first: Mask, second: Mask) -> float:
-    return float((first & second).sum() / max(1, int((first | second).sum())))
 
 
 def _means(photos: list[GuidedPhoto], what: str) -> list[float]:

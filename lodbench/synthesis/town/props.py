@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymodel.model import Polygons, SurfaceKind
+from lodbench.citymodel.raw import starts_of
 from lodbench.citymodel.triangulate import triangulate
 from lodbench.findings import Findings
 from lodbench.storage import random_stream
@@ -75,8 +76,8 @@ def add_buildings(
     rings = [points[list(ring)] for _, points, face, _ in faces for ring in face.rings]
     polygons = Polygons(
         points=np.concatenate(rings),
-        ring_starts=_starts(rings),
-        polygon_starts=_starts([face.rings for _, _, face, _ in faces]),
+        ring_starts=starts_of(np.array([len(ring) for ring in rings])),
+        polygon_starts=starts_of(np.array([len(face.rings) for _, _, face, _ in faces])),
         building=np.array([number for number, *_ in faces], np.int32),
         lod=np.zeros(len(faces), np.int16),
         kind=np.array([kind for *_, kind in faces], np.uint8),
@@ -87,11 +88,6 @@ def add_buildings(
     tint = colours[owner, surface - SurfaceClass.WALL]
     builder.add(surface, polygons.points, result.triangles, tint, objects[owner])
     return result.polygon
-
-
-def _starts(parts: Sequence[Sized]) -> NDArray[np.int64]:
-    """Returns where each part begins once all are put in a row, and where the last ends."""
-    return np.cumsum([0, *map(len, parts)], dtype=np.int64)
 
 
 def fine_bodies(building: Building) -> list[Body]:
