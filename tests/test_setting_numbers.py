@@ -19,7 +19,7 @@ from lodbench.evaluation.basin import basin_steps
 from lodbench.plugins import load_plugin, plugin_names
 
 _ROOT = Path(lodbench.__file__).parent
-_SETTINGS = re.compile(r"^class (\w*(?:Params|Options|Settings)|RoughPlace)\b", re.MULTILINE)
+_SETTINGS = re.compile(r"^class (\w*(?:Params|Options|Settings|Training)|RoughPlace)\b", re.MULTILINE)
 # The section of a command line that the settings of a module belong to; the most special one counts.
 _SECTIONS = {
     "lodbench.methods.": "method.",
@@ -32,8 +32,8 @@ _SECTIONS = {
     "lodbench.execution.": "executor.",
     "lodbench.harness.remote.": "runner.",
 }
-# Settings within settings, wherever they are defined.
-_GROUPS = {"World": "world.", "LookRanges": "look."}
+# Settings that are not called as their neighbours; of a training, `lodbench train` adds schedule.
+_GROUPS = {"LodLocTraining": "", "World": "world.", "LookRanges": "look."}
 # What is an option with dashes, where the option is not the field's name.
 _OPTIONS = {
     ("TracedOptions", "map_error_m"): "--map-error",

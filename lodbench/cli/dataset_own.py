@@ -66,7 +66,10 @@ def _add_actions(actions: Any) -> None:
     _add_common_options(init)
     init.set_defaults(make=_init)
     imported = actions.add_parser(
-        "import", help="a dataset from another program's poses", epilog=_IMPORT_EPILOG
+        "import",
+        help="a dataset from another program's poses",
+        description="Make a dataset of another program's poses, which become its truth.",
+        epilog=_IMPORT_EPILOG,
     )
     add = imported.add_argument
     add("format", metavar="FORMAT", help="see below")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
+from typing import Any, TypeVar
 
 from omegaconf import DictConfig
 
@@ -14,6 +16,8 @@ from lodbench.plugins import load_plugin
 from lodbench.reporting.safe_text import plain_text
 from lodbench.training.train import Trained, train_network
 from lodbench.training.train_params import TrainParams
+
+T = TypeVar("T")
 
 
 def main(argv: Sequence[str]) -> int:
@@ -36,7 +40,7 @@ def train_method(config: DictConfig) -> None:
         raise ConfigError(
             "What is set of a method means nothing to its training.", "Its training's settings are schedule.*"
         )
-    settings = to_params(schedule | others, part.training_type, "")
+    settings = _settings(schedule, others, part.training_type)
     _tell(f"training {name} on {settings.data} into {settings.out}")
     sys.stdout.write(f"weights: {part.train(settings, _tell)}\n")
 
@@ -51,7 +55,7 @@ def task(config: DictConfig) -> None:
             "lodbench train makes weights and reads none from segmenter.weights.",
             "init=FILE goes on from them; segmenter.encoder_weights=FILE starts from an encoder's.",
         )
-    params = to_params(schedule | others, TrainParams, "")
+    params = _settings(schedule, others, TrainParams)
     part = load_plugin("segmenters", settings.get("name", ""))
     if not hasattr(part, "build"):
         raise ConfigError(
@@ -63,6 +67,17 @@ def task(config: DictConfig) -> None:
     trained = train_network(part(to_params(settings, part.params_type, "segmenter")), params, _tell)
     if trained.history:
         sys.stdout.write(report(trained))
+
+
+def _settings(schedule: dict[str, Any], others: dict[str, Any], kind: type[T]) -> T:
+    """Returns the settings of a training; faults call those of the schedule as they are typed."""
+    try:
+        return to_params(schedule | others, kind, "")
+    except ConfigError as fault:
+        name = re.match(r"\w+", fault.message)
+        if name is not None and name[0] in schedule:
+            fault.message = f"schedule.{fault.message}"
+        raise
 
 
 def _tell(line: str) -> None:

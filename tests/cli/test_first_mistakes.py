@@ -86,6 +86,9 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: [*_bench(f), "--missing", "3"], "--missing=3 is not within 0 to 0.5", ""),
     (lambda f: [*_bench(f), "--shared-height", "inf"], "--shared-height=inf is not finite", ""),
     (lambda f: [*_bench(f), "--reconstruct"], "--reconstruct needs photos", "--look plain"),
+    (lambda f: ["train", "data=x", "schedule.lr=nan"], "schedule.lr=nan is not within", ""),
+    (lambda f: ["train", "data=x", "traced_share=nan"], "lodbench: traced_share=nan", ""),
+    (lambda f: ["train", "method=lodloc", "data=x", "schedule.lr=nan"], "schedule.lr=nan is not within", ""),
     (lambda f: ["run", f.photos], "is no setting", "dataset.root="),
     (lambda f: ["run", f.photo], "is no setting", "lodbench localize PHOTO"),
 ]
