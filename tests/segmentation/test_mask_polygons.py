@@ -76,7 +76,7 @@ def test_polygons_drawn_by_others_count_pixels_whose_centres_they_hold(tmp_path)
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("{", "cannot be read"),
+        ("{", "is no JSON file"),
         ("[]", "neither LabelMe"),
         ('{"shapes": [{}], "imageWidth": 60, "imageHeight": 40}', "cannot be read: KeyError"),
         (
