@@ -72,7 +72,7 @@ def small_town() -> Town:
         city = build_demo(Path(folder) / "demo", num_queries=2) / CITY_FILE
         lod1, lod2 = open_scene(city, lod="1"), open_scene(city, lod="2")
     renderer = SilhouetteRenderer(lod1, threads=1)
-    sampling = ViewSampling(roll_deg=(-0.3, 0.3), seed=5)
+    sampling = ViewSampling(seed=5)
     views = sample_views(lod1, renderer, UAVD4L_CAMERA, sampling, 5, "published")
     return Town(lod1, lod2, views.poses)
 
