@@ -31,7 +31,7 @@ from tests.synthesis.conftest import SMALL, WHOLE, box_city
 @pytest.fixture(scope="module")
 def town():
     scene = box_city()
-    ground = ground_from_bases(look_down(scene, threads=1))
+    ground = ground_from_bases(look_down(scene))
     return scene, Place(building_boxes(scene).bases, ground, scene.origin)
 
 

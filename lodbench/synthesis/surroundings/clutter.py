@@ -78,10 +78,10 @@ def _add_prism(builder: MeshBuilder, spot: Spot, local: Floats, ridge: Floats, t
     builder.add(SurfaceClass.CLUTTER, np.concatenate([low, high]), BLOCK_FACES, tint)
 
 
-def _rectangle(length: float, width: float, x: float = 0.0, y: float = 0.0) -> Floats:
-    """Returns a rectangle around a place, (4, 2), counter-clockwise."""
+def _rectangle(length: float, width: float, y: float) -> Floats:
+    """Returns a rectangle around a place beside the middle, (4, 2), counter-clockwise."""
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
-    return np.asarray(corners * (length, width) + (x, y))
+    return np.asarray(corners * (length, width) + (0.0, y))
 
 
 def _containers(builder: MeshBuilder, spot: Spot, chances: np.random.Generator) -> None:

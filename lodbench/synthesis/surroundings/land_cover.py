@@ -77,7 +77,7 @@ class TopView:
         return np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
 
 
-def look_down(scene: Scene, threads: int | None = None) -> TopView:
+def look_down(scene: Scene) -> TopView:
     """Returns a city from above: its highest surfaces, drawn from straight above."""
     low, high = scene.extent_m
     span = high[:2] - low[:2] + 2 * MARGIN_M
@@ -87,7 +87,9 @@ def look_down(scene: Scene, threads: int | None = None) -> TopView:
     middle = np.array([west + 0.5 * columns * cell, south + 0.5 * rows * cell, _ABOVE_M])
     focal = (_ABOVE_M - float(low[2])) / cell
     camera = Camera(columns, rows, focal, focal, 0.5 * columns, 0.5 * rows)
-    depth = RasterRenderer(scene, threads).depth(camera, Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), middle))
+    depth = RasterRenderer(scene, threads=1).depth(
+        camera, Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), middle)
+    )
     tops = np.where(depth > 0, _ABOVE_M - depth, np.nan)[::-1]
     return TopView(
         west, south, cell, np.ascontiguousarray(tops, dtype=np.float32), building_boxes(scene).bases

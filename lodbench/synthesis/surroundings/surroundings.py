@@ -38,7 +38,7 @@ def make_surroundings(scene: Scene, seed: int, terrain: str | None = None) -> tu
     Raises:
         LodbenchError: The raster cannot be read, or covers no part of the city.
     """
-    view = look_down(scene, threads=1)
+    view = look_down(scene)
     ground = ground_from_raster(view, scene, terrain) if terrain else ground_from_bases(view)
     land = Land(view, ground, draw_land_cover(view, random_stream(seed, "training", "land")))
     builder = MeshBuilder(scene.num_buildings)

@@ -108,7 +108,7 @@ class _ClosedBlock:
             self._place(strip, gabled(eave, float(chances.uniform(42, 54)), width))
             return
         roof = town_roof(eave, depth, chances, modern=0.05 if is_old else 0.2)
-        extension = annex("inner", width, eave, chances) if width > 8.0 and chance(chances, 0.45) else []
+        extension = annex(width, eave, chances) if width > 8.0 and chance(chances, 0.45) else []
         self._place(Strip.bar(corner, along, width, depth), roof, extension)
 
     def _place(self, strip: Strip, roof: Roof, extension: Sequence[Detail] = ()) -> None:

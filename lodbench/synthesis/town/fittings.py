@@ -185,14 +185,14 @@ def dormers(strip: Strip, roof: Roof, generator: np.random.Generator) -> list[De
     return [box for box in row if depth > 0.8 and box.fits(body)]
 
 
-def annex(side: str, length_m: float, eave_m: float, generator: np.random.Generator) -> list[Detail]:
-    """Returns one extension of a wall of the first wing, if the wall is long and high enough for it."""
+def annex(length_m: float, eave_m: float, generator: np.random.Generator) -> list[Detail]:
+    """Returns an extension of the first wing's inner wall, if that is long and high enough for it."""
     width = float(generator.uniform(0.3, 0.6)) * length_m
     height = min(float(generator.uniform(2.8, 4.2)), eave_m - 0.8)
     if width < 2.5 or length_m - width < 1.5 or height < 2.2:
         return []
     start = float(generator.uniform(0.5, length_m - width - 0.5))
-    return [Annex(side, 0, start, width, float(generator.uniform(2.0, 4.5)), height)]
+    return [Annex("inner", 0, start, width, float(generator.uniform(2.0, 4.5)), height)]
 
 
 def lift_houses(strip: Strip, roof: Roof, count: int, generator: np.random.Generator) -> list[Detail]:

@@ -72,7 +72,7 @@ def _add_house(site: Site, style: Style, corner: Points, along: Points) -> float
     details: list[Detail] = dormers(strip, roof, chances) if chance(chances, 0.35) else []
     if len(strip.wings) == 1 and chance(chances, 0.4):
         _, _, wall, _ = strip.first_wing
-        details += annex("inner", wall, roof.eave_m, chances)
+        details += annex(wall, roof.eave_m, chances)
     placed = site.place(strip, roof, details=details, gap_m=gap_m) or site.place(strip, roof, gap_m=gap_m)
     if placed and chance(chances, style.garages):
         _add_garage(site, corner + along * (length + 1.0), along)
@@ -114,7 +114,7 @@ def _add_terrace(site: Site, style: Style, corner: Points, along: Points, room: 
     for k in range(count):
         back = left_of(along) * (step if k % 2 else 0.0)
         strip = Strip.bar(corner + along * (k * width) + back, along, width, depth)
-        details = annex("inner", width, eave, chances) if chance(chances, 0.4) else []
+        details = annex(width, eave, chances) if chance(chances, 0.4) else []
         # The row's own houses touch; the first keeps its distance from whatever stood there.
         gap_m = min(3.0, style.gap_m[0]) if k == 0 else 0.0
         if not site.place(strip, gabled(eave + k * rise, pitch, depth), details=details, gap_m=gap_m):

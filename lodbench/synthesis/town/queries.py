@@ -11,7 +11,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import DatasetError
 from lodbench.execution.progress import Progress
-from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.geometry import EulerAngles, Pose
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import random_stream
 from lodbench.synthesis.mask_degradation import degrade_mask
@@ -109,7 +109,7 @@ class _QueryCamera:
                     targets[k],
                     random_stream(self._town.seed, "demo", name, "mask"),
                     trees=False,
-                    pixels_per_m=_pixels_per_m(QUERY_CAMERA, truth, self.renderer.scene),
+                    pixels_per_m=_pixels_per_m(truth, self.renderer.scene),
                     truth=clean,
                 )
                 prior = PRIORS[split].draw(truth, random_stream(self._town.seed, "demo", name, "prior"))
@@ -134,10 +134,10 @@ def _target_ious(name: str, seed: int, count: int) -> list[float]:
     return [float(iou) for iou in random_stream(seed, "demo", name, "iou").permutation(even)]
 
 
-def _pixels_per_m(camera: Camera, pose: Pose, scene: Scene) -> float:
+def _pixels_per_m(pose: Pose, scene: Scene) -> float:
     """Returns the image scale where the view's centre meets the lowest ground of the scene."""
     drop = float(pose.center[2]) - float(scene.vertices[:, 2].min())
-    return camera.fx * -float(pose.rotation[2, 2]) / drop
+    return QUERY_CAMERA.fx * -float(pose.rotation[2, 2]) / drop
 
 
 def _suburb(town: Town, offset_m: Points) -> tuple[float, float, float, float]:

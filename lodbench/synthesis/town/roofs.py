@@ -37,6 +37,7 @@ ROOF_SHAPES = {
     "pavilion": RoofShape("3500", False, False),
     "serrated": RoofShape("3800", False, False),
 }
+_HALF_HIP_FROM = 0.55  # share of the rise below half hips
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +102,10 @@ def hipped(
     return Roof(name, ridge.profile, (hip if ends[0] else 0.0, hip if ends[1] else 0.0))
 
 
-def half_hipped(roof: Roof, depth_m: float, hip_from: float = 0.55) -> Roof:
+def half_hipped(roof: Roof, depth_m: float) -> Roof:
     """Returns a gabled roof, its ridge in the middle, with both gables cut off near the top."""
-    hip = 0.45 * (1 - hip_from) * depth_m
-    return Roof("half-hipped", roof.profile, (hip, hip), hip_from)
+    hip = 0.45 * (1 - _HALF_HIP_FROM) * depth_m
+    return Roof("half-hipped", roof.profile, (hip, hip), _HALF_HIP_FROM)
 
 
 def shed(eave_m: float, pitch_deg: float, depth_m: float) -> Roof:

@@ -76,7 +76,7 @@ class StreetPlan:
     river: Points
 
 
-def draw_streets(generator: np.random.Generator, rings: float = 1.0) -> StreetPlan:
+def draw_streets(generator: np.random.Generator, rings: float) -> StreetPlan:
     """Returns a street plan whose streets lean, from 0 to 1, towards rings and spokes around the middle."""
     angles = np.sort(np.linspace(0, 2 * np.pi, 14, endpoint=False) + generator.uniform(-0.1, 0.1, 14))
     radii = TOWN_RADIUS_M * generator.uniform(0.9, 1.08, 14)

@@ -35,7 +35,7 @@ class Terrain:
     water_m: float
 
     @classmethod
-    def draw(cls, generator: np.random.Generator, river: Points, relief: float = 1.0) -> Terrain:
+    def draw(cls, generator: np.random.Generator, river: Points, relief: float) -> Terrain:
         """Returns hills that rise by some 30 m from a river to the edge of town."""
         waves = []
         for wavelength, amplitude in _WAVES_M:
