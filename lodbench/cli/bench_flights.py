@@ -17,6 +17,7 @@ from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.flight.params import RELATIVE_POSES
 from lodbench.synthesis.flights.dataset import FlightsParams
 from lodbench.synthesis.flights.paths import PATHS
+from lodbench.synthesis.view_photos import PHOTO_SIZE
 
 
 def add_flights(actions: Any) -> argparse.ArgumentParser:
@@ -34,6 +35,7 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
     add("--map-lod", help="level of detail that is searched (the lowest)")
     add("--mask-lod", help="level of detail that photos show, or finest (the map's)")
     add("--look", help="draw photos in this look: plain, varied or hard (none)")
+    add("--photo-width", type=int, default=PHOTO_SIZE[0], help=f"of drawn photos, pixels ({PHOTO_SIZE[0]})")
     add("--reconstruct", action="store_true", help="by COLMAP, from the photos (pycolmap)")
     add("--relative-poses", choices=RELATIVE_POSES, default="auto", help="(auto)")
     add("--focal", type=float, default=0.0, help="focal lengths off by up to this share (0)")
@@ -64,6 +66,7 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
         lod=options.map_lod,
         mask_lod=options.mask_lod,
         look=options.look,
+        photo_width=options.photo_width,
         reconstruct=options.reconstruct,
         focal=options.focal,
         shared_height_m=options.shared_height,

@@ -19,7 +19,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import RECONSTRUCTION_FOLDER, SEQUENCE_FILE, FolderParams, open_folder
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, DatasetError, nearest_names
+from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
@@ -65,6 +65,7 @@ class FlightsParams:
     extra: float = 0.0
     flights_seed: int = 0
     look: str | None = None
+    photo_width: int = PHOTO_SIZE[0]
     reconstruct: bool = False
     lod: str | None = None
     mask_lod: str | None = None
@@ -83,9 +84,14 @@ class FlightsParams:
             raise ConfigError("dataset.focal lies within 0 and 0.2, dataset.distortion within -0.3 and 0.3.")
         if self.reconstruct and self.look is None:
             raise ConfigError("dataset.reconstruct=true needs photos.", "Set dataset.look=plain.")
+        require_within("dataset.photo_width", self.photo_width, FINE_SIZE[0], RGB_CAMERA.width, "[]")
         if self.look is not None and self.distortion != 0:
             raise ConfigError("dataset.look draws photos without distortion.", "Set dataset.distortion=0.")
         self.shared(), self.own(), self.map_errors()
+
+    def photo_size(self) -> tuple[int, int]:
+        """Returns width and height of drawn photos, pixels."""
+        return self.photo_width, round(self.photo_width * PHOTO_SIZE[1] / PHOTO_SIZE[0])
 
     def shared(self) -> SensorErrors:
         """Returns what all photos of a flight are wrong about."""
@@ -122,13 +128,12 @@ def open_flights(params: FlightsParams) -> Dataset:
         cache_root() / "flights" / digest_of([FLIGHTS_VERSION, drawn, world.digest(), world.origin.tolist()])
     )
     if not root.is_dir():
+        # A level that the file lacks is said before photos are drawn, not after.
+        level = open_cached_city(city, lod=params.lod, options=options, roof_height=params.roof_height)
         make_folder(root.parent)
         with new_folder(root) as building:
             _draw(params, world, building)
             if params.map_errors():
-                level = open_cached_city(
-                    city, lod=params.lod, options=options, roof_height=params.roof_height
-                )
                 _write_map(params, level, building)
     return _opened(params, root)
 
@@ -143,7 +148,7 @@ def _opened(params: FlightsParams, root: Path) -> Dataset:
 def _draw(params: FlightsParams, world: Scene, folder: Path) -> None:
     """Writes all flights as one split of a folder."""
     renderer = make_renderer("silhouette", world, None)
-    told = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(*PHOTO_SIZE)
+    told = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(*params.photo_size())
     photographer = None if params.look is None else Photographer(world, params.look, params.flights_seed)
     queries, sequences = [], {}
     for flight in range(params.num_flights):
