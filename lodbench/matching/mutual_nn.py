@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,24 +37,31 @@ class MutualNn:
 
     def match(self, first: Features, second: Features) -> Matches:
         """Returns the matches, in the first picture's order; the score is minus the distance."""
-        to_second, distance = self._nearest(first.descriptors, second.descriptors)
-        to_first, _ = self._nearest(second.descriptors, first.descriptors)
+        if len(first.descriptors) == 0 or len(second.descriptors) == 0:
+            return Matches(first.keypoints[:0], second.keypoints[:0], np.zeros(0, np.float32))
+        squares = _squared_distances(first.descriptors, second.descriptors)
+        to_second, distance = self._nearest(squares)
+        to_first, _ = self._nearest(np.ascontiguousarray(squares.T))
         here = np.flatnonzero(to_second >= 0)
         here = here[to_first[to_second[here]] == here]
         return Matches(first.keypoints[here], second.keypoints[to_second[here]], -distance[here])
 
-    def _nearest(
-        self, these: NDArray[np.float32], those: NDArray[np.float32]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Returns for each of these the number of the nearest of those and its distance; -1 for none."""
-        index = np.full(len(these), -1, dtype=np.int64)
-        distance = np.full(len(these), np.inf, dtype=np.float32)
-        if len(these) == 0 or len(those) == 0:
-            return index, distance
-        for number, found in enumerate(cv2.BFMatcher(cv2.NORM_L2).knnMatch(these, those, k=2)):
-            if len(found) == 1 or found[0].distance <= self.params.ratio * found[1].distance:
-                index[number], distance[number] = found[0].trainIdx, found[0].distance
-        return index, distance
+    def _nearest(self, squares: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Returns for each row of (N, M) squared distances the nearest column, -1 for none, and how far it is."""
+        index = squares.argmin(axis=1)
+        rows = np.arange(len(squares))
+        nearest = squares[rows, index]
+        squares[rows, index] = np.inf
+        second = squares.min(axis=1)
+        squares[rows, index] = nearest
+        is_clear = np.sqrt(nearest) <= self.params.ratio * np.sqrt(second)
+        return np.where(is_clear, index, -1), np.sqrt(nearest)
+
+
+def _squared_distances(these: NDArray[np.float32], those: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Returns (N, M) squared Euclidean distances of (N, D) and (M, D) descriptors."""
+    lengths = (these**2).sum(axis=1)[:, None] + (those**2).sum(axis=1)
+    return np.maximum(lengths - 2.0 * (these @ those.T), 0.0)
 
 
 class SiftNn(MutualNn):

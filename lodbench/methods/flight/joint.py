@@ -55,7 +55,7 @@ class Solution:
     members: Sequence[int]
 
     def scales(self) -> Floats:
-        """Returns (5,) the scales that this calls for; see ``State.scales``."""
+        """Returns (6,) the scales that this calls for; see ``State.scales``."""
         step = np.concatenate([self.photo_steps.ravel(), self.shared_step])
         grouped = zip(self.groups, self.members, strict=True)
         return np.array([group.scale_after(self.factorised, step, count) for group, count in grouped])
@@ -75,7 +75,7 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
     similarity = parts + len(state.roofs)
     size = similarity + (0 if state.reconstruction is None else UNKNOWNS)
     equations = NormalEquations(size)
-    of_roofs, of_parts, of_feet, of_model, of_ties = groups = [
+    of_roofs, of_parts, of_feet, of_centres, of_turns, of_ties = groups = [
         ErrorGroup(equations, scale) for scale in state.scales
     ]
     _add_map(equations, state, shared, params)
@@ -92,13 +92,13 @@ def solve(state: State, terms: Sequence[PhotoTerms | None], params: Params) -> S
             equations.add(unknowns, state.weights[k] * term.information, state.weights[k] * term.gradient)
     derivatives = [rotation_derivatives(vector) for vector in state.vectors]
     _add_ties(of_ties, state, derivatives, shared + FOCAL)
-    _add_reconstruction(of_model, state, derivatives, similarity, params)
+    _add_reconstruction((of_centres, of_turns), state, derivatives, similarity, params)
     factorised, step = equations.solve(shared)
     steps = step[:shared].reshape(-1, 6)
     longest = np.maximum(1.0, np.max(np.abs(steps) / _LONGEST_STEP, axis=1, initial=0.0))
     # What one building errs by goes together; what photos err by in a reconstruction does not.
     walls = len(np.unique(state.roofs.building[state.roofs.building < 0]))
-    members = len(buildings), len(buildings), walls, of_model.count, of_ties.count
+    members = len(buildings), len(buildings), walls, of_centres.count, of_turns.count, of_ties.count
     return Solution(steps / longest[:, None], step[shared:], buildings, factorised, groups, members)
 
 
@@ -111,19 +111,24 @@ def _add_ties(group: ErrorGroup, state: State, derivatives: Sequence[Floats], fo
 
 
 def _add_reconstruction(
-    group: ErrorGroup, state: State, derivatives: Sequence[Floats], similarity: int, params: Params
+    groups: Sequence[ErrorGroup],
+    state: State,
+    derivatives: Sequence[Floats],
+    similarity: int,
+    params: Params,
 ) -> None:
     """Adds where a reconstruction has photos; ``similarity`` is the first column of what places it."""
     if state.reconstruction is None:
         return
     shared = similarity + np.arange(UNKNOWNS)
     precision = params.mount_precision()
-    group.equations.add(shared[MOUNT], np.eye(3) * precision, precision * state.reconstruction.mount)
+    groups[0].equations.add(shared[MOUNT], np.eye(3) * precision, precision * state.reconstruction.mount)
     for photo in state.reconstruction.photos:
         residuals, jacobian = state.reconstruction.linearize(photo, state.vectors, derivatives)
         unknowns = np.concatenate([np.arange(6) + 6 * photo, shared])
-        information = state.reconstruction.weighted_information(residuals, group.scale)
-        group.add_residuals(unknowns, jacobian, residuals, information)
+        for group, part in zip(groups, (slice(0, 3), slice(3, 6)), strict=True):
+            information = state.reconstruction.weighted_information(part, residuals[part], group.scale)
+            group.add_residuals(unknowns, jacobian[part], residuals[part], information)
 
 
 def _add_map(equations: NormalEquations, state: State, shared: int, params: Params) -> None:

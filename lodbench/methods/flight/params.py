@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 SINGLE_METHODS = ("contour_alignment", "region")
 RELATIVE_POSES = ("auto", "reconstruction", "tracks", "none")
-_AS_TOLD: Floats = np.ones(5)
+_AS_TOLD: Floats = np.ones(6)
 
 
 @dataclass(frozen=True, slots=True)

@@ -87,9 +87,9 @@ class Reconstruction:
         jacobian[3:, 13:16] = -np.eye(3)
         return residuals, jacobian
 
-    def weighted_information(self, residuals: Floats, scale: float = 1.0) -> Floats:
-        """Returns (6, 6) the information, less for a photo far off; errors are a share of those told."""
-        return robust(self.information / scale**2, residuals)
+    def weighted_information(self, part: slice, residuals: Floats, scale: float) -> Floats:
+        """Returns (3, 3) of the centre or the turn, less for one far off; errors are a share of those told."""
+        return robust(self.information[part, part] / scale**2, residuals)
 
 
 def placed(poses: Mapping[int, Pose], vectors: Floats, information: Floats) -> Reconstruction | None:

@@ -39,8 +39,8 @@ class State:
         reasons: Why a photo is lost, by number.
         ties: What pairs of photos say of their relative poses.
         reconstruction: Poses of photos up to a similarity, or None.
-        scales: (5,) shares of what is told that buildings, parts of roofs, feet of walls, the reconstruction
-            and ties err by.
+        scales: (6,) shares of what is told that buildings, parts of roofs, feet of walls, places and turns
+            of photos in the reconstruction, and ties err by.
     """
 
     vectors: Floats
@@ -52,7 +52,7 @@ class State:
     reasons: dict[int, str] = field(default_factory=dict)
     ties: Sequence[RelativePose] = ()
     reconstruction: Reconstruction | None = None
-    scales: Floats = field(default_factory=lambda: np.ones(5))
+    scales: Floats = field(default_factory=lambda: np.ones(6))
 
     @property
     def lens(self) -> Floats:

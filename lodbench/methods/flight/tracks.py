@@ -22,7 +22,7 @@ from lodbench.methods.flight.relative_poses import RelativePose, tangents
 Floats = NDArray[np.float64]
 
 # Photos are looked at no wider than this, pixels, and for so many features.
-_WIDTH, _FEATURES = 1024, 1500
+_WIDTH, _FEATURES = 2048, 4000
 # Each photo is paired with so many that were taken near it, which look the same way to within this, degrees.
 _NEIGHBOURS, _ALIKE_DEG = 4, 50.0
 # Features agree to within so many pixels; fewer that do say nothing. Points of one pair err together.
