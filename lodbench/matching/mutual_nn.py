@@ -47,7 +47,7 @@ class MutualNn:
         return Matches(first.keypoints[here], second.keypoints[to_second[here]], -distance[here])
 
     def _nearest(self, squares: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Returns for each row of (N, M) squared distances the nearest column, -1 for none, and how far it is."""
+        """Returns for each row of (N, M) squared distances the nearest column, -1 for none; how far it is."""
         index = squares.argmin(axis=1)
         rows = np.arange(len(squares))
         nearest = squares[rows, index]

@@ -88,7 +88,7 @@ class Reconstruction:
         return residuals, jacobian
 
     def weighted_information(self, part: slice, residuals: Floats, scale: float) -> Floats:
-        """Returns (3, 3) of the centre or the turn, less for one far off; errors are a share of those told."""
+        """Returns (3, 3) of the centre or the turn, less for one far off; ``scale`` as in ``ErrorGroup``."""
         return robust(self.information[part, part] / scale**2, residuals)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import cv2
@@ -20,18 +19,14 @@ from scipy.spatial import cKDTree
 from lodbench.citymap import CityMap
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
-from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
-from lodbench.geometry import Camera, Pose
-from lodbench.segmentation import binary_mask
+from lodbench.geometry import Pose
+from lodbench.methods.flight.sweep_pictures import SweepPicture, open_pictures
 
 Floats = NDArray[np.float64]
 
 # By how much higher than in the map a roof may be, metres.
 HEIGHTS_M: Floats = np.arange(-8.0, 8.01, 0.25)
-_AS_MAPPED = len(HEIGHTS_M) // 2
-# Photos are compared at this width, pixels, blurred a little, for poses are not exact.
-_WIDTH, _BLUR_PX = 640, 0.8
 # A roof is looked at in so many points at most, no closer than this, metres; by so few it is not.
 _MOST_POINTS, _SPACING_M, _FEWEST_POINTS = 144, 0.4, 6
 # Photos of one roof, fewest and most, which is a share of its points, and how near the camera is, metres.
@@ -45,6 +40,8 @@ _FLAT, _TRIANGLES = 0.3, 2048
 _WEIGHTS, _MOST_APART, _OFF_MASK = np.array([1.0, 2.0, 2.0], np.float32), 60.0, 30.0
 # Pixels of one roof err together: N say as much as _ALONE * sqrt(N) of them, and no more than so many do.
 _ALONE, _MOST_PIXELS = 0.3, 2000
+# A photo's exposure is told by no fewer points.
+_FEWEST_OF_PHOTO = 100
 
 
 class RoofCurve(NamedTuple):
@@ -59,40 +56,8 @@ class RoofCurve(NamedTuple):
     photos: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Picture:
-    """A photo as roofs are compared in it.
-
-    Attributes:
-        camera: The lens it was found to have, of the picture's size.
-        distortion: Radial, k1.
-        pose: Scene frame.
-        pixels: (H, W, 4) L, a, b and the mask, 8 bits.
-    """
-
-    camera: Camera
-    distortion: float
-    pose: Pose
-    pixels: NDArray[np.uint8]
-
-    def project(self, points: Floats, distortion: float | None = None) -> tuple[Floats, Floats]:
-        """Returns pixels (..., 2) of points (..., 3), the first pixel's centre at 0.5, and depths."""
-        local = (points - self.pose.center) @ self.pose.rotation.T
-        depths = np.maximum(local[..., 2], 0.1)
-        away = local[..., :2] / depths[..., None]
-        bent = self.distortion if distortion is None else distortion
-        away = away * (1.0 + bent * (away**2).sum(axis=-1, keepdims=True))
-        camera = self.camera
-        return away * [camera.fx, camera.fy] + [camera.cx, camera.cy], local[..., 2]
-
-    def holds(self, pixels: Floats, depths: Floats) -> NDArray[np.bool_]:
-        """Returns which pixels it has, a pixel from its edge."""
-        size = np.array([self.camera.width, self.camera.height]) - 1.0
-        return np.asarray(((pixels > 1.0) & (pixels < size)).all(axis=-1) & (depths > 1.0))
-
-
 # A photo, and which points of a roof it shows, (N,).
-_Shown: TypeAlias = tuple[_Picture, NDArray[np.bool_]]
+_Shown: TypeAlias = tuple[SweepPicture, NDArray[np.bool_]]
 
 
 def sweep_roofs(
@@ -109,35 +74,18 @@ def sweep_roofs(
         lens: The focal length's change as a share, and the radial distortion k1.
         city_map: The map.
     """
-    pictures = [
-        picture
-        for query, pose in zip(queries, poses, strict=True)
-        if (picture := _picture(query, pose, lens)) is not None
-    ]
+    pictures = open_pictures(queries, poses, lens)
     if len(pictures) < _FEWEST_PHOTOS:
         return {}
     near = _near(city_map.scene, pictures)
     rows, counts = np.unique(np.concatenate(near), return_counts=True)
     roofs = _roofs(city_map.scene, rows[counts >= _FEWEST_PHOTOS])
     seen = _seen(pictures, near, roofs, city_map)
+    _take_exposures_away(roofs, seen)
     return {row: curve for row, photos in seen.items() if (curve := _curve(roofs[row], photos)) is not None}
 
 
-def _picture(query: Query, pose: Pose, lens: Floats) -> _Picture | None:
-    pixels = None if query.image is None else read_picture(query.image)
-    if pixels is None:
-        return None
-    width = min(_WIDTH, pixels.shape[1])
-    camera = query.camera.scaled(width, max(1, round(width * query.camera.height / query.camera.width)))
-    size = camera.width, camera.height
-    small = cv2.GaussianBlur(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), (0, 0), _BLUR_PX)
-    mask = 255 * binary_mask(query.mask, *size).astype(np.uint8)
-    longer = 1.0 + float(lens[0])
-    camera = replace(camera, fx=camera.fx * longer, fy=camera.fy * longer)
-    return _Picture(camera, float(lens[1]), pose, np.dstack([cv2.cvtColor(small, cv2.COLOR_BGR2LAB), mask]))
-
-
-def _near(scene: Scene, pictures: Sequence[_Picture]) -> list[NDArray[np.int64]]:
+def _near(scene: Scene, pictures: Sequence[SweepPicture]) -> list[NDArray[np.int64]]:
     """Returns by photo the rows of the buildings whose roofs it may show, ascending."""
     low, high, building = building_boxes(scene)
     tops = np.column_stack([0.5 * (low + high)[:, :2], high[:, 2]])
@@ -193,7 +141,7 @@ def _heights_over(triangles: Floats, places: Floats) -> Floats:
 
 
 def _seen(
-    pictures: Sequence[_Picture],
+    pictures: Sequence[SweepPicture],
     near: Sequence[NDArray[np.int64]],
     roofs: Mapping[int, Floats],
     city_map: CityMap,
@@ -216,7 +164,7 @@ def _seen(
     }
 
 
-def _sees(picture: _Picture, points: Floats, city_map: CityMap) -> NDArray[np.bool_]:
+def _sees(picture: SweepPicture, points: Floats, city_map: CityMap) -> NDArray[np.bool_]:
     """Returns which of (N, 3) points of the map a photo shows, at every height they may have."""
     pixels, depths = picture.project(points)
     is_seen = picture.holds(pixels, depths) & (depths < _FURTHEST_M)
@@ -231,6 +179,20 @@ def _sees(picture: _Picture, points: Floats, city_map: CityMap) -> NDArray[np.bo
     return is_seen
 
 
+def _take_exposures_away(roofs: Mapping[int, Floats], seen: Mapping[int, Sequence[_Shown]]) -> None:
+    """Shifts each photo's colours by what all roofs, as the map has them, differ by from other photos."""
+    apart: dict[SweepPicture, list[NDArray[np.float32]]] = {}
+    for row, photos in seen.items():
+        colours, counts = _colours(roofs[row], photos, np.zeros(1))
+        away = (colours[..., :3] - _medians(colours[..., :3], counts))[:, 0]
+        for (picture, _), of_photo in zip(photos, away, strict=True):
+            apart.setdefault(picture, []).append(of_photo[np.isfinite(of_photo[:, 0])])
+    for picture, differences in apart.items():
+        together = np.concatenate(differences)
+        if len(together) >= _FEWEST_OF_PHOTO:
+            picture.shift_colours(-np.median(together, axis=0))
+
+
 def _curve(points: Floats, photos: Sequence[_Shown]) -> RoofCurve | None:
     """Returns how well heights of a roof explain its photos; None where too little is seen often enough.
 
@@ -238,21 +200,32 @@ def _curve(points: Floats, photos: Sequence[_Shown]) -> RoofCurve | None:
         points: (N, 4) of the roof, and which share of the building's height they have.
         photos: Those that show it.
     """
-    colours = np.full((len(photos), len(HEIGHTS_M), len(points), 4), np.nan, np.float32)
-    for of_photo, (picture, is_seen) in zip(colours, photos, strict=True):
-        raised = points[is_seen, :3] + HEIGHTS_M[:, None, None] * points[is_seen, 3:] * [0.0, 0.0, 1.0]
-        pixels = (picture.project(raised)[0] - 0.5).astype(np.float32)
-        of_photo[:, is_seen] = cv2.remap(picture.pixels, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR)
-    counts = np.isfinite(colours[:, _AS_MAPPED, :, 0]).sum(axis=0)
-    often = counts >= _FEWEST_PHOTOS
-    if np.count_nonzero(often) < _FEWEST_POINTS:
+    colours, counts = _colours(points, photos, HEIGHTS_M)
+    if len(counts) < _FEWEST_POINTS:
         return None
-    colours, counts = colours[:, :, often], counts[often]
     apart = np.abs(colours[..., :3] - _medians(colours[..., :3], counts)) @ _WEIGHTS
     differences = np.minimum(apart, _MOST_APART) + _OFF_MASK * (1.0 - colours[..., 3] / 255.0)
     mean = np.nanmean(differences, axis=(0, 2), dtype=np.float64)
     independent = _ALONE * math.sqrt(min(int(counts.sum()), _MOST_PIXELS))
     return RoofCurve(-independent * np.log(np.maximum(mean, 1.0)), len(photos))
+
+
+def _colours(
+    points: Floats, photos: Sequence[_Shown], heights_m: Floats
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Returns colours and mask (P, H, M, 4) of the points that three photos show, nan where one does not.
+
+    With them by how many photos each is shown, (M,).
+    """
+    colours = np.full((len(photos), len(heights_m), len(points), 4), np.nan, np.float32)
+    counts = np.zeros(len(points), np.int64)
+    for of_photo, (picture, is_seen) in zip(colours, photos, strict=True):
+        raised = points[is_seen, :3] + heights_m[:, None, None] * points[is_seen, 3:] * [0.0, 0.0, 1.0]
+        pixels = (picture.project(raised)[0] - 0.5).astype(np.float32)
+        of_photo[:, is_seen] = cv2.remap(picture.pixels, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR)
+        counts += is_seen
+    often = counts >= _FEWEST_PHOTOS
+    return colours[:, :, often], counts[often]
 
 
 def _medians(colours: NDArray[np.float32], counts: NDArray[np.int64]) -> NDArray[np.float32]:
