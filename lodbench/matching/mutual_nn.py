@@ -61,7 +61,7 @@ class MutualNn:
 def _squared_distances(these: NDArray[np.float32], those: NDArray[np.float32]) -> NDArray[np.float32]:
     """Returns (N, M) squared Euclidean distances of (N, D) and (M, D) descriptors."""
     lengths = (these**2).sum(axis=1)[:, None] + (those**2).sum(axis=1)
-    return np.maximum(lengths - 2.0 * (these @ those.T), 0.0)
+    return np.asarray(np.maximum(lengths - 2.0 * (these @ those.T), 0.0))
 
 
 class SiftNn(MutualNn):

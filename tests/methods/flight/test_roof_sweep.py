@@ -13,6 +13,7 @@ from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
 from lodbench.methods.flight.building_heights import _common, _fused
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, roof_points, sweep_roofs
+from lodbench.methods.flight.sweep_pictures import open_pictures
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map
 from lodbench.synthesis.flights.paths import PATHS
 from tests.town import CAMERA, box_obj
@@ -70,6 +71,33 @@ def test_a_lens_that_is_longer_than_told_is_looked_through(world, photos):
     queries = [replace(query, camera=told) for query in queries]
     right = best_m(sweep_roofs(queries, poses, np.array([0.05, 0.0]), CityMap(world, threads=1)))
     assert np.mean([abs(height) <= 0.5 for height in right.values()]) >= 0.9
+
+
+def test_exposures_do_not_blur_what_heights_say(world, photos, tmp_path):
+    queries, poses = photos
+    city_map = CityMap(world, threads=1)
+    brighter = []
+    for k, query in enumerate(queries):
+        gain = (0.8, 1.25)[k % 2]
+        picture = cv2.imread(str(query.image)).astype(np.float64) * gain
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.clip(picture, 0, 255).astype(np.uint8))
+        brighter.append(replace(query, image=tmp_path / f"{k}.png"))
+    plain, exposed = (sweep_roofs(taken, poses, LENS, city_map) for taken in (queries, brighter))
+    assert plain.keys() == exposed.keys()
+    before, after = best_m(plain), best_m(exposed)
+    assert np.mean([abs(after[row] - before[row]) <= 0.5 for row in before]) >= 0.8
+    sharp, blurred = (np.median([np.ptp(curve.nats) for curve in told.values()]) for told in (plain, exposed))
+    assert blurred > 0.6 * sharp
+
+
+def test_many_photos_are_narrower_than_few(photos, monkeypatch):
+    queries, poses = photos
+    (whole,) = open_pictures(queries[:1], poses[:1], LENS)
+    assert whole.camera == CAMERA
+    monkeypatch.setattr("lodbench.methods.flight.sweep_pictures._PIXELS", 8 * 80 * 60)
+    narrow = open_pictures(queries, poses, LENS)
+    assert sum(picture.pixels.shape[0] * picture.pixels.shape[1] for picture in narrow) <= 1.02 * 8 * 80 * 60
+    assert {picture.camera.width for picture in narrow} == {80}
 
 
 def test_without_photos_or_with_two_of_them_nothing_is_told(world, photos):
