@@ -114,6 +114,29 @@ def test_photos_of_which_a_reconstruction_has_too_few_are_solved_without_it(know
     assert np.isfinite(solve(part, [None] * 3, Params()).photo_steps).all()
 
 
+def test_places_and_turns_of_a_reconstruction_have_shares_of_their_own():
+    generator = np.random.default_rng(3)
+    angles = np.radians(np.arange(0, 360, 18.0))
+    around, level = 90.0 * np.array([np.cos(angles), np.sin(angles)]), np.full((20, 3), [80.0, 40.0, 0.0])
+    vectors = np.column_stack([*around, level, np.degrees(angles) + 90.0])
+    poses = {}
+    for k, vector in enumerate(vectors):
+        pose = similar(pose_from_vector(vector))
+        turn = Rotation.from_rotvec(np.radians(generator.normal(0, 0.05, 3))).as_matrix()
+        poses[k] = Pose.from_center(turn @ pose.rotation, pose.center)
+    # Sensors are right to centimetres: how far the reconstruction errs is there to be seen.
+    params = Params(own_m=0.02, own_tilt_deg=0.002, own_yaw_deg=0.002)
+    state = State(vectors, vectors, RoofParts(20.0, 0), np.zeros(0), np.ones(20))
+    state.reconstruction = placed(poses, vectors, params.reconstruction_information())
+    for _ in range(12):
+        solution = solve(state, [None] * len(vectors), params)
+        state.scales = solution.scales()
+        state.step(solution)
+    of_places, of_turns = state.scales[3:5]
+    assert of_places < 0.2
+    assert 0.7 < of_turns <= 1.0
+
+
 def test_two_views_are_what_their_points_say():
     generator = np.random.default_rng(3)
     here, there = (pose_from_vector(v) for v in VECTORS[:2])
