@@ -29,8 +29,10 @@ Floats = NDArray[np.float64]
 HEIGHTS_M: Floats = np.arange(-8.0, 8.01, 0.25)
 # A roof is looked at in so many points at most, no closer than this, metres; by so few it is not.
 _MOST_POINTS, _SPACING_M, _FEWEST_POINTS = 144, 0.4, 6
-# Photos of one roof, fewest and most, which is a share of its points, and how near the camera is, metres.
-_FEWEST_PHOTOS, _MOST_PHOTOS, _SHARE, _FURTHEST_M = 3, 16, 0.15, 400.0
+# Photos of one roof, fewest and most, which is a share of its points, and how large a pixel is there, metres.
+_FEWEST_PHOTOS, _MOST_PHOTOS, _SHARE, _COARSEST_M = 3, 16, 0.15, 0.8
+# Where a building is looked for in a photo: the middle of its box's top, and the corners.
+_TOP = np.array([[0.5, 0.5, 1.0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 1]])
 # What stands before a point by more than this hides it, metres.
 _BEFORE_M = 1.0
 # Faces steeper than this are walls: the upward part of their unit normal. So many are looked at at once.
@@ -39,7 +41,8 @@ _FLAT, _TRIANGLES = 0.3, 2048
 # outside the mask counts as a difference of so much.
 _WEIGHTS, _MOST_APART, _OFF_MASK = np.array([1.0, 2.0, 2.0], np.float32), 60.0, 30.0
 # Pixels of one roof err together: N say as much as _ALONE * sqrt(N) of them, and no more than so many do.
-_ALONE, _MOST_PIXELS = 0.3, 2000
+# What photos are compared with, their median, takes so many of them away.
+_ALONE, _MOST_PIXELS, _OF_MEDIAN = 0.6, 2000, 2.0
 # A photo's exposure is told by no fewer points.
 _FEWEST_OF_PHOTO = 100
 
@@ -88,11 +91,13 @@ def sweep_roofs(
 def _near(scene: Scene, pictures: Sequence[SweepPicture]) -> list[NDArray[np.int64]]:
     """Returns by photo the rows of the buildings whose roofs it may show, ascending."""
     low, high, building = building_boxes(scene)
-    tops = np.column_stack([0.5 * (low + high)[:, :2], high[:, 2]])
-    tree, near = cKDTree(tops), []
+    tops = low[:, None] + _TOP * (high - low)[:, None]
+    tree, near = cKDTree(tops[:, 0]), []
     for picture in pictures:
-        around = np.array(sorted(tree.query_ball_point(picture.pose.center, _FURTHEST_M)), dtype=np.int64)
-        near.append(building[around[picture.holds(*picture.project(tops[around]))]])
+        reach_m = _COARSEST_M * picture.camera.fx
+        around = np.array(sorted(tree.query_ball_point(picture.pose.center, reach_m)), dtype=np.int64)
+        is_held = picture.holds(*picture.project(tops[around])).any(axis=1)
+        near.append(building[around[is_held]])
     return near
 
 
@@ -167,7 +172,7 @@ def _seen(
 def _sees(picture: SweepPicture, points: Floats, city_map: CityMap) -> NDArray[np.bool_]:
     """Returns which of (N, 3) points of the map a photo shows, at every height they may have."""
     pixels, depths = picture.project(points)
-    is_seen = picture.holds(pixels, depths) & (depths < _FURTHEST_M)
+    is_seen = picture.holds(pixels, depths) & (depths < _COARSEST_M * picture.camera.fx)
     for end_m in (HEIGHTS_M[0], HEIGHTS_M[-1]):
         is_seen &= picture.holds(*picture.project(points + np.array([0.0, 0.0, end_m])))
     turn, center = picture.pose.rotation[None], picture.pose.center[None]
@@ -206,8 +211,23 @@ def _curve(points: Floats, photos: Sequence[_Shown]) -> RoofCurve | None:
     apart = np.abs(colours[..., :3] - _medians(colours[..., :3], counts)) @ _WEIGHTS
     differences = np.minimum(apart, _MOST_APART) + _OFF_MASK * (1.0 - colours[..., 3] / 255.0)
     mean = np.nanmean(differences, axis=(0, 2), dtype=np.float64)
-    independent = _ALONE * math.sqrt(min(int(counts.sum()), _MOST_PIXELS))
+    independent = _ALONE * math.sqrt(min(_pixels_of(points, photos), _MOST_PIXELS))
+    # Few photos are near their own median wherever a roof is.
+    independent *= 1.0 - _OF_MEDIAN / len(photos)
     return RoofCurve(-independent * np.log(np.maximum(mean, 1.0)), len(photos))
+
+
+def _pixels_of(points: Floats, photos: Sequence[_Shown]) -> float:
+    """Returns how many pixels of all photos show a roof's points; two points in a pixel are one."""
+    spacing_m = float(np.median(cKDTree(points[:, :2]).query(points[:, :2], k=2)[0][:, 1]))
+    total = 0.0
+    for picture, is_seen in photos:
+        away = points[is_seen, :3].mean(axis=0) - picture.pose.center
+        distance_m = float(np.linalg.norm(away))
+        # A level square metre is as much smaller as it is seen at an angle.
+        per_m2 = (picture.camera.fx / distance_m) ** 2 * abs(away[2]) / distance_m
+        total += np.count_nonzero(is_seen) * min(1.0, per_m2 * spacing_m**2)
+    return total
 
 
 def _colours(
