@@ -30,7 +30,7 @@ HEIGHTS_M: Floats = np.arange(-8.0, 8.01, 0.25)
 # A roof is looked at in so many points at most, no closer than this, metres; by so few it is not.
 _MOST_POINTS, _SPACING_M, _FEWEST_POINTS = 144, 0.4, 6
 # Photos of one roof, fewest and most, which is a share of its points, and how large a pixel is there, metres.
-_FEWEST_PHOTOS, _MOST_PHOTOS, _SHARE, _COARSEST_M = 3, 16, 0.15, 0.8
+_FEWEST_PHOTOS, _MOST_PHOTOS, _SHARE, _COARSEST_M = 3, 16, 0.15, 1.5
 # Where a building is looked for in a photo: the middle of its box's top, and the corners.
 _TOP = np.array([[0.5, 0.5, 1.0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 1]])
 # What stands before a point by more than this hides it, metres.
