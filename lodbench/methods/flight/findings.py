@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.flight.aligning import Aligned
-from lodbench.methods.flight.building_heights import building_heights
+from lodbench.methods.flight.building_heights import BuildingHeight, building_heights
 from lodbench.methods.flight.gone_buildings import gone_buildings
 from lodbench.methods.flight.joint import Solution, shared_covariance
 from lodbench.methods.flight.map_views import views_of
@@ -59,10 +60,32 @@ def findings_of(
     the others alone, and ``reasons`` why, by name; ``changes``: buildings that stand in the map only
     (``gone_buildings``) and places where the map lacks one (``missing_buildings``).
     """
-    state, terms = aligned.state, aligned.terms
+    state = aligned.state
+    kept = [int(k) for k in np.flatnonzero(state.weights > 0)]
+    kept_queries, poses = [queries[k] for k in kept], [pose_from_vector(state.vectors[k]) for k in kept]
+    views = views_of(kept_queries, poses, float(state.lens[0]))
+    changes = [*gone_buildings(views, city_map), *missing_buildings(views, city_map)]
+    gone = {change["id"] for change in changes if change["kind"] == "gone"}
+    heights = building_heights(
+        aligned, sweep_roofs(kept_queries, poses, state.lens[:2], city_map), city_map.scene, params
+    )
+    buildings = _buildings(heights, aligned, city_map.scene)
+    return {
+        "constants": _constants(aligned, params, of_ends),
+        # What is gone has no height.
+        "buildings": [building for building in buildings if building["id"] not in gone],
+        "changes": changes,
+        "lost": [query.name for query, weight in zip(queries, state.weights, strict=True) if weight == 0.0],
+        "reasons": {queries[k].name: reason for k, reason in state.reasons.items()},
+    }
+
+
+def _constants(aligned: Aligned, params: Params, of_ends: Floats) -> dict[str, dict[str, Any]]:
+    """Returns what photos share, by name: value, sigma, unit, whether photos told it; none that is held."""
+    state = aligned.state
     spread = np.sqrt(np.diag(shared_covariance(aligned.solution, np.arange(CONSTANTS)) + of_ends))
     beforehand = params.constant_sigmas(state.scales)
-    constants = {
+    return {
         name: {
             "value": float(state.constants[k]),
             "sigma": float(spread[k]),
@@ -72,38 +95,25 @@ def findings_of(
         for k, (name, unit) in enumerate(_NAMES)
         if beforehand[k] > 1e-3 * (1.0 if unit == "m" else 0.1)
     }
+
+
+def _buildings(heights: Mapping[int, BuildingHeight], aligned: Aligned, scene: Scene) -> list[dict[str, Any]]:
+    """Returns the heights of buildings with their ids, and how many photos' outlines or pixels told them."""
     photos: Counter[int] = Counter()
-    for term in terms:
+    for term in aligned.terms:
         if term is not None:
-            shown = state.roofs.building[term.parts]
+            shown = aligned.state.roofs.building[term.parts]
             photos.update(int(b) for b in np.unique(shown[shown >= 0]))
-    lost = [query.name for query, weight in zip(queries, state.weights, strict=True) if weight == 0.0]
-    kept = [int(k) for k in np.flatnonzero(state.weights > 0)]
-    poses = [pose_from_vector(state.vectors[k]) for k in kept]
-    views = views_of([queries[k] for k in kept], poses, float(state.lens[0]))
-    curves = sweep_roofs([queries[k] for k in kept], poses, state.lens[:2], city_map)
-    buildings = [
+    return [
         {
-            "id": city_map.scene.building_ids[row],
+            "id": scene.building_ids[row],
             "higher_m": height.higher_m,
             "sigma_m": height.sigma_m,
             "photos": max(photos[row], height.photos),
             "doubt": height.is_in_doubt,
         }
-        for row, height in building_heights(aligned, curves, city_map.scene, params).items()
+        for row, height in heights.items()
     ]
-    changes = [*gone_buildings(views, city_map), *missing_buildings(views, city_map)]
-    gone = {change["id"] for change in changes if change["kind"] == "gone"}
-    # What is gone has no height.
-    buildings = [building for building in buildings if building["id"] not in gone]
-    reasons = {queries[k].name: reason for k, reason in state.reasons.items()}
-    return {
-        "constants": constants,
-        "buildings": buildings,
-        "changes": changes,
-        "lost": lost,
-        "reasons": reasons,
-    }
 
 
 def cannot_tell_focal(solution: Solution, params: Params) -> bool:
