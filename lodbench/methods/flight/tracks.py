@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -21,8 +22,9 @@ from lodbench.methods.flight.relative_poses import RelativePose, tangents
 
 Floats = NDArray[np.float64]
 
-# Photos are looked at no wider than this, pixels, and for so many features.
-_WIDTH, _FEATURES = 2048, 4000
+# Photos are looked at no wider than this, pixels, and for so many features; of more photos than so many each
+# is looked at less closely, but no narrower than that, for they tie each other the more often.
+_WIDTH, _FEATURES, _CLOSELY, _NARROWEST = 2048, 4000, 100, 1024
 # Each photo is paired with so many that were taken near it, which look the same way to within this, degrees.
 _NEIGHBOURS, _ALIKE_DEG = 4, 50.0
 # Features agree to within so many pixels; fewer that do say nothing. Points of one pair err together.
@@ -40,8 +42,10 @@ def relative_poses(queries: Sequence[Query], vectors: Floats) -> list[RelativePo
         queries: The flight's.
         vectors: (P, 6) about where they were taken, metres and degrees.
     """
-    sift, matcher = Sift(SiftParams(max_features=_FEATURES)), MutualNn(MutualNnParams(ratio=0.8))
-    found = [_features(query, sift) for query in queries]
+    width = width_looked_at(len(queries))
+    sift = Sift(SiftParams(max_features=round(_FEATURES * (width / _WIDTH) ** 1.5)))
+    matcher = MutualNn(MutualNnParams(ratio=0.8))
+    found = [_features(query, sift, width) for query in queries]
     ties = []
     for first, second in _pairs(vectors):
         here, there = found[first], found[second]
@@ -56,6 +60,11 @@ def relative_poses(queries: Sequence[Query], vectors: Floats) -> list[RelativePo
         if tie is not None:
             ties.append(RelativePose(first, second, *tie))
     return ties
+
+
+def width_looked_at(photos: int) -> int:
+    """Returns how wide each of so many photos is looked at, pixels: the whole costs little more than 100."""
+    return max(_NARROWEST, min(_WIDTH, round(_WIDTH * math.sqrt(_CLOSELY / max(photos, 1)))))
 
 
 def two_view(
@@ -142,13 +151,13 @@ def _sampson(first: Floats, second: Floats, rotation: Floats, direction: Floats)
     return np.asarray((other * line).sum(axis=1) / np.maximum(steep, 1e-12))
 
 
-def _features(query: Query, sift: Sift) -> tuple[Features, Camera] | None:
+def _features(query: Query, sift: Sift, widest: int) -> tuple[Features, Camera] | None:
     """Returns a photo's features, and the camera they are pixels of; None for one that cannot be read."""
     camera = query.camera
     picture = None if query.image is None else read_picture(query.image)
     if picture is None:
         return None
-    width = min(_WIDTH, picture.shape[1])
+    width = min(widest, picture.shape[1])
     size = width, max(1, round(width * camera.height / camera.width))
     if size != (picture.shape[1], picture.shape[0]):
         picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)

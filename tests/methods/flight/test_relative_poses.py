@@ -22,7 +22,7 @@ from lodbench.methods.flight.reconstruction import placed
 from lodbench.methods.flight.relative_poses import RelativePose, rotation_vector, tangents
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.state import State
-from lodbench.methods.flight.tracks import two_view
+from lodbench.methods.flight.tracks import two_view, width_looked_at
 from lodbench.storage import random_stream
 from tests.methods.flight.test_method import flight
 
@@ -135,6 +135,11 @@ def test_places_and_turns_of_a_reconstruction_have_shares_of_their_own():
     of_places, of_turns = state.scales[3:5]
     assert of_places < 0.2
     assert 0.7 < of_turns <= 1.0
+
+
+@pytest.mark.parametrize(("photos", "width"), [(0, 2048), (20, 2048), (100, 2048), (200, 1448), (2000, 1024)])
+def test_many_photos_are_looked_at_less_closely_each(photos, width):
+    assert width_looked_at(photos) == width
 
 
 def test_two_views_are_what_their_points_say():
