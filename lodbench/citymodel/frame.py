@@ -39,8 +39,8 @@ _CHUNK_POINTS = 1 << 16
 _SAMPLE_POINTS = 1 << 15
 # Areas of use are bounding boxes of countries and zones; tiles at their rim reach a little out.
 _AREA_MARGIN_DEG = 0.5
-# Nobody's city is wider.
-_WIDEST_DEG = 60.0
+# Nobody's city is wider, whatever the outermost points are, in percent.
+_WIDEST_DEG, _WITHOUT_STRAYS = 60.0, (1.0, 99.0)
 # No town lies further south or north; it tells latitudes from longitudes where the area is the world.
 _INHABITED_LATITUDES_DEG = (-56.0, 80.0)
 
@@ -187,8 +187,10 @@ def _require_degrees(points: NDArray[np.float64], known: KnownCrs) -> None:
         CityModelError: It cannot.
     """
     if known.horizontal.is_geographic:
-        low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-        if max(high.max(), -low.min()) > 360.0 or (high - low).max() > _WIDEST_DEG:
+        low, high = np.percentile(points[:, :2], _WITHOUT_STRAYS, axis=0)
+        # What lies on both sides of 180 degrees is as wide as the Earth.
+        is_too_wide = _WIDEST_DEG < (high - low).max() < 360.0 - _WIDEST_DEG
+        if max(high.max(), -low.min()) > 360.0 or is_too_wide:
             raise CityModelError(
                 f"The coordinates are no degrees, although {known.label} says so.",
                 "Name the right reference system with crs=EPSG:...",

@@ -18,6 +18,7 @@ from lodbench.methods.flight.params import RELATIVE_POSES
 from lodbench.synthesis.flights.dataset import FlightsParams
 from lodbench.synthesis.flights.paths import PATHS
 from lodbench.synthesis.view_photos import PHOTO_SIZE
+from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 
 
 def add_flights(actions: Any) -> argparse.ArgumentParser:
@@ -91,6 +92,7 @@ def _require_sound(options: argparse.Namespace) -> None:
     require_within("--shared-height", options.shared_height, 0)
     for name in ("wrong_heights", "missing", "extra"):
         require_within(f"--{name.replace('_', '-')}", getattr(options, name), 0, 0.5)
+    require_within("--photo-width", options.photo_width, FINE_SIZE[0], RGB_CAMERA.width)
     if options.reconstruct and options.look is None:
         raise ConfigError("--reconstruct needs photos.", "Add --look plain.")
 

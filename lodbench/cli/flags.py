@@ -24,7 +24,7 @@ _FLAGS = {
 _OPTIONS = {field.name: f"--option {field.name}" for field in fields(ReadOptions)}
 # Settings of these are words of one option.
 _OF_PART = re.compile(r"(?<![\w.])(method|segmenter)\.(?=\w+=)")
-_SETTING = re.compile(rf"(?<![\w.])({'|'.join(map(re.escape, [*_FLAGS, *_OPTIONS]))})=")
+_SETTING = re.compile(rf"(?<![\w./])({'|'.join(map(re.escape, [*_FLAGS, *_OPTIONS]))})=")
 
 
 def in_flags(text: str) -> str:

@@ -93,11 +93,11 @@ class RoughPlace:
 
     def __post_init__(self) -> None:
         require_within("--lat", self.latitude_deg, -90, 90)
-        require_within("--lon", self.longitude_deg, -180, 360)
+        require_within("--lon", self.longitude_deg, -360, 360)
         require_within("--height", self.height_m, -math.inf)
         require_within("--heading", self.heading_deg, -math.inf)
-        require_within("--pitch", self.pitch_deg, -180, 180)
-        require_within("--roll", self.roll_deg, -180, 180)
+        require_within("--pitch", self.pitch_deg, -360, 360)
+        require_within("--roll", self.roll_deg, -360, 360)
 
 
 def require_stated(

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from lodbench.errors import require_within
 from lodbench.matching.protocol import FEATURES, Features, Matches
 
+# So many descriptors are compared with all others at once: memory does not grow with their square.
+_ROWS = 1024
+
 
 @dataclass(frozen=True, slots=True)
 class MutualNnParams:
@@ -39,29 +42,38 @@ class MutualNn:
         """Returns the matches, in the first picture's order; the score is minus the distance."""
         if len(first.descriptors) == 0 or len(second.descriptors) == 0:
             return Matches(first.keypoints[:0], second.keypoints[:0], np.zeros(0, np.float32))
-        squares = _squared_distances(first.descriptors, second.descriptors)
-        to_second, distance = self._nearest(squares)
-        to_first, _ = self._nearest(np.ascontiguousarray(squares.T))
+        to_second, distance = self._nearest(first.descriptors, second.descriptors)
+        to_first, _ = self._nearest(second.descriptors, first.descriptors)
         here = np.flatnonzero(to_second >= 0)
         here = here[to_first[to_second[here]] == here]
         return Matches(first.keypoints[here], second.keypoints[to_second[here]], -distance[here])
 
-    def _nearest(self, squares: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Returns for each row of (N, M) squared distances the nearest column, -1 for none; how far it is."""
-        index = squares.argmin(axis=1)
-        rows = np.arange(len(squares))
-        nearest = squares[rows, index]
-        squares[rows, index] = np.inf
-        second = squares.min(axis=1)
-        squares[rows, index] = nearest
-        is_clear = np.sqrt(nearest) <= self.params.ratio * np.sqrt(second)
-        return np.where(is_clear, index, -1), np.sqrt(nearest)
-
-
-def _squared_distances(these: NDArray[np.float32], those: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Returns (N, M) squared Euclidean distances of (N, D) and (M, D) descriptors."""
-    lengths = (these**2).sum(axis=1)[:, None] + (those**2).sum(axis=1)
-    return np.asarray(np.maximum(lengths - 2.0 * (these @ those.T), 0.0))
+    def _nearest(
+        self, these: NDArray[np.float32], those: NDArray[np.float32]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Returns for each of these the number of the nearest of those, -1 for none, and its distance."""
+        index = np.full(len(these), -1, dtype=np.int64)
+        distance = np.full(len(these), np.inf, dtype=np.float32)
+        lengths = (those**2).sum(axis=1)
+        for first in range(0, len(these), _ROWS):
+            some = these[first : first + _ROWS]
+            # Squared distances, but for what all of a row have in common.
+            away = lengths - 2.0 * (some @ those.T)
+            rows = np.arange(len(some))
+            nearest = away.argmin(axis=1)
+            away[rows, nearest] = np.inf
+            second = away.argmin(axis=1)
+            # Differences of large squares round: the two that count are measured again.
+            one, two = (np.linalg.norm(some - those[found], axis=1) for found in (nearest, second))
+            nearest, one, two = (
+                np.where(two < one, second, nearest),
+                np.minimum(one, two),
+                np.maximum(one, two),
+            )
+            is_clear = (one <= self.params.ratio * two) | (len(those) == 1)
+            index[first : first + _ROWS] = np.where(is_clear, nearest, -1)
+            distance[first : first + _ROWS] = one
+        return index, distance
 
 
 class SiftNn(MutualNn):

@@ -152,6 +152,17 @@ class TestDegrees:
     def test_metres_declared_as_degrees(self) -> None:
         with pytest.raises(CityModelError, match="no degrees"):
             convert(points((690953, 5335962, 500)), "EPSG:4326")
+        with pytest.raises(CityModelError, match="no degrees"):
+            convert(np.column_stack([np.linspace(0, 250, 60)] * 3), "EPSG:4326")
+
+    def test_a_stray_point_and_the_antimeridian_are_degrees(self) -> None:
+        osaka = np.column_stack(
+            [np.linspace(34.70, 34.71, 300), np.linspace(135.50, 135.51, 300), np.zeros(300)]
+        )
+        convert(np.vstack([osaka, np.zeros((1, 3))]), "EPSG:4326")
+        east = np.linspace(179.98, 180.02, 200)
+        fiji = np.column_stack([np.full(200, -16.8), np.where(east > 180, east - 360, east), np.zeros(200)])
+        convert(fiji, "EPSG:4326")
 
 
 def test_two_systems_in_one_file_meet(tmp_path: Path) -> None:

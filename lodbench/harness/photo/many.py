@@ -120,7 +120,7 @@ def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path |
     answers = []
     with Progress("photos", len(photos)) as progress:
         for photo in photos:
-            mask = find_mask(masks, photo.name)
+            mask = find_mask(masks, f"{photo.parent.name}/{photo.name}")
             answers.append(_answer(replace(request, photo=photo, mask=mask), masks))
             progress.advance()
     return write_answers(request.out, answers)

@@ -126,9 +126,9 @@ def _add_reconstruction(
     for photo in state.reconstruction.photos:
         residuals, jacobian = state.reconstruction.linearize(photo, state.vectors, derivatives)
         unknowns = np.concatenate([np.arange(6) + 6 * photo, shared])
+        information = state.reconstruction.weighted_information(residuals, [group.scale for group in groups])
         for group, part in zip(groups, (slice(0, 3), slice(3, 6)), strict=True):
-            information = state.reconstruction.weighted_information(part, residuals[part], group.scale)
-            group.add_residuals(unknowns, jacobian[part], residuals[part], information)
+            group.add_residuals(unknowns, jacobian[part], residuals[part], information[part, part])
 
 
 def _add_map(equations: NormalEquations, state: State, shared: int, params: Params) -> None:

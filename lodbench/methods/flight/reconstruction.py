@@ -87,9 +87,10 @@ class Reconstruction:
         jacobian[3:, 13:16] = -np.eye(3)
         return residuals, jacobian
 
-    def weighted_information(self, part: slice, residuals: Floats, scale: float) -> Floats:
-        """Returns (3, 3) of the centre or the turn, less for one far off; ``scale`` as in ``ErrorGroup``."""
-        return robust(self.information[part, part] / scale**2, residuals)
+    def weighted_information(self, residuals: Floats, scales: Sequence[float]) -> Floats:
+        """Returns (6, 6) the information, less for a photo far off; places and turns err by shares (2,)."""
+        told = np.repeat(scales, 3)
+        return robust(self.information / np.outer(told, told), residuals)
 
 
 def placed(poses: Mapping[int, Pose], vectors: Floats, information: Floats) -> Reconstruction | None:

@@ -161,12 +161,16 @@ def _seen(
         is_seen_of = np.split(_sees(picture, points[:, :3], city_map), ends[:-1])
         for row, is_seen in zip(rows, is_seen_of, strict=True):
             if is_seen.mean() >= _SHARE:
-                found[row].append((picture, is_seen))
+                found[row].append((picture, is_seen.copy()))
     return {
-        row: sorted(photos, key=lambda one: -np.count_nonzero(one[1]))[:_MOST_PHOTOS]
+        row: photos if len(photos) <= _MOST_PHOTOS else _best(roofs[row], photos)
         for row, photos in found.items()
         if len(photos) >= _FEWEST_PHOTOS
     }
+
+
+def _best(points: Floats, photos: Sequence[_Shown]) -> list[_Shown]:
+    return sorted(photos, key=lambda photo: -_pixels_of(points, [photo]))[:_MOST_PHOTOS]
 
 
 def _sees(picture: SweepPicture, points: Floats, city_map: CityMap) -> NDArray[np.bool_]:

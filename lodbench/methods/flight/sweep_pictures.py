@@ -66,7 +66,9 @@ def open_pictures(queries: Sequence[Query], poses: Sequence[Pose], lens: Floats)
         poses: Where they were found to be taken, scene frame.
         lens: The focal length's change as a share, and the radial distortion k1.
     """
-    width = min(_WIDTH, math.isqrt(_PIXELS * 4 // (3 * max(len(queries), 1))))
+    # Of pictures one pixel wide.
+    area = sum(query.camera.height / query.camera.width for query in queries)
+    width = min(_WIDTH, int(math.sqrt(_PIXELS / area)))
     taken = (_picture(query, pose, lens, width) for query, pose in zip(queries, poses, strict=True))
     return [picture for picture in taken if picture is not None]
 

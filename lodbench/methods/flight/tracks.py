@@ -45,10 +45,16 @@ def relative_poses(queries: Sequence[Query], vectors: Floats) -> list[RelativePo
     width = width_looked_at(len(queries))
     sift = Sift(SiftParams(max_features=round(_FEATURES * (width / _WIDTH) ** 1.5)))
     matcher = MutualNn(MutualNnParams(ratio=0.8))
-    found = [_features(query, sift, width) for query in queries]
-    ties = []
-    for first, second in _pairs(vectors):
-        here, there = found[first], found[second]
+    pairs, found, ties = _pairs(vectors), {}, []
+    last = {photo: number for number, pair in enumerate(pairs) for photo in pair}
+    for number, (first, second) in enumerate(pairs):
+        for photo in (first, second):
+            if photo not in found:
+                found[photo] = _features(queries[photo], sift, width)
+        # Features are held no longer than they are needed: hundreds of photos have gigabytes.
+        here, there = (
+            found.pop(photo) if last[photo] == number else found[photo] for photo in (first, second)
+        )
         if here is None or there is None:
             continue
         matches = matcher.match(here[0], there[0])

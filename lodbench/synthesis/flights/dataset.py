@@ -122,7 +122,11 @@ def open_flights(params: FlightsParams) -> Dataset:
     world = open_cached_city(
         city, lod=params.mask_lod or params.lod, options=options, roof_height=params.roof_height
     ).scene
-    left_out = ("city_model", "crs", "name") if params.map_errors() else ("city_model", "crs", "name", "lod")
+    left_out = {"city_model", "crs", "name"}
+    if not params.map_errors():
+        left_out.add("lod")
+    if params.look is None:
+        left_out.add("photo_width")
     drawn = {key: value for key, value in asdict(params).items() if key not in left_out}
     root = (
         cache_root() / "flights" / digest_of([FLIGHTS_VERSION, drawn, world.digest(), world.origin.tolist()])

@@ -121,7 +121,10 @@ class ViewWriter:
 
 def is_written(path: Path) -> bool:
     """Tells whether a file is there and not empty."""
-    return path.is_file() and path.stat().st_size > 0
+    try:
+        return path.stat().st_size > 0
+    except FileNotFoundError:
+        return False
 
 
 def files_of(params: GenerateParams, view: PlannedView, folder: Path) -> list[Path]:
