@@ -66,6 +66,8 @@ def open_pictures(queries: Sequence[Query], poses: Sequence[Pose], lens: Floats)
         poses: Where they were found to be taken, scene frame.
         lens: The focal length's change as a share, and the radial distortion k1.
     """
+    if not queries:
+        return []
     # Of pictures one pixel wide.
     area = sum(query.camera.height / query.camera.width for query in queries)
     width = min(_WIDTH, int(math.sqrt(_PIXELS / area)))

@@ -105,6 +105,8 @@ def test_without_photos_or_with_two_of_them_nothing_is_told(world, photos):
     city_map = CityMap(world, threads=1)
     assert sweep_roofs([replace(query, image=None) for query in queries], poses, LENS, city_map) == {}
     assert sweep_roofs(queries[:2], poses[:2], LENS, city_map) == {}
+    # All photos of a flight may be lost.
+    assert sweep_roofs([], [], LENS, city_map) == {}
 
 
 def test_points_of_a_roof_lie_on_its_upper_side_only():
