@@ -19,21 +19,25 @@ from lodbench.methods.flight.state import CONSTANTS, ROOFS
 
 Floats = NDArray[np.float64]
 
-# A height is in doubt where it differs from the others' by so many metres and sigmas; of a building that
-# would be lower than this, metres, masks show nothing: whether it is gone is looked at elsewhere.
-_DOUBT_M, _DOUBT_SIGMAS, _LOWEST_M = 1.0, 1.7, 2.0
-# Heights by pixels are no better than this, metres, and say nothing where they are worse than that.
-_BEST_M, _WORST_M = 0.2, 1.0
+# Heights that a building may be off by, metres.
+_HEIGHTS_M: Floats = np.arange(-60.0, 60.01, 0.25)
+# The map's errors are of a Cauchy density, half as wide as this share of what is told of them: most heights
+# are right to a little, some wrong by much.
+_USUAL = 0.35
+# Outlines err by this share of what they say themselves; they are wrong altogether (a tree, a neighbour) this
+# often, and then by so many metres.
+_OUTLINES, _ASTRAY, _ASTRAY_M = 0.7, 0.05, 4.0
+# A height is in doubt that is off by more than so many metres, with more than this probability.
+_DOUBT_M, _DOUBT = 1.0, 0.4
+# Of a building that would be lower than this, metres, masks show nothing: whether it is gone is looked at
+# elsewhere. However low a building is, its roof is looked for so far below the map's.
+_LOWEST_M, _LOWER_M = 2.0, 1.0
+# Around the best height a peak is so wide, metres; heights are told no better than this, and by pixels alone
+# no worse than that.
+_PEAK_M, _BEST_M, _WORST_M = 1.0, 0.2, 1.0
 # Roofs are sharp whose best height is so many nats better than most heights; what all are wrong about alike
 # is the median of no fewer.
 _SHARP, _FEWEST_SHARP = 1.2, 5
-# Around the best height a peak is so wide, metres; however low a building is, its roof is looked for so far
-# below the map's.
-_PEAK_M, _LOWER_M = 1.0, 1.0
-# Outlines are wrong altogether (a tree, a neighbour) this often, and then by so many metres.
-_ASTRAY, _ASTRAY_M = 0.05, 4.0
-# Pixels have a say where outlines lie within the heights looked at by so many standard deviations.
-_BEYOND = 1.0
 
 
 class BuildingHeight(NamedTuple):
@@ -65,43 +69,52 @@ def building_heights(
     """
     by_outlines = {row: (higher, sigma) for row, higher, sigma in _by_outlines(aligned)}
     rises, common = _rises(scene), _common(curves)
+    by_pixels = {} if common is None else curves
     found = {}
-    for row in sorted({*by_outlines, *(curves if common is not None else ())}):
-        photos, height = 0, by_outlines.get(row)
-        if common is not None and row in curves and _is_sharp(curves[row]):
-            lowest = min(_LOWEST_M - float(rises[row]), -_LOWER_M)
-            both = _fused(HEIGHTS_M - common, curves[row].nats, height, lowest, params.roof_m)
-            if both is not None:
-                photos, height = curves[row].photos, both
-        if height is not None:
-            higher, sigma = height
-            found[row] = BuildingHeight(higher, sigma, photos, _is_in_doubt(higher, sigma, float(rises[row])))
+    for row in sorted({*by_outlines, *by_pixels}):
+        told = _beforehand(params.roof_m, float(rises[row]))
+        outlines, curve = by_outlines.get(row), by_pixels.get(row)
+        if outlines is not None and abs(outlines[0]) > HEIGHTS_M[-1]:
+            # Pixels have not looked there.
+            told, curve = np.where(np.isfinite(told), norm.logpdf(_HEIGHTS_M, *outlines), -np.inf), None
+        elif outlines is not None:
+            told = told + _nats_of_outlines(*outlines)
+        if curve is not None:
+            told = told + _nats_of_pixels(curve, common or 0.0)
+        height = _height(told, 0 if curve is None else curve.photos, float(rises[row]))
+        if outlines is not None or height.sigma_m < _WORST_M:
+            found[row] = height
     return found
 
 
-def _fused(
-    heights: Floats, nats: Floats, by_outlines: tuple[float, float] | None, lowest: float, roof_m: float
-) -> tuple[float, float] | None:
-    """Returns the best height, metres, and its standard deviation; None if it is not told."""
-    if by_outlines is not None:
-        # What outlines place beyond the heights that are looked at is theirs alone.
-        reach = np.array([-_BEYOND, _BEYOND]) * by_outlines[1] + by_outlines[0]
-        if reach[0] < heights[0] or reach[1] > heights[-1]:
-            return by_outlines
-    if by_outlines is None:
-        beforehand = -np.log1p((heights / roof_m) ** 2)
-    else:
-        right = norm.pdf(heights, *by_outlines)
-        beforehand = np.log((1.0 - _ASTRAY) * right + _ASTRAY * norm.pdf(heights, 0.0, _ASTRAY_M))
-    told = np.where(heights >= lowest, nats + beforehand, -np.inf)
-    if not np.isfinite(told).any():
-        return None
+def _beforehand(roof_m: float, rise_m: float) -> Floats:
+    """Returns how likely errors of a building's height are before photos are looked at, nats."""
+    likely = -np.log1p((_HEIGHTS_M / max(_USUAL * roof_m, 1e-3)) ** 2)
+    return np.where(_HEIGHTS_M >= min(_LOWEST_M - rise_m, -_LOWER_M), likely, -np.inf)
+
+
+def _nats_of_outlines(higher_m: float, sigma_m: float) -> Floats:
+    """Returns how well heights explain what outlines tell."""
+    right = norm.pdf(_HEIGHTS_M, higher_m, _OUTLINES * sigma_m)
+    astray = norm.pdf(_HEIGHTS_M, 0.0, _ASTRAY_M)
+    return np.asarray(np.log((1.0 - _ASTRAY) * right + _ASTRAY * astray))
+
+
+def _nats_of_pixels(curve: RoofCurve, common_m: float) -> Floats:
+    """Returns how well heights explain pixels, beyond those looked at as well as most of them."""
+    usual = float(np.median(curve.nats))
+    return np.interp(_HEIGHTS_M, HEIGHTS_M - common_m, curve.nats, left=usual, right=usual)
+
+
+def _height(told: Floats, photos: int, rise_m: float) -> BuildingHeight:
+    """Returns the best height, given how well heights explain everything, nats."""
     shares = np.exp(told - told.max())
     shares /= shares.sum()
-    peak = np.abs(heights - heights[np.argmax(told)]) <= _PEAK_M
-    best = float(shares[peak] @ heights[peak] / shares[peak].sum())
-    sigma = max(float(np.sqrt(shares @ (heights - best) ** 2)), _BEST_M)
-    return (best, sigma) if sigma < _WORST_M or by_outlines is not None else None
+    peak = np.abs(_HEIGHTS_M - _HEIGHTS_M[np.argmax(told)]) <= _PEAK_M
+    best = float(shares[peak] @ _HEIGHTS_M[peak] / shares[peak].sum())
+    sigma = max(float(np.sqrt(shares @ (_HEIGHTS_M - best) ** 2)), _BEST_M)
+    is_off = abs(best) > _DOUBT_M and float(shares[np.abs(_HEIGHTS_M) > _DOUBT_M].sum()) > _DOUBT
+    return BuildingHeight(best, sigma, photos, is_off and rise_m + best > _LOWEST_M)
 
 
 def _common(curves: Mapping[int, RoofCurve]) -> float | None:
@@ -112,10 +125,6 @@ def _common(curves: Mapping[int, RoofCurve]) -> float | None:
 
 def _is_sharp(curve: RoofCurve) -> bool:
     return bool(curve.nats.max() - np.median(curve.nats) > _SHARP)
-
-
-def _is_in_doubt(higher_m: float, sigma_m: float, rise_m: float) -> bool:
-    return abs(higher_m) > max(_DOUBT_M, _DOUBT_SIGMAS * sigma_m) and rise_m + higher_m > _LOWEST_M
 
 
 def _rises(scene: Scene) -> Floats:

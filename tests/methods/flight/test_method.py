@@ -13,7 +13,7 @@ from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
-from lodbench.methods.flight import FlightMethod, Params, building_heights
+from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.flight.joint import photo_covariance, solve
 from lodbench.methods.flight.photo_terms import LENS, PhotoTerms
 from lodbench.methods.flight.roof_parts import RoofParts
@@ -96,20 +96,6 @@ def test_a_building_whose_height_the_map_has_wrong_is_in_doubt(scene):
     assert told["doubt"]
     assert told["higher_m"] == pytest.approx(-higher_m, abs=1.0)
     assert sum(building["doubt"] for building in buildings) <= 2
-
-
-@pytest.mark.parametrize(
-    ("higher_m", "sigma_m", "rise_m", "is_in_doubt"),
-    [
-        (2.5, 0.5, 3.0, True),
-        (-2.5, 0.5, 8.0, True),
-        (1.5, 1.0, 8.0, False),  # too unsure
-        (0.9, 0.1, 8.0, False),  # too little
-        (-2.5, 0.5, 2.9, False),  # a shed that masks do not show: it may be gone, but is no lower
-    ],
-)
-def test_a_height_is_in_doubt_by_its_sigma_and_where_something_stays(higher_m, sigma_m, rise_m, is_in_doubt):
-    assert building_heights._is_in_doubt(higher_m, sigma_m, rise_m) is is_in_doubt
 
 
 def test_a_flight_of_one_photo_and_one_without_any_building(city_map):

@@ -11,7 +11,7 @@ import pytest
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
-from lodbench.methods.flight.building_heights import _common, _fused
+from lodbench.methods.flight.building_heights import _common
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, roof_points, sweep_roofs
 from lodbench.methods.flight.sweep_pictures import open_pictures
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map
@@ -126,21 +126,6 @@ def test_points_of_a_roof_lie_on_its_upper_side_only():
 
 def test_a_building_of_walls_alone_has_no_roof():
     assert roof_points(np.array([[[0, 0, 0], [4, 0, 0], [4, 0, 3]]], dtype=np.float64)).shape == (0, 4)
-
-
-def test_outlines_choose_between_two_heights_that_pixels_find_alike():
-    nats = -0.5 * np.minimum(((HEIGHTS_M - 3.0) / 0.3) ** 2, ((HEIGHTS_M + 3.0) / 0.3) ** 2)
-    best, sigma = _fused(HEIGHTS_M, nats, (2.5, 1.0), -100.0, 2.0)
-    assert best == pytest.approx(3.0, abs=0.1)
-    assert sigma < 0.8
-    # By itself neither is told.
-    assert _fused(HEIGHTS_M, nats, None, -100.0, 2.0) is None
-
-
-def test_a_height_by_outlines_beyond_those_that_pixels_look_at_stays():
-    nats = -0.5 * (HEIGHTS_M / 0.3) ** 2
-    assert _fused(HEIGHTS_M, nats, (10.0, 0.5), -100.0, 2.0) == (10.0, 0.5)
-    assert _fused(HEIGHTS_M - 3.0, nats, (6.0, 0.5), -100.0, 2.0) == (6.0, 0.5)
 
 
 def test_points_of_a_roof_are_the_same_however_many_triangles_are_looked_at_at_once(monkeypatch):
