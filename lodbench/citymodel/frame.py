@@ -86,7 +86,7 @@ def to_metres(
     _strip_zone_prefix(points, known, findings)
     _require_degrees(points, known)
     if axis_order == "auto":
-        order = _settle_order(points, known, findings)
+        order = _settle_order(points, known, srs_name is not None, findings)
     else:
         order = _try_order(_middle(points), known, axis_order == "north_first")
         if not order.is_plausible:
@@ -197,8 +197,10 @@ def _require_degrees(points: NDArray[np.float64], known: KnownCrs) -> None:
             )
 
 
-def _settle_order(points: NDArray[np.float64], known: KnownCrs, findings: Findings) -> _Order:
-    """Returns how to read the first two columns."""
+def _settle_order(
+    points: NDArray[np.float64], known: KnownCrs, is_declared: bool, findings: Findings
+) -> _Order:
+    """Returns how to read the first two columns; ``is_declared``: the file itself names a system."""
     axes = [axis.direction.lower() for axis in known.horizontal.axis_info[:2]]
     is_declared_north_first = axes[0].startswith("north") or axes[0] == "south"
     middle = _middle(points)
@@ -219,7 +221,8 @@ def _settle_order(points: NDArray[np.float64], known: KnownCrs, findings: Findin
         )
         # Files of projected systems store east first more often than not.
         return swapped if known.horizontal.is_projected and is_declared_north_first else declared
-    if known.horizontal.is_projected and is_declared_north_first:
+    # Meshes name no system, and have x to the east: latitudes first are those of files that say so.
+    if is_declared_north_first and (known.horizontal.is_projected or not is_declared):
         findings.add(
             AXES_AMBIGUOUS, "", f"{known.label} declares north first; taken as east first, as is usual"
         )

@@ -42,7 +42,7 @@ def main(argv: Sequence[str]) -> int:
     from lodbench.harness.city import open_city
     from lodbench.harness.georeference.georeference import georeference
     from lodbench.harness.georeference.request import GeoreferenceRequest
-    from lodbench.harness.photo.sidecars import frame_on_earth, write_sidecars
+    from lodbench.harness.photo.sidecars import require_sidecars, write_sidecars
     from lodbench.methods.protocol import SupportsFlights
     from lodbench.methods.registry import make_method
 
@@ -62,7 +62,7 @@ def main(argv: Sequence[str]) -> int:
     )
     if asked.sidecars:
         city = open_city(request.city, request.lod, request.options, request.roof_height)
-        frame_on_earth(city.scene.crs)
+        require_sidecars(city.scene.crs, [asked.images])
     placed = georeference(request)
     text = json.dumps(placed.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(placed)
     sys.stdout.write(text + "\n")

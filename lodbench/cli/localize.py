@@ -62,7 +62,7 @@ def main(argv: Sequence[str]) -> int:
     from lodbench.harness.photo.flights import localize_flights
     from lodbench.harness.photo.localize import localize_photo, open_map
     from lodbench.harness.photo.many import localize_photos, photos_of
-    from lodbench.harness.photo.sidecars import frame_on_earth
+    from lodbench.harness.photo.sidecars import require_sidecars
     from lodbench.harness.photo.view import write_view
     from lodbench.methods.protocol import SupportsFlights
 
@@ -76,7 +76,7 @@ def main(argv: Sequence[str]) -> int:
         require_some_mask(masks, [f"{photo.parent.name}/{photo.name}" for photo in photos])
     request = _request(asked, photos[0], method, masks)
     if asked.sidecars:
-        frame_on_earth(open_map(request).scene.crs)
+        require_sidecars(open_map(request).scene.crs, {photo.parent for photo in photos})
     if is_one:
         found = localize_photo(request)
         write_view(found.view, request, [found])

@@ -11,6 +11,7 @@ from lodbench.datasets.photo_pose import HeightOptions, HeightSource, RoughPlace
 from lodbench.datasets.pose_text import parse_camera
 from lodbench.errors import ConfigError, LodbenchError, require_choice
 from lodbench.geometry import Camera
+from lodbench.storage import can_write
 
 
 def add_city_options(parser: argparse.ArgumentParser) -> None:
@@ -38,10 +39,12 @@ def city_settings(asked: argparse.Namespace) -> dict[str, Any]:
     """Returns what a ``CityRequest`` takes of ``add_map_options``, ``add_height_options`` and ``--out``.
 
     Raises:
-        ConfigError: The profile, an option or the rule of roofs is unknown.
+        ConfigError: The profile, an option or the rule of roofs is unknown, or --out cannot be written to.
     """
     from lodbench.citymodel.derive import ROOF_HEIGHTS
 
+    if not can_write(asked.out):
+        raise ConfigError(f"Nothing can be written to --out {asked.out}.", "Name another folder: --out DIR")
     profile = load_profile(asked.source, asked.option, asked.crs)
     if asked.roof_height is not None:
         require_choice("--roof-height", asked.roof_height, ROOF_HEIGHTS)

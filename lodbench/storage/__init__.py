@@ -2,11 +2,12 @@
 
 from lodbench.storage.atomic import new_folder, remove_leftovers, write_bytes, write_chunks, write_text
 from lodbench.storage.digest import digest_of, file_digest
-from lodbench.storage.disk import make_folder
+from lodbench.storage.disk import can_write, make_folder
 from lodbench.storage.formulas import hide_formula, show_formula
 from lodbench.storage.streams import random_stream
 
 __all__ = [
+    "can_write",
     "digest_of",
     "file_digest",
     "hide_formula",

@@ -106,6 +106,19 @@ def make_folder(folder: Path) -> Path:
     return folder
 
 
+def can_write(folder: Path) -> bool:
+    """Tells whether a folder is there or can be made, and takes files: to be asked before long work.
+
+    Raises:
+        OSError: Its name is too long, or a folder above it may not be looked into.
+    """
+    existing = folder.absolute()
+    while not os.path.lexists(existing):
+        existing.exists()  # says what is wrong with a name that none can have
+        existing = existing.parent
+    return existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
+
+
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
     """Adds the path to an error of the system that names none."""

@@ -149,6 +149,14 @@ class TestDegrees:
         assert convert(points((40.7, -74.0, 0)), "EPSG:4269")[1] == "EPSG:26918"
         assert convert(points((-33.9, 151.2, 0)), "EPSG:4326")[1] == "EPSG:32756"
 
+    def test_a_file_that_names_no_system_has_longitudes_first_where_both_may_be(self) -> None:
+        metres, label, codes = convert(points((8.5, 47.3, 400)), None, "EPSG:4326")
+        assert (label, codes) == ("EPSG:32632", ["LB308", "LB305"])
+        assert 5.2e6 < metres[0, 1] < 5.3e6
+        declared = convert(points((8.5, 47.3, 400)), "EPSG:4326")
+        assert (declared[1], declared[2]) == ("EPSG:32638", ["LB305"])
+        assert convert(points((48.1, 130.0, 9)), None, "EPSG:4326")[2] == ["LB305"]  # no latitude is 130
+
     def test_metres_declared_as_degrees(self) -> None:
         with pytest.raises(CityModelError, match="no degrees"):
             convert(points((690953, 5335962, 500)), "EPSG:4326")

@@ -69,6 +69,10 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: [*_placed(f, f.no_cameras), "--start", f.start], "has no cameras.txt", "COLMAP model"),
     (lambda f: [*_placed(f, f.model), "--start", f.photo], "is no text file", "Poses are text"),
     (lambda f: [*_placed(f, f.model)[:-2], "--images", f.flight, "--start", f.start], "no photo", "--images"),
+    (lambda f: [*_at(f), "--out", f.png], "--out", "Name another folder: --out DIR"),
+    (lambda f: [*_at(f, f.flight), "--out", f.png + "/below"], "can be written to --out", "another folder"),
+    (lambda f: [*_track(f), "--out", f.png + "/below/it"], "written to --out", "another folder"),
+    (lambda f: [*_placed(f, f.model), "--start", f.start, "--out", f.png], "written to", "another folder"),
     (lambda f: [*_at(f), "--roof-height", "tall"], "--roof-height=tall is not known", "median"),
     (lambda f: [*_at(f), "--pitch", "400"], "--pitch=400 is not within", ""),
     (lambda f: ["mask", f.png, "--mask", f.black, "--port", "99999"], "--port=99999", ""),
@@ -126,6 +130,22 @@ def test_a_mistake_is_one_line_and_a_hint(files, capsys, tmp_path, monkeypatch, 
     assert (len(lines), lines[0][:10]) == (2 if hint else 1, "lodbench: ")
     assert said in lines[0]
     assert hint.format(city=files.city) in lines[-1]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        lambda f: _at(f, f.flight),
+        lambda f: [*_placed(f, f.model), "--images", f.flight],
+    ],
+    ids=["localize", "georeference"],
+)
+def test_sidecars_where_nothing_may_be_written_are_refused_first(files, capsys, tmp_path, monkeypatch, words):
+    beside = Path(files.flight)
+    monkeypatch.setattr("lodbench.harness.photo.sidecars.can_write", lambda folder: folder != beside)
+    assert main([*words(files), "--sidecars", "--out", str(tmp_path / "out")]) == 2
+    assert f"Nothing can be written beside the photos in {beside}" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from lodbench.errors import ConfigError
 from lodbench.storage import (
+    can_write,
     digest_of,
     file_digest,
     new_folder,
@@ -22,6 +23,16 @@ from lodbench.storage.disk import disk
 from lodbench.storage.json_text import parse_json
 from lodbench.storage.paths import cache_limit_bytes, cache_root, data_root
 from lodbench.storage.pruning import mark_used, prune_cache
+
+
+def test_what_can_be_written_to_is_known_beforehand(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "gone").symlink_to(tmp_path / "nowhere")
+    assert can_write(tmp_path)
+    assert can_write(tmp_path / "new" / "below")
+    assert not any(can_write(tmp_path / name) for name in ("file", "file/below/it", "gone", "gone/below"))
+    with pytest.raises(OSError, match="too long"):
+        can_write(tmp_path / ("x" * 300) / "below")
 
 
 class TestAtomicWrite:

@@ -9,6 +9,7 @@ from lodbench.datasets.exchange.xmp_sidecar import write_sidecar
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
+from lodbench.storage import can_write
 
 
 def frame_on_earth(crs: str | None) -> MapFrame:
@@ -22,6 +23,20 @@ def frame_on_earth(crs: str | None) -> MapFrame:
             "Without a reference system of the city, --sidecars have nothing to say.", "Name it with --crs."
         )
     return MapFrame(crs)
+
+
+def require_sidecars(crs: str | None, folders: Iterable[Path]) -> None:
+    """Makes sure, before any work, that sidecars of photos in some folders can be written.
+
+    Raises:
+        DatasetError: A folder takes no files, or as ``frame_on_earth``.
+    """
+    frame_on_earth(crs)
+    for folder in folders:
+        if not can_write(folder):
+            raise DatasetError(
+                f"Nothing can be written beside the photos in {folder}.", "Leave --sidecars out."
+            )
 
 
 def write_sidecars(placed: Iterable[tuple[Path, Pose]], crs: str | None) -> str:

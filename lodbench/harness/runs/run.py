@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
@@ -40,7 +39,7 @@ from lodbench.methods import Method
 from lodbench.plugins import load_plugin
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
-from lodbench.storage import digest_of, make_folder, remove_leftovers, write_text
+from lodbench.storage import can_write, digest_of, make_folder, remove_leftovers, write_text
 from lodbench.storage.contents import known_contents, remembered_contents
 from lodbench.storage.disk import disk
 
@@ -248,8 +247,7 @@ def require_writable(folder: Path) -> None:
     Raises:
         ConfigError: It cannot.
     """
-    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+    if not can_write(folder):
         raise ConfigError(f"Run folders cannot be made in {folder}.", "Set paths.runs=FOLDER.")
 
 
