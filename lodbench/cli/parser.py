@@ -50,12 +50,16 @@ class Parser(argparse.ArgumentParser):
         for before, word in pairwise(["", *words]):
             if word == "--":
                 return
-            if not before.startswith("-"):
+            if not self._takes_value(before):
                 self._require_dashes(word)
             flag = word.partition("=")[0]
             if flag.startswith("--") and flag not in self._option_string_actions:
                 known = [name for name in self._option_string_actions if name.startswith("--")]
                 raise ConfigError(f"{self.prog} has no option {flag}.", nearest_names(flag, known))
+
+    def _takes_value(self, word: str) -> bool:
+        action = self._option_string_actions.get(word)
+        return action is not None and action.nargs != 0
 
     def _require_dashes(self, word: str) -> None:
         """Refuses ``key=value``, as commands of settings have it, where an option is meant."""

@@ -88,7 +88,8 @@ def require_some_mask(folder: Path, names: Sequence[str]) -> None:
         DatasetError: It holds none; the hint says what the first is looked for as.
     """
     if not any(find_mask(folder, name) for name in names):
-        wanted = PurePosixPath(names[0]).with_suffix(".png").name
+        name = PurePosixPath(names[0])
+        wanted = " or ".join(dict.fromkeys((name.name, name.with_suffix(".png").name)))
         raise DatasetError(f"{folder} holds no mask of any image.", f"The first is looked for as {wanted}.")
 
 
