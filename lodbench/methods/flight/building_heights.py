@@ -12,7 +12,7 @@ from scipy.stats import norm
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.methods.flight.aligning import Aligned
-from lodbench.methods.flight.joint import covariance_of
+from lodbench.methods.flight.joint import covariance_of, precisions_of
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve
 from lodbench.methods.flight.state import CONSTANTS, ROOFS
@@ -23,12 +23,14 @@ Floats = NDArray[np.float64]
 _HEIGHTS_M: Floats = np.arange(-60.0, 60.01, 0.25)
 # The map's errors are of a Cauchy density, half as wide as this share of what is told of them: most heights
 # are right to a little, some wrong by much.
-_USUAL = 0.35
+_USUAL = 0.175
 # Outlines err by this share of what they say themselves; they are wrong altogether (a tree, a neighbour) this
 # often, and then by so many metres.
 _OUTLINES, _ASTRAY, _ASTRAY_M = 0.7, 0.05, 4.0
 # A height is in doubt that is off by more than so many metres, with more than this probability.
 _DOUBT_M, _DOUBT = 1.0, 0.4
+# What is told of less than this, in m^-2, is told of nothing.
+_LEAST_INFORMATION = 1e-3
 # Of a building that would be lower than this, metres, masks show nothing: whether it is gone is looked at
 # elsewhere. However low a building is, its roof is looked for so far below the map's.
 _LOWEST_M, _LOWER_M = 2.0, 1.0
@@ -56,6 +58,14 @@ class BuildingHeight(NamedTuple):
     is_in_doubt: bool
 
 
+class _Outlines(NamedTuple):
+    """How much higher a building is by outlines, standard deviations after and before they were looked at."""
+
+    higher_m: float
+    sigma_m: float
+    beforehand_m: float
+
+
 def building_heights(
     aligned: Aligned, curves: Mapping[int, RoofCurve], scene: Scene, params: Params
 ) -> dict[int, BuildingHeight]:
@@ -67,18 +77,19 @@ def building_heights(
         scene: The map.
         params: How far heights may be wrong.
     """
-    by_outlines = {row: (higher, sigma) for row, higher, sigma in _by_outlines(aligned)}
+    by_outlines = dict(_by_outlines(aligned, params))
     rises, common = _rises(scene), _common(curves)
     by_pixels = {} if common is None else curves
     found = {}
     for row in sorted({*by_outlines, *by_pixels}):
         told = _beforehand(params.roof_m, float(rises[row]))
         outlines, curve = by_outlines.get(row), by_pixels.get(row)
-        if outlines is not None and abs(outlines[0]) > HEIGHTS_M[-1]:
+        if outlines is not None and abs(outlines.higher_m) > HEIGHTS_M[-1]:
             # Pixels have not looked there.
-            told, curve = np.where(np.isfinite(told), norm.logpdf(_HEIGHTS_M, *outlines), -np.inf), None
+            alone = norm.logpdf(_HEIGHTS_M, outlines.higher_m, outlines.sigma_m)
+            told, curve = np.where(np.isfinite(told), alone, -np.inf), None
         elif outlines is not None:
-            told = told + _nats_of_outlines(*outlines)
+            told = told + _nats_of_outlines(outlines)
         if curve is not None:
             told = told + _nats_of_pixels(curve, common or 0.0)
         height = _height(told, 0 if curve is None else curve.photos, float(rises[row]))
@@ -93,9 +104,12 @@ def _beforehand(roof_m: float, rise_m: float) -> Floats:
     return np.where(_HEIGHTS_M >= min(_LOWEST_M - rise_m, -_LOWER_M), likely, -np.inf)
 
 
-def _nats_of_outlines(higher_m: float, sigma_m: float) -> Floats:
-    """Returns how well heights explain what outlines tell."""
-    right = norm.pdf(_HEIGHTS_M, higher_m, _OUTLINES * sigma_m)
+def _nats_of_outlines(outlines: _Outlines) -> Floats:
+    """Returns how well heights explain what outlines tell beyond what the joint problem knew beforehand."""
+    precision = outlines.sigma_m**-2.0
+    information = max(precision - outlines.beforehand_m**-2.0, _LEAST_INFORMATION)
+    higher_m = outlines.higher_m * precision / information
+    right = norm.pdf(_HEIGHTS_M, np.clip(higher_m, *_HEIGHTS_M[[0, -1]]), _OUTLINES / np.sqrt(information))
     astray = norm.pdf(_HEIGHTS_M, 0.0, _ASTRAY_M)
     return np.asarray(np.log((1.0 - _ASTRAY) * right + _ASTRAY * astray))
 
@@ -135,17 +149,21 @@ def _rises(scene: Scene) -> Floats:
     return rises
 
 
-def _by_outlines(aligned: Aligned) -> Iterator[tuple[int, float, float]]:
-    """Yields each building's row, and how much higher its parts are than all roofs, with sigma; metres."""
+def _by_outlines(aligned: Aligned, params: Params) -> Iterator[tuple[int, _Outlines]]:
+    """Yields each building's row, and how much higher its parts are than all roofs."""
     state, solution = aligned.state, aligned.as_told
     first = CONSTANTS + len(solution.buildings)
     sums = np.zeros((len(solution.buildings), first + len(state.roofs)))
     sums[:, ROOFS] = -1.0
-    for row, building in enumerate(solution.buildings):
-        parts = np.flatnonzero(state.roofs.building == building)
+    of_building = {int(b): np.flatnonzero(state.roofs.building == b) for b in solution.buildings}
+    for row, parts in enumerate(of_building.values()):
         sums[row, first + parts] = 1.0 / len(parts)
     values = np.concatenate([state.constants, state.buildings_m[solution.buildings], state.roofs.heights_m])
     values += (solution.shared_step - aligned.solution.shared_step)[: len(values)]
     sigmas = np.sqrt(np.diag(covariance_of(solution, sums)))
-    for building, higher, sigma in zip(solution.buildings, sums @ values, sigmas, strict=True):
-        yield int(building), float(higher), float(sigma)
+    for (row, parts), higher, sigma in zip(of_building.items(), sums @ values, sigmas, strict=True):
+        building = state.buildings_m[row]
+        own = 1.0 / precisions_of(building - state.constants[ROOFS], params.roof_m)
+        of_parts = 1.0 / precisions_of(state.roofs.heights_m[parts] - building, params.part_m)
+        beforehand = np.sqrt(own + of_parts.sum() / len(parts) ** 2)
+        yield row, _Outlines(float(higher), float(sigma), float(beforehand))

@@ -159,9 +159,14 @@ def _add_feet(group: ErrorGroup, state: State, shared: int, first: int, params: 
 
 def _add_alike(group: ErrorGroup, these: Rows, those: Rows | int, gaps: Floats, told_m: float) -> None:
     """Adds that heights are alike to others, with Student's t for what they err by."""
-    sigma = max(group.scale * told_m, 1e-4)
-    precisions = (_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigma) ** 2) / sigma**2
+    precisions = precisions_of(gaps, group.scale * told_m)
     group.add_differences(these, np.broadcast_to(those, these.shape), gaps, precisions)
+
+
+def precisions_of(gaps: Floats, sigma_m: float) -> Floats:
+    """Returns how precisely heights are known beforehand that are so far apart now: of Student's t."""
+    sigma = max(sigma_m, 1e-4)
+    return np.asarray((_FREEDOM + 1.0) / (_FREEDOM + (gaps / sigma) ** 2) / sigma**2)
 
 
 def shared_covariance(solution: Solution, columns: Rows) -> Floats:

@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 
 from lodbench.methods.flight import building_heights as module
-from lodbench.methods.flight.building_heights import BuildingHeight, building_heights
+from lodbench.methods.flight.building_heights import BuildingHeight, _Outlines, building_heights
 from lodbench.methods.flight.params import Params
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve
 
 # Roofs of others, which pixels find as the map has them.
 OTHERS = {row: RoofCurve(-0.5 * (HEIGHTS_M / 0.3) ** 2, 8) for row in range(1, 6)}
+# How far heights are known before outlines are looked at, with two parts of a roof and errors as told.
+BEFOREHAND_M = 1.73
 
 
 def told(monkeypatch, outlines=None, nats=None, rise_m=20.0) -> BuildingHeight | None:
-    by_outlines = [] if outlines is None else [(0, *outlines)]
-    monkeypatch.setattr(module, "_by_outlines", lambda aligned: iter(by_outlines))
+    by_outlines = {} if outlines is None else {0: _Outlines(*outlines, beforehand_m=BEFOREHAND_M)}
+    monkeypatch.setattr(module, "_by_outlines", lambda aligned, params: by_outlines)
     monkeypatch.setattr(module, "_rises", lambda scene: np.array([rise_m, *[20.0] * 5]))
     curves = OTHERS if nats is None else {**OTHERS, 0: RoofCurve(nats, 8)}
     return building_heights(None, curves, None, Params()).get(0)
@@ -62,6 +64,16 @@ def test_most_heights_of_a_map_are_right(monkeypatch):
     assert told(monkeypatch, None, peaks(-3.0)).is_in_doubt
     # What pixels hardly tell stays as outlines have it.
     assert not told(monkeypatch, (0.0, 0.7), peaks(-3.0, nats=2.0)).is_in_doubt
+
+
+def test_what_was_known_beforehand_counts_once(monkeypatch):
+    # Outlines that halve what was open place a roof twice as high as the joint problem does.
+    height = told(monkeypatch, (1.6, BEFOREHAND_M / np.sqrt(2.0)), peaks(3.2, nats=2.5))
+    assert height.higher_m == pytest.approx(3.2, abs=0.2)
+    assert height.is_in_doubt
+    # Those that tell nothing leave it to pixels.
+    for outlines in (None, (0.0, BEFOREHAND_M), (0.1, BEFOREHAND_M + 0.1)):
+        assert told(monkeypatch, outlines, peaks(3.2)).higher_m == pytest.approx(3.2, abs=0.1)
 
 
 def test_what_outlines_place_beyond_the_heights_that_pixels_look_at_is_theirs(monkeypatch):
