@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.evaluation import pose_error
-from lodbench.synthesis.town.build import build_demo
+from lodbench.rendering.silhouette import SilhouetteRenderer
+from tests.data.published_layouts import UAVD4L_CAMERA, small_town
+from tests.town import town_gml
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -18,14 +20,12 @@ def test_ten_lines_go_from_a_city_a_mask_and_a_prior_to_a_pose(tmp_path, monkeyp
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
     assert len([line for line in code.splitlines() if line.strip() and not line.startswith("import")]) <= 10
 
-    demo = build_demo(tmp_path / "demo", num_queries=2)
-    split = demo / "in_place"
-    ((name, truth),) = read_poses(split / "GT_pose.txt").items()
-    camera, prior = read_cameras(split / "intrinsic.txt")[name], read_poses(split / "GPS_pose.txt")[name]
-    prior = prior.with_tilt_of(truth)
-    (tmp_path / "city.gml").write_bytes((demo / "town.gml").read_bytes())
-    mask = (split / "masks" / name).with_suffix(".png")
-    (tmp_path / "mask.png").write_bytes(mask.read_bytes())
+    (tmp_path / "city.gml").write_text(town_gml())
+    town, camera = small_town(), UAVD4L_CAMERA
+    mask = SilhouetteRenderer(town.lod2, threads=1).render(camera, town.views[0])
+    cv2.imwrite(str(tmp_path / "mask.png"), 255 * mask.astype(np.uint8))
+    truth = town.views[0].shifted(town.lod1.origin)
+    prior = truth.shifted(np.array([7.0, -5.0, 9.0]))
 
     # The README's numbers are of another place; put this query's in their stead, line by line.
     values = f"width={camera.width}, height={camera.height}, fx={camera.fx}, fy={camera.fy}, "

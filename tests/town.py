@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -23,6 +24,15 @@ BOXES = [
     (40, 20, 58, 64, 0, 15),
     (-80, 60, -10, 75, 1, 9),
 ]
+
+
+@cache
+def town_gml() -> str:
+    """Returns the demo's town as CityGML with LoD1 and LoD2, made once per process."""
+    from lodbench.synthesis.town.citygml_writer import citygml_text
+    from lodbench.synthesis.town.town import grow_town
+
+    return citygml_text(grow_town(0))
 
 
 def box_obj(boxes: list[tuple[int, ...]] = BOXES) -> str:

@@ -24,6 +24,7 @@ from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
 from lodbench.harness.runs.method_inputs import traceback_file
 from lodbench.harness.runs.requirements import SEGMENTED, segmented_inputs
+from lodbench.harness.runs.run import require_choices
 from lodbench.params import to_params
 from lodbench.reporting.answers import format_answers, untrusted_note
 from lodbench.reporting.safe_text import plain_lines, plain_text
@@ -43,6 +44,9 @@ class RunOptions:
     seed: int = 0
     split: list[str] = field(default_factory=list)
     limit: int | None = None
+
+    def __post_init__(self) -> None:
+        require_choices(self.tilt, self.limit, self.renderer)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,10 @@ def test_report_for_people(lodbench):
     assert "The base install works." in done.stdout
 
 
-def test_report_for_machines_and_a_broken_base(lodbench, tmp_path):
+def test_report_for_machines_and_a_broken_base(lodbench, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
+    monkeypatch.setattr("lodbench.harness.doctor.doctor.RENDERER_TRIALS", {"raster": True})
+    monkeypatch.setattr("lodbench.harness.doctor.doctor.NETWORKS", ())
     done = lodbench("doctor", "--json", LODBENCH_CACHE=str(tmp_path / "file"))
     checks = {check["name"]: check for check in map(json.loads, done.stdout.splitlines())}
     assert done.returncode == 1

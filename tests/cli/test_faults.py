@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from lodbench.cli import main
-from tests.town import write_dataset
+from tests.town import town_gml, write_dataset
 
 
 def is_clear(done, *words: str) -> None:
@@ -31,6 +31,8 @@ def is_clear(done, *words: str) -> None:
         (["run", "method.beams=abc"], ["method.beams", "abc"]),
         (["run", "method.variant=ful"], ["ful", "full"]),
         (["run", "tilt=true"], ["tilt", "truth"]),
+        (["run", "limit=0"], ["limit=0"]),
+        (["run", "renderer=sillouette"], ["sillouette", "silhouette"]),
         (["run", "seed=x"], ["seed"]),
         (["run", "foo"], ["key=value"]),
         (["run", "+foo=1"], ["foo", "Known"]),
@@ -49,7 +51,11 @@ def is_clear(done, *words: str) -> None:
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
-def test_fault_of_the_command(lodbench, tmp_path, words, expected):
+def test_fault_of_the_command(lodbench, tmp_path, monkeypatch, words, expected):
+    def build(*_args, **_kwargs):
+        raise AssertionError("told before minutes of work")
+
+    monkeypatch.setattr("lodbench.synthesis.demo.build_demo", build)
     is_clear(lodbench(*words), *expected)
     assert not (tmp_path / "runs").exists()
 
@@ -117,11 +123,8 @@ def test_fault_of_the_city(lodbench, tmp_path, dataset, name, content, expected)
 
 
 def test_a_level_of_detail_that_is_not_there(lodbench, tmp_path):
-    from lodbench.synthesis.town.citygml_writer import citygml_text
-    from lodbench.synthesis.town.town import grow_town
-
     path = tmp_path / "town.gml"
-    path.write_text(citygml_text(grow_town(0)))
+    path.write_text(town_gml())
     poses = tmp_path / "poses.txt"
     poses.write_text("a.png 1 0 0 0 0 0 0\n")
     cameras = tmp_path / "cameras.txt"

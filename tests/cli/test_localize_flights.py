@@ -112,6 +112,7 @@ def test_a_flight_is_solved_as_a_whole(capsys, flight, tmp_path):
     assert page.count("<img alt") == COUNT + 1  # and the one of the viewer
 
 
+@pytest.mark.slow
 def test_a_flight_is_solved_by_its_pixels(capsys, flight, tmp_path):
     words = ["--city", flight.city, "--method-option", "single=region", "--out", tmp_path / "out"]
     code, told = localize(capsys, flight.photos, *words)

@@ -107,8 +107,15 @@ def test_a_mask_replaced_after_it_was_read_is_noticed_at_the_end(lodbench, tmp_p
     assert len(list((tmp_path / "runs").glob("*/lodlocv2/*/poses.txt"))) == 1
 
 
-@pytest.mark.parametrize("executor", ["serial", "process"])
-@pytest.mark.parametrize("which", ["masks", "Query_image"])
+@pytest.mark.parametrize(
+    ("which", "executor"),
+    [
+        ("masks", "serial"),
+        ("masks", "process"),
+        ("Query_image", "serial"),
+        pytest.param("Query_image", "process", marks=pytest.mark.slow),
+    ],
+)
 def test_a_file_that_is_replaced_during_a_run_and_put_back_leaves_no_answer(
     lodbench, tmp_path, monkeypatch, which, executor
 ):

@@ -25,9 +25,9 @@ from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.geometry.frames import SWISS_EPFL_FRAME, enu_from_ecef_rotation
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import random_stream
-from lodbench.synthesis.town.build import CITY_FILE, build_demo
 from lodbench.synthesis.view_sampling import RGB_CAMERA, ViewSampling, sample_views
 from tests.datasets.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
+from tests.town import town_gml
 
 UAVD4L_CAMERA = RGB_CAMERA.scaled(660, 494)
 SWISS_CAMERA = Camera(720, 480, 480.0, 480.0, 360.0, 240.0)
@@ -69,7 +69,8 @@ class Town:
 def small_town() -> Town:
     """Returns the town, made once per process."""
     with tempfile.TemporaryDirectory() as folder:
-        city = build_demo(Path(folder) / "demo", num_queries=2) / CITY_FILE
+        city = Path(folder) / "town.gml"
+        city.write_text(town_gml())
         lod1, lod2 = open_scene(city, lod="1"), open_scene(city, lod="2")
     renderer = SilhouetteRenderer(lod1, threads=1)
     sampling = ViewSampling(seed=5)

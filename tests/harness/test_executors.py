@@ -79,6 +79,7 @@ def counted(function, numbers: list[int]):
     return call
 
 
+@pytest.mark.slow
 def test_training_data_over_dask(serial, tmp_path) -> None:
     pytest.importorskip("distributed")
     words = [f"city={serial[0] / 'town/city.obj'}", "pitch=[40]", "height=[90]", "size=[96,80]"]

@@ -30,7 +30,11 @@ def test_flipped_bits_never_change_a_mask(photo, caplog):
     (file,) = (cache_root() / "segmentations").iterdir()
     content, told = file.read_bytes(), 0
     # The archive's and the array's headers, the values and the archive's directory.
-    for place in [*range(240), *range(240, len(content), 37), *range(len(content) - 130, len(content))]:
+    for place in [
+        *range(0, 240, 3),
+        *range(240, len(content), 97),
+        *range(len(content) - 130, len(content), 3),
+    ]:
         damaged = bytearray(content)
         damaged[place] ^= 1 << place % 8
         file.write_bytes(damaged)
@@ -39,4 +43,4 @@ def test_flipped_bits_never_change_a_mask(photo, caplog):
         told += bool(asked)
         assert bool(asked) == ("is damaged" in caplog.text), place
         caplog.clear()
-    assert told > 300
+    assert told > 100

@@ -25,6 +25,7 @@ from tests.synthesis.conftest import SMALL, WHOLE
 from tests.synthesis.test_generate import files_in
 
 
+@pytest.mark.slow
 def test_a_killed_run_leaves_whole_pictures_and_goes_on(small_set, tmp_path):
     params, made = small_set
     out = tmp_path / "data"

@@ -361,6 +361,7 @@ class TestTwoProcesses:
         assert after[2]["loss"] < after[0]["loss"]
 
 
+@pytest.mark.slow
 def test_mixed_precision_learns_as_well(views, tmp_path):
     histories = []
     for precision in ("float32", "bfloat16"):

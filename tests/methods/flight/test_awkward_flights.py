@@ -138,6 +138,7 @@ def test_roofs_that_were_drawn_higher_are_measured_from_where_they_are_drawn(sce
     assert all(changed == told for changed, told in seen)
 
 
+@pytest.mark.slow
 def test_a_flight_is_drawn_by_opengl(city_map):
     try:
         drawn = CityMap(city_map.scene, "pyrender")

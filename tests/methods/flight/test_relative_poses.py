@@ -189,6 +189,7 @@ def test_photos_tied_by_a_reconstruction_are_found_better_even_one_whose_mask_is
     assert np.median(errors["auto"]) < np.median(errors["none"])
 
 
+@pytest.mark.slow
 def test_a_reconstruction_whose_cameras_all_lean_alike_places_photos_no_worse(city_map):
     # A focal length that a reconstruction has wrong tips all its cameras about their own axes.
     tip = Rotation.from_rotvec([np.radians(0.5), 0.0, 0.0]).as_matrix()

@@ -16,6 +16,9 @@ from lodbench.synthesis.town import build
 from lodbench.synthesis.town.build import build_demo
 from lodbench.synthesis.town.queries import PRIORS
 
+# One worker makes the town for all of these tests.
+pytestmark = pytest.mark.xdist_group("demo")
+
 SPLITS = {"in_place": (0.88, 0.09), "out_of_place": (0.80, 0.15)}
 
 
@@ -136,6 +139,7 @@ def test_photos_show_the_town_where_the_masks_say(demo, renderer):
     assert np.mean(inside) > 1.25 * np.mean(outside)
 
 
+@pytest.mark.slow
 def test_same_bytes_again(demo, tmp_path):
     assert files_of(build_demo(tmp_path / "again", num_queries=9)) == files_of(demo)
 
