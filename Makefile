@@ -64,10 +64,10 @@ thresholds: $(VENV)/.table1
 
 # Minutes on two cores; `test-slow` adds the tests that take longest: kills, fault by fault, packages built and installed.
 test: $(VENV)/.test lint
-	$(BIN)/python -m pytest -n auto --dist loadgroup -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
 
 test-slow: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto --dist loadgroup -m slow
+	$(BIN)/python -m pytest -n auto --dist loadfile -m slow
 
 # 100,000 mutated files, half of them cities, over all cores: half an hour of two; `make test` tries a slice. SEED= tries those of a seed again.
 COUNT ?= 100000

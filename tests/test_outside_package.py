@@ -130,7 +130,6 @@ PARTS = [
 ]
 
 
-@pytest.mark.xdist_group("outside")
 def test_each_part_keeps_to_its_protocol(env):
     samples = {"xyz": env.folder / "poses.xyz", "blocks": env.blocks}
     commands = [
@@ -150,7 +149,6 @@ def test_each_part_keeps_to_its_protocol(env):
     assert (code, "reader blocks" in told) == (0, True), told
 
 
-@pytest.mark.xdist_group("outside")
 def test_each_part_is_used_by_the_commands(env):
     views = [f"poses={env.root / 'GT_pose.txt'}", f"intrinsics={env.root / 'intrinsic.txt'}", "out=drawn"]
     evaluated = [
@@ -196,7 +194,6 @@ def test_each_part_is_used_by_the_commands(env):
         assert f"{kind} {name}" in text["doctor"]
 
 
-@pytest.mark.xdist_group("outside")
 def test_unknown_names_are_told_with_those_of_plug_ins(env):
     commands = [
         ["run", "method=halfwy"], ["run", "dataset=alp"], ["run", "renderer=pointer"], ["run", "prior=nort"],
@@ -224,7 +221,6 @@ def choices(env: Environment) -> dict[str, list[str]]:
     }
 
 
-@pytest.mark.xdist_group("outside")
 @pytest.mark.parametrize("module", sorted({module for _, _, module in PARTS}))
 def test_a_broken_part_harms_only_who_chooses_it(env, module):
     file = env.package / f"{module}.py"
@@ -244,7 +240,6 @@ def test_a_broken_part_harms_only_who_chooses_it(env, module):
         assert fine == 0, said
 
 
-@pytest.mark.xdist_group("outside")
 def test_with_all_parts_and_the_configuration_broken_the_rest_works(env):
     (info,) = env.site.glob("skyline-*.dist-info")
     points, yaml = info / "entry_points.txt", env.package / "conf" / "method" / "halfway.yaml"

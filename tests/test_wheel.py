@@ -23,7 +23,6 @@ def call(*words: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("wheel")
 def test_wheel_runs_the_demo_away_from_the_checkout(tmp_path):
     # From a copy: setuptools would take along what an earlier build left in the checkout.
     leftovers = shutil.ignore_patterns(".*", "build", "*.egg-info")

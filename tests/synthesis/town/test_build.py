@@ -16,9 +16,6 @@ from lodbench.synthesis.town import build
 from lodbench.synthesis.town.build import build_demo
 from lodbench.synthesis.town.queries import PRIORS
 
-# One worker makes the town for all of these tests.
-pytestmark = pytest.mark.xdist_group("demo")
-
 SPLITS = {"in_place": (0.88, 0.09), "out_of_place": (0.80, 0.15)}
 
 
