@@ -21,6 +21,7 @@ from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.geometry import Pose
+from lodbench.methods.flight.roof_edges import EdgeEvidence, edge_evidence, edge_points
 from lodbench.methods.flight.sweep_pictures import SweepPicture, open_pictures
 
 Floats = NDArray[np.float64]
@@ -31,6 +32,8 @@ HEIGHTS_M: Floats = np.arange(-8.0, 8.01, 0.25)
 _MOST_POINTS, _SPACING_M, _FEWEST_POINTS = 144, 0.4, 6
 # Photos of one roof, fewest and most, which is a share of its points, and how large a pixel is there, metres.
 _FEWEST_PHOTOS, _MOST_PHOTOS, _SHARE, _COARSEST_M = 3, 16, 0.15, 1.5
+# Edges are seen in one photo by itself, but by chance as well.
+_FEWEST_OF_EDGES = 2
 # Where a building is looked for in a photo: the middle of its box's top, and the corners.
 _TOP = np.array([[0.5, 0.5, 1.0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 1]])
 # What stands before a point by more than this hides it, metres.
@@ -84,8 +87,45 @@ def sweep_roofs(
     rows, counts = np.unique(np.concatenate(near), return_counts=True)
     roofs = _roofs(city_map.scene, rows[counts >= _FEWEST_PHOTOS])
     seen = _seen(pictures, near, roofs, city_map)
+    edges = _edge_evidence(pictures, near, city_map)
     _take_exposures_away(roofs, seen)
-    return {row: curve for row, photos in seen.items() if (curve := _curve(roofs[row], photos)) is not None}
+    curves = {row: _curve(roofs[row], photos) for row, photos in seen.items()}
+    return {
+        row: curve for row in {**edges, **curves} if (curve := _together(curves.get(row), edges.get(row)))
+    }
+
+
+def _together(curve: RoofCurve | None, edges: EdgeEvidence | None) -> RoofCurve | None:
+    """Returns what a roof's colours and edges say; None where neither says anything."""
+    if edges is None:
+        return curve
+    colours = RoofCurve(np.zeros(len(HEIGHTS_M)), 0) if curve is None else curve
+    return RoofCurve(colours.nats + edges.nats(), max(colours.photos, edges.photos))
+
+
+def _edge_evidence(
+    pictures: Sequence[SweepPicture], near: Sequence[NDArray[np.int64]], city_map: CityMap
+) -> dict[int, EdgeEvidence]:
+    """Returns what edges of roofs say, by row of the building."""
+    rows, counts = np.unique(np.concatenate(near), return_counts=True)
+    edges = {
+        row: points
+        for row in rows[counts >= _FEWEST_OF_EDGES].tolist()
+        if len(points := edge_points(_triangles(city_map.scene, row))) >= _FEWEST_POINTS
+    }
+    shown, is_seen_of = [], []
+    for picture, of_photo in zip(pictures, near, strict=True):
+        rows = np.array([row for row in of_photo.tolist() if row in edges], dtype=np.int64)
+        points = np.concatenate([edges[row][:, :3] for row in rows.tolist()] or [np.zeros((0, 3))])
+        is_seen = _sees(picture, points, city_map)
+        owner = np.repeat(np.arange(len(rows)), [len(edges[row]) for row in rows.tolist()])
+        shares = np.bincount(owner, is_seen, len(rows)) / np.maximum(
+            np.bincount(owner, minlength=len(rows)), 1
+        )
+        shown.append(rows)
+        is_seen_of.append(is_seen & (shares >= _SHARE)[owner])
+    found = edge_evidence(pictures, shown, edges, is_seen_of, HEIGHTS_M)
+    return {row: evidence for row, evidence in found.items() if evidence.photos >= _FEWEST_OF_EDGES}
 
 
 def _near(scene: Scene, pictures: Sequence[SweepPicture]) -> list[NDArray[np.int64]]:
@@ -105,11 +145,15 @@ def _roofs(scene: Scene, buildings: NDArray[np.int64]) -> dict[int, Floats]:
     """Returns points of roofs, see ``roof_points``, by row of the building; walls alone have none."""
     roofs = {}
     for row in buildings.tolist():
-        faces = slice(scene.triangle_starts[row], scene.triangle_starts[row + 1])
-        points = roof_points(scene.vertices[scene.triangles[faces]].astype(np.float64))
+        points = roof_points(_triangles(scene, row))
         if len(points) >= _FEWEST_POINTS:
             roofs[row] = points
     return roofs
+
+
+def _triangles(scene: Scene, row: int) -> Floats:
+    faces = slice(scene.triangle_starts[row], scene.triangle_starts[row + 1])
+    return np.asarray(scene.vertices[scene.triangles[faces]], dtype=np.float64)
 
 
 def roof_points(triangles: Floats) -> Floats:
