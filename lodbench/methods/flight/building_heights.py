@@ -27,8 +27,9 @@ _USUAL = 0.175
 # Outlines err by this share of what they say themselves; they are wrong altogether (a tree, a neighbour) this
 # often, and then by so many metres.
 _OUTLINES, _ASTRAY, _ASTRAY_M = 0.7, 0.05, 4.0
-# A height is in doubt that is off by more than so many metres, with more than this probability.
-_DOUBT_M, _DOUBT = 1.0, 0.4
+# A height is in doubt that is off by more than so many metres, with more than this probability, and known to
+# better than that many.
+_DOUBT_M, _DOUBT, _OPEN_M = 1.0, 0.4, 2.0
 # What is told of less than this, in m^-2, is told of nothing.
 _LEAST_INFORMATION = 1e-3
 # Of a building that would be lower than this, metres, masks show nothing: whether it is gone is looked at
@@ -128,7 +129,7 @@ def _height(told: Floats, photos: int, rise_m: float) -> BuildingHeight:
     best = float(shares[peak] @ _HEIGHTS_M[peak] / shares[peak].sum())
     sigma = max(float(np.sqrt(shares @ (_HEIGHTS_M - best) ** 2)), _BEST_M)
     is_off = abs(best) > _DOUBT_M and float(shares[np.abs(_HEIGHTS_M) > _DOUBT_M].sum()) > _DOUBT
-    return BuildingHeight(best, sigma, photos, is_off and rise_m + best > _LOWEST_M)
+    return BuildingHeight(best, sigma, photos, is_off and sigma < _OPEN_M and rise_m + best > _LOWEST_M)
 
 
 def _common(curves: Mapping[int, RoofCurve]) -> float | None:

@@ -31,7 +31,7 @@ _WEIGHTS, _BLUR_PX = (1.0, 2.0, 2.0), 1.0
 # Strengths are shares of the photo's mean; so much is added, for edges that a photo does not have.
 _ADDED = 0.5
 # Points of one roof err together: N say as much as _ALONE * sqrt(N) of them, and no more than so many do.
-_ALONE, _MOST_SEEN = 0.4, 2000
+_ALONE, _MOST_SEEN = 0.6, 2000
 
 
 class EdgeEvidence(NamedTuple):
