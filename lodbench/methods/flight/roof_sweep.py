@@ -2,7 +2,8 @@
 
 A sweep through space (Collins, "A space-sweep approach to true multi-image matching", CVPR 1996) with the
 map's own roofs for planes: each is moved up and down, and photos are compared where it would be seen. A roof
-among others, which draws no outline in any mask, has a height this way too.
+among others, which draws no outline in any mask, has a height this way too. Where it ends tells more
+(``roof_edges``).
 """
 
 from __future__ import annotations
@@ -21,15 +22,16 @@ from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.geometry import Pose
-from lodbench.methods.flight.roof_edges import EdgeEvidence, edge_evidence, edge_points
+from lodbench.methods.flight.roof_edges import EdgeEvidence, edge_evidence
+from lodbench.methods.flight.roof_points import edge_points, roof_points
 from lodbench.methods.flight.sweep_pictures import SweepPicture, open_pictures
 
 Floats = NDArray[np.float64]
 
 # By how much higher than in the map a roof may be, metres.
 HEIGHTS_M: Floats = np.arange(-8.0, 8.01, 0.25)
-# A roof is looked at in so many points at most, no closer than this, metres; by so few it is not.
-_MOST_POINTS, _SPACING_M, _FEWEST_POINTS = 144, 0.4, 6
+# A roof that has fewer points than this is not looked at.
+_FEWEST_POINTS = 6
 # Photos of one roof, fewest and most, which is a share of its points, and how large a pixel is there, metres.
 _FEWEST_PHOTOS, _MOST_PHOTOS, _SHARE, _COARSEST_M = 3, 16, 0.15, 1.5
 # Edges are seen in one photo by itself, but by chance as well.
@@ -38,8 +40,6 @@ _FEWEST_OF_EDGES = 2
 _TOP = np.array([[0.5, 0.5, 1.0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 1]])
 # What stands before a point by more than this hides it, metres.
 _BEFORE_M = 1.0
-# Faces steeper than this are walls: the upward part of their unit normal. So many are looked at at once.
-_FLAT, _TRIANGLES = 0.3, 2048
 # Colours are compared as L, a, b of 8 bits with these weights, differences no larger than this count; a point
 # outside the mask counts as a difference of so much.
 _WEIGHTS, _MOST_APART, _OFF_MASK = np.array([1.0, 2.0, 2.0], np.float32), 60.0, 30.0
@@ -154,39 +154,6 @@ def _roofs(scene: Scene, buildings: NDArray[np.int64]) -> dict[int, Floats]:
 def _triangles(scene: Scene, row: int) -> Floats:
     faces = slice(scene.triangle_starts[row], scene.triangle_starts[row + 1])
     return np.asarray(scene.vertices[scene.triangles[faces]], dtype=np.float64)
-
-
-def roof_points(triangles: Floats) -> Floats:
-    """Returns points of the upper side of a building on a grid, and their share of its height, (N, 4).
-
-    A building that is higher is so as a whole: its eaves rise less than its ridge. Triangles are (T, 3, 3).
-    """
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    flat = triangles[np.abs(normals[:, 2]) > _FLAT * np.linalg.norm(normals, axis=1)]
-    if len(flat) == 0:
-        return np.zeros((0, 4))
-    low, high = flat[..., :2].min(axis=(0, 1)), flat[..., :2].max(axis=(0, 1))
-    step = max(_SPACING_M, math.sqrt(float(np.prod(high - low)) / _MOST_POINTS))
-    sides = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
-    places = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 1, 2)
-    tops = np.full(len(places), -np.inf)
-    for first in range(0, len(flat), _TRIANGLES):
-        tops = np.maximum(tops, _heights_over(flat[first : first + _TRIANGLES], places))
-    floor, top = triangles[..., 2].min(), triangles[..., 2].max()
-    points = np.column_stack([places[:, 0], tops, (tops - floor) / max(top - floor, 1e-6)])
-    return np.asarray(points[np.isfinite(tops)])
-
-
-def _heights_over(triangles: Floats, places: Floats) -> Floats:
-    """Returns (N,) the greatest height of (T, 3, 3) triangles over (N, 1, 2) places, -inf over none."""
-    a, b, c = (triangles[:, k] for k in range(3))
-    ab, ac, ap = (b - a)[:, :2], (c - a)[:, :2], places - a[:, :2]
-    whole = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    along_b = (ap[..., 0] * ac[:, 1] - ap[..., 1] * ac[:, 0]) / whole
-    along_c = (ab[:, 0] * ap[..., 1] - ab[:, 1] * ap[..., 0]) / whole
-    inside = (along_b >= 0) & (along_c >= 0) & (along_b + along_c <= 1)
-    heights = a[:, 2] + along_b * (b - a)[:, 2] + along_c * (c - a)[:, 2]
-    return np.asarray(np.where(inside, heights, -np.inf).max(axis=1))
 
 
 def _seen(

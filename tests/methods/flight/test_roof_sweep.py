@@ -12,7 +12,8 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
 from lodbench.methods.flight.building_heights import _common
-from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, roof_points, sweep_roofs
+from lodbench.methods.flight.roof_points import roof_points
+from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, sweep_roofs
 from lodbench.methods.flight.sweep_pictures import open_pictures
 from lodbench.synthesis.flights.map_changes import MapErrors, change_map
 from lodbench.synthesis.flights.paths import PATHS
@@ -133,7 +134,7 @@ def test_points_of_a_roof_are_the_same_however_many_triangles_are_looked_at_at_o
     corners = generator.uniform(0, 20, (50, 1, 2)) + generator.uniform(-2, 2, (50, 3, 2))
     triangles = np.concatenate([corners, generator.uniform(3, 3.5, (50, 3, 1))], axis=2)
     whole = roof_points(triangles)
-    monkeypatch.setattr("lodbench.methods.flight.roof_sweep._TRIANGLES", 7)
+    monkeypatch.setattr("lodbench.methods.flight.roof_points._TRIANGLES", 7)
     assert len(whole) > 10
     assert np.array_equal(roof_points(triangles), whole)
 
