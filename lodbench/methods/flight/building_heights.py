@@ -29,7 +29,7 @@ _USUAL = 0.175
 _OUTLINES, _ASTRAY, _ASTRAY_M = 0.7, 0.05, 4.0
 # A height is in doubt that is off by more than so many metres, with more than this probability, and known to
 # better than that many.
-_DOUBT_M, _DOUBT, _OPEN_M = 1.0, 0.4, 2.0
+_DOUBT_M, _DOUBT, _OPEN_M = 1.0, 0.4, 2.5
 # What is told of less than this, in m^-2, is told of nothing.
 _LEAST_INFORMATION = 1e-3
 # Of a building that would be lower than this, metres, masks show nothing: whether it is gone is looked at

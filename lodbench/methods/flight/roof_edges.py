@@ -24,7 +24,7 @@ _ADDED = 0.5
 # So many points are looked at at once: OpenCV takes maps of 32,767 columns.
 _AT_ONCE = 16_384
 # Points of one roof err together: N say as much as _ALONE * sqrt(N) of them, and no more than so many do.
-_ALONE, _MOST_SEEN = 0.6, 2000
+_ALONE, _MOST_SEEN = 0.7, 2000
 
 
 class EdgeEvidence(NamedTuple):

@@ -45,7 +45,7 @@ _BEFORE_M = 1.0
 _WEIGHTS, _MOST_APART, _OFF_MASK = np.array([1.0, 2.0, 2.0], np.float32), 60.0, 30.0
 # Pixels of one roof err together: N say as much as _ALONE * sqrt(N) of them, and no more than so many do.
 # What photos are compared with, their median, takes so many of them away.
-_ALONE, _MOST_PIXELS, _OF_MEDIAN = 0.6, 2000, 2.0
+_ALONE, _MOST_PIXELS, _OF_MEDIAN = 0.7, 2000, 2.0
 # A photo's exposure is told by no fewer points.
 _FEWEST_OF_PHOTO = 100
 
