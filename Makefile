@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo ablation table1 holdout budget thresholds test test-slow fuzz faults determinism matrix weights docs lint audit clean
+.PHONY: demo ablation table1 holdout budget thresholds test quick test-slow fuzz faults determinism matrix weights docs lint audit clean
 
 # Builds the demo town and localises its 40 photos from pixels, with the sensor's tilt, by three methods.
 demo: $(VENV)/.base
@@ -62,8 +62,11 @@ thresholds: $(VENV)/.table1
 	$(RUN) dataset=demo_train paths.runs=$(THRESHOLDS) --multirun method=uavd4l method.matcher=sift_nn,xfeat,xfeat_lighterglue method.threshold_px=2,4,8,12,20
 	$(BIN)/lodbench compare $(THRESHOLDS)/demo_train/uavd4l/* --thresholds 0.1/0.1 0.25/0.25 1/1 5/5
 
-# Minutes on two cores; `test-slow` adds the tests that take longest: kills, fault by fault, packages built and installed.
-test: $(VENV)/.test lint
+# Minutes on two cores, lint beside the quick tests; `test-slow` adds the tests that take longest: kills, fault by fault, packages built and installed.
+test: $(VENV)/.test
+	$(MAKE) --no-print-directory --jobs=2 lint quick
+
+quick: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
 
 test-slow: $(VENV)/.test

@@ -20,6 +20,7 @@ def test_the_slope_is_that_of_the_last_half() -> None:
     assert slope_of(pd.DataFrame({"size": sizes, "cpu_s": costs})) == pytest.approx(1.5)
 
 
+@pytest.mark.slow
 def test_a_point_tells_the_peak_of_its_own_process() -> None:
     small, large = (slope_points._apart(partial(_hold, megabytes)) for megabytes in (1, 300))
     assert (small.cpu_s, large.cpu_s) == (1.0, 1.0)

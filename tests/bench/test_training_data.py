@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import pytest
+
 from lodbench.bench.training_data import TrainingDataOptions, measure_training_data
 from tests.town import box_obj
 
 
+@pytest.mark.slow
 def test_the_bench_reports_every_figure(tmp_path):
     city = tmp_path / "city.obj"
     city.write_text(box_obj())

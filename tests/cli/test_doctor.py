@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 
+import pytest
 
+
+@pytest.mark.slow
 def test_report_for_people(lodbench):
     done = lodbench("doctor")
     assert done.returncode == 0, done.stdout + done.stderr

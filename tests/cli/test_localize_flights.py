@@ -191,6 +191,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_solved(capsys, flight, tmp
     assert len(left_out) == 8
 
 
+@pytest.mark.slow
 def test_photos_of_one_wall_are_not_trusted_and_the_rest_of_the_command_works(capsys, flight, tmp_path):
     masks = tmp_path / "masks"
     masks.mkdir()

@@ -82,6 +82,7 @@ def test_a_row_a_camera_and_a_picture_lead_to_the_picture_and_a_filter_hides_all
         assert complaints == []
 
 
+@pytest.mark.slow
 def test_the_map_zooms_about_the_pointer_moves_and_comes_back(lodbench, tmp_path, data):
     folder = run(lodbench, tmp_path, data)
     assert lodbench("report", str(folder)).returncode == 0
@@ -176,6 +177,7 @@ def test_no_run_is_one_line(lodbench, tmp_path):
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 2)
 
 
+@pytest.mark.slow
 def test_each_flight_of_a_run_has_a_page(lodbench, tmp_path):
     (tmp_path / "city.obj").write_text(box_obj())
     words = [

@@ -66,6 +66,7 @@ def test_the_rows_follow_from_the_stored_poses(lodbench, tmp_path, dataset):
     assert math.isclose(median, np.median([float(row["translation_error_m"]) for row in rows]))
 
 
+@pytest.mark.slow
 def test_same_bytes_whatever_the_threads_and_the_hash_seed(lodbench_process, tmp_path, dataset):
     for threads in ("1", "2"):
         more = [f"executor.threads={threads}", f"paths.runs=runs{threads}"]

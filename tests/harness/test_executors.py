@@ -151,7 +151,8 @@ def square_or_die(item: int) -> int:
 
 # A single worker takes all it was given with it.
 @pytest.mark.parametrize(
-    ("name", "workers"), [("process", 3), pytest.param("dask", 3, marks=pytest.mark.slow), ("dask", 1)]
+    ("name", "workers"),
+    [("process", 3), *(pytest.param("dask", count, marks=pytest.mark.slow) for count in (3, 1))],
 )
 def test_what_a_dead_worker_was_at_is_done_again(tmp_path: Path, name: str, workers: int) -> None:
     if name == "dask":

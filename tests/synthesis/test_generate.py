@@ -54,6 +54,7 @@ def test_masks_are_bilevel(small_set):
     assert content[25] == 0  # grey
 
 
+@pytest.mark.slow
 def test_two_processes_write_the_same_bytes(small_set, tmp_path):
     params, made = small_set
     again = generate_training_data(replace(params, out=str(tmp_path / "data"), workers=2))

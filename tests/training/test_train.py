@@ -272,6 +272,7 @@ def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
     assert "There are no weights none.onnx" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
     from lodbench.segmentation.nets.compact import CompactNet
     from lodbench.segmentation.nets.weights import load_own

@@ -172,6 +172,7 @@ def test_two_views_are_what_their_points_say():
     )
 
 
+@pytest.mark.slow
 def test_photos_tied_by_a_reconstruction_are_found_better_even_one_whose_mask_is_wrong(city_map):
     queries, poses = flight(city_map, count=6)
     tied = []
