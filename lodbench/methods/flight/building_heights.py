@@ -25,8 +25,8 @@ _HEIGHTS_M: Floats = np.arange(-60.0, 60.01, 0.25)
 # are right to a little, some wrong by much.
 _USUAL = 0.175
 # Outlines err by this share of what they say themselves; they are wrong altogether (a tree, a neighbour) this
-# often, and then by so many metres.
-_OUTLINES, _ASTRAY, _ASTRAY_M = 0.7, 0.05, 4.0
+# often where pixels speak too, more rarely of buildings that stand free, and then by so many metres.
+_OUTLINES, _ASTRAY, _ASTRAY_ALONE, _ASTRAY_M = 0.7, 0.05, 0.01, 4.0
 # A height is in doubt that is off by more than so many metres, with more than this probability, and known to
 # better than that many.
 _DOUBT_M, _DOUBT, _OPEN_M = 1.0, 0.4, 2.5
@@ -90,7 +90,7 @@ def building_heights(
             alone = norm.logpdf(_HEIGHTS_M, outlines.higher_m, outlines.sigma_m)
             told, curve = np.where(np.isfinite(told), alone, -np.inf), None
         elif outlines is not None:
-            told = told + _nats_of_outlines(outlines)
+            told = told + _nats_of_outlines(outlines, _ASTRAY_ALONE if curve is None else _ASTRAY)
         if curve is not None:
             told = told + _nats_of_pixels(curve, common or 0.0)
         height = _height(told, 0 if curve is None else curve.photos, float(rises[row]))
@@ -105,14 +105,13 @@ def _beforehand(roof_m: float, rise_m: float) -> Floats:
     return np.where(_HEIGHTS_M >= min(_LOWEST_M - rise_m, -_LOWER_M), likely, -np.inf)
 
 
-def _nats_of_outlines(outlines: _Outlines) -> Floats:
+def _nats_of_outlines(outlines: _Outlines, astray: float) -> Floats:
     """Returns how well heights explain what outlines tell beyond what the joint problem knew beforehand."""
     precision = outlines.sigma_m**-2.0
     information = max(precision - outlines.beforehand_m**-2.0, _LEAST_INFORMATION)
     higher_m = outlines.higher_m * precision / information
     right = norm.pdf(_HEIGHTS_M, np.clip(higher_m, *_HEIGHTS_M[[0, -1]]), _OUTLINES / np.sqrt(information))
-    astray = norm.pdf(_HEIGHTS_M, 0.0, _ASTRAY_M)
-    return np.asarray(np.log((1.0 - _ASTRAY) * right + _ASTRAY * astray))
+    return np.asarray(np.log((1.0 - astray) * right + astray * norm.pdf(_HEIGHTS_M, 0.0, _ASTRAY_M)))
 
 
 def _nats_of_pixels(curve: RoofCurve, common_m: float) -> Floats:
