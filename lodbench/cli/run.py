@@ -23,9 +23,10 @@ from lodbench.harness.remote.method import HERE, RunnerParams
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
 from lodbench.harness.runs.method_inputs import traceback_file
+from lodbench.harness.runs.prepare import require_choices
 from lodbench.harness.runs.requirements import SEGMENTED, segmented_inputs
-from lodbench.harness.runs.run import require_choices
 from lodbench.params import to_params
+from lodbench.plugins import load_plugin
 from lodbench.reporting.answers import format_answers, untrusted_note
 from lodbench.reporting.safe_text import plain_lines, plain_text
 from lodbench.reporting.table_formats import format_text
@@ -46,7 +47,8 @@ class RunOptions:
     limit: int | None = None
 
     def __post_init__(self) -> None:
-        require_choices(self.tilt, self.limit, self.renderer)
+        require_choices(self.tilt, self.limit)
+        load_plugin("renderers", self.renderer)
 
 
 @dataclass(frozen=True, slots=True)

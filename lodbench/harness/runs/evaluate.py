@@ -18,7 +18,7 @@ from lodbench.evaluation.predictions import Prediction, pose_numbers
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.runs.gallery import write_overlays
-from lodbench.harness.runs.prepare import TILTS, Preparation, prior_of
+from lodbench.harness.runs.prepare import Preparation, prior_of, require_choices
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.rendering import make_renderer
 from lodbench.segmentation import Segmenter
@@ -61,10 +61,7 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
         LodbenchError: A fault of the file, the dataset or the settings; nothing is scored then.
     """
     name = _method_name(settings)
-    if settings.tilt not in TILTS:
-        raise ConfigError(f"tilt={settings.tilt} is not prior or truth.")
-    if settings.limit is not None and settings.limit < 1:
-        raise ConfigError(f"limit={settings.limit} is not a number of queries.")
+    require_choices(settings.tilt, settings.limit)
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
     known = {word for entry in dataset.entries for word in (entry.name, entry.key)}

@@ -170,14 +170,25 @@ class Preparation:
         return self.city_map or CityMap(self.scene)
 
 
+def require_choices(tilt: str, limit: int | None = None) -> None:
+    """Makes sure of what can be told of a run's settings before any dataset is opened, or built.
+
+    Raises:
+        ConfigError: A tilt is none of ``TILTS``, or no query is asked for.
+    """
+    if tilt not in TILTS:
+        raise ConfigError(f"tilt={tilt} is not known.", nearest_names(tilt, TILTS))
+    if limit is not None and limit < 1:
+        raise ConfigError(f"limit={limit} is not a number of queries.")
+
+
 def require_tilt(tilt: str, dataset: Dataset) -> None:
     """Makes sure that a tilt is one of ``TILTS``, and that a dataset has it.
 
     Raises:
         ConfigError: It is not, or the true one is asked for and there is no truth.
     """
-    if tilt not in TILTS:
-        raise ConfigError(f"tilt={tilt} is not known.", nearest_names(tilt, TILTS))
+    require_choices(tilt)
     if tilt == "truth" and not dataset.truth:
         raise ConfigError("tilt=truth needs a truth, and the dataset has none.", "Leave it out.")
 

@@ -20,7 +20,7 @@ from lodbench.datasets.on_demand import with_inputs
 from lodbench.datasets.pose_direction import require_direction
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.errors import ConfigError, DatasetError, nearest_names
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.evaluation.evaluate import evaluate
 from lodbench.evaluation.predictions import Prediction
 from lodbench.execution.executor import PROCESS, SERIAL, ExecutorParams
@@ -31,7 +31,7 @@ from lodbench.harness.runs.code_digest import code_digest
 from lodbench.harness.runs.input_checks import looks_at_photos, require_pictures, require_same_place
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
-from lodbench.harness.runs.prepare import TILTS, Preparation, require_tilt
+from lodbench.harness.runs.prepare import Preparation, require_choices, require_tilt
 from lodbench.harness.runs.requirements import made_inputs, require_run_inputs, required_inputs
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.status import PLAN_FILE
@@ -91,19 +91,6 @@ class Run(Result):
     resumed: int
 
 
-def require_choices(tilt: str, limit: int | None, renderer: str) -> None:
-    """Makes sure of what can be told before any dataset is opened, or built.
-
-    Raises:
-        LodbenchError: A tilt or a renderer is not known, or no query is asked for.
-    """
-    if tilt not in TILTS:
-        raise ConfigError(f"tilt={tilt} is not known.", nearest_names(tilt, TILTS))
-    if limit is not None and limit < 1:
-        raise ConfigError(f"limit={limit} is not a number of queries.")
-    load_plugin("renderers", renderer)
-
-
 @remembered_contents()
 def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings: RunSettings) -> Run:
     """Runs a method over a dataset and returns the rows; the ledger in the run folder lets it resume.
@@ -157,7 +144,7 @@ def _opened(
     method: Method, dataset: Dataset, segmenter: Segmenter, settings: RunSettings
 ) -> tuple[Dataset, tuple[str, ...], tuple[Entry, ...], CityMap, TexturedMesh | None]:
     """Returns the dataset with all that is required, its splits and queries, and the map, all checked."""
-    require_choices(settings.tilt, settings.limit, settings.renderer)
+    require_choices(settings.tilt, settings.limit)
     require_writable(settings.runs_root)
     if settings.executor.name == PROCESS:
         # Workers import while this process opens the city.
@@ -165,6 +152,7 @@ def _opened(
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
     require_tilt(settings.tilt, dataset)
+    load_plugin("renderers", settings.renderer)
     require_run_inputs(method, segmenter, dataset, entries)
     dataset = with_inputs(dataset, required_inputs(method, segmenter))
     # Once more: what was made for single queries is theirs.
