@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.errors import RenderingError
+from lodbench.rendering.mean_around import mean_around
 
 Picture = NDArray[np.float32]
 
@@ -104,7 +105,7 @@ def edge_bins(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Edg
         small = np.repeat(small[..., None], 3, axis=2)
     lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
     beside, upright = (np.abs(cv2.Sobel(lab, cv2.CV_32F, *axis)).sum(axis=2) for axis in ((1, 0), (0, 1)))
-    around = cv2.GaussianBlur(beside + upright, (0, 0), size[0] / _AROUND_SHARE) + np.float32(1e-3)
+    around = mean_around(beside + upright, size[0] / _AROUND_SHARE) + np.float32(1e-3)
     first, second = (_levels(edges / around, _EDGE_LEVELS).astype(np.uint16) for edges in (beside, upright))
     return EdgeBins(first, second, _EDGE_LEVELS)
 
@@ -116,7 +117,7 @@ def _is_grey(photo: Picture) -> bool:
 
 def _local(channel: Picture) -> Picture:
     """Returns a channel less most of its own average around each pixel: what haze and vignettes change."""
-    around = cv2.GaussianBlur(channel, (0, 0), channel.shape[1] / _LOCAL_PARTS)
+    around = mean_around(channel, channel.shape[1] / _LOCAL_PARTS)
     return np.asarray(channel - np.float32(_LOCAL_SHARE) * around, dtype=np.float32)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lodbench.rendering.mean_around import mean_around
 from lodbench.rendering.projection import camera_axes
 
 Floats = NDArray[np.float64]
@@ -43,7 +44,7 @@ def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: fl
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125) for axis in ((1, 0), (0, 1)))
     # The strength along a direction is a quadratic form of it: three sums over the channels say all.
     xx, xy, yy = ((p * q).sum(axis=2) for p, q in ((across, across), (across, down), (down, down)))
-    around = cv2.GaussianBlur(np.sqrt(xx + yy), (0, 0), size[0] / _AROUND_SHARE) + np.float32(1e-3)
+    around = mean_around(np.sqrt(xx + yy), size[0] / _AROUND_SHARE) + np.float32(1e-3)
     angles = np.arange(DIRECTIONS) * (np.pi / DIRECTIONS)
     turns = np.stack(
         [np.cos(angles) ** 2, 2.0 * np.cos(angles) * np.sin(angles), np.sin(angles) ** 2], axis=1
@@ -73,14 +74,16 @@ def _looked_up(forms, turns, table):  # type: ignore[no-untyped-def]  # noqa: AN
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def count_levels(points, kinds, rotations, centers, intrinsics, levels, offset_px, counts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def count_levels(points, rises, kinds, rotations, centers, roofs_m, intrinsics, levels, offset_px, counts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Counts the levels that points of lines meet in a photo, seen from N poses; outside is not counted.
 
     Args:
         points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
+        rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
         kinds: (P,) int64 which histogram a point belongs to.
         rotations: (N, 3, 3) cam_from_world.
         centers: (N, 3) metres.
+        roofs_m: (N,) how much higher than the points say roofs are taken to be, metres.
         intrinsics: fx, fy, cx, cy.
         levels: (H, W, 12) uint8 of ``directed_edge_levels``.
         offset_px: How far beside the line to look.
@@ -91,8 +94,9 @@ def count_levels(points, kinds, rotations, centers, intrinsics, levels, offset_p
     for n in range(len(rotations)):
         for i in range(len(points)):
             p, q = points[i, 0], points[i, 1]
-            x, y, z = camera_axes(p[0], p[1], p[2], rotations[n], centers[n])
-            s, t, r = camera_axes(q[0], q[1], q[2], rotations[n], centers[n])
+            p_z, q_z = p[2] + rises[i, 0] * roofs_m[n], q[2] + rises[i, 1] * roofs_m[n]
+            x, y, z = camera_axes(p[0], p[1], p_z, rotations[n], centers[n])
+            s, t, r = camera_axes(q[0], q[1], q_z, rotations[n], centers[n])
             if z < 1.0 or r < 1.0:
                 continue
             u, v = focal_x * x / z + middle_x, focal_y * y / z + middle_y

@@ -8,6 +8,7 @@ import pytest
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
 from lodbench.datasets.query import Query
+from lodbench.methods.region.roofs import RaisedRoofs
 from tests.town import CAMERA, box_obj, prior_of, true_poses
 
 
@@ -21,6 +22,11 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="session")
 def city_map(scene):
     return CityMap(scene, threads=1)
+
+
+@pytest.fixture
+def roofs(city_map, scene):
+    return RaisedRoofs(city_map, scene)
 
 
 @pytest.fixture(scope="session")

@@ -31,25 +31,30 @@ def shaded(city_map, truths):
     return photos
 
 
-def fit_of(photo, query, city_map, truth):
-    return LineFit(photo, query, city_map, vector_from_pose(truth), 1.0, Params())
+def with_roofs(truth):
+    """Returns (7,) a pose and roofs as the map has them."""
+    return np.append(vector_from_pose(truth), 0.0)
 
 
-def test_lines_fit_best_at_the_truth(city_map, queries, truths, shaded):
-    moves = np.concatenate([d * np.eye(6) * [1.5, 1.5, 4.0, 1.0, 1.0, 1.0] for d in (-1.0, 1.0)])
+def fit_of(photo, query, roofs, truth):
+    return LineFit(photo, query, roofs, with_roofs(truth), 1.0, Params())
+
+
+def test_lines_fit_best_at_the_truth(roofs, queries, truths, shaded):
+    moves = np.concatenate([d * np.eye(7) * [1.5, 1.5, 4.0, 1.0, 1.0, 1.0, 1.5] for d in (-1.0, 1.0)])
     for photo, query, truth in zip(shaded, queries, truths, strict=True):
-        fit, vector = fit_of(photo, query, city_map, truth), vector_from_pose(truth)
+        fit, vector = fit_of(photo, query, roofs, truth), with_roofs(truth)
         assert len(fit) > 100
         assert (fit(vector[None]) > fit(vector + moves)).all()
 
 
-def test_an_exact_map_is_sharp_and_a_smeared_photo_is_not(city_map, queries, truths, shaded):
+def test_an_exact_map_is_sharp_and_a_smeared_photo_is_not(roofs, queries, truths, shaded):
     photo, query, truth = shaded[0], queries[0], truths[0]
-    vector = vector_from_pose(truth)
-    assert fit_of(photo, query, city_map, truth).sharpness(vector) > Params().least_sharpness
+    vector = with_roofs(truth)
+    assert fit_of(photo, query, roofs, truth).sharpness(vector) > Params().least_sharpness
     # Two outlines 8 pixels apart, as of walls and eaves where the map has one: no line is where edges are.
     smeared = cv2.GaussianBlur(photo, (0, 0), 5.0)
-    assert fit_of(smeared, query, city_map, truth).sharpness(vector) < Params().least_sharpness
+    assert fit_of(smeared, query, roofs, truth).sharpness(vector) < Params().least_sharpness
 
 
 def test_the_method_ends_nearer_with_lines(city_map, queries, truths, shaded, tmp_path):
@@ -58,7 +63,8 @@ def test_the_method_ends_nearer_with_lines(city_map, queries, truths, shaded, tm
         path = tmp_path / f"{number}.png"
         cv2.imwrite(str(path), shaded[number])
         for weight, found in errors.items():
-            method = Region(Params(fine_width=200, starts=4, modes=2, lines_weight=weight, mean_pixels=0))
+            told = Params(fine_width=200, starts=4, modes=2, roofs_m=0.0, mean_pixels=0.0)
+            method = Region(replace(told, lines_weight=weight))
             photographed = replace(query, building_probability=None, image=path)
             estimate = method.localize(photographed, city_map, partial(random_stream, 0, "test"))
             found.append(pose_error(estimate.pose, truth).translation_m)
@@ -66,9 +72,9 @@ def test_the_method_ends_nearer_with_lines(city_map, queries, truths, shaded, tm
     assert with_lines < min(0.3, without)
 
 
-def test_a_pose_without_lines_in_view_counts_nothing(city_map, queries, truths, shaded):
-    away = vector_from_pose(truths[0]) + np.array([5000.0, 0, 0, 0, 0, 0])
-    fit = LineFit(shaded[0], queries[0], city_map, away, 1.0, Params())
+def test_a_pose_without_lines_in_view_counts_nothing(roofs, queries, truths, shaded):
+    away = with_roofs(truths[0]) + np.array([5000.0, 0, 0, 0, 0, 0, 0])
+    fit = LineFit(shaded[0], queries[0], roofs, away, 1.0, Params())
     assert len(fit) == 0
     assert fit.sharpness(away) == 0.0
-    assert pose_from_vector(away).center[0] > 4000.0
+    assert pose_from_vector(away[:6]).center[0] > 4000.0

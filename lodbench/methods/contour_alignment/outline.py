@@ -84,6 +84,19 @@ def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, tu
         reach_m: How far the centre may be off.
         turn_deg: How far the view may be turned.
     """
+    chosen, spheres = _in_reach(scene, camera, prior, reach_m, turn_deg)
+    return _edge_arrays(_part(scene, chosen), spheres[chosen], chosen)
+
+
+def scene_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float) -> Scene:
+    """Returns the buildings that may be seen from anywhere near a prior; see ``edges_in_reach``."""
+    return _part(scene, _in_reach(scene, camera, prior, reach_m, turn_deg)[0])
+
+
+def _in_reach(
+    scene: Scene, camera: Camera, prior: Pose, reach_m: float, turn_deg: float
+) -> tuple[NDArray[np.int64], Floats]:
+    """Returns which buildings may be seen from near a prior, and the (B, 4) spheres around all."""
     spheres = bounding_spheres(scene)
     wider = spheres.copy()
     away = np.linalg.norm(spheres[:, :3] - prior.center, axis=1)
@@ -91,8 +104,7 @@ def edges_in_reach(scene: Scene, camera: Camera, prior: Pose, reach_m: float, tu
     wider[:, 3] += reach_m + chord * (np.where(np.isfinite(away), away, 0.0) + reach_m)
     planes = view_planes(camera, 0, camera.width)
     rotation, center = np.ascontiguousarray(prior.rotation), np.ascontiguousarray(prior.center)
-    chosen = visible_buildings(wider, rotation, center, planes)
-    return _edge_arrays(_part(scene, chosen), spheres[chosen], chosen)
+    return visible_buildings(wider, rotation, center, planes), spheres
 
 
 def sample_outline(

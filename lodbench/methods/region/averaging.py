@@ -30,24 +30,24 @@ def posterior_mean(
     vector: Floats,
     covariance: Floats,
 ) -> Floats:
-    """Returns the mean of the posterior around a pose, (6,).
+    """Returns the mean of the posterior around a point, (D,): a pose, and what else is not known.
 
     By adaptive importance sampling: poses are drawn from a Gaussian and weigh what the posterior is over its
     density; the next Gaussian is theirs (Bugallo et al., "Adaptive importance sampling", 2017).
 
     Args:
-        nats: (N, 6) poses to the (N,) logarithm of the photo's likelihood, up to a constant.
+        nats: (N, D) points to the (N,) logarithm of the photo's likelihood, up to a constant.
         log_prior: The same of the prior.
         share: Of the likelihood's nats that count.
-        vector: (6,) the best pose.
-        covariance: (6, 6) how far the mean may be from it.
+        vector: (D,) the best point.
+        covariance: (D, D) how far the mean may be from it.
     """
     # The same draws for every query: the answer is a function of photo, prior and map.
     generator = random_stream(0, "posterior mean of the region fit")
     means, spread = [vector], covariance
     for _ in range(_ROUNDS):
         squares, axes = np.linalg.eigh(spread)
-        half = generator.standard_normal((_POSES // 2, 6))
+        half = generator.standard_normal((_POSES // 2, len(vector)))
         moves = np.concatenate([half, -half])
         # The symmetric root: it does not depend on the signs that a library of linear algebra gives axes.
         root = (axes * np.sqrt(np.maximum(squares, 0.0))) @ axes.T

@@ -52,6 +52,12 @@ class PhotoFit:
         regions = self._region(words)
         return regions + self.edge_weight * self._contour(words) if self.edge_weight > 0 else regions
 
+    def with_edges(self, weight: float) -> PhotoFit:
+        """Returns the same fit with another weight of the photo's edges."""
+        other = copy(self)
+        other.edge_weight = weight
+        return other
+
 
 class Evidence:
     """The logarithm of what a photo and a prior say together of poses, up to a constant.
@@ -75,8 +81,7 @@ class Evidence:
     def with_edges(self, weight: float) -> Evidence:
         """Returns the same evidence with another weight of the photo's edges."""
         other = copy(self)
-        other.fit = copy(self.fit)
-        other.fit.edge_weight = weight
+        other.fit = self.fit.with_edges(weight)
         return other
 
     def fits(self, vectors: Floats) -> Floats:

@@ -13,14 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.evolution import climb
+from lodbench.methods.region.evolution import Cloud, climb
 from lodbench.methods.region.params import Params
+from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, RoofEvidence, step_of
 from lodbench.methods.region.search import Surroundings
 from lodbench.rendering.edge_levels import EDGE_LEVELS, count_levels, directed_edge_levels
 
@@ -33,6 +32,8 @@ _MOST_POINTS = 1500
 # The photo's blur in each round, pixels, and how far outlines lie apart as it begins, of the fine size.
 _ROUNDS = ((3.0, 2.5), (1.5, 1.5), (1.0, 1.0))
 _GENERATIONS = 14
+# How far roofs lie apart as a round begins, metres.
+_ROOFS_APART_M = 0.5
 # How strongly edges may stand out along lines: 0 not at all, 1 as ``_RISE`` says.
 _STRENGTHS = np.linspace(0.0, 0.97, 12)
 # Beside a line: what is on it, what is near it and what is far from it, pixels.
@@ -58,8 +59,8 @@ class LineFit:
     Args:
         photo: As of ``read_picture``.
         query: The query.
-        city_map: Says which lines are seen.
-        vector: (6,) the pose that they are seen from.
+        roofs: The map, which says what lines are seen.
+        vector: (7,) the pose that they are seen from, and how much higher all roofs then are.
         blur_px: Of the photo, pixels of the working size.
         params: The method's.
     """
@@ -68,7 +69,7 @@ class LineFit:
         self,
         photo: NDArray[Any],
         query: Query,
-        city_map: CityMap,
+        roofs: RaisedRoofs,
         vector: Floats,
         blur_px: float,
         params: Params,
@@ -78,8 +79,8 @@ class LineFit:
         camera = query.camera.scaled(*size)
         self._intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._levels = directed_edge_levels(photo, size, blur_px)
-        pose = pose_from_vector(vector)
-        (seen,) = city_map.edges(camera, pose.rotation[None], pose.center[None], _CREASE_DEG)
+        pose, step = pose_from_vector(vector[:6]), int(step_of(vector[6]))
+        (seen,) = roofs.at(step).edges(camera, pose.rotation[None], pose.center[None], _CREASE_DEG)
         lengths = np.linalg.norm(seen.pixels[:, 1] - seen.pixels[:, 0], axis=1)
         lines = np.flatnonzero(seen.is_visible & (lengths > _SHORTEST_PX))
         self._spacing = max(_SPACING_PX, float(lengths[lines].sum()) / _MOST_POINTS)
@@ -91,6 +92,9 @@ class LineFit:
         points = starts + place[:, None] * along
         # Halfway to the end of the line, its direction is the same.
         self._points = np.stack([points, points + 0.5 * (1.0 - place)[:, None] * along], axis=1)
+        owners, heights = seen.building[rows], self._points[..., 2]
+        self._rises = np.stack([roofs.shares(each, owners, step) for each in heights.T], axis=1)
+        self._roofs_m = step * STEP_M
         self._kinds = seen.kind[rows].astype(np.int64)
         self._weight = params.lines_weight * self._spacing
 
@@ -98,7 +102,7 @@ class LineFit:
         return len(self._kinds)
 
     def __call__(self, vectors: Floats) -> Floats:
-        """Returns the (N,) logarithm of the likelihood of poses (N, 6), up to a constant, nats.
+        """Returns the (N,) logarithm of the likelihood of poses and roofs (N, 7), up to a constant.
 
         How strongly edges stand out along outlines and along creases is taken as fits each pose best.
         """
@@ -120,19 +124,19 @@ class LineFit:
 
     def _counts(self, vectors: Floats, offset_px: float = 0.0) -> NDArray[np.int64]:
         counts = np.zeros((len(vectors), 2, EDGE_LEVELS), dtype=np.int64)
-        rotations = rotations_from_euler(vectors[:, 3:])
+        rotations = rotations_from_euler(vectors[:, 3:6])
         centers = np.ascontiguousarray(vectors[:, :3])
-        view = rotations, centers, self._intrinsics, self._levels
-        count_levels(self._points, self._kinds, *view, offset_px, counts)
+        view = rotations, centers, vectors[:, 6] - self._roofs_m, self._intrinsics
+        count_levels(self._points, self._rises, self._kinds, *view, self._levels, offset_px, counts)
         return counts
 
 
 class Aligned(NamedTuple):
-    """A pose that puts the model's lines on the photo's edges.
+    """A pose and a height of roofs that put the model's lines on the photo's edges.
 
     Attributes:
-        vector: (6,) the pose.
-        nats: (N, 6) poses to the (N,) logarithm of the likelihood that it is best by.
+        vector: (7,) both.
+        nats: (N, 7) such to the (N,) logarithm of the likelihood that they are best by.
         sharpness: As of ``LineFit``: whether the map is exact enough for it to count.
     """
 
@@ -144,30 +148,31 @@ class Aligned(NamedTuple):
 def aligned_by_lines(
     photo: NDArray[Any],
     query: Query,
-    city_map: CityMap,
+    roofs: RaisedRoofs,
     vector: Floats,
-    evidence: Evidence,
+    evidence: RoofEvidence,
     around: Surroundings,
     params: Params,
     streams: Streams,
 ) -> Aligned | None:
-    """Returns the pose near one that puts the model's lines on the photo's edges; None without lines in view.
+    """Returns what is near (7,) and puts the model's lines on the photo's edges; None without lines in view.
 
     Lines alone lead in the first rounds; in the last the regions have their say too.
     """
     for number, (blur_px, spread_px) in enumerate(_ROUNDS):
-        fit = LineFit(photo, query, city_map, vector, blur_px, params)
+        fit = LineFit(photo, query, roofs, vector, blur_px, params)
         nats = fit if number < len(_ROUNDS) - 1 else _joined(fit, evidence)
-        cloud = around.cloud(vector, evidence, spread_px)
+        cloud = around.cloud(vector[:6], evidence.at(vector[6]), spread_px)
         if not len(fit) or cloud is None:
             return None
 
         def posterior(vectors: Floats, nats: Callable[[Floats], Floats] = nats) -> Floats:
             return nats(vectors) + evidence.log_prior(vectors)
 
-        vector = climb(posterior, cloud, _GENERATIONS, params.population, streams("lines", number)).mean
+        start = Cloud(vector, evidence.widened(cloud.covariance, _ROOFS_APART_M))
+        vector = climb(posterior, start, _GENERATIONS, params.population, streams("lines", number)).mean
     return Aligned(vector, nats, fit.sharpness(vector))
 
 
-def _joined(fit: LineFit, evidence: Evidence) -> Callable[[Floats], Floats]:
+def _joined(fit: LineFit, evidence: RoofEvidence) -> Callable[[Floats], Floats]:
     return lambda vectors: fit(vectors) + evidence.nats(vectors)

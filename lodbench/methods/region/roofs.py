@@ -1,0 +1,123 @@
+"""How much higher than in the map all roofs are: a seventh number beside the pose, metres.
+
+Blocks end somewhere between eaves and ridge, as whoever made the map decided: its roofs err alike. The photo
+tells by how much, and a camera that has to make up for it ends too high or too low (docs/adr/0052).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymap import CityMap
+from lodbench.citymodel.scene import Scene
+from lodbench.datasets.query import Query
+from lodbench.methods.region.evidence import Evidence, PhotoFit
+from lodbench.methods.region.params import Params
+
+Floats = NDArray[np.float64]
+
+# Silhouettes are drawn of roofs at every so many metres, up to so far from the map.
+STEP_M, _FARTHEST_M = 0.5, 3.0
+# What roofs are lowered to above the floor at most, and what has no height that could err.
+_LOWEST_M, _FLAT_M = 2.0, 0.1
+# The deviation of roofs that are told not to err: a matrix without a width has no inverse.
+_LEAST_SIGMA_M = 1e-3
+
+
+class RaisedRoofs:
+    """Some buildings of a map with all their roofs higher, or lower; their floors stay.
+
+    What is drawn of them counts as drawn of the map.
+
+    Args:
+        city_map: The map.
+        part: The scene of those of its buildings that are to be drawn.
+    """
+
+    def __init__(self, city_map: CityMap, part: Scene) -> None:
+        self._map, self._part = city_map, part
+        self._drawn: dict[int, CityMap] = {}
+        heights = part.vertices[:, 2].astype(np.float64)
+        filled = np.flatnonzero(np.diff(part.vertex_starts) > 0)
+        floors, tops = np.zeros(part.num_buildings), np.zeros(part.num_buildings)
+        if len(filled):
+            floors[filled] = np.minimum.reduceat(heights, part.vertex_starts[filled])
+            tops[filled] = np.maximum.reduceat(heights, part.vertex_starts[filled])
+        self._floors, self._rises = floors, tops - floors
+
+    def at(self, step: int) -> CityMap:
+        """Returns the map of the buildings with roofs so many steps higher."""
+        if step not in self._drawn:
+            part = self._part
+            owner = np.repeat(np.arange(part.num_buildings), np.diff(part.vertex_starts))
+            heights = part.vertices[:, 2].astype(np.float64)
+            vertices = part.vertices.copy()
+            vertices[:, 2] = heights + self.shares(heights, owner, 0) * self._raised(step)[owner]
+            drawn = CityMap(replace(part, vertices=vertices), self._map.name, self._map.threads)
+            drawn.usage = self._map.usage
+            self._drawn[step] = drawn
+        return self._drawn[step]
+
+    def shares(self, heights: Floats, buildings: NDArray[np.int64], step: int) -> Floats:
+        """Returns at which share of its building's height points of the map at a step are, (N,).
+
+        By that much of a metre they move up where roofs are a metre higher.
+
+        Args:
+            heights: (N,) metres.
+            buildings: (N,) of the part.
+            step: Of the map that the points are of.
+        """
+        tall = (self._rises + self._raised(step))[buildings]
+        shares = (heights - self._floors[buildings]) / np.maximum(tall, _FLAT_M)
+        return np.asarray(np.where(tall > _FLAT_M, np.clip(shares, 0.0, 1.0), 0.0))
+
+    def _raised(self, step: int) -> Floats:
+        """Returns (B,) by how much each roof is higher at a step, metres; what is flat has none."""
+        lowest = np.minimum(_LOWEST_M - self._rises, 0.0)
+        return np.where(self._rises > _FLAT_M, np.maximum(step * STEP_M, lowest), 0.0)
+
+
+def step_of(roofs_m: Floats) -> NDArray[np.int64]:
+    """Returns the step nearest to roofs so much higher, metres."""
+    nearest = np.rint(np.clip(roofs_m, -_FARTHEST_M, _FARTHEST_M) / STEP_M)
+    return np.asarray(nearest, dtype=np.int64)
+
+
+class RoofEvidence:
+    """What photo and prior say of poses and of how much higher all roofs are, (N, 7), up to a constant."""
+
+    def __init__(self, query: Query, roofs: RaisedRoofs, fit: PhotoFit, params: Params) -> None:
+        self._evidence = lru_cache(None)(lambda step: Evidence(query, roofs.at(step), fit, params))
+        self._sigma_m = max(params.roofs_m, _LEAST_SIGMA_M)
+
+    def at(self, roofs_m: float) -> Evidence:
+        """Returns the evidence on poses alone, (N, 6), of roofs so much higher."""
+        return self._evidence(int(step_of(np.array(roofs_m))))
+
+    def nats(self, vectors: Floats) -> Floats:
+        """Returns the (N,) logarithm of the photo's likelihood, up to a constant."""
+        steps, nats = step_of(vectors[:, 6]), np.zeros(len(vectors))
+        for step in np.unique(steps):
+            chosen = steps == step
+            nats[chosen] = self._evidence(int(step)).nats(vectors[chosen, :6])
+        return nats
+
+    def log_prior(self, vectors: Floats) -> Floats:
+        """Returns the (N,) logarithm of the prior, up to a constant."""
+        poses = self._evidence(0).log_prior(vectors[:, :6])
+        return np.asarray(poses - 0.5 * (vectors[:, 6] / self._sigma_m) ** 2)
+
+    def widened(self, covariance: Floats, most_m: float = math.inf) -> Floats:
+        """Returns the covariance (7, 7) of a pose's, (6, 6), and of the roofs beforehand.
+
+        Their deviation is ``most_m`` at most.
+        """
+        whole = np.zeros((7, 7))
+        whole[:6, :6], whole[6, 6] = covariance, min(self._sigma_m, most_m) ** 2
+        return whole

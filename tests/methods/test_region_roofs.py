@@ -1,0 +1,108 @@
+"""Roofs that are all higher or lower than in the map: drawn, told from photos, and given back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import cv2
+import numpy as np
+import pytest
+
+from lodbench.citymap import CityMap
+from lodbench.evaluation import pose_error
+from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
+from lodbench.methods.region import Params, Region
+from lodbench.methods.region.evidence import Evidence, PhotoFit
+from lodbench.methods.region.lines import LineFit
+from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, RoofEvidence, step_of
+from lodbench.storage import random_stream
+from lodbench.synthesis.views_dataset import World
+from tests.town import CAMERA
+
+
+def photo_of(drawn, truth, number):
+    """Returns a photo of a town: walls and roofs reddish, all else greenish."""
+    inside = drawn.render(CAMERA, truth)[..., None]
+    colours = np.where(inside, [90.0, 100.0, 140.0], [100.0, 130.0, 100.0])
+    noise = random_stream(0, "roofs", number).normal(0.0, 20.0, colours.shape)
+    return np.clip(colours + noise, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("roofs_m", [-2.0, -0.5, 0.0, 1.5])
+def test_raised_roofs_are_those_of_a_town_so_much_higher(scene, roofs, truths, roofs_m):
+    """Against the worlds of ``dataset=views``, which were written for another purpose."""
+    step = int(step_of(np.array(roofs_m)))
+    assert step * STEP_M == roofs_m
+    expected = CityMap(World(shared_roofs_m=roofs_m).seen(scene), threads=1)
+    for truth in truths:
+        np.testing.assert_array_equal(roofs.at(step).render(CAMERA, truth), expected.render(CAMERA, truth))
+
+
+def test_no_roof_is_lowered_below_two_metres(scene, city_map):
+    """Of buildings 2.5 m high and of some that are lower already."""
+    starts = scene.vertex_starts
+    floors = np.minimum.reduceat(scene.vertices[:, 2], starts[:-1])
+    heights = np.resize([2.5, 1.0, 9.0], scene.num_buildings)
+    owner = np.repeat(np.arange(scene.num_buildings), np.diff(starts))
+    low = scene.vertices.copy()
+    low[:, 2] = np.minimum(low[:, 2], (floors + heights)[owner])
+    lowered = RaisedRoofs(city_map, replace(scene, vertices=low)).at(int(step_of(np.array(-3.0)))).scene
+    tops = np.maximum.reduceat(lowered.vertices[:, 2], starts[:-1])
+    before = np.maximum.reduceat(low[:, 2], starts[:-1])
+    np.testing.assert_allclose(tops, np.maximum(before - 3.0, np.minimum(before, floors + 2.0)), atol=1e-4)
+    np.testing.assert_array_equal(lowered.vertices[:, :2], low[:, :2])
+
+
+def test_what_is_drawn_counts_as_drawn_of_the_map(scene, city_map, roofs, truths):
+    before = city_map.usage.counts().get("silhouettes", 0)
+    roofs.at(2).render(CAMERA, truths[0])
+    assert city_map.usage.counts()["silhouettes"] == before + 1
+
+
+def test_points_move_by_their_share_of_the_height(scene, roofs):
+    """Moved by the shares they are what the raised map has, from whatever step they come."""
+    owner = np.repeat(np.arange(scene.num_buildings), np.diff(scene.vertex_starts))
+    for start, stop in ((0, 3), (2, -1)):
+        before, after = (roofs.at(step).scene.vertices[:, 2].astype(float) for step in (start, stop))
+        moved = before + roofs.shares(before, owner, start) * (stop - start) * STEP_M
+        np.testing.assert_allclose(moved, after, atol=1e-4)
+
+
+def test_evidence_is_that_of_the_map_with_those_roofs(scene, roofs, queries, truths):
+    params = Params()
+    fit = PhotoFit(photo_of(roofs.at(0), truths[0], 0), (200, 150), params, False)
+    evidence = RoofEvidence(queries[0], roofs, fit, params)
+    poses = vector_from_pose(truths[0]) + random_stream(0, "poses").normal(0.0, 0.5, (6, 6))
+    heights = np.array([-1.5, 0.0, 0.2, 0.9, 1.0, 7.0])
+    nats = evidence.nats(np.column_stack([poses, heights]))
+    for i, roofs_m in enumerate([-1.5, 0.0, 0.0, 1.0, 1.0, 3.0]):
+        seen = CityMap(World(shared_roofs_m=roofs_m).seen(scene), threads=1)
+        assert nats[i] == Evidence(queries[0], seen, fit, params).nats(poses[i : i + 1])[0]
+
+
+def test_lines_know_how_high_roofs_are(roofs, queries, truths):
+    """Photos of a town whose roofs are a metre lower: its lines fit best with roofs a metre lower."""
+    for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
+        photo = photo_of(roofs.at(-2), truth, number)
+        true = np.append(vector_from_pose(truth), -1.0)
+        for seen_at in (0.0, -1.0):
+            fit = LineFit(photo, query, roofs, np.append(true[:6], seen_at), 1.0, Params())
+            heights = np.linspace(-2.5, 1.0, 15)
+            nats = fit(np.column_stack([np.repeat(true[None, :6], 15, axis=0), heights]))
+            assert abs(heights[int(np.argmax(nats))] + 1.0) <= 0.5
+
+
+def test_a_map_whose_roofs_err_alike_leads_no_answer_astray(city_map, roofs, queries, truths, tmp_path):
+    """Photos of a town with roofs two metres lower than in the map: said not to err, they cost a metre."""
+    errors = {0.0: [], 1.0: []}
+    for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
+        path = tmp_path / f"{number}.png"
+        cv2.imwrite(str(path), photo_of(roofs.at(-4), truth, number))
+        asked = replace(query, building_probability=None, image=path)
+        for roofs_m, found in errors.items():
+            method = Region(Params(fine_width=200, starts=4, modes=2, roofs_m=roofs_m))
+            estimate = method.localize(asked, city_map, partial(random_stream, 0, "test"))
+            found.append(pose_error(estimate.pose, truth).translation_m)
+    trusting, doubting = (np.median(found) for found in errors.values())
+    assert doubting < 0.6 * trusting
