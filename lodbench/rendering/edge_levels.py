@@ -23,6 +23,10 @@ _AROUND_SHARE = 12.0
 _STEP = 3
 # Steps of strength per mean strength, and how many are told apart.
 _FINE_STEPS, _FINEST = 256.0, 4095
+# Cosine and sine of the angles between one direction and the next.
+_BOUNDS = np.stack(
+    [turn((np.arange(DIRECTIONS) + 0.5) * (np.pi / DIRECTIONS)) for turn in (np.cos, np.sin)], axis=1
+)
 
 
 def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Levels:
@@ -101,10 +105,26 @@ def count_levels(points, rises, kinds, rotations, centers, roofs_m, intrinsics, 
                 continue
             u, v = focal_x * x / z + middle_x, focal_y * y / z + middle_y
             along_u, along_v = focal_x * s / r + middle_x - u, focal_y * t / r + middle_y - v
-            normal = np.arctan2(along_u, -along_v)
-            u += offset_px * np.cos(normal)
-            v += offset_px * np.sin(normal)
+            across_u, across_v = -along_v, along_u
+            if offset_px != 0.0:
+                length = max(np.sqrt(across_u * across_u + across_v * across_v), 1e-12)
+                u += offset_px * across_u / length
+                v += offset_px * across_v / length
             if not (0.0 <= u < width and 0.0 <= v < height):
                 continue
-            k = int(np.floor(normal / np.pi * DIRECTIONS + 0.5)) % DIRECTIONS
-            counts[n, kinds[i], levels[int(v), int(u), k]] += 1
+            counts[n, kinds[i], levels[int(v), int(u), _direction(across_u, across_v)]] += 1
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _direction(across_u, across_v):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Returns which of the directions over half a turn is nearest to a vector's, without its angle."""
+    if across_v < 0.0 or (across_v == 0.0 and across_u < 0.0):
+        across_u, across_v = -across_u, -across_v
+    first, last = 0, DIRECTIONS
+    while first < last:
+        middle = (first + last) // 2
+        if _BOUNDS[middle, 0] * across_v >= _BOUNDS[middle, 1] * across_u:
+            first = middle + 1
+        else:
+            last = middle
+    return first % DIRECTIONS
