@@ -35,16 +35,19 @@ def test_counts_are_those_of_points_one_by_one():
     camera = Camera(96, 64, 80.0, 79.0, 47.0, 33.0)
     levels = rng.integers(0, EDGE_LEVELS, (64, 96, DIRECTIONS)).astype(np.uint8)
     points = rng.uniform((-30, -30, -2), (30, 30, 20), (50, 2, 3))
-    kinds = rng.integers(0, 2, 50)
+    kinds, rises, roofs_m = rng.integers(0, 2, 50), rng.random((50, 2)), np.array([0.0, 2.5])
     centers = np.array([[0.0, 0.0, 60.0], [3.0, -2.0, 55.0]])
     rotations = np.stack([rotation_from_euler(EulerAngles(p, 1.0, 20.0)) for p in (0.0, 25.0)])
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     for offset in (0.0, 3.0):
         counts = np.zeros((2, 2, EDGE_LEVELS), dtype=np.int64)
-        count_levels(points, kinds, rotations, centers, intrinsics, levels, offset, counts)
+        seen = rotations, centers, roofs_m, intrinsics, levels
+        count_levels(points, rises, kinds, *seen, offset, counts)
         expected = np.zeros_like(counts)
         for n in range(2):
-            for (first, second), kind in zip(points, kinds, strict=True):
+            raised = points.copy()
+            raised[..., 2] += rises * roofs_m[n]
+            for (first, second), kind in zip(raised, kinds, strict=True):
                 a, b = (rotations[n] @ (p - centers[n]) for p in (first, second))
                 here, there = (
                     np.array([camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy])
