@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # A mean changes slowly: it is taken of a picture so small that its kernel is this wide, pixels. At the
-# borders it is then the exact one to a fiftieth of the picture's own deviation, elsewhere to a five-hundredth.
+# borders it is then the exact one to a fiftieth of the picture's deviation, elsewhere to a five-hundredth.
 _KERNEL_PX = 16.0
 
 
