@@ -58,8 +58,8 @@ class Params:
             leaves the answer at the best pose.
         lines_width: Width of the photo where the model's lines are laid over its edges, pixels.
         lines_weight: What a pixel of line is worth, independent pixels; 0 leaves lines out.
-        least_sharpness: How sharply edges must fall off beside the lines for the map to count as exact, 0 to
-            1; lines of a map that is not are left out.
+        least_sharpness: How sharply edges must fall off beside the lines for lines to count, 0 to 1: where a
+            map is far from what the photo shows they lead astray.
     """
 
     name: str = "region"

@@ -58,7 +58,8 @@ class RaisedRoofs:
             heights = part.vertices[:, 2].astype(np.float64)
             vertices = part.vertices.copy()
             vertices[:, 2] = heights + self.shares(heights, owner, 0) * self._raised(step)[owner]
-            drawn = CityMap(replace(part, vertices=vertices), self._map.name, self._map.threads)
+            # By the engine, whoever draws the map: a dozen of these live and die with each query.
+            drawn = CityMap(replace(part, vertices=vertices), threads=self._map.threads)
             drawn.usage = self._map.usage
             self._drawn[step] = drawn
         return self._drawn[step]
