@@ -72,7 +72,7 @@ class Answering:
         self._regions = RoofEvidence(query, roofs, fit.with_edges(0.0), params)
 
     def answer(self, best: Floats, streams: Streams) -> Answer:
-        """Returns the answer near the best pose, (6,): by lines where the photo shows the map to be exact."""
+        """Returns the answer near the best pose, (6,): by lines where edges are sharp beside them."""
         params, start = self._params, np.append(best, 0.0)
         covariance, if_map_is_right = self._certainty(self._fine.nats, start)
         mean = start
