@@ -150,8 +150,8 @@ class Params:
 
     def region(self) -> RegionParams:
         """Returns the same for photos that are found by their pixels."""
-        # The best pose on the map as it is: what one photo leaves open the others tell, roofs as well. Without
-        # those lines count where the map is exact (docs/adr/0023).
+        # The best pose on the map as it is: what one photo leaves open the others tell, roofs as well.
+        # Without those, lines count where the map is exact (docs/adr/0023).
         as_it_is = replace(RegionParams(), mean_pixels=0.0, roofs_m=0.0, least_sharpness=0.7)
         return replace(as_it_is, **self._ranges())
 
