@@ -27,8 +27,6 @@ from lodbench.methods.region.search import Surroundings, climbed, grid_starts, j
 from lodbench.methods.region.trust import Signs, trust_of
 from lodbench.methods.region.uncertainty import share_of_best
 
-Floats = NDArray[np.float64]
-
 
 class Region:
     """Finds the pose whose silhouette splits the photo into two regions that look most unlike each other."""
@@ -57,7 +55,10 @@ class Region:
         started = time.perf_counter()
         photo = query_photo(query)
         params = self.params
-        around = self._surroundings(query, city_map)
+        # The rest of the city, however large, is looked at this once.
+        part = scene_in_reach(city_map.scene, query.camera, query.prior, *_reach(params))
+        edges = edges_in_reach(part, query.camera, query.prior, *_reach(params))
+        around = Surroundings(edges, city_map, params)
         search = self._evidence(query, city_map, photo, params.coarse_width, is_coarse=True)
         starts, best = grid_starts(query, search, params)
         tops = climbed(starts, search, around, params.coarse_generations, params.coarse_spread_px, streams)
@@ -70,7 +71,6 @@ class Region:
         judge = final.with_edges(params.judging_edge_weight)
         modes = judged(modes, judge)
         top = modes[0].cloud.mean
-        part = scene_in_reach(city_map.scene, query.camera, query.prior, *_reach(params))
         roofs = RaisedRoofs(city_map, part)
         answer = Answering(photo, query, roofs, around, params).answer(top, streams)
         half_widths = params.half_widths()
@@ -97,10 +97,6 @@ class Region:
             alternatives=tuple(pose_from_vector(mode.cloud.mean) for mode in modes[1:]),
             notes=beyond_range(final.offsets(answer.vector[None])[0], answer.if_map_is_right, half_widths),
         )
-
-    def _surroundings(self, query: Query, city_map: CityMap) -> Surroundings:
-        edges = edges_in_reach(city_map.scene, query.camera, query.prior, *_reach(self.params))
-        return Surroundings(edges, city_map, self.params)
 
     def _evidence(
         self, query: Query, city_map: CityMap, photo: NDArray[np.uint8], width: int, is_coarse: bool

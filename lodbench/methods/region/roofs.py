@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
+from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
 from lodbench.methods.region.evidence import Evidence, PhotoFit
@@ -42,13 +43,10 @@ class RaisedRoofs:
     def __init__(self, city_map: CityMap, part: Scene) -> None:
         self._map, self._part = city_map, part
         self._drawn: dict[int, CityMap] = {}
-        heights = part.vertices[:, 2].astype(np.float64)
-        filled = np.flatnonzero(np.diff(part.vertex_starts) > 0)
-        floors, tops = np.zeros(part.num_buildings), np.zeros(part.num_buildings)
-        if len(filled):
-            floors[filled] = np.minimum.reduceat(heights, part.vertex_starts[filled])
-            tops[filled] = np.maximum.reduceat(heights, part.vertex_starts[filled])
-        self._floors, self._rises = floors, tops - floors
+        boxes = building_boxes(part)
+        self._floors, self._rises = np.zeros((2, part.num_buildings))
+        self._floors[boxes.building] = boxes.low[:, 2]
+        self._rises[boxes.building] = boxes.high[:, 2] - boxes.low[:, 2]
 
     def at(self, step: int) -> CityMap:
         """Returns the map of the buildings with roofs so many steps higher."""
