@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -27,6 +27,22 @@ _FINE_STEPS, _FINEST = 256.0, 4095
 _BOUNDS = np.stack(
     [turn((np.arange(DIRECTIONS) + 0.5) * (np.pi / DIRECTIONS)) for turn in (np.cos, np.sin)], axis=1
 )
+
+
+class LinePoints(NamedTuple):
+    """P points of lines, for the kernel.
+
+    Attributes:
+        points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
+        rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
+        kinds: (P,) int64 which worth its levels have.
+        buildings: (P,) int64 whose sum it is added to.
+    """
+
+    points: Floats
+    rises: Floats
+    kinds: NDArray[np.int64]
+    buildings: NDArray[np.int64]
 
 
 def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: float) -> Levels:
@@ -78,24 +94,28 @@ def _looked_up(forms, turns, table):  # type: ignore[no-untyped-def]  # noqa: AN
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def count_levels(points, rises, kinds, rotations, centers, roofs_m, intrinsics, levels, offset_px, counts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Counts the levels that points of lines meet in a photo, seen from N poses; outside is not counted.
+def sum_along_lines(lines, rotations, centers, roofs_m, intrinsics, levels, offset_px, own_m, worth, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Adds up what the levels are worth that points of lines meet in a photo; outside is worth nothing.
+
+    For N poses, and for each building by itself at D heights of its roof.
 
     Args:
-        points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
-        rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
-        kinds: (P,) int64 which histogram a point belongs to.
+        lines: Their P points.
         rotations: (N, 3, 3) cam_from_world.
         centers: (N, 3) metres.
-        roofs_m: (N,) how much higher than the points say roofs are taken to be, metres.
+        roofs_m: (N,) how much higher than the points say all roofs are taken to be, metres.
         intrinsics: fx, fy, cx, cy.
         levels: (H, W, 12) uint8 of ``directed_edge_levels``.
         offset_px: How far beside the line to look.
-        counts: (N, K, 16) int64 to add to.
+        own_m: (D,) how much higher than that the building's own roof is, metres.
+        worth: (K, 16) float64 of each level, by the points' kinds.
+        sums: (N, B, D) float64 to add to.
     """
+    points, rises, kinds, buildings = lines
     height, width = levels.shape[:2]
     focal_x, focal_y, middle_x, middle_y = intrinsics
     for n in range(len(rotations)):
+        up_x, up_y, up_z = rotations[n, 0, 2], rotations[n, 1, 2], rotations[n, 2, 2]
         for i in range(len(points)):
             p, q = points[i, 0], points[i, 1]
             p_z, q_z = p[2] + rises[i, 0] * roofs_m[n], q[2] + rises[i, 1] * roofs_m[n]
@@ -103,16 +123,21 @@ def count_levels(points, rises, kinds, rotations, centers, roofs_m, intrinsics, 
             s, t, r = camera_axes(q[0], q[1], q_z, rotations[n], centers[n])
             if z < 1.0 or r < 1.0:
                 continue
-            u, v = focal_x * x / z + middle_x, focal_y * y / z + middle_y
-            along_u, along_v = focal_x * s / r + middle_x - u, focal_y * t / r + middle_y - v
-            across_u, across_v = -along_v, along_u
-            if offset_px != 0.0:
-                length = max(np.sqrt(across_u * across_u + across_v * across_v), 1e-12)
-                u += offset_px * across_u / length
-                v += offset_px * across_v / length
-            if not (0.0 <= u < width and 0.0 <= v < height):
-                continue
-            counts[n, kinds[i], levels[int(v), int(u), _direction(across_u, across_v)]] += 1
+            across_u = focal_y * (y / z - t / r)
+            across_v = focal_x * (s / r - x / z)
+            # A roof of another height shifts its lines; that it turns them is left out.
+            direction = _direction(across_u, across_v)
+            length = max(np.sqrt(across_u * across_u + across_v * across_v), 1e-12)
+            left, top = middle_x + offset_px * across_u / length, middle_y + offset_px * across_v / length
+            for d in range(len(own_m)):
+                up = rises[i, 0] * own_m[d]
+                depth = z + up * up_z
+                if depth < 1.0:
+                    continue
+                u, v = left + focal_x * (x + up * up_x) / depth, top + focal_y * (y + up * up_y) / depth
+                if 0.0 <= u < width and 0.0 <= v < height:
+                    level = levels[int(v), int(u), direction]
+                    sums[n, buildings[i], d] += worth[kinds[i], level]
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")

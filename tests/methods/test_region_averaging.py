@@ -18,18 +18,8 @@ class Independent:
         self.log_density = log_density
 
     def mean(self, vector=MODE, covariance=COVARIANCE):
-        """Returns what is found: a quarter of the density is the prior, three are half of the nats."""
-
-        def log_density(vectors):
-            return self.log_density(vectors).sum(axis=1)
-
-        return posterior_mean(
-            lambda poses: 1.5 * log_density(poses),
-            lambda poses: 0.25 * log_density(poses),
-            0.5,
-            vector,
-            covariance,
-        )
+        """Returns what is found."""
+        return posterior_mean(lambda poses: self.log_density(poses).sum(axis=1), vector, covariance)
 
     def means(self):
         """Returns the (6,) means by integrating each axis by itself."""

@@ -1,4 +1,4 @@
-"""Roofs that are all higher or lower than in the map: drawn, told from photos, and given back."""
+"""Roofs higher or lower than in the map, all alike or each by itself: drawn, and told from photos."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymap import CityMap
+from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
 from lodbench.methods.region import Params, Region
@@ -18,7 +19,7 @@ from lodbench.methods.region.lines import LineFit
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, RoofEvidence, step_of
 from lodbench.storage import random_stream
 from lodbench.synthesis.views_dataset import World
-from tests.town import CAMERA
+from tests.town import CAMERA, prior_of, true_poses
 
 
 def photo_of(drawn, truth, number):
@@ -106,3 +107,50 @@ def test_a_map_whose_roofs_err_alike_leads_no_answer_astray(city_map, roofs, que
             found.append(pose_error(estimate.pose, truth).translation_m)
     trusting, doubting = (np.median(found) for found in errors.values())
     assert doubting < 0.6 * trusting
+
+
+@pytest.fixture
+def uneven(scene, roofs):
+    """Returns the town with every other roof 1.5 m higher and the rest 1.5 m lower, and by how much."""
+    own_m = np.where(np.arange(scene.num_buildings) % 2 == 0, 1.5, -1.5)
+    return roofs.each_by_itself(own_m), own_m
+
+
+def test_each_roof_is_drawn_at_its_own_height(scene, roofs, uneven, truths):
+    """Each building as the one town or the other has it; what both see is not asked twice of one map."""
+    town, own_m = uneven
+    owner = np.repeat(own_m > 0, np.diff(scene.vertex_starts))
+    higher, lower = (roofs.at(step).scene.vertices for step in (3, -3))
+    np.testing.assert_allclose(town.at(0).scene.vertices, np.where(owner[:, None], higher, lower), atol=1e-5)
+    assert not np.array_equal(town.at(0).scene.vertices, roofs.at(0).scene.vertices)
+
+
+def test_lines_tell_each_roof_s_height(roofs, uneven, queries, truths):
+    """From the true pose, of roofs that make up enough of a photo; of those not in view it stays."""
+    town, own_m = uneven
+    found, true = [], []
+    for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
+        vector = np.append(vector_from_pose(truth), 0.0)
+        fit = LineFit(photo_of(town.at(0), truth, number), query, roofs, vector, 1.0, Params())
+        told = fit.own_roofs_m(vector)
+        is_told = np.abs(told) > 0.3
+        found.extend(told[is_told])
+        true.extend(own_m[is_told])
+        assert (told[np.setdiff1d(np.arange(len(told)), fit.buildings)] == 0.0).all()
+    assert len(found) > 2 * len(truths)
+    assert np.mean(np.sign(found) == np.sign(true)) > 0.9
+
+
+def test_roofs_that_err_each_by_itself_lead_no_answer_astray(city_map, uneven, tmp_path):
+    """Photos of the uneven town, over the map that does not know."""
+    errors = {0.0: [], 1.0: []}
+    for number, truth in enumerate(true_poses(6).values()):
+        path = tmp_path / f"{number}.png"
+        cv2.imwrite(str(path), photo_of(uneven[0].at(0), truth, number))
+        query = Query(path.name, "all", CAMERA, prior_of(truth), None, path)
+        for own_roofs_m, found in errors.items():
+            method = Region(Params(fine_width=200, starts=4, modes=2, own_roofs_m=own_roofs_m))
+            estimate = method.localize(query, city_map, partial(random_stream, 0, "test"))
+            found.append(pose_error(estimate.pose, truth).translation_m)
+    trusting, doubting = (np.mean(found) for found in errors.values())
+    assert doubting < 0.85 * trusting

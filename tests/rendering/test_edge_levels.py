@@ -1,4 +1,4 @@
-"""Levels of edges by direction, and their counts along lines, against plain numpy."""
+"""Levels of edges by direction, and their sums along lines, against plain numpy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ import numpy as np
 
 from lodbench.geometry import Camera, EulerAngles
 from lodbench.geometry.angles import rotation_from_euler
-from lodbench.rendering.edge_levels import DIRECTIONS, EDGE_LEVELS, count_levels, directed_edge_levels
+from lodbench.rendering.edge_levels import (
+    DIRECTIONS,
+    EDGE_LEVELS,
+    LinePoints,
+    directed_edge_levels,
+    sum_along_lines,
+)
 
 
 def test_levels_are_equally_full_and_have_the_edge_s_direction():
@@ -30,34 +36,34 @@ def test_exposure_and_colours_of_grey_change_no_level():
     )
 
 
-def test_counts_are_those_of_points_one_by_one():
+def test_sums_are_those_of_points_one_by_one():
     rng = np.random.default_rng(2)
     camera = Camera(96, 64, 80.0, 79.0, 47.0, 33.0)
     levels = rng.integers(0, EDGE_LEVELS, (64, 96, DIRECTIONS)).astype(np.uint8)
     points = rng.uniform((-30, -30, -2), (30, 30, 20), (50, 2, 3))
-    kinds, rises, roofs_m = rng.integers(0, 2, 50), rng.random((50, 2)), np.array([0.0, 2.5])
+    kinds, buildings = rng.integers(0, 2, 50), rng.integers(0, 4, 50)
+    rises, roofs_m, own_m = rng.random((50, 2)), np.array([0.0, 2.5]), np.array([-1.0, 0.0, 1.5])
+    worth = rng.normal(size=(2, EDGE_LEVELS))
     centers = np.array([[0.0, 0.0, 60.0], [3.0, -2.0, 55.0]])
     rotations = np.stack([rotation_from_euler(EulerAngles(p, 1.0, 20.0)) for p in (0.0, 25.0)])
+    lines, view = LinePoints(points, rises, kinds, buildings), (rotations, centers, roofs_m)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+
+    def seen(place, n):
+        x, y, z = rotations[n] @ (place - centers[n])
+        return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+
     for offset in (0.0, 3.0):
-        counts = np.zeros((2, 2, EDGE_LEVELS), dtype=np.int64)
-        seen = rotations, centers, roofs_m, intrinsics, levels
-        count_levels(points, rises, kinds, *seen, offset, counts)
-        expected = np.zeros_like(counts)
-        for n in range(2):
-            raised = points.copy()
-            raised[..., 2] += rises * roofs_m[n]
-            for (first, second), kind in zip(raised, kinds, strict=True):
-                a, b = (rotations[n] @ (p - centers[n]) for p in (first, second))
-                here, there = (
-                    np.array([camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy])
-                    for p in (a, b)
-                )
-                along = there - here
-                angle = np.arctan2(along[0], -along[1])
-                u, v = here + offset * np.array([np.cos(angle), np.sin(angle)])
-                if 0 <= u < 96 and 0 <= v < 64:
-                    direction = int(np.floor(angle / np.pi * DIRECTIONS + 0.5)) % DIRECTIONS
-                    expected[n, kind, levels[int(v), int(u), direction]] += 1
-        np.testing.assert_array_equal(counts, expected)
-        assert counts.sum() > 40
+        sums, expected = np.zeros((2, 4, 3)), np.zeros((2, 4, 3))
+        sum_along_lines(lines, *view, intrinsics, levels, offset, own_m, worth, sums)
+        for n, i, d in np.ndindex(2, 50, 3):
+            first, second = points[i] + np.outer(rises[i] * roofs_m[n], [0.0, 0.0, 1.0])
+            along = seen(second, n) - seen(first, n)
+            angle = np.arctan2(along[0], -along[1])
+            place = first + np.array([0.0, 0.0, rises[i, 0] * own_m[d]])
+            u, v = seen(place, n) + offset * np.array([np.cos(angle), np.sin(angle)])
+            if 0 <= u < 96 and 0 <= v < 64:
+                direction = int(np.floor(angle / np.pi * DIRECTIONS + 0.5)) % DIRECTIONS
+                expected[n, buildings[i], d] += worth[kinds[i], levels[int(v), int(u), direction]]
+        np.testing.assert_allclose(sums, expected, atol=1e-9)
+        assert np.count_nonzero(sums) == sums.size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
 from lodbench.methods.protocol import Streams
+from lodbench.methods.region.aligned import aligned_by_lines
 from lodbench.methods.region.averaging import posterior_mean
 from lodbench.methods.region.evidence import PhotoFit
-from lodbench.methods.region.lines import aligned_by_lines
 from lodbench.methods.region.map_errors import covariance_under_map_errors
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
@@ -22,7 +23,8 @@ from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES
 from lodbench.methods.region.uncertainty import information_at
 
 Floats = NDArray[np.float64]
-Nats = Callable[[Floats], Floats]
+# Of (N, 7) poses and roofs, and of a share of the photo's nats.
+Nats = Callable[[Floats, float], Floats]
 
 
 class Answer(NamedTuple):
@@ -32,7 +34,7 @@ class Answer(NamedTuple):
         vector: (6,) the mean of the poses around the best one, or by lines around theirs.
         covariance: (6, 6) of the answer's error.
         if_map_is_right: (6, 6) the same if the map had no errors.
-        apart_m: How far the place by the model's lines is from that by regions and outlines.
+        apart_m: How far the place by the model's lines is from the best by regions and outlines.
         sharpness: How sharply the photo's edges fall off beside those lines.
     """
 
@@ -66,51 +68,63 @@ class Answering:
     ) -> None:
         self._photo, self._query, self._roofs = photo, query, roofs
         self._around, self._params = around, params
-        fit = PhotoFit(photo, working_size(query.camera, params.fine_width), params, is_coarse=False)
-        self._fine = RoofEvidence(query, roofs, fit, params)
-        # Lines say what edges say, and more: the regions join them without.
-        self._regions = RoofEvidence(query, roofs, fit.with_edges(0.0), params)
+        self._fit = PhotoFit(photo, working_size(query.camera, params.fine_width), params, is_coarse=False)
 
     def answer(self, best: Floats, streams: Streams) -> Answer:
         """Returns the answer near the best pose, (6,): by lines where edges are sharp beside them."""
         params, start = self._params, np.append(best, 0.0)
-        covariance, if_map_is_right = self._certainty(self._fine.nats, start)
-        mean = start
-        if params.mean_pixels > 0:
-            size = working_size(self._query.camera, params.mean_width)
-            wide = RoofEvidence(self._query, self._roofs, PhotoFit(self._photo, size, params, False), params)
-            mean = self._mean(wide.nats, start, covariance)
-        by_regions = Answer(mean[:6], covariance, if_map_is_right, *TYPICAL_LINES)
         if params.lines_weight <= 0:
-            return by_regions
+            return self._by_regions(start, *TYPICAL_LINES)
+        # Lines say what edges say, and more: the regions join them without.
+        fit = self._fit.with_edges(0.0)
         of_photo = self._photo, self._query, self._roofs
-        lines = aligned_by_lines(*of_photo, mean, self._regions, self._around, params, streams)
-        if lines is None:
-            return by_regions._replace(apart_m=NO_LINES[0], sharpness=NO_LINES[1])
-        apart_m = float(np.linalg.norm((lines.vector - mean)[:3]))
-        if lines.sharpness < params.least_sharpness:
-            return by_regions._replace(apart_m=apart_m, sharpness=lines.sharpness)
-        covariance, if_map_is_right = self._certainty(lines.nats, lines.vector)
-        mean = lines.vector
-        if params.mean_pixels > 0:
-            mean = self._mean(lines.nats, mean, covariance)
-        return Answer(mean[:6], covariance, if_map_is_right, apart_m, lines.sharpness)
+        regions_of = partial(RoofEvidence, self._query, fit=fit, params=params)
+        aligned = aligned_by_lines(*of_photo, start, regions_of, self._around, params, streams)
+        if aligned is None:
+            return self._by_regions(start, *NO_LINES)
+        apart_m = float(np.linalg.norm((aligned.vector - start)[:3]))
+        if aligned.sharpness < params.least_sharpness:
+            return self._by_regions(start, apart_m, aligned.sharpness)
+        covariances = self._certainty(aligned.nats, aligned.vector, aligned.regions)
+        mean = self._mean(aligned.nats, aligned.vector, covariances[0], aligned.regions)
+        return Answer(mean[:6], *covariances, apart_m, aligned.sharpness)
 
-    def _certainty(self, nats: Nats, vector: Floats) -> tuple[Floats, Floats]:
+    def _by_regions(self, vector: Floats, apart_m: float, sharpness: float) -> Answer:
+        """Returns the mean of what regions and outlines leave around (7,), of a wider photo."""
+        params, of_map = self._params, (self._query, self._roofs)
+        fine = RoofEvidence(*of_map, self._fit, params)
+        covariances = self._certainty(_of_share(fine), vector, fine)
+        size = working_size(self._query.camera, params.mean_width)
+        wide = RoofEvidence(*of_map, PhotoFit(self._photo, size, params, is_coarse=False), params)
+        mean = self._mean(_of_share(wide), vector, covariances[0], wide)
+        return Answer(mean[:6], *covariances, apart_m, sharpness)
+
+    def _certainty(self, nats: Nats, vector: Floats, regions: RoofEvidence) -> tuple[Floats, Floats]:
         """Returns the covariance (6, 6) of an answer's error, and the same if the map had none."""
-        pose, evidence = vector[:6], self._fine.at(float(vector[6]))
+        pose, evidence = vector[:6], regions.at(float(vector[6]))
 
         def of_poses(poses: Floats) -> Floats:
-            return nats(np.column_stack([poses, np.full(len(poses), vector[6])]))
+            return nats(np.column_stack([poses, np.full(len(poses), vector[6])]), 1.0)
 
         information = information_at(of_poses, pose, evidence, self._around)
         prior, outline = evidence.prior_information(), self._around.outline(pose, evidence)
         covariance = covariance_under_map_errors(information, prior, outline)
         return covariance, np.asarray(np.linalg.inv(information + prior))
 
-    def _mean(self, nats: Nats, vector: Floats, covariance: Floats) -> Floats:
-        share, spread = self._params.mean_share(), self._fine.widened(covariance)
-        return posterior_mean(nats, self._fine.log_prior, share, vector, spread)
+    def _mean(self, nats: Nats, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
+        """Returns the posterior's mean around (7,); of ``mean_pixels`` = 0, the point itself."""
+        share = self._params.mean_share()
+        if share <= 0:
+            return vector
+
+        def posterior(vectors: Floats) -> Floats:
+            return nats(vectors, share) + regions.log_prior(vectors)
+
+        return posterior_mean(posterior, vector, regions.widened(covariance))
+
+
+def _of_share(evidence: RoofEvidence) -> Nats:
+    return lambda vectors, share: share * evidence.nats(vectors)
 
 
 def working_size(camera: Camera, width: int) -> tuple[int, int]:

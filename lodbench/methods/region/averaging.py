@@ -24,9 +24,7 @@ _WIDTH, _KEPT = 1.1, 0.3
 
 
 def posterior_mean(
-    nats: Callable[[Floats], Floats],
-    log_prior: Callable[[Floats], Floats],
-    share: float,
+    log_posterior: Callable[[Floats], Floats],
     vector: Floats,
     covariance: Floats,
 ) -> Floats:
@@ -36,9 +34,7 @@ def posterior_mean(
     density; the next Gaussian is theirs (Bugallo et al., "Adaptive importance sampling", 2017).
 
     Args:
-        nats: (N, D) points to the (N,) logarithm of the photo's likelihood, up to a constant.
-        log_prior: The same of the prior.
-        share: Of the likelihood's nats that count.
+        log_posterior: (N, D) points to the (N,) logarithm of their posterior, up to a constant.
         vector: (D,) the best point.
         covariance: (D, D) how far the mean may be from it.
     """
@@ -52,7 +48,7 @@ def posterior_mean(
         # The symmetric root: it does not depend on the signs that a library of linear algebra gives axes.
         root = (axes * np.sqrt(np.maximum(squares, 0.0))) @ axes.T
         poses = means[-1] + _WIDTH * moves @ root
-        logs = share * nats(poses) + log_prior(poses) + 0.5 * (moves**2).sum(axis=1)
+        logs = log_posterior(poses) + 0.5 * (moves**2).sum(axis=1)
         weights = np.exp(logs - logs.max())
         weights /= weights.sum()
         means.append(weights @ poses)

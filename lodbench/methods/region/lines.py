@@ -7,21 +7,19 @@ coarse one over many.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp, softmax
 
 from lodbench.datasets.query import Query
+from lodbench.geometry import Camera
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
-from lodbench.methods.protocol import Streams
-from lodbench.methods.region.evolution import Cloud, climb
 from lodbench.methods.region.params import Params
-from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, RoofEvidence, step_of
-from lodbench.methods.region.search import Surroundings
-from lodbench.rendering.edge_levels import EDGE_LEVELS, count_levels, directed_edge_levels
+from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
+from lodbench.rendering.edge_levels import EDGE_LEVELS, LinePoints, directed_edge_levels, sum_along_lines
 
 Floats = NDArray[np.float64]
 
@@ -29,15 +27,16 @@ Floats = NDArray[np.float64]
 _CREASE_DEG, _SPACING_PX, _SHORTEST_PX = 25.0, 3.0, 2.0
 # Most points: more say no more.
 _MOST_POINTS = 1500
-# The photo's blur in each round, pixels, and how far outlines lie apart as it begins, of the fine size.
-_ROUNDS = ((3.0, 2.5), (1.5, 1.5), (1.0, 1.0))
-_GENERATIONS = 14
-# How far roofs lie apart as a round begins, metres.
-_ROOFS_APART_M = 0.5
 # How strongly edges may stand out along lines: 0 not at all, 1 as ``_RISE`` says.
 _STRENGTHS = np.linspace(0.0, 0.97, 12)
 # Beside a line: what is on it, what is near it and what is far from it, pixels.
 _ON, _NEAR, _FAR = (-1.0, 0.0, 1.0), (-4.0, -3.0, 3.0, 4.0), (-10.0, -9.0, -8.0, 8.0, 9.0, 10.0)
+
+
+# How much higher a roof may be by itself, deviations, and how many it ends from the map at most.
+_OWN, _MOST_SIGMAS = np.arange(-3.0, 4.0), 4.0
+# The deviation of roofs that are told not to err.
+_LEAST_SIGMA_M = 1e-9
 
 
 def _log_ratios() -> Floats:
@@ -51,10 +50,14 @@ def _log_ratios() -> Floats:
 
 
 _RATIOS = _log_ratios()
+_ONES = np.ones((2, EDGE_LEVELS))
 
 
 class LineFit:
     """What the photo's edges say of poses near one: the lines visible from there, wherever they then fall.
+
+    Each roof may be higher or lower by itself besides. The likelihood is the sum over how much, building by
+    building: where a map's roofs err each in its own way, lines say less, but nothing wrong.
 
     Args:
         photo: As of ``read_picture``.
@@ -63,6 +66,9 @@ class LineFit:
         vector: (7,) the pose that they are seen from, and how much higher all roofs then are.
         blur_px: Of the photo, pixels of the working size.
         params: The method's.
+
+    Attributes:
+        buildings: Those of the map whose lines are seen.
     """
 
     def __init__(
@@ -79,35 +85,40 @@ class LineFit:
         camera = query.camera.scaled(*size)
         self._intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._levels = directed_edge_levels(photo, size, blur_px)
-        pose, step = pose_from_vector(vector[:6]), int(step_of(vector[6]))
-        (seen,) = roofs.at(step).edges(camera, pose.rotation[None], pose.center[None], _CREASE_DEG)
-        lengths = np.linalg.norm(seen.pixels[:, 1] - seen.pixels[:, 0], axis=1)
-        lines = np.flatnonzero(seen.is_visible & (lengths > _SHORTEST_PX))
-        self._spacing = max(_SPACING_PX, float(lengths[lines].sum()) / _MOST_POINTS)
-        counts = np.maximum(1, np.rint(lengths[lines] / self._spacing).astype(np.int64))
-        rows = np.repeat(lines, counts)
-        first = np.repeat(np.cumsum(counts) - counts, counts)
-        place = (np.arange(len(rows)) - first + 0.5) / np.repeat(counts, counts)
-        starts, along = seen.points[rows, 0], seen.points[rows, 1] - seen.points[rows, 0]
-        points = starts + place[:, None] * along
-        # Halfway to the end of the line, its direction is the same.
-        self._points = np.stack([points, points + 0.5 * (1.0 - place)[:, None] * along], axis=1)
-        owners, heights = seen.building[rows], self._points[..., 2]
-        self._rises = np.stack([roofs.shares(each, owners, step) for each in heights.T], axis=1)
-        self._roofs_m = step * STEP_M
-        self._kinds = seen.kind[rows].astype(np.int64)
-        self._weight = params.lines_weight * self._spacing
+        step = int(step_of(vector[6]))
+        points, spacing_px = _points_on_lines(roofs, step, camera, vector[:6])
+        self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
+        self._points = points._replace(buildings=buildings)
+        self._roofs, self._roofs_m = roofs, step * STEP_M
+        self._weight = params.lines_weight * spacing_px
+        self._sigma_m = max(params.own_roofs_m, _LEAST_SIGMA_M)
+        self._own_m = params.own_roofs_m * (_OWN if params.own_roofs_m > 0 else _OWN[:1])
+        in_all = (roofs.own_m[self.buildings, None] + self._own_m) / self._sigma_m
+        self._log_prior = -0.5 * in_all**2 - logsumexp(-0.5 * (self._own_m / self._sigma_m) ** 2)
+        self._strengths = np.array([len(_STRENGTHS) // 2] * 2)
+        for kind in (0, 1, 0, 1):
+            self._strengths[kind] = self._best_strength(kind, vector)
 
     def __len__(self) -> int:
-        return len(self._kinds)
+        return len(self._points.kinds)
 
-    def __call__(self, vectors: Floats) -> Floats:
+    def __call__(self, vectors: Floats, share: float = 1.0) -> Floats:
         """Returns the (N,) logarithm of the likelihood of poses and roofs (N, 7), up to a constant.
 
-        How strongly edges stand out along outlines and along creases is taken as fits each pose best.
+        How strongly edges stand out along outlines and along creases is taken as fits the first pose best.
+
+        Args:
+            vectors: Poses and roofs.
+            share: Of the photo's nats that count.
         """
-        best = (self._counts(vectors) @ _RATIOS.T).max(axis=2)
-        return np.asarray(self._weight * best.sum(axis=1))
+        return np.asarray(logsumexp(self._of_buildings(vectors, share), axis=2).sum(axis=1))
+
+    def own_roofs_m(self, vector: Floats) -> Floats:
+        """Returns (B,) how much higher than all roofs each of the map is to be expected, metres."""
+        (logs,) = self._of_buildings(vector[None], 1.0)
+        own_m = self._roofs.own_m.copy()
+        own_m[self.buildings] += softmax(logs, axis=1) @ self._own_m
+        return np.clip(own_m, -_MOST_SIGMAS * self._sigma_m, _MOST_SIGMAS * self._sigma_m)
 
     def sharpness(self, vector: Floats) -> float:
         """Returns which share of their height edges have lost 3 to 4 pixels beside the lines.
@@ -116,63 +127,51 @@ class LineFit:
         """
         heights = []
         for offsets in (_ON, _NEAR, _FAR):
-            counts = sum(self._counts(vector[None], offset)[0] for offset in offsets)
-            ratio = _RATIOS[-1]
-            heights.append(float((counts @ ratio).sum() / max(np.sum(counts), 1)))
+            height, count = (
+                sum(float(self._sums(vector[None], worth, np.zeros(1), px).sum()) for px in offsets)
+                for worth in (_RATIOS[[-1, -1]], _ONES)
+            )
+            heights.append(height / max(count, 1.0))
         on, near, far = heights
         return (on - near) / (on - far) if on > far else 0.0
 
-    def _counts(self, vectors: Floats, offset_px: float = 0.0) -> NDArray[np.int64]:
-        counts = np.zeros((len(vectors), 2, EDGE_LEVELS), dtype=np.int64)
-        rotations = rotations_from_euler(vectors[:, 3:6])
-        centers = np.ascontiguousarray(vectors[:, :3])
+    def _best_strength(self, kind: int, vector: Floats) -> int:
+        likelihoods = []
+        for strength in range(len(_STRENGTHS)):
+            self._strengths[kind] = strength
+            likelihoods.append(float(self(vector[None])[0]))
+        return int(np.argmax(likelihoods))
+
+    def _of_buildings(self, vectors: Floats, share: float) -> Floats:
+        """Returns (N, B, D) the logarithm of likelihood and prior of each building's own roofs."""
+        sums = self._sums(vectors, _RATIOS[self._strengths], self._own_m)
+        return np.asarray(share * self._weight * sums + self._log_prior)
+
+    def _sums(self, vectors: Floats, worth: Floats, own_m: Floats, offset_px: float = 0.0) -> Floats:
+        sums = np.zeros((len(vectors), len(self.buildings), len(own_m)))
+        rotations, centers = rotations_from_euler(vectors[:, 3:6]), np.ascontiguousarray(vectors[:, :3])
         view = rotations, centers, vectors[:, 6] - self._roofs_m, self._intrinsics
-        count_levels(self._points, self._rises, self._kinds, *view, self._levels, offset_px, counts)
-        return counts
+        sum_along_lines(self._points, *view, self._levels, offset_px, own_m, worth, sums)
+        return sums
 
 
-class Aligned(NamedTuple):
-    """A pose and a height of roofs that put the model's lines on the photo's edges.
-
-    Attributes:
-        vector: (7,) both.
-        nats: (N, 7) such to the (N,) logarithm of the likelihood that they are best by.
-        sharpness: As of ``LineFit``: whether the map is exact enough for it to count.
-    """
-
-    vector: Floats
-    nats: Callable[[Floats], Floats]
-    sharpness: float
-
-
-def aligned_by_lines(
-    photo: NDArray[Any],
-    query: Query,
-    roofs: RaisedRoofs,
-    vector: Floats,
-    evidence: RoofEvidence,
-    around: Surroundings,
-    params: Params,
-    streams: Streams,
-) -> Aligned | None:
-    """Returns what is near (7,) and puts the model's lines on the photo's edges; None without lines in view.
-
-    Lines alone lead in the first rounds; in the last the regions have their say too.
-    """
-    for number, (blur_px, spread_px) in enumerate(_ROUNDS):
-        fit = LineFit(photo, query, roofs, vector, blur_px, params)
-        nats = fit if number < len(_ROUNDS) - 1 else _joined(fit, evidence)
-        cloud = around.cloud(vector[:6], evidence.at(vector[6]), spread_px)
-        if not len(fit) or cloud is None:
-            return None
-
-        def posterior(vectors: Floats, nats: Callable[[Floats], Floats] = nats) -> Floats:
-            return nats(vectors) + evidence.log_prior(vectors)
-
-        start = Cloud(vector, evidence.widened(cloud.covariance, _ROOFS_APART_M))
-        vector = climb(posterior, start, _GENERATIONS, params.population, streams("lines", number)).mean
-    return Aligned(vector, nats, fit.sharpness(vector))
-
-
-def _joined(fit: LineFit, evidence: RoofEvidence) -> Callable[[Floats], Floats]:
-    return lambda vectors: fit(vectors) + evidence.nats(vectors)
+def _points_on_lines(
+    roofs: RaisedRoofs, step: int, camera: Camera, vector: Floats
+) -> tuple[LinePoints, float]:
+    """Returns points evenly along the lines seen from a pose, (6,), and their distance, pixels."""
+    pose = pose_from_vector(vector)
+    (seen,) = roofs.at(step).edges(camera, pose.rotation[None], pose.center[None], _CREASE_DEG)
+    lengths = np.linalg.norm(seen.pixels[:, 1] - seen.pixels[:, 0], axis=1)
+    lines = np.flatnonzero(seen.is_visible & (lengths > _SHORTEST_PX))
+    spacing_px = max(_SPACING_PX, float(lengths[lines].sum()) / _MOST_POINTS)
+    counts = np.maximum(1, np.rint(lengths[lines] / spacing_px).astype(np.int64))
+    rows = np.repeat(lines, counts)
+    first = np.repeat(np.cumsum(counts) - counts, counts)
+    place = (np.arange(len(rows)) - first + 0.5) / np.repeat(counts, counts)
+    starts, along = seen.points[rows, 0], seen.points[rows, 1] - seen.points[rows, 0]
+    points = starts + place[:, None] * along
+    # Halfway to the end of the line, its direction is the same.
+    pairs = np.stack([points, points + 0.5 * (1.0 - place)[:, None] * along], axis=1)
+    owners = seen.building[rows]
+    rises = np.stack([roofs.shares(each, owners, step) for each in pairs[..., 2].T], axis=1)
+    return LinePoints(pairs, rises, seen.kind[rows].astype(np.int64), owners), spacing_px

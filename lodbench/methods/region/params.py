@@ -14,7 +14,7 @@ from lodbench.rendering.raster_rule import GUARD_PX
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 _AT_LEAST_0 = (
     *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
-    *("judging_edge_weight", "roofs_m", "mean_pixels", "lines_weight", "least_sharpness"),
+    *("judging_edge_weight", "roofs_m", "own_roofs_m", "mean_pixels", "lines_weight", "least_sharpness"),
 )
 _POSITIVE = ("stride_m", "stride_z_m", "stride_yaw_deg", "coarse_spread_px", "fine_spread_px", "edge_blur_px")
 
@@ -53,6 +53,7 @@ class Params:
         edge_blur_px: Blur of the photo before edges are looked for, pixels of the fine size.
         roofs_m: How far all roofs may be higher or lower than in the map, all alike: a standard deviation,
             metres; 0 for a map whose roofs do not err.
+        own_roofs_m: The same of each roof by itself.
         mean_width: Width of silhouettes where the answer becomes the mean of the posterior, pixels.
         mean_pixels: How many independent pixels a photo is worth there, ``effective_pixels`` at most; 0
             leaves the answer at the best pose.
@@ -88,11 +89,12 @@ class Params:
     judging_edge_weight: float = 20.0
     edge_blur_px: float = 1.0
     roofs_m: float = 0.5
+    own_roofs_m: float = 0.5
     mean_width: int = 640
     mean_pixels: float = 500.0
     lines_width: int = 960
-    lines_weight: float = 0.1
-    least_sharpness: float = 0.5
+    lines_weight: float = 0.07
+    least_sharpness: float = 0.3
 
     def __post_init__(self) -> None:
         widths = ("coarse_width", "fine_width", "mean_width", "lines_width")

@@ -7,6 +7,7 @@ tells by how much, and a camera that has to make up for it ends too high or too 
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 
@@ -38,15 +39,25 @@ class RaisedRoofs:
     Args:
         city_map: The map.
         part: The scene of those of its buildings that are to be drawn.
+
+    Attributes:
+        own_m: (B,) how much higher than all the others each roof is, metres.
     """
 
     def __init__(self, city_map: CityMap, part: Scene) -> None:
         self._map, self._part = city_map, part
+        self.own_m = np.zeros(part.num_buildings)
         self._drawn: dict[int, CityMap] = {}
         boxes = building_boxes(part)
         self._floors, self._rises = np.zeros((2, part.num_buildings))
         self._floors[boxes.building] = boxes.low[:, 2]
         self._rises[boxes.building] = boxes.high[:, 2] - boxes.low[:, 2]
+
+    def each_by_itself(self, own_m: Floats) -> RaisedRoofs:
+        """Returns the same buildings with each roof so much higher than all the others, (B,) metres."""
+        other = copy(self)
+        other.own_m, other._drawn = own_m, {}
+        return other
 
     def at(self, step: int) -> CityMap:
         """Returns the map of the buildings with roofs so many steps higher."""
@@ -55,7 +66,7 @@ class RaisedRoofs:
             owner = np.repeat(np.arange(part.num_buildings), np.diff(part.vertex_starts))
             heights = part.vertices[:, 2].astype(np.float64)
             vertices = part.vertices.copy()
-            vertices[:, 2] = heights + self.shares(heights, owner, 0) * self._raised(step)[owner]
+            vertices[:, 2] = heights + self._shares(heights, owner, self._rises) * self._raised(step)[owner]
             # By the engine, whoever draws the map: a dozen of these live and die with each query.
             drawn = CityMap(replace(part, vertices=vertices), threads=self._map.threads)
             drawn.usage = self._map.usage
@@ -72,14 +83,17 @@ class RaisedRoofs:
             buildings: (N,) of the part.
             step: Of the map that the points are of.
         """
-        tall = (self._rises + self._raised(step))[buildings]
+        return self._shares(heights, buildings, self._rises + self._raised(step))
+
+    def _shares(self, heights: Floats, buildings: NDArray[np.int64], rises: Floats) -> Floats:
+        tall = rises[buildings]
         shares = (heights - self._floors[buildings]) / np.maximum(tall, _FLAT_M)
         return np.asarray(np.where(tall > _FLAT_M, np.clip(shares, 0.0, 1.0), 0.0))
 
     def _raised(self, step: int) -> Floats:
         """Returns (B,) by how much each roof is higher at a step, metres; what is flat has none."""
         lowest = np.minimum(_LOWEST_M - self._rises, 0.0)
-        return np.where(self._rises > _FLAT_M, np.maximum(step * STEP_M, lowest), 0.0)
+        return np.where(self._rises > _FLAT_M, np.maximum(step * STEP_M + self.own_m, lowest), 0.0)
 
 
 def step_of(roofs_m: Floats) -> NDArray[np.int64]:
