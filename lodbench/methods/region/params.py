@@ -89,7 +89,7 @@ class Params:
     judging_edge_weight: float = 20.0
     edge_blur_px: float = 1.0
     roofs_m: float = 0.5
-    own_roofs_m: float = 0.5
+    own_roofs_m: float = 0.7
     mean_width: int = 640
     mean_pixels: float = 500.0
     lines_width: int = 960
