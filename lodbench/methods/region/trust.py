@@ -13,8 +13,8 @@ _LEAST_PROBABILITY, _APART_M, _LEAST_FIT, _MOST_BEYOND = 0.02, 0.3, 0.01, 0.5
 # Logistic regression on 142 answers of the search before docs/adr/0052, then fitted again, held to those
 # weights, to 128 of the present one, 108 of them within (2 m, 2 deg): drawn photos in the look `hard`, seeds
 # 102 and 103, over UAVD4L-LoD1, 3DBAG, PLATEAU 52397519 and North Rhine-Westphalia, and the eight labelled
-# real photos, which weigh as much as all drawn ones. Each weight was held to one sign. docs/adr/0053 says what
-# it does on what it has not seen.
+# real photos, which weigh as much as all drawn ones. Each weight was held to one sign. docs/adr/0053 says
+# what it does on what it has not seen.
 _CONSTANT = -0.23
 _OF_ODDS, _OF_AGREEMENT, _OF_SHARPNESS, _OF_FIT, _OF_BEYOND = 0.56, 1.22, 4.93, 1.01, 17.5
 
