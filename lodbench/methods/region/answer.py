@@ -94,6 +94,8 @@ class Answering:
         params, of_map = self._params, (self._query, self._roofs)
         fine = RoofEvidence(*of_map, self._fit, params)
         covariances = self._certainty(_of_share(fine), vector, fine)
+        if params.mean_pixels <= 0:
+            return Answer(vector[:6], *covariances, apart_m, sharpness)
         size = working_size(self._query.camera, params.mean_width)
         wide = RoofEvidence(*of_map, PhotoFit(self._photo, size, params, is_coarse=False), params)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
