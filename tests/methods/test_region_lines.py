@@ -60,6 +60,14 @@ def test_an_exact_map_is_sharp_and_a_smeared_photo_is_not(roofs, queries, truths
     assert fit_of(smeared, query, roofs, truth).sharpness(vector) < Params().least_sharpness
 
 
+def test_a_photo_without_edges_is_not_sharp(roofs, queries, truths):
+    """Where nothing stands out, what is left of nothing says nothing."""
+    for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
+        noise = random_stream(0, "noise", number).integers(0, 256, (CAMERA.height, CAMERA.width))
+        sharpness = fit_of(noise.astype(np.uint8), query, roofs, truth).sharpness(with_roofs(truth))
+        assert sharpness < Params().least_sharpness
+
+
 def test_the_method_ends_nearer_with_lines(city_map, tmp_path):
     """Best poses of six photos, over a map that is exact and told to be."""
     errors = {0.0: [], Params().lines_weight: []}

@@ -27,12 +27,12 @@ Floats = NDArray[np.float64]
 _CREASE_DEG, _SPACING_PX, _SHORTEST_PX = 25.0, 3.0, 2.0
 # Most points: more say no more.
 _MOST_POINTS = 1500
-# How strongly edges may stand out along lines: 0 not at all, 1 as ``_RISE`` says.
+# How strongly edges may stand out along lines: 0 not at all, 1 as ``_log_ratios`` says.
 _STRENGTHS = np.linspace(0.0, 0.97, 12)
 # Beside a line: what is on it, what is near it and what is far from it, pixels.
 _ON, _NEAR, _FAR = (-1.0, 0.0, 1.0), (-4.0, -3.0, 3.0, 4.0), (-10.0, -9.0, -8.0, 8.0, 9.0, 10.0)
-
-
+# What lines of real photos stand out by at least; a share of less than that says nothing.
+_LEAST_CONTRAST = 0.5
 # How much higher a roof may be by itself, deviations, and how many it ends from the map at most.
 _OWN, _MOST_SIGMAS = np.arange(-3.0, 4.0), 4.0
 # The deviation of roofs that are told not to err.
@@ -123,7 +123,7 @@ class LineFit:
     def sharpness(self, vector: Floats) -> float:
         """Returns which share of their height edges have lost 3 to 4 pixels beside the lines.
 
-        1 beside lines drawn by a pen, 0 where nothing stands out.
+        1 beside lines drawn by a pen, 0 or less where nothing stands out.
         """
         heights = []
         for offsets in (_ON, _NEAR, _FAR):
@@ -133,7 +133,7 @@ class LineFit:
             )
             heights.append(height / max(count, 1.0))
         on, near, far = heights
-        return (on - near) / (on - far) if on > far else 0.0
+        return (on - max(near, far)) / max(on - far, _LEAST_CONTRAST)
 
     def _best_strength(self, kind: int, vector: Floats) -> int:
         likelihoods = []
