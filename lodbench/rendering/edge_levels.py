@@ -63,7 +63,7 @@ def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: fl
     lab = cv2.GaussianBlur(cv2.cvtColor(small / np.float32(255), cv2.COLOR_BGR2LAB), (0, 0), blur_px)
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *axis, scale=0.125) for axis in ((1, 0), (0, 1)))
     # The strength along a direction is a quadratic form of it: three sums over the channels say all.
-    xx, xy, yy = ((p * q).sum(axis=2) for p, q in ((across, across), (across, down), (down, down)))
+    xx, xy, yy = (_over_channels(*pair) for pair in ((across, across), (across, down), (down, down)))
     around = mean_around(np.sqrt(xx + yy), size[0] / _AROUND_SHARE) + np.float32(1e-3)
     angles = np.arange(DIRECTIONS) * (np.pi / DIRECTIONS)
     turns = np.stack(
@@ -71,11 +71,29 @@ def directed_edge_levels(photo: NDArray[Any], size: tuple[int, int], blur_px: fl
     )
     forms = np.ascontiguousarray(np.stack([xx, xy, yy], axis=2) / (around**2)[..., None])
     some = np.sqrt(np.maximum(forms[::_STEP, ::_STEP] @ turns.T, 0.0)) * _FINE_STEPS
-    ends = np.quantile(np.minimum(np.floor(some), _FINEST), np.arange(1, EDGE_LEVELS) / EDGE_LEVELS)
-    # Strengths in fine steps are looked up in a table: a search for each would take longer than all else.
-    table = np.searchsorted(ends, np.arange(_FINEST + 1), side="right").astype(np.uint8)
-    levels: Levels = _looked_up(forms, turns, table)
+    levels: Levels = _looked_up(forms, turns, _level_table(np.minimum(some, _FINEST).astype(np.int64)))
     return levels
+
+
+def _over_channels(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.float32]:
+    """Returns the (H, W) sums of products over three channels; numpy's own over so short an axis are slow."""
+    product = one * other
+    return np.asarray(product[..., 0] + product[..., 1] + product[..., 2])
+
+
+def _level_table(steps: NDArray[np.int64]) -> Levels:
+    """Returns (4096,) the level of each fine step of strength, so that levels are equally full.
+
+    A search for the level of each strength would take longer than all else.
+
+    Args:
+        steps: Some of a photo, in fine steps.
+    """
+    up_to = np.bincount(steps.ravel(), minlength=_FINEST + 1).cumsum()
+    places = np.arange(1, EDGE_LEVELS) / EDGE_LEVELS * (steps.size - 1)
+    low, high = (np.searchsorted(up_to, whole(places), side="right") for whole in (np.floor, np.ceil))
+    ends = low + (high - low) * (places - np.floor(places))
+    return np.searchsorted(ends, np.arange(_FINEST + 1), side="right").astype(np.uint8)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -114,30 +132,33 @@ def sum_along_lines(lines, rotations, centers, roofs_m, intrinsics, levels, offs
     points, rises, kinds, buildings = lines
     height, width = levels.shape[:2]
     focal_x, focal_y, middle_x, middle_y = intrinsics
-    for n in range(len(rotations)):
-        up_x, up_y, up_z = rotations[n, 0, 2], rotations[n, 1, 2], rotations[n, 2, 2]
-        for i in range(len(points)):
-            p, q = points[i, 0], points[i, 1]
-            p_z, q_z = p[2] + rises[i, 0] * roofs_m[n], q[2] + rises[i, 1] * roofs_m[n]
+    # Poses in the inner loop: they are close together, and so is what they look up of one point.
+    for i in range(len(points)):
+        p, q, building, values = points[i, 0], points[i, 1], buildings[i], worth[kinds[i]]
+        rise, rise_along = rises[i, 0], rises[i, 1]
+        for n in range(len(rotations)):
+            p_z, q_z = p[2] + rise * roofs_m[n], q[2] + rise_along * roofs_m[n]
             x, y, z = camera_axes(p[0], p[1], p_z, rotations[n], centers[n])
             s, t, r = camera_axes(q[0], q[1], q_z, rotations[n], centers[n])
             if z < 1.0 or r < 1.0:
                 continue
-            across_u = focal_y * (y / z - t / r)
-            across_v = focal_x * (s / r - x / z)
             # A roof of another height shifts its lines; that it turns them is left out.
+            across_u, across_v = focal_y * (y * r - t * z), focal_x * (s * z - x * r)
             direction = _direction(across_u, across_v)
-            length = max(np.sqrt(across_u * across_u + across_v * across_v), 1e-12)
-            left, top = middle_x + offset_px * across_u / length, middle_y + offset_px * across_v / length
+            left, top = middle_x, middle_y
+            if offset_px != 0.0:
+                share = offset_px / max(np.sqrt(across_u * across_u + across_v * across_v), 1e-12)
+                left, top = left + share * across_u, top + share * across_v
+            up_x, up_y, up_z = rise * rotations[n, 0, 2], rise * rotations[n, 1, 2], rise * rotations[n, 2, 2]
             for d in range(len(own_m)):
-                up = rises[i, 0] * own_m[d]
-                depth = z + up * up_z
+                depth = z + own_m[d] * up_z
                 if depth < 1.0:
                     continue
-                u, v = left + focal_x * (x + up * up_x) / depth, top + focal_y * (y + up * up_y) / depth
+                near = 1.0 / depth
+                u = left + focal_x * (x + own_m[d] * up_x) * near
+                v = top + focal_y * (y + own_m[d] * up_y) * near
                 if 0.0 <= u < width and 0.0 <= v < height:
-                    level = levels[int(v), int(u), direction]
-                    sums[n, buildings[i], d] += worth[kinds[i], level]
+                    sums[n, building, d] += values[levels[int(v), int(u), direction]]
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")

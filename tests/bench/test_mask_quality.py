@@ -60,7 +60,7 @@ def report(sets):
 def test_overlaps_are_those_counted_by_hand(report):
     assert report.data["key"].tolist() == ["train/00", "train/01", "train/02"]
     for kind, overlap in {"mask": (300, 450), "ceiling": (300, 400), "visible": (300, 350)}.items():
-        assert (report.data[[f"{kind} shared", f"{kind} union"]] == overlap).all(axis=None)
+        assert (report.data[[f"{kind} shared", f"{kind} union"]] == list(overlap)).all(axis=None)
     figures = {figure.figure: figure.value for figure in report.figures}
     assert figures["mask_iou_mean"] == figures["mask_iou_pooled"] == pytest.approx(300 / 450)
     assert figures["mask_iou_ceiling_mean"] == pytest.approx(0.75)
