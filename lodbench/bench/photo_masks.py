@@ -197,8 +197,9 @@ def measure_photo_masks(
     with one_core():
         for number, (photo, truth) in enumerate(labelled, start=1):
             started = time.process_time()
-            found = found_mask(segmenter, photo, truth.shape) & ~_unknown(photo)
+            found = found_mask(segmenter, photo, truth.shape)
             seconds = time.process_time() - started
+            found &= ~_unknown(photo)
             measured.append(PhotoMask(photo.parent.parent.name, photo, truth, found, seconds))
             progress(number, len(labelled))
     return PhotoMaskReport(name_and_weights(segmenter), folder.name, tuple(measured), notes_of(segmenter))

@@ -91,12 +91,12 @@ def measure_real(
             for number, prior in enumerate(_priors(query, truth, options)):
                 asked = replace(query, prior=prior, hypotheses=(prior,))
                 streams = partial(random_stream, options.seed, "bench real", query.name, number, "search")
-                found = {"method": method.name, "photo": query.name}
+                found = {"method": method.name, "photo": entry.key}
                 found["prior"] = str(number) if number < options.priors else "published"
                 row, pose = _tried(method, asked, truth, city_map, streams)
                 rows.append(found | row)
                 if pose is not None:
-                    picture = f"{method.name}/{re.sub(r'[^A-Za-z0-9._-]', '_', query.name)}"
+                    picture = f"{method.name}/{re.sub(r'[^A-Za-z0-9._-]', '_', entry.key)}"
                     answers.setdefault(picture, []).append(_overlay(asked, truth, pose, row))
                 progress(len(rows), total)
     report = report_real(pd.DataFrame(rows), f"{dataset.name}: priors {options.prior.describe()}")

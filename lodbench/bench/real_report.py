@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lodbench.bench.figures import Figure, Report
 from lodbench.evaluation.queries import ERROR
 from lodbench.evaluation.recall import Threshold, hits_of
-from lodbench.evaluation.statistics import wilson_interval
+from lodbench.evaluation.statistics import bootstrap_ratio
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.figures import SERIES, draw_figure
 
@@ -95,13 +95,12 @@ def _summary(by_method: dict[str, pd.DataFrame]) -> str:
     cells = [["method", *head, "95 % at 2 m, 2 deg", "median", "s", "CPU s", "in said 95 %", "wrong flagged"]]
     for name, rows in by_method.items():
         middle = rows[[*ERROR, "seconds", "cpu_seconds"]].median()
-        low, high = wilson_interval(found(rows, _RIGHT))
         inside, share = held(rows), flagged(rows)
         cells.append(
             [
                 name,
                 *(f"{int(found(rows, limit).sum())} of {len(rows)}" for limit in LIMITS),
-                f"{low:.0f} to {high:.0f} %",
+                _interval(rows),
                 f"{middle[ERROR[0]]:.2f} m, {middle[ERROR[1]]:.2f} deg",
                 f"{middle['seconds']:.2f}",
                 f"{middle['cpu_seconds']:.2f}",
@@ -110,6 +109,15 @@ def _summary(by_method: dict[str, pd.DataFrame]) -> str:
             ]
         )
     return format_columns(cells)
+
+
+def _interval(trials: pd.DataFrame) -> str:
+    """Returns the 95 % interval of right answers over photos: answers to one share what is wrong with it."""
+    right = trials.assign(right=found(trials, _RIGHT)).groupby("photo")["right"].agg(["sum", "count"])
+    if len(right) < 2:
+        return "-"
+    low, high = bootstrap_ratio(*right.to_numpy(np.float64).T)
+    return f"{100.0 * low:.0f} to {100.0 * high:.0f} %"
 
 
 def _table(trials: pd.DataFrame) -> str:

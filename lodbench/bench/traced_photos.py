@@ -3,13 +3,13 @@
 Photos with poses over a map that anyone can download are rare; photos with traced buildings are not. A
 photo is taken for one that looks straight down: its outlines, laid on level ground, are the map, and
 where the photo hangs above them is the true pose. Pixels are real then, geometry is not: no walls, no
-relief, and the map shows what the photo shows and nothing beyond.
+relief. Roofs that the photo's edge cuts go on beyond it; what else is there the map does not show.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mapbox_earcut
@@ -33,6 +33,8 @@ _APART_M = 2000.0
 # Share of the buildings that a wrong map lacks, and of what a photo shows of them at most: a map of one shed
 # is of another place.
 _MISSING, _MOST_MISSING = 0.08, 0.25
+# How far roofs go on beyond the photo's edge, of its widest side.
+_BEYOND = 0.1
 # Smaller outlines are specks of a tracing.
 _LEAST_M2 = 4.0
 
@@ -74,7 +76,7 @@ def open_traced_photos(folder: Path, options: TracedOptions) -> tuple[Dataset, S
         entry = Entry(photo.name, place, camera, None, photo, None)
         generator = random_stream(options.seed, "traced photo", place, photo.name)
         above = np.array([number * _APART_M, 0.0, HEIGHT_M])
-        for corners, faces in _plates(mask, camera, options.map_error_m, generator):
+        for corners, faces in _plates(*_beyond(mask, camera), options.map_error_m, generator):
             triangles.append(faces + sum(map(len, points)))
             points.append(corners + above * (1.0, 1.0, 0.0))
             owners.append(len(faces))
@@ -87,6 +89,17 @@ def open_traced_photos(folder: Path, options: TracedOptions) -> tuple[Dataset, S
     scene = build_scene(np.concatenate(points), np.concatenate(triangles), building, names)
     places = tuple(dict.fromkeys(entry.split for entry in entries))
     return Dataset(folder.name, "", folder, None, None, places, tuple(entries), truth), scene
+
+
+def _beyond(mask: NDArray[np.bool_], camera: Camera) -> tuple[NDArray[np.bool_], Camera]:
+    """Returns a mask whose roofs go on beyond the photo's edges, as a map's do, and its camera.
+
+    Ending there, they would tell how high the photo was taken.
+    """
+    margin = round(_BEYOND * max(mask.shape))
+    wider = np.pad(mask, margin, mode="edge")
+    height, width = wider.shape
+    return wider, replace(camera, width=width, height=height, cx=camera.cx + margin, cy=camera.cy + margin)
 
 
 def _plates(

@@ -20,7 +20,8 @@ def read_picture(path: Path, *, as_stored: bool = False) -> NDArray[Any] | None:
 
     Args:
         path: The file.
-        as_stored: With its own channels and depth; else as (H, W, 3) BGR of 8 bits.
+        as_stored: With its own channels and depth; else as (H, W, 3) BGR of 8 bits, to which 16 are brought
+            over the range in use.
 
     Returns:
         (H, W) or (H, W, C); None if the file cannot be read or decoded, or has too many pixels.
@@ -41,12 +42,26 @@ def decoded(content: bytes, *, as_stored: bool) -> NDArray[Any] | None:
 
     if not content:
         return None
-    flags = cv2.IMREAD_UNCHANGED if as_stored else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    in_colour = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    flags = cv2.IMREAD_UNCHANGED if as_stored else in_colour
     try:
         picture = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags)
     except cv2.error:
         return None
-    return None if picture is None else np.asarray(picture)
+    if picture is None:
+        return None
+    return np.asarray(picture) if as_stored else in_8_bits(np.asarray(picture))
+
+
+def in_8_bits(picture: NDArray[Any]) -> NDArray[np.uint8]:
+    """Returns a picture of 8 bits as it is, one of 16 over the range that it uses.
+
+    A thermal or raw-like picture uses a small part of 16 bits: its own range is what is there to see.
+    """
+    if picture.dtype == np.uint8:
+        return picture
+    low, high = float(picture.min()), float(picture.max())
+    return ((picture.astype(np.float32) - low) * (255.0 / max(high - low, 1.0)) + 0.5).astype(np.uint8)
 
 
 def has_too_many_pixels(content: bytes) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.pictures import decoded, has_too_many_pixels
+from lodbench.datasets.pictures import decoded, has_too_many_pixels, in_8_bits
 from lodbench.errors import QueryFault
 from lodbench.storage.contents import read_content
 
@@ -50,10 +50,7 @@ def as_rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
         image = image[:, :, None]
     has_alpha = image.shape[2] in (2, 4)
     colours, alpha = (image[:, :, :-1], image[:, :, -1:]) if has_alpha else (image, None)
-    if image.dtype == np.uint16:
-        # A thermal or raw-like picture uses a small part of 16 bits: its own range is what is there to see.
-        low, high = int(colours.min()), int(colours.max())
-        colours = ((colours.astype(np.float32) - low) * (255.0 / max(high - low, 1)) + 0.5).astype(np.uint8)
+    colours = in_8_bits(colours)
     if alpha is not None:
         share = alpha.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
         colours = (colours * share + 0.5).astype(np.uint8)

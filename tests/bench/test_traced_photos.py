@@ -45,6 +45,21 @@ def test_the_true_pose_shows_the_traced_mask(photos):
     assert (drawn & traced).sum() / (drawn | traced).sum() > 0.99
 
 
+def test_roofs_go_on_beyond_the_photo(tmp_path):
+    """So that a camera too high sees as much of a roof at the photo's edge as of any other."""
+    mask = np.zeros((240, 320), np.uint8)
+    mask[:, :100] = 255
+    for folder in ("photos", "masks"):
+        (tmp_path / "town" / folder).mkdir(parents=True)
+        cv2.imwrite(str(tmp_path / "town" / folder / "a.png"), mask)
+    dataset, scene = open_traced_photos(tmp_path, TracedOptions(0.0))
+    (entry,) = dataset.entries
+    higher = dataset.truth[entry.key].shifted([0.0, 0.0, 5.0])
+    drawn = CityMap(scene).render(entry.camera, higher)
+    assert drawn[:, :95].all()
+    assert not drawn[:, 105:].any()
+
+
 def test_a_wrong_map_is_wrong_by_about_what_was_asked(photos):
     dataset, scene = open_traced_photos(photos, TracedOptions(1.0, seed=3))
     other, _ = open_traced_photos(photos, TracedOptions(1.0, seed=3))

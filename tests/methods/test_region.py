@@ -15,6 +15,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
+from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.evolution import Cloud, climb
@@ -113,6 +114,32 @@ class TestTheMethod:
         params = Params(range_x_m=20.0, range_y_m=6.0, range_z_m=0.0, range_yaw_deg=0.0, beyond_m=10.0)
         grid = params.grid()
         assert (grid.x.width, grid.y.width, grid.z.width, grid.yaw.width) == (40.0, 12.0, 0.0, 0.0)
+
+    def test_a_grid_around_the_circle_has_no_heading_twice(self):
+        axis = Params(range_yaw_deg=360.0).grid().yaw
+        offsets = np.sort(axis.offsets() % 360.0)
+        gaps = np.diff(offsets, append=offsets[0] + 360.0)
+        np.testing.assert_allclose(gaps, 360.0 / axis.count)
+        assert gaps[0] <= Params().stride_yaw_deg
+
+    def test_where_the_circle_closes_nothing_is_found_twice(self, city_map, photographed, truths):
+        query, truth = photographed[0], truths[0]
+        told = replace(FAST, range_yaw_deg=360.0, starts=8, modes=4)
+        _, _, yaw = truth.euler
+        turned = Pose.from_euler(EulerAngles(*truth.euler[:2], yaw + 179.0), truth.center)
+        estimate = Region(told).localize(replace(query, prior=turned), city_map, streams())
+        assert pose_error(estimate.pose, truth).translation_m < 1.0
+        for other in estimate.alternatives:
+            apart = pose_error(other, estimate.pose)
+            assert apart.translation_m > 2.0 or apart.rotation_deg > 2.0
+
+    def test_16_bits_are_seen_over_the_range_in_use(self, city_map, photographed, truths, tmp_path):
+        grey = cv2.imread(str(photographed[1].image), cv2.IMREAD_GRAYSCALE)
+        radiometric = 7200.0 + np.where(city_map.render(CAMERA, truths[1]), grey // 2 + 60, grey // 2)
+        cv2.imwrite(str(tmp_path / "thermal.png"), radiometric.astype(np.uint16))
+        query = replace(photographed[1], image=tmp_path / "thermal.png")
+        estimate = Region(FAST).localize(query, city_map, streams())
+        assert pose_error(estimate.pose, truths[1]).translation_m < 1.0
 
     def test_starts_are_tops_of_different_hills(self, city_map, photographed):
         query, params = photographed[0], Params(starts=8)

@@ -11,6 +11,7 @@ from lodbench.geometry import AxisRange, PoseGrid
 from lodbench.methods.search_params import ranges_of
 from lodbench.rendering.raster_rule import GUARD_PX
 
+_CIRCLE_DEG = 360.0
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 _AT_LEAST_0 = (
     *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
@@ -114,8 +115,18 @@ class Params:
             _axis(_widened(self.range_x_m, self.beyond_m), self.stride_m),
             _axis(_widened(self.range_y_m, self.beyond_m), self.stride_m),
             _axis(self.range_z_m, self.stride_z_m),
-            _axis(_widened(self.range_yaw_deg, self.beyond_yaw_deg), self.stride_yaw_deg),
+            self._yaw_axis(),
         )
+
+    def turns_around(self) -> bool:
+        """Returns whether the search looks in all directions."""
+        return _widened(self.range_yaw_deg, self.beyond_yaw_deg) >= _CIRCLE_DEG
+
+    def _yaw_axis(self) -> AxisRange:
+        if not self.turns_around():
+            return _axis(_widened(self.range_yaw_deg, self.beyond_yaw_deg), self.stride_yaw_deg)
+        count = math.ceil(_CIRCLE_DEG / self.stride_yaw_deg)
+        return AxisRange(_CIRCLE_DEG * (count - 1) / count, count)
 
     def half_widths(self) -> tuple[float, ...]:
         """Returns the half widths of x, y, z, pitch, roll and yaw; at least 1 mm and 0.0001 degrees."""

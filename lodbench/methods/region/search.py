@@ -58,11 +58,16 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
     axes = (grid.yaw, grid.x, grid.y, grid.z)
     values = fits.reshape([axis.count for axis in axes])
     # Tops first, one of each hill: a broad false one shall not take every start. Then the best besides.
-    is_top = (values >= maximum_filter(values, size=3, mode="nearest")).ravel()
+    # Around the whole circle, the first heading is the last one's neighbour.
+    ends = ["wrap" if params.turns_around() else "nearest", "nearest", "nearest", "nearest"]
+    is_top = (values >= maximum_filter(values, size=3, mode=ends)).ravel()
     places = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)
     chosen: list[int] = []
     for i in np.lexsort([-fits, ~is_top]):
-        if (np.abs(places[chosen] - places[i]).max(axis=1, initial=0) > 1).all():
+        gaps = np.abs(places[chosen] - places[i])
+        if params.turns_around():
+            gaps[:, 0] = np.minimum(gaps[:, 0], grid.yaw.count - gaps[:, 0])
+        if (gaps.max(axis=1, initial=0) > 1).all():
             chosen.append(int(i))
         if len(chosen) == params.starts:
             break
@@ -93,10 +98,15 @@ def climbed(
     tops.sort(key=lambda top: -top.log_posterior)
     distinct: list[Mode] = []
     for top in tops:
-        gaps = [np.abs(top.cloud.mean - other.cloud.mean) for other in distinct]
-        if all(np.linalg.norm(gap[:3]) > _SAME_M or gap[3:].max() > _SAME_DEG for gap in gaps):
+        if not any(_is_same(top.cloud.mean, other.cloud.mean) for other in distinct):
             distinct.append(top)
     return distinct
+
+
+def _is_same(one: Floats, other: Floats) -> bool:
+    gap = one - other
+    turned = np.abs((gap[3:] + 180.0) % 360.0 - 180.0)
+    return bool(np.linalg.norm(gap[:3]) <= _SAME_M and turned.max() <= _SAME_DEG)
 
 
 def judged(modes: list[Mode], evidence: Evidence) -> list[Mode]:
