@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -108,9 +108,22 @@ def _opened(dataset: str | Path | Dataset, city: str | Path | None) -> tuple[Dat
 
 
 def _settings(part: object) -> dict[str, Any]:
-    """Returns the settings of a method or a segmenter, where it keeps them as its protocol asks."""
+    """Returns the settings of a method or a segmenter.
+
+    Raises:
+        ConfigError: It has some and does not keep them as its protocol asks: runs name their folder by them.
+    """
     params: Any = getattr(part, "params", None)
-    return asdict(params) if is_dataclass(params) and not isinstance(params, type) else {}
+    if is_dataclass(params) and not isinstance(params, type):
+        return asdict(params)
+    kind: Any = getattr(part, "params_type", None)
+    if vars(part) if kind is None else is_dataclass(kind) and fields(kind):
+        raise ConfigError(
+            f"{type(part).__name__} does not keep its settings in `params`, so that a run with others could "
+            "not be told from this one.",
+            "Set self.params, a dataclass, in its __init__.",
+        )
+    return {}
 
 
 def compare(

@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
 import re
+import sys
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+
+import pytest
 
 import lodbench
+from lodbench.errors import ConfigError
+from lodbench.harness.runs import code_digest as module
+from lodbench.harness.runs.code_digest import code_digest
+from lodbench.methods.registry import make_method
+from lodbench.plugins import PlugIn
 from tests.town import write_dataset
 
 
@@ -29,6 +40,58 @@ def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsy
     runs = tmp_path / "runs"
     assert lodbench.run_method("contour_alignment", root, city=city, runs=runs).folder == run.folder
     assert lodbench.run_method("prior_only", root, city=city, runs=runs).folder != run.folder
+
+
+def test_settings_that_are_not_kept_are_refused(tmp_path):
+    """Runs of two settings would share a folder, and the second would be given the first one's answers."""
+
+    @dataclass(frozen=True)
+    class Params:
+        off: float = 0.0
+
+    class Forgetful(type(make_method("prior_only"))):
+        params_type = Params
+
+        def __init__(self, params=None):
+            self.off = (params or Params()).off
+
+    root, city = write_dataset(tmp_path / "town", count=1)
+    with pytest.raises(ConfigError, match="does not keep its settings"):
+        lodbench.run_method(Forgetful(Params(50.0)), root, city=city, runs=tmp_path / "runs")
+
+
+class TestTheCodeThatNamesARun:
+    @pytest.fixture
+    def package(self, tmp_path, monkeypatch):
+        folder = tmp_path / "sky_package" / "nets"
+        folder.mkdir(parents=True)
+        (folder.parent / "__init__.py").write_text("class Method:\n    pass\n")
+        (folder / "model.py").write_text("OFF = 1\n")
+        monkeypatch.syspath_prepend(tmp_path)
+        yield folder
+        sys.modules.pop("sky_package", None)
+
+    def test_a_package_counts_with_its_folders(self, package):
+        method = importlib.import_module("sky_package").Method()
+        before = code_digest(method)
+        (package / "model.py").write_text("OFF = 100\n")
+        assert code_digest(method) != before
+
+    def test_a_plugin_that_a_setting_names_counts(self, package, monkeypatch):
+        point = EntryPoint("skyline", "sky_package:Method", "lodbench.fits")
+        plug_in = PlugIn("fits", "skyline", "sky 1.0", point)
+        monkeypatch.setattr(module, "installed", lambda group: (plug_in,) if group == "fits" else ())
+        unnamed, before = code_digest(), code_digest(names={"skyline"})
+        assert unnamed != before
+        (package / "model.py").write_text("OFF = 100\n")
+        assert code_digest(names={"skyline"}) != before
+        assert code_digest() == unnamed
+
+    def test_what_was_typed_counts_by_its_source_or_is_refused(self, monkeypatch):
+        typed = type("Typed", (), {"__module__": "__main__"})
+        monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
+        with pytest.raises(ConfigError, match="Typed cannot be read"):
+            code_digest(typed())
 
 
 def test_the_public_names_are_there():

@@ -3,30 +3,68 @@
 from __future__ import annotations
 
 import inspect
+import sys
+from collections.abc import Collection, Iterator
 from functools import cache
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
+from lodbench.errors import ConfigError
+from lodbench.plugins import KINDS, installed
 from lodbench.storage import digest_of, file_digest
 
 # Layers whose code decides an estimate; readers are covered by the scene's digest.
 _LAYERS = (
     "geometry", "rendering", "citymap", "segmentation", "synthesis", "matching", "methods", "harness",
 )  # fmt: skip
+_OURS = "lodbench"
 _LIBRARIES = ("numpy", "numba", "opencv-python-headless")
 
 
-def code_digest(*parts: object) -> str:
-    """Returns a digest of lodbench's own code, of the libraries that compute, and of some parts' packages.
+def code_digest(*parts: object, names: Collection[object] = ()) -> str:
+    """Returns a digest of lodbench's own code, of the libraries that compute, and of others' packages.
 
     Args:
-        parts: A method, a segmenter: the Python files beside the one that defines them count in; and what
-            one that runs elsewhere says of its code there, ``remote_code``.
+        parts: A method, a segmenter: the packages that define them count in whole; and what one that runs
+            elsewhere says of its code there, ``remote_code``.
+        names: What settings are, of which some may name plug-ins: the packages of those count in, too.
+
+    Raises:
+        ConfigError: A part was defined where its code cannot be read.
     """
     elsewhere = [list(getattr(part, "remote_code", ())) for part in parts if hasattr(part, "remote_code")]
-    folders = sorted({Path(inspect.getfile(type(part))).parent for part in parts})
-    files = [file for folder in folders for file in sorted(folder.glob("*.py"))]
-    return digest_of([_own_digest(), [file_digest(file) for file in files], *elsewhere])
+    named = [each for group in KINDS for each in installed(group) if not each.is_ours and each.name in names]
+    modules = {type(part).__module__ for part in parts} | {each.point.module for each in named}
+    tops = sorted({module.partition(".")[0] for module in modules} - {_OURS, "__main__"})
+    files = [file_digest(file) for top in tops for file in _files_of(top)]
+    typed = [_typed_code(part) for part in parts if type(part).__module__ == "__main__"]
+    return digest_of([_own_digest(), files, *typed, *elsewhere])
+
+
+def _files_of(module: str) -> Iterator[Path]:
+    """Yields the Python files of a package, or those beside a module."""
+    spec = find_spec(module)
+    if spec is not None and spec.submodule_search_locations:
+        for folder in sorted(spec.submodule_search_locations):
+            yield from sorted(Path(folder).rglob("*.py"))
+    elif spec is not None and spec.origin is not None:
+        yield from sorted(Path(spec.origin).parent.glob("*.py"))
+
+
+def _typed_code(part: object) -> str:
+    """Returns a digest of the script that defines a part, or of its class where there is none: a notebook."""
+    script = getattr(sys.modules["__main__"], "__file__", None)
+    if script is not None and Path(script).is_file():
+        return file_digest(Path(script))
+    try:
+        return digest_of(inspect.getsource(type(part)))
+    except (OSError, TypeError) as error:
+        raise ConfigError(
+            f"The code of {type(part).__name__} cannot be read, so its results could not be told from "
+            "those of another version.",
+            "Define it in a file, and import it.",
+        ) from error
 
 
 @cache

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -75,6 +75,10 @@ class RunSettings:
     executor: ExecutorParams = field(default_factory=ExecutorParams)
     stream_names: Callable[[Entry], tuple[str, ...]] | None = None
 
+    def names(self) -> frozenset[str]:
+        """Returns all words among the settings, of which some may name plug-ins."""
+        return frozenset(_words_in(self.config)) | {self.renderer}
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Run(Result):
@@ -102,7 +106,7 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     needs = made_inputs(method) | ({Input.IMAGE} if looks_at_photos(method, segmenter) else set())
     preparation = Preparation(dataset, city_map.scene, segmenter, settings.tilt, needs, city_map)
     inputs = {
-        **_fixed_inputs(method, segmenter, dataset, entries, city_map.scene, textured),
+        **_fixed_inputs(method, segmenter, dataset, entries, city_map.scene, textured, settings.names()),
         **_read_inputs(method, segmenter, dataset, entries),
     }
     runs = settings.runs_root / dataset.name / method.name
@@ -197,6 +201,14 @@ def _answered(
     return predictions, resumed
 
 
+def _words_in(value: object) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list | tuple):
+        for each in value.values() if isinstance(value, dict) else value:
+            yield from _words_in(each)
+
+
 def _fixed_inputs(
     method: Method,
     segmenter: Segmenter,
@@ -204,13 +216,14 @@ def _fixed_inputs(
     entries: tuple[Entry, ...],
     scene: Scene,
     textured: TexturedMesh | None,
+    names: Collection[object],
 ) -> dict[str, str]:
-    """Returns digests of what is in memory by now, and of the code."""
+    """Returns digests of what is in memory by now, and of the code, plug-ins that settings name included."""
     inputs = {
         "scene": scene_digest(scene),
         "queries": queries_digest(dataset, entries),
         "priors": prior_digest(entries),
-        "code": code_digest(method, segmenter),
+        "code": code_digest(method, segmenter, names=names),
     }
     return inputs if textured is None else inputs | {"textured_map": textured.digest()}
 
