@@ -49,10 +49,10 @@ class Compact(PackagedNetwork):
     packaged_sure = 0.99
 
     def notes(self) -> tuple[str, ...]:
-        """Returns that the network has seen made-up pictures only."""
-        views = None
-        if self.params.weights is None:
-            views = self.packaged_training().get("views", {}).get("train")
+        """Returns that the network has seen made-up pictures only, or whose weights it has."""
+        if self.params.weights is not None:
+            return (f"segmenter compact, weights of {Path(self.params.weights).name}",)
+        views = self.packaged_training().get("views", {}).get("train")
         seen = f"{views} rendered views" if views else "rendered views"
         return (f"segmenter compact, domain: {self.domain}: trained on {seen}; real photos look different",)
 

@@ -90,6 +90,13 @@ def test_the_same_weights_make_the_same_file(net, weights, tmp_path):
     assert again.read_bytes() == weights.read_bytes()
 
 
+def test_own_weights_are_named_instead_of_what_the_package_s_have_seen(weights, tmp_path):
+    own = tmp_path / "mine.onnx"
+    own.write_bytes(Path(weights).read_bytes())
+    assert Compact(CompactParams(weights=str(own))).notes() == ("segmenter compact, weights of mine.onnx",)
+    assert "rendered views" in Compact(CompactParams()).notes()[0]
+
+
 def test_masks_are_kept_by_content(weights, tmp_path, monkeypatch):
     monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
     cv2.imwrite(str(tmp_path / "a.png"), photo_of(96, 128))
