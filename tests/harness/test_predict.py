@@ -146,6 +146,54 @@ def test_an_odd_answer_is_no_answer(dataset, tmp_path, odd, word):
     assert others == ["", ""]
 
 
+NAN, FLAT = float("nan"), np.eye(6)
+
+
+@pytest.mark.parametrize(
+    ("odd", "word"),
+    [
+        ({"probability": NAN}, "the probability is nan"),
+        ({"probability": 1.5}, "the probability is 1.5"),
+        ({"covariance": np.eye(3)}, "of shape (3, 3)"),
+        ({"covariance": FLAT * NAN}, "the covariance is not finite"),
+        ({"covariance": FLAT + np.eye(6, k=1)}, "not symmetric"),
+        ({"covariance": -FLAT}, "a negative eigenvalue"),
+        ({"trace": {"search": (0.5, NAN)}}, "trace holds a number that is not finite"),
+        ({"notes": "one text"}, "the notes are no tuple of texts"),
+        ({"notes": (1,)}, "the notes are no tuple of texts"),
+    ],
+)
+def test_an_estimate_that_cannot_be_stored_is_its_query_s_fault(dataset, tmp_path, odd, word):
+    class Odd(Scripted):
+        def localize(self, query, city_map, streams):
+            return replace(super().localize(query, city_map, streams), **odd)
+
+    for failure in failures(run(Odd(), dataset, tmp_path, limit=1)):
+        assert failure.startswith("ValueError: ")
+        assert word in failure
+
+
+def test_an_alternative_that_is_no_pose_is_its_query_s_fault(dataset, tmp_path):
+    class Odd(Scripted):
+        def localize(self, query, city_map, streams):
+            nowhere = replace(query.prior, translation=np.full(3, NAN))
+            return Estimate(query.prior, 1.0, alternatives=(nowhere,))
+
+    assert failures(run(Odd(), dataset, tmp_path, limit=1)) == [
+        "A pose matrix has values that are not finite"
+    ]
+
+
+def test_rounding_in_a_covariance_is_no_fault(dataset, tmp_path):
+    class Noisy(Scripted):
+        def localize(self, query, city_map, streams):
+            noisy = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1e-12]) + 1e-12 * np.eye(6, k=1)
+            return Estimate(query.prior, 1.0, covariance=noisy, notes=["told"], seconds={"x": np.float32(0)})
+
+    (found,) = run(Noisy(), dataset, tmp_path, limit=1).predictions.values()
+    assert (found.failure, len(found.covariance), found.notes) == ("", 21, ("told",))
+
+
 def test_wrong_settings_end_the_run_and_leave_nothing(dataset, tmp_path):
     with pytest.raises(ConfigError, match="no such layer"):
         run(Scripted({NAMES[0]: ConfigError("no such layer")}), dataset, tmp_path)

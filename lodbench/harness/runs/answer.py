@@ -23,6 +23,7 @@ from lodbench.harness.runs.prepare import Preparation
 from lodbench.methods import Estimate, Method
 from lodbench.methods.measured_calls import localize_flight, localize_queries, localize_query
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
+from lodbench.methods.sound_estimate import note_fault, number_fault, uncertainty_fault
 from lodbench.segmentation import binary_mask
 from lodbench.storage import make_folder, write_text
 
@@ -66,17 +67,28 @@ class Asked:
 def _stored_estimate(
     found: Estimate, prepare_s: float, mask_png: str, preparation: Preparation
 ) -> Prediction:
+    """Returns an estimate as it is stored.
+
+    Raises:
+        ValueError: It holds what cannot be stored: the ledger and the tables take finite numbers and texts.
+        LodbenchError: One of its poses is none.
+    """
+    fault = number_fault(found) or uncertainty_fault(found) or note_fault(found)
+    if fault:
+        raise ValueError(fault)
     return Prediction(
         pose=Pose.from_matrix(preparation.in_dataset_frame(found.pose).cam_from_world),
         score=float(found.score) if math.isfinite(found.score) else None,
         hypotheses=int(found.hypotheses),
-        seconds={"prepare": prepare_s, **found.seconds},
+        seconds={"prepare": prepare_s, **{stage: float(spent) for stage, spent in found.seconds.items()}},
         trace={stage: tuple(map(float, scores)) for stage, scores in found.trace.items()},
         probability=None if found.probability is None else float(found.probability),
         covariance=_upper_triangle(found.covariance),
-        alternatives=tuple(preparation.in_dataset_frame(pose) for pose in found.alternatives),
+        alternatives=tuple(
+            Pose.from_matrix(preparation.in_dataset_frame(pose).cam_from_world) for pose in found.alternatives
+        ),
         alternative_probabilities=tuple(map(float, found.alternative_probabilities)),
-        notes=found.notes,
+        notes=tuple(found.notes),
         mask_png=mask_png,
     )
 
@@ -174,4 +186,4 @@ def _stored_mask(query: Query) -> str:
 
 def _upper_triangle(covariance: NDArray[np.float64] | None) -> tuple[float, ...]:
     """Returns the 21 numbers of a (6, 6) covariance on and above its diagonal, row by row; () for none."""
-    return () if covariance is None else tuple(float(v) for v in covariance[np.triu_indices(6)])
+    return () if covariance is None else tuple(float(v) for v in np.asarray(covariance)[np.triu_indices(6)])

@@ -15,11 +15,10 @@ from lodbench.errors import QueryFault
 from lodbench.geometry import Pose
 from lodbench.methods.conformance.trial import TrialAnswers
 from lodbench.methods.protocol import Estimate, Method, SupportsPriorWidth
+from lodbench.methods.sound_estimate import uncertainty_fault
 
 # The priors are 9 m and 3 degrees off; answers beyond these are in another frame or turned round.
 _FURTHEST_M, _FURTHEST_DEG = 300.0, 60.0
-# Rounding may make a covariance uneven, or an eigenvalue negative, by this share of the largest.
-_TOLERANCE = 1e-9
 
 
 class Violation(Exception):
@@ -176,18 +175,9 @@ def sound_uncertainty(answers: TrialAnswers) -> str:
     """A covariance, if given, is one; a probability lies in [0, 1]."""
     hint = "Leave it None, or see Estimate in lodbench/methods/protocol.py."
     for name, found in answers.estimates.items():
-        if found.probability is not None and not 0.0 <= found.probability <= 1.0:
-            raise Violation(f"{name}: probability is {found.probability}", hint)
-        if found.covariance is None:
-            continue
-        matrix = np.asarray(found.covariance, dtype=np.float64)
-        if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
-            raise Violation(f"{name}: the covariance is of shape {matrix.shape}, or not finite", hint)
-        largest = float(np.abs(matrix).max())
-        if np.abs(matrix - matrix.T).max() > _TOLERANCE * largest:
-            raise Violation(f"{name}: the covariance is not symmetric", hint)
-        if np.linalg.eigvalsh(matrix).min() < -_TOLERANCE * largest:
-            raise Violation(f"{name}: the covariance has a negative eigenvalue", hint)
+        fault = uncertainty_fault(found)
+        if fault:
+            raise Violation(f"{name}: {fault}", hint)
     given = next(iter(answers.estimates.values()))
     parts = {"covariance": given.covariance, "probability": given.probability}
     return ", ".join(name for name, value in parts.items() if value is not None) or "none is given"
