@@ -36,7 +36,7 @@ class Check:
     traceback: str = ""
 
 
-def fault_of(error: Exception, section: str, name: str, on_purpose: str = "") -> Check:
+def fault_of(error: BaseException, section: str, name: str, on_purpose: str = "") -> Check:
     """Returns the fault that somebody's code raised: in its own words if it is an error of lodbench.
 
     Args:

@@ -74,6 +74,14 @@ class TestSegmenters:
     def test_sound_ones_pass(self, part, trial, tmp_path):
         assert faults(segmenter_rules, part, trial, tmp_path) == []
 
+    def test_one_that_exits_is_told(self, trial, tmp_path):
+        class Leaving(Halves):
+            def segment_instances(self, entry):
+                raise SystemExit(0)
+
+        (fault,) = faults(segmenter_rules, Leaving, trial, tmp_path)
+        assert "SystemExit: 0" in fault
+
     def test_each_output_has_its_member(self, trial, tmp_path):
         class Silent(Halves):
             provides = frozenset({"mask"})

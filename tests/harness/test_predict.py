@@ -194,6 +194,29 @@ def test_rounding_in_a_covariance_is_no_fault(dataset, tmp_path):
     assert (found.failure, len(found.covariance), found.notes) == ("", 21, ("told",))
 
 
+@pytest.mark.parametrize("kind", [Scripted, Batched])
+def test_a_plug_in_that_exits_ends_no_run(dataset, tmp_path, kind):
+    done = run(kind({NAMES[1]: SystemExit(0)}), dataset, tmp_path)
+    assert failures(done) == ["", "SystemExit: 0", ""]
+
+
+def test_a_flight_that_exits_is_its_photos_fault(dataset, tmp_path):
+    class Leaving(Flying):
+        def localize_flight(self, queries, city_map, streams):
+            raise SystemExit
+
+    assert failures(run(Leaving(), dataset, tmp_path)) == ["SystemExit"] * 3
+
+
+def test_a_preparation_that_exits_is_told(dataset, tmp_path):
+    class Leaving(Preparing):
+        def prepare(self, city_map, references, workspace):
+            raise SystemExit(3)
+
+    with pytest.raises(ConfigError, match="cannot prepare: SystemExit: 3"):
+        run(Leaving(), dataset, tmp_path)
+
+
 def test_wrong_settings_end_the_run_and_leave_nothing(dataset, tmp_path):
     with pytest.raises(ConfigError, match="no such layer"):
         run(Scripted({NAMES[0]: ConfigError("no such layer")}), dataset, tmp_path)

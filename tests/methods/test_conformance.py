@@ -27,3 +27,12 @@ def test_the_example_of_the_guide_is_whole(tmp_path, monkeypatch):
     ]
     assert [(check.name, check.detail) for check in checks if check.status != "ok"] == []
     assert {check.name: check.detail for check in checks}["hypotheses"].startswith("64 at most")
+
+
+def test_a_method_that_exits_is_told():
+    class Leaving:
+        def __init__(self):
+            raise SystemExit(0)
+
+    (check,) = check_answers(Leaving)
+    assert (check.status, check.detail) == ("fault", "SystemExit: 0")

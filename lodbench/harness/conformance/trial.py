@@ -70,7 +70,7 @@ def check_rules(rules: Rules) -> Iterator[Check]:
             continue
         except Violation as violation:
             yield Check("answers", title, FAULT, str(violation), violation.hint)
-        except Exception as error:  # a plug-in may raise anything: that is what is told
+        except (Exception, SystemExit) as error:  # a plug-in may raise anything: that is what is told
             yield fault_of(error, "answers", title)
         return
 
@@ -91,7 +91,7 @@ def refuses(call: Callable[[], object], what: str) -> str:
         call()
     except LodbenchError as error:
         return f"{type(error).__name__}: {error.message}"
-    except Exception as error:  # anything else ends a run with a traceback
+    except (Exception, SystemExit) as error:  # anything else ends a run with a traceback
         raise Violation(
             f"{what} raises {type(error).__name__}: {error}", "Raise an error of lodbench.errors."
         ) from error

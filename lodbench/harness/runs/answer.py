@@ -31,7 +31,7 @@ from lodbench.storage import make_folder, write_text
 FLIGHTS_FOLDER = "flights"
 # Masks are stored, and compared with the truth, at most at this width, pixels: the paper's fine size.
 _MASK_WIDTH = 602
-# No query is to blame for these.
+# No query is to blame for these. A plug-in's sys.exit is a fault like others: it would end a run silently.
 _ENDS_RUN = (ConfigError, InputChanged, WorkersGone)
 
 
@@ -113,7 +113,7 @@ def answer(
             )
         except _ENDS_RUN:
             raise
-        except Exception as error:  # one by one it shows which query it is
+        except (Exception, SystemExit) as error:  # one by one it shows which query it is
             keep_traceback(folder, f"batch {ready[0][0].entry.key}", error)
         else:
             for (each, _), answer in zip(ready, answers, strict=True):
@@ -138,10 +138,10 @@ def _answer_flight(
         )
     except _ENDS_RUN:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         keep_traceback(folder, first.key, error)
         for each, _ in ready:
-            each.failure = f"{type(error).__name__}: {error}"
+            each.failure = _words(error)
         return
     for (each, _), answer in zip(ready, found.estimates, strict=True):
         with _failing(each, folder):
@@ -169,9 +169,13 @@ def _failing(each: Asked, folder: Path) -> Iterator[None]:
         raise
     except LodbenchError as fault:
         each.failure = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         keep_traceback(folder, each.entry.key, error)
-        each.failure = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        each.failure = _words(error)
+
+
+def _words(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
 def _stored_mask(query: Query) -> str:

@@ -75,14 +75,14 @@ def prepare_method(
         method.prepare(city_map, local, workspace)
     except LodbenchError:
         raise
-    except Exception as error:  # a plug-in's code may raise anything
+    except (Exception, SystemExit) as error:  # a plug-in's code may raise anything
         file = keep_traceback(folder, "prepare", error)
         raise ConfigError(
             f"method={method.name} cannot prepare: {type(error).__name__}: {error}", f"See {file}."
         ) from error
 
 
-def keep_traceback(folder: Path, name: str, error: Exception) -> Path:
+def keep_traceback(folder: Path, name: str, error: BaseException) -> Path:
     """Writes where a plug-in's code raised to ``tracebacks`` in a run folder; returns the file."""
     file = traceback_file(folder, name)
     make_folder(file.parent)

@@ -69,7 +69,7 @@ def check_answers(make: Callable[[], Method]) -> Iterator[Check]:
                 method = make()
             trial = make_trial(Path(folder), method)
             answers = _collect(make, trial)
-        except Exception as error:  # a method may raise anything: that is what is told
+        except (Exception, SystemExit) as error:  # a method may raise anything: that is what is told
             yield fault_of(error, "answers", "answers", _NO_ANSWER)
             return
         first = _checked("answers", "answers", lambda: answered(answers))
@@ -123,7 +123,7 @@ def _checked(section: str, title: str, rule: Callable[[], str], on_purpose: str 
         return Check(section, title, OK, rule())
     except Violation as violation:
         return Check(section, title, FAULT, str(violation), violation.hint)
-    except Exception as error:  # of the method, or of values that are not what they should be
+    except (Exception, SystemExit) as error:  # of the method, or of values that are not what they should be
         return fault_of(error, section, title, on_purpose)
 
 
