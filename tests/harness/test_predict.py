@@ -14,6 +14,7 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.harness import RunSettings, run_method
+from lodbench.harness.runs.gallery import write_overlays
 from lodbench.methods import Estimate
 from lodbench.methods.protocol import FlightEstimate
 from lodbench.segmentation import notes_of
@@ -144,6 +145,25 @@ def test_an_odd_answer_is_no_answer(dataset, tmp_path, odd, word):
     first, *others = failures(run(Odd(), dataset, tmp_path))
     assert first.startswith(word)
     assert others == ["", ""]
+
+
+@pytest.mark.parametrize("answer", [ZeroDivisionError("no pixels"), None, "mask", np.ones(7)])
+def test_a_picture_without_its_mask_ends_no_run(dataset, tmp_path, answer):
+    class Odd(NoMask):
+        provides = frozenset({"mask"})
+
+        def segment(self, entry):
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+
+    class Masked(Scripted):
+        requires = frozenset({"mask"})
+
+    settings = RunSettings(tmp_path / "runs", {"method": {"name": "scripted"}}, threads=1, limit=1)
+    done = run_method(Masked(), dataset, Odd(NoMaskParams()), settings)
+    assert all(failures(done))
+    assert [path.suffix for path in write_overlays(done, done.preparation, done.scorer)] == [".png"]
 
 
 NAN, FLAT = float("nan"), np.eye(6)

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Entry
-from lodbench.errors import QueryFault
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answered
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.result import Result
 from lodbench.rendering import Renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
-from lodbench.segmentation import Segmenter, binary_mask
+from lodbench.segmentation import Segmenter, binary_mask, check_mask
 from lodbench.storage import make_folder, remove_leftovers
 
 if TYPE_CHECKING:
@@ -82,12 +81,19 @@ def _shown(
 
 
 def _mask(segmenter: Segmenter, entry: Entry, prediction: Prediction) -> NDArray[np.bool_] | None:
-    """Returns the mask that was used; for a pose made elsewhere the dataset's own, where it has one."""
+    """Returns the mask that was used; for a pose made elsewhere the dataset's own, where it has one.
+
+    Args:
+        segmenter: Asked where none is stored.
+        entry: Of a query with a camera.
+        prediction: The query's.
+    """
     if prediction.mask is not None:
         return prediction.mask
+    assert entry.camera is not None  # noqa: S101 - the caller has looked
     try:
-        probability = segmenter.segment(entry)
-    except QueryFault:
+        probability = check_mask(segmenter.segment(entry), entry.camera)
+    except (Exception, SystemExit):  # its query's row has the reason; a picture must not end a run
         return None
     return binary_mask(probability, probability.shape[1], probability.shape[0])
 
