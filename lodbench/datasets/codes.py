@@ -55,5 +55,6 @@ PRIORS_UNLIKE_PAPER = FindingCode(
 MASK_UNFIT = FindingCode(526, _E, "A mask cannot be read, or has another aspect than its photo.")
 CRS_DIFFERS = FindingCode(527, _E, "The dataset states another reference system than its city model has.")
 PRIOR_FAR = FindingCode(528, _E, "A prior lies kilometres outside the city model; its query fails.")
+KEY_TWICE = FindingCode(529, _E, "Several queries of a split have one name; nothing runs on them.")
 
 CATALOGUE = catalogue_of(globals())

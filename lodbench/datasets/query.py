@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -171,6 +172,11 @@ class Dataset:
     def __repr__(self) -> str:
         splits = ", ".join(self.splits)
         return f"Dataset({self.name}, {len(self.entries)} queries in {splits}, {self.root})"
+
+
+def repeated_keys(entries: Iterable[Entry]) -> list[str]:
+    """Returns the keys that several entries have, sorted."""
+    return sorted(key for key, count in Counter(entry.key for entry in entries).items() if count > 1)
 
 
 def notes_of(findings: Findings) -> tuple[str, ...]:

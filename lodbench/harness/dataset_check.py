@@ -17,6 +17,7 @@ from lodbench.datasets.codes import (
     COUNT_UNEXPECTED,
     CRS_DIFFERS,
     FILE_MISSING,
+    KEY_TWICE,
     PRIOR_FAR,
     PRIORS_UNLIKE_PAPER,
     WRONG_DIRECTION,
@@ -24,7 +25,7 @@ from lodbench.datasets.codes import (
 from lodbench.datasets.pose_direction import sample_corners, sees, suspect_direction
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.datasets.published.spec import Download
-from lodbench.datasets.query import Dataset
+from lodbench.datasets.query import Dataset, repeated_keys
 from lodbench.evaluation.errors import PoseError, pose_error
 from lodbench.findings import Findings
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
@@ -97,6 +98,8 @@ def check_dataset(
         CityModelError: The city model is there, but cannot be read.
     """
     findings = Findings(list(dataset.findings))
+    for key in repeated_keys(dataset.entries):
+        findings.add(KEY_TWICE, key)
     scene = None
     if dataset.city_model is None:
         known = SPECS.get(dataset.name)

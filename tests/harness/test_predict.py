@@ -10,10 +10,12 @@ import pytest
 
 from lodbench.cli import main
 from lodbench.cli.run import _failure_lines
+from lodbench.datasets.codes import KEY_TWICE
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Query
-from lodbench.errors import ConfigError, QueryFault
+from lodbench.errors import ConfigError, DatasetError, QueryFault
 from lodbench.harness import RunSettings, run_method
+from lodbench.harness.dataset_check import check_dataset
 from lodbench.harness.runs.gallery import write_overlays
 from lodbench.methods import Estimate
 from lodbench.methods.protocol import FlightEstimate
@@ -212,6 +214,16 @@ def test_rounding_in_a_covariance_is_no_fault(dataset, tmp_path):
 
     (found,) = run(Noisy(), dataset, tmp_path, limit=1).predictions.values()
     assert (found.failure, len(found.covariance), found.notes) == ("", 21, ("told",))
+
+
+def test_two_queries_of_one_name_are_told_before_any_work(dataset, tmp_path):
+    double = replace(dataset, entries=(*dataset.entries, dataset.entries[0]))
+    key = dataset.entries[0].key
+    with pytest.raises(DatasetError, match=f"has several queries {key}"):
+        run(Scripted(), double, tmp_path, limit=1)
+    assert not (tmp_path / "runs").exists()
+    found = check_dataset(double, with_pixels=False).findings
+    assert [each.object_id for each in found.items if each.code is KEY_TWICE] == [key]
 
 
 @pytest.mark.parametrize("kind", [Scripted, Batched])

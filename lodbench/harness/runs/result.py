@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lodbench.datasets.query import Dataset, Entry
+from lodbench.datasets.query import Dataset, Entry, repeated_keys
+from lodbench.errors import DatasetError
 from lodbench.evaluation.predictions import Prediction, pose_numbers
 from lodbench.storage import digest_of
 
@@ -53,8 +54,18 @@ class Result:
 
 
 def chosen_entries(dataset: Dataset, splits: tuple[str, ...], limit: int | None) -> tuple[Entry, ...]:
-    """Returns the entries of some splits, at most ``limit`` of each, in file order by split."""
+    """Returns the entries of some splits, at most ``limit`` of each, in file order by split.
+
+    Raises:
+        DatasetError: Two have one key: one would count twice and the other never.
+    """
     by_split = [[entry for entry in dataset.entries if entry.split == split] for split in splits]
+    twice = repeated_keys(entry for entries in by_split for entry in entries)
+    if twice:
+        raise DatasetError(
+            f"The dataset {dataset.name} has several queries {twice[0]}.",
+            "Give each query of a split a name of its own.",
+        )
     return tuple(entry for entries in by_split for entry in entries[:limit])
 
 
