@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -224,6 +225,23 @@ def test_two_queries_of_one_name_are_told_before_any_work(dataset, tmp_path):
     assert not (tmp_path / "runs").exists()
     found = check_dataset(double, with_pixels=False).findings
     assert [each.object_id for each in found.items if each.code is KEY_TWICE] == [key]
+
+
+def test_a_plug_in_that_leaves_the_working_folder_moves_no_run(dataset, tmp_path, monkeypatch):
+    class Moving(Preparing):
+        def prepare(self, city_map, references, workspace):
+            super().prepare(city_map, references, workspace)
+            os.chdir("/")
+
+        def localize(self, query, city_map, streams):
+            os.chdir("/")
+            return super().localize(query, city_map, streams)
+
+    monkeypatch.chdir(tmp_path)
+    settings = RunSettings(Path("runs"), {"method": {"name": "scripted"}}, threads=1, limit=1)
+    done = run_method(Moving(), dataset, NoMask(NoMaskParams()), settings)
+    assert (failures(done), Path.cwd()) == ([""], tmp_path)
+    assert (tmp_path / done.folder / "predictions.jsonl").is_file()
 
 
 @pytest.mark.parametrize("kind", [Scripted, Batched])

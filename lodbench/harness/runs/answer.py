@@ -17,6 +17,7 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.query import Entry, Query
 from lodbench.errors import ConfigError, InputChanged, LodbenchError, QueryFault, WorkersGone
 from lodbench.evaluation.predictions import Prediction, encoded_mask
+from lodbench.execution.same_folder import staying_here
 from lodbench.geometry import Pose
 from lodbench.harness.runs.method_inputs import keep_traceback
 from lodbench.harness.runs.prepare import Preparation
@@ -93,6 +94,7 @@ def _stored_estimate(
     )
 
 
+@staying_here()
 def answer(
     method: Method, preparation: Preparation, city_map: CityMap, asked: Sequence[Asked], folder: Path
 ) -> None:

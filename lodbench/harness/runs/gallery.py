@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Entry
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answered
+from lodbench.execution.same_folder import staying_here
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.result import Result
 from lodbench.rendering import Renderer
@@ -80,6 +81,7 @@ def _shown(
     )
 
 
+@staying_here()
 def _mask(segmenter: Segmenter, entry: Entry, prediction: Prediction) -> NDArray[np.bool_] | None:
     """Returns the mask that was used; for a pose made elsewhere the dataset's own, where it has one.
 

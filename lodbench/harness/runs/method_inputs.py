@@ -12,6 +12,7 @@ from lodbench.datasets.inputs import Input, declared_inputs
 from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.execution.one_blas_thread import on_one_blas_thread
+from lodbench.execution.same_folder import staying_here
 from lodbench.methods import Method
 from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import SupportsFlights, SupportsPrepare
@@ -43,6 +44,7 @@ def method_inputs(method: Method, dataset: Dataset, entries: Sequence[Entry]) ->
     return inputs
 
 
+@staying_here()
 @on_one_blas_thread
 def prepare_method(
     method: Method,
