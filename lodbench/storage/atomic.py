@@ -67,6 +67,11 @@ def write_chunks(
         raise
 
 
+def writable(text: str) -> str:
+    """Returns a text with lone surrogates, as of file names that are no UTF-8, spelt out."""
+    return text.encode("utf-8", errors="backslashreplace").decode("utf-8")
+
+
 def write_text(path: Path, content: str, survives_power_cut: bool = True) -> None:
     """Writes a UTF-8 text file atomically, with line ends as given."""
     write_bytes(path, content.encode("utf-8"), survives_power_cut)

@@ -15,6 +15,7 @@ from lodbench.datasets.codes import KEY_TWICE
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, DatasetError, QueryFault
+from lodbench.evaluation.queries import queries_csv
 from lodbench.harness import RunSettings, run_method
 from lodbench.harness.dataset_check import check_dataset
 from lodbench.harness.runs.gallery import write_overlays
@@ -242,6 +243,14 @@ def test_a_plug_in_that_leaves_the_working_folder_moves_no_run(dataset, tmp_path
     done = run_method(Moving(), dataset, NoMask(NoMaskParams()), settings)
     assert (failures(done), Path.cwd()) == ([""], tmp_path)
     assert (tmp_path / done.folder / "predictions.jsonl").is_file()
+
+
+def test_a_text_that_is_no_utf_8_is_written_all_the_same(dataset, tmp_path):
+    done = run(Scripted({NAMES[0]: OSError("gone: \udcff")}), dataset, tmp_path)
+    assert failures(done) == ["OSError: gone: \\udcff", "", ""]
+    assert "\\udcff" in queries_csv(done.queries)
+    (kept,) = (done.folder / "tracebacks").iterdir()
+    assert "OSError: gone: \\udcff" in kept.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("kind", [Scripted, Batched])

@@ -27,6 +27,7 @@ from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.methods.sound_estimate import note_fault, number_fault, uncertainty_fault
 from lodbench.segmentation import binary_mask
 from lodbench.storage import make_folder, write_text
+from lodbench.storage.atomic import writable
 
 # What flights say besides poses, one file each.
 FLIGHTS_FOLDER = "flights"
@@ -62,7 +63,7 @@ class Asked:
         if self.estimate is not None:
             with _failing(self, folder):
                 return _stored_estimate(self.estimate, self.prepare_s, mask, preparation)
-        return Prediction(None, self.failure, hypotheses=0, mask_png=mask)
+        return Prediction(None, writable(self.failure), hypotheses=0, mask_png=mask)
 
 
 def _stored_estimate(
@@ -89,7 +90,7 @@ def _stored_estimate(
             Pose.from_matrix(preparation.in_dataset_frame(pose).cam_from_world) for pose in found.alternatives
         ),
         alternative_probabilities=tuple(map(float, found.alternative_probabilities)),
-        notes=tuple(found.notes),
+        notes=tuple(map(writable, found.notes)),
         mask_png=mask_png,
     )
 

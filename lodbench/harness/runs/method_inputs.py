@@ -18,6 +18,7 @@ from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import SupportsFlights, SupportsPrepare
 from lodbench.methods.workspace import open_workspace
 from lodbench.storage import digest_of, make_folder, write_text
+from lodbench.storage.atomic import writable
 from lodbench.storage.contents import content_digest
 
 # What a workspace's content depends on, of a run's inputs.
@@ -88,7 +89,7 @@ def keep_traceback(folder: Path, name: str, error: BaseException) -> Path:
     """Writes where a plug-in's code raised to ``tracebacks`` in a run folder; returns the file."""
     file = traceback_file(folder, name)
     make_folder(file.parent)
-    write_text(file, "".join(traceback.format_exception(error)))
+    write_text(file, writable("".join(traceback.format_exception(error))))
     return file
 
 
