@@ -11,6 +11,7 @@ import os
 import sys
 import traceback
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint, distributions
@@ -18,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, LodbenchError, nearest_names
 
 _OURS = "lodbench"
 _CONFIG_GROUP = "lodbench.config_sources"
@@ -230,6 +231,32 @@ def _modified(path: str) -> float:
         return os.stat(path).st_mtime  # noqa: PTH116 - asked at every look-up, at a fifth of the cost
     except OSError:
         return 0.0
+
+
+@contextmanager
+def blaming(group: str, name: str, what: str) -> Iterator[None]:
+    """Tells in one line what a plug-in's code raises, and where, but for errors of lodbench.
+
+    Those of the operating system pass, too: the command line tells them with their file.
+
+    Args:
+        group: A key of ``KINDS``.
+        name: The plug-in's.
+        what: What it cannot do then: ``be made``.
+
+    Raises:
+        ConfigError: Its code raised something.
+    """
+    try:
+        yield
+    except (LodbenchError, OSError):
+        raise
+    except (Exception, SystemExit) as error:  # code of others may raise anything
+        label = KINDS[group].label
+        raise ConfigError(
+            f"The {label} {name!r} cannot {what}: {_words(error)}.",
+            f"See lodbench check-plugin {label} {name}.",
+        ) from error
 
 
 def _words(error: BaseException) -> str:

@@ -6,8 +6,11 @@ import sys
 
 import pytest
 
-from lodbench.errors import ConfigError
+from lodbench.cli.run_dataset import open_dataset
+from lodbench.cli.segmenters import segmenter_of
+from lodbench.errors import ConfigError, LodbenchError
 from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.methods.registry import make_method
 from lodbench.plugins import (
     KINDS,
     config_folders,
@@ -106,3 +109,67 @@ def test_folders_of_configuration_are_found_without_an_import(site):
     assert found["kit.conf"] == site / "kit" / "conf"
     assert found["kit_gone.conf"] is None
     assert next(iter(found)) == "lodbench.conf"
+
+
+KIT = """
+from dataclasses import dataclass
+from lodbench.errors import DatasetError
+
+@dataclass(frozen=True)
+class Params:
+    name: str = "kit"
+    size: int = 1
+
+    def __post_init__(self):
+        if self.size < 0:
+            raise ValueError("size is negative")
+
+class Part:
+    name, params_type, requires = "kit", Params, ()
+
+    def __init__(self, params):
+        if params.size > 1:
+            raise SystemExit("gone")
+        import kit_that_is_not_there
+
+    def localize(self, query, city_map, streams): ...
+    def segment(self, entry): ...
+    def fingerprint(self, entries): ...
+
+def opened(params: Params):
+    if params.size > 1:
+        raise DatasetError("in its own words")
+    return 7 if params.size else {}["gone"]
+"""
+
+
+MAKERS = {
+    "method": lambda size: make_method("kit", size=size),
+    "segmenter": lambda size: segmenter_of("kit", [f"size={size}"]),
+    "dataset": lambda size: open_dataset({"name": "kit", "size": size}),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "told"),
+    [
+        ("method", -1, "The method 'kit' cannot take its settings: ValueError: size is negative"),
+        ("method", 1, "The method 'kit' cannot be made: ModuleNotFoundError: No module named"),
+        ("method", 2, "The method 'kit' cannot be made: SystemExit: gone"),
+        ("segmenter", -1, "The segmenter 'kit' cannot be made: ValueError: size is negative"),
+        ("segmenter", 1, "The segmenter 'kit' cannot be made: ModuleNotFoundError: No module named"),
+        ("dataset", -1, "The dataset 'kit' cannot take its settings: ValueError: size is negative"),
+        ("dataset", 0, "The dataset 'kit' cannot be opened: KeyError: 'gone'"),
+        ("dataset", 1, "The dataset 'kit' cannot be opened: TypeError: it returned int"),
+        ("dataset", 2, "in its own words"),
+    ],
+)
+def test_what_a_part_raises_when_it_is_made_is_told_in_a_line(site, monkeypatch, kind, size, told):
+    parts = {"methods": "Part", "segmenters": "Part", "datasets": "opened"}
+    points = {group: {"kit": f"kit_parts:{part}"} for group, part in parts.items()}
+    write_package(site, "kit", points, {"kit_parts.py": KIT})
+    monkeypatch.delitem(sys.modules, "kit_parts", raising=False)
+    with pytest.raises(LodbenchError) as caught:
+        MAKERS[kind](size)
+    assert caught.value.message.startswith(told)
+    assert "\n" not in caught.value.message

@@ -10,7 +10,7 @@ from lodbench.cli.source_profiles import option_pairs
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset
 from lodbench.params import to_params
-from lodbench.plugins import load_plugin
+from lodbench.plugins import blaming, load_plugin
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.choice import AUTO, chosen_segmenter
 
@@ -49,6 +49,8 @@ def default_segmenter(dataset: Dataset, wanted: Collection[Input] = frozenset({I
 
 
 def _made(values: Mapping[str, Any], settings: Mapping[str, Any]) -> Made:
-    part = load_plugin("segmenters", str(values.get("name", "")))
-    params = to_params(dict(settings), part.params_type, "segmenter")
-    return part(params), params
+    name = str(values.get("name", ""))
+    part = load_plugin("segmenters", name)
+    with blaming("segmenters", name, "be made"):
+        params = to_params(dict(settings), part.params_type, "segmenter")
+        return part(params), params

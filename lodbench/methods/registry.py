@@ -9,7 +9,7 @@ from typing import Any
 from lodbench.datasets.priors import UniformPrior
 from lodbench.methods.protocol import Method, SupportsPriorWidth, SupportsTrueTilt
 from lodbench.params import to_params
-from lodbench.plugins import load_plugin
+from lodbench.plugins import blaming, load_plugin
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,13 @@ class ConfiguredMethod:
     params: Any
 
     def make(self) -> Method:
-        """Returns the method, made anew."""
-        method: Method = self.kind(self.params)
+        """Returns the method, made anew.
+
+        Raises:
+            ConfigError: It cannot be made.
+        """
+        with blaming("methods", self.kind.name, "be made"):
+            method: Method = self.kind(self.params)
         return method
 
     def for_prior(self, prior: UniformPrior) -> ConfiguredMethod:
@@ -56,7 +61,8 @@ def configure_method(settings: Mapping[str, Any]) -> ConfiguredMethod:
     """
     name = str(settings.get("name", ""))
     kind = load_plugin("methods", name)
-    return ConfiguredMethod(kind, to_params(settings, kind.params_type, "method"))
+    with blaming("methods", name, "take its settings"):
+        return ConfiguredMethod(kind, to_params(settings, kind.params_type, "method"))
 
 
 def make_method(name: str, **params: Any) -> Method:
