@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,8 +21,8 @@ The page is served to this machine alone. Strokes add to the mask or take from i
 follows.
 
 examples:
-  lodbench mask DJI_0001.JPG                                   start from the network's mask
-  lodbench mask DJI_0001.JPG --mask DJI_0001_mask.png          or from one that is there
+  lodbench mask DJI_0001.JPG                                   go on with DJI_0001_mask.png, or begin one
+  lodbench mask DJI_0001.JPG --mask other.png --out new.png    start from another
   lodbench mask DJI_0001.JPG --no-page --export labelme        for LabelMe; then bring it back:
   lodbench mask DJI_0001.JPG --no-page --import DJI_0001_mask.labelme.json
   lodbench localize DJI_0001.JPG --city city.gml --mask DJI_0001_mask.png
@@ -43,6 +44,7 @@ def main(argv: Sequence[str]) -> int:
         raise ConfigError(f"--out {out} is no PNG file.", f"Masks are PNG: --out {out.with_suffix('.png')}")
     if out.exists() and asked.photo.exists() and out.samefile(asked.photo):
         raise ConfigError("--out is the photo itself.", "Leave it out, or name another file.")
+    asked.mask = _start(asked, out)
     segmenter = None
     if asked.mask is None and asked.polygons is None:
         from lodbench.cli.segmenters import segmenter_of
@@ -63,6 +65,25 @@ def main(argv: Sequence[str]) -> int:
         for path in save():
             sys.stdout.write(f"written: {path}\n")
     return 0
+
+
+def _start(asked: argparse.Namespace, out: Path) -> Path | None:
+    """Returns the mask to start from: what was named, else the one that was saved before.
+
+    Raises:
+        ConfigError: The mask that was saved before, perhaps by hand, would be replaced unasked.
+    """
+    named: Path | None = asked.mask
+    # Polygons were written from that mask: what comes back is meant to replace it.
+    if asked.out is not None or asked.polygons is not None or not out.exists():
+        return named
+    makes_new = asked.segmenter is not None or bool(asked.segmenter_option)
+    if makes_new or (named is not None and named.exists() and not named.samefile(out)):
+        hint = f"Keep it, and save elsewhere: --out OTHER.png; replace it: --out {shlex.quote(str(out))}"
+        raise ConfigError(f"{out} is there, and would be replaced.", hint)
+    if named is None:
+        sys.stdout.write(f"starts from: {out}, which is there\n")
+    return out if named is None else named
 
 
 def _serve(session: MaskSession, name: str, save: Callable[[], tuple[Path, ...]], port: int) -> None:
@@ -91,7 +112,9 @@ def _parser() -> argparse.ArgumentParser:
     start.add_argument(
         "--import", dest="polygons", type=Path, metavar="FILE", help="start from polygons of LabelMe or COCO"
     )
-    start.add_argument("--segmenter", metavar="NAME", help="else from its mask (efficient_unet)")
+    start.add_argument(
+        "--segmenter", metavar="NAME", help="from its mask (efficient_unet, where none is saved)"
+    )
     add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
     add("--out", type=Path, metavar="FILE", help="where to save it (PHOTO_mask.png)")
     add("--export", action="append", default=[], choices=_FORMATS, help="polygons beside it; may be repeated")

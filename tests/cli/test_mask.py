@@ -182,6 +182,23 @@ class TestCommand:
         assert main(["mask", str(photo), "--no-page"]) == 0
         assert cv2.imread(str(photo.parent / "photo_mask.png"), 0).shape == (160, 240)
 
+    def test_a_mask_that_is_there_is_gone_on_with(self, photo, capsys):
+        saved = photo.parent / "photo_mask.png"
+        cv2.imwrite(str(saved), houses()[1].astype(np.uint8) * 255)
+        assert main(["mask", str(photo), "--no-page", "--export", "labelme"]) == 0
+        assert f"starts from: {saved}, which is there" in capsys.readouterr().out
+        assert np.array_equal(cv2.imread(str(saved), 0) > 0, houses()[1])
+
+    @pytest.mark.parametrize("words", [["--segmenter", "bright"], ["--segmenter-option", "a=1"], ["--mask"]])
+    def test_a_mask_that_is_there_is_not_replaced(self, photo, capsys, words):
+        saved = photo.parent / "photo_mask.png"
+        cv2.imwrite(str(saved), np.eye(160, 240, dtype=np.uint8) * 255)
+        before = saved.read_bytes()
+        words = [*words, str(photo.parent / "traced.png")] if words == ["--mask"] else words
+        assert main(["mask", str(photo), "--no-page", *words]) == 2
+        assert "--out OTHER.png" in capsys.readouterr().err
+        assert saved.read_bytes() == before
+
     def test_it_starts_from_a_plug_in_that_looks_at_photos(self, photo, monkeypatch):
         monkeypatch.setattr("lodbench.cli.segmenters.load_plugin", lambda group, name: Bright)
         assert main(["mask", str(photo), "--segmenter", "bright", "--no-page"]) == 0
