@@ -7,7 +7,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.localize_text import describe, describe_many
 from lodbench.cli.parser import Parser
@@ -80,8 +80,7 @@ def main(argv: Sequence[str]) -> int:
     if is_one:
         found = localize_photo(request)
         write_view(found.view, request, [found])
-        text = json.dumps(found.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(found)
-        sys.stdout.write(text + "\n")
+        sys.stdout.write((_json(found.to_json()) if asked.json else describe(found)) + "\n")
         _write_sidecars([(photos[0], found)], asked)
         return 0 if found.is_trusted else NOT_TRUSTED
     if isinstance(method, SupportsFlights) and not asked.each_alone:
@@ -177,13 +176,17 @@ def _tell_many(answers: Answers, asked: argparse.Namespace) -> int:
             }
             for answer in answers.photos
         ]
-        sys.stdout.write(json.dumps(values, indent=2, ensure_ascii=False) + "\n")
+        sys.stdout.write(_json(values) + "\n")
     else:
         sys.stdout.write(describe_many(answers))
     if all(answer.found is None for answer in answers.photos):
         return 1
     is_well = all(answer.found is not None and answer.found.is_trusted for answer in answers.photos)
     return 0 if is_well else NOT_TRUSTED
+
+
+def _json(values: Any) -> str:
+    return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.reporting.answers import trust_word
 from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.table_columns import finite_text
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.many import Answers
@@ -60,11 +61,12 @@ def describe(found: LocalizedPhoto) -> str:
     """Returns what a reader is told."""
     x, y, z = (float(v) for v in found.pose.center)
     pitch, roll, yaw = found.pose.euler
+    score = finite_text(found.score, ".3f")
     rows = [
         ("local", f"{x:.2f} {y:.2f} {z:.2f} m in {found.crs or 'the frame of the city model'}"),
         ("", f"pitch {pitch:.2f}  roll {roll:.2f}  yaw {yaw:.2f} deg (0 looks down; yaw from grid north)"),
         ("prior", f"{found.moved.translation_m:.2f} m and {found.moved.rotation_deg:.2f} deg away"),
-        ("score", f"{found.score:.3f}  (LoD {found.lod or 'unnamed'}; camera: {found.camera_source})"),
+        ("score", f"{score}  (LoD {found.lod or 'unnamed'}; camera: {found.camera_source})"),
         *_trust_rows(found),
         ("overlay", str(found.overlay)),
         ("in 3D", str(found.view)),

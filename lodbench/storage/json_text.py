@@ -1,8 +1,9 @@
-"""JSON that somebody else may have written."""
+"""JSON that somebody else may have written or will read."""
 
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 
@@ -20,6 +21,15 @@ def parse_json(text: str | bytes, is_strict: bool = False) -> Any:
         return json.loads(text, parse_constant=_refuse if is_strict else None)
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
+
+
+def finite(value: Any) -> Any:
+    """Returns plain values with None for numbers that JSON does not know: NaN and infinities."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _refuse(word: str) -> float:

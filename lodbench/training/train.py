@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
@@ -16,7 +15,7 @@ from lodbench.extras import require
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.storage import digest_of, file_digest, make_folder, write_text
-from lodbench.storage.json_text import parse_json
+from lodbench.storage.json_text import finite, parse_json
 from lodbench.training.learning_curves import write_curves
 from lodbench.training.posed_photos import is_posed, posed_samples
 from lodbench.training.samples import MASKS, Sample, find_samples, samples_digest, split_samples
@@ -225,11 +224,4 @@ def _sets(data: Path) -> dict[str, Any]:
 
 
 def _json(record: dict[str, Any]) -> str:
-    def finite(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: finite(item) for key, item in value.items()}
-        if isinstance(value, list | tuple):
-            return [finite(item) for item in value]
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
     return json.dumps(finite(record), indent=1, sort_keys=True, allow_nan=False) + "\n"

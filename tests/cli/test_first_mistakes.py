@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from lodbench.cli import main
+from lodbench.storage.json_text import parse_json
 from tests.fault_commands import CRS, prepare_inputs
 
 DEGREES = "v 11.5 48.1 500\nv 11.6 48.1 500\nv 11.6 48.2 500\nv 11.5 48.1 520\nf 1 2 3\nf 1 2 4\n"
@@ -162,3 +163,17 @@ def test_names_and_line_ends_of_other_systems_are_no_mistake(files, capsys, tmp_
     code = main([*given, "--method", "lodlocv2", "--method-option", "steps=1", "--out", str(folder / "o ö")])
     assert code in (0, 3), capsys.readouterr().err
     assert (folder / "o ö" / "Föto 1_overlay.png").is_file()
+
+
+def test_a_method_without_a_score_says_so(files, capsys, tmp_path):
+    words = [*_at(files), "--method", "prior_only", "--out", str(tmp_path)]
+    assert main([*words, "--json"]) == 0
+    assert parse_json(capsys.readouterr().out, is_strict=True)["score"] is None
+    written = [*tmp_path.glob("*.json"), *tmp_path.glob("*.geojson")]
+    assert len(written) == 2
+    assert all(parse_json(path.read_text(), is_strict=True) for path in written)
+    assert main(words) == 0
+    assert "score      -  (LoD" in capsys.readouterr().out
+    assert main([*words, "--each-alone", files.flight, "--json"]) == 0
+    answers = parse_json(capsys.readouterr().out, is_strict=True)
+    assert {answer["score"] for answer in answers} == {None}

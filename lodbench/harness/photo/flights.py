@@ -36,6 +36,7 @@ from lodbench.methods import Estimate
 from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.storage import random_stream, write_text
+from lodbench.storage.json_text import finite
 
 FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
 
@@ -175,7 +176,7 @@ def _write_findings(answers: Answers, scene: Scene, frame: MapFrame | None) -> N
         {"photo": str(each.photo), "reason": each.failure} for each in answers.photos if each.found is None
     ]
     values = {"flights": [flight.to_json() for flight in answers.flights], "left_out": left_out}
-    text = json.dumps(values, indent=1, ensure_ascii=False)
+    text = json.dumps(finite(values), indent=1, ensure_ascii=False, allow_nan=False)
     write_text(numbered(answers.folder / FLIGHTS_FILE, answers.number), text + "\n")
     if frame is not None:
         features = [

@@ -7,6 +7,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -143,11 +144,15 @@ def write_answer(
     )
     values = {"sha256": digest, **found.to_json()}
     # First what says whose files these are: a command that is given again after a kill writes over its own.
-    write_text(request.out / f"{label}.json", json.dumps(values, indent=2, ensure_ascii=False) + "\n")
+    write_text(request.out / f"{label}.json", _json(values))
     write_photo_overlay(overlay, view, place.renderer, prior, estimate)
     if geojson is not None:
         write_geojson(features, geojson)
     return found
+
+
+def _json(values: dict[str, Any]) -> str:
+    return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _label(out: Path, stem: str, digest: str) -> str:

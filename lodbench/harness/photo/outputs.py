@@ -16,8 +16,10 @@ from lodbench.geometry import Camera, Pose
 from lodbench.methods import Estimate
 from lodbench.rendering import Renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
+from lodbench.reporting.table_columns import finite_text
 from lodbench.reporting.view3d import photo_jpeg
 from lodbench.segmentation import binary_mask
+from lodbench.storage.json_text import finite
 
 # The ground is where the lowest corners of the city are, this near a camera; a few may be cellars.
 _NEAR_M, _LOWEST_PERCENT = 400.0, 5.0
@@ -62,7 +64,7 @@ def write_photo_overlay(
         prior=prior.shifted(-origin),
         estimate=estimate.pose.shifted(-origin),
         truth=None,
-        caption=f"{view.name}: score {estimate.score:.3f}",
+        caption=f"{view.name}: score {finite_text(estimate.score, '.3f')}",
     )
     write_picture(path, draw_overlay(shown, renderer))
 
@@ -71,7 +73,11 @@ def photo_features(
     frame: MapFrame, name: str, camera: Camera, scene: Scene, prior: Pose, estimate: Estimate
 ) -> list[dict[str, Any]]:
     """Returns the cameras of prior and estimate, and what the latter sees, as features of GeoJSON."""
-    stated: dict[str, Any] = {"name": name, "kind": "estimate", "score": round(float(estimate.score), 4)}
+    stated: dict[str, Any] = {
+        "name": name,
+        "kind": "estimate",
+        "score": finite(round(float(estimate.score), 4)),
+    }
     if estimate.probability is not None:
         stated["probability"] = round(float(estimate.probability), 4)
     footprint = footprint_feature(

@@ -16,6 +16,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.requests import RoughRequest
 from lodbench.methods import Method
 from lodbench.reporting.answers import UNTRUSTED, trust_word
+from lodbench.storage.json_text import finite
 
 _SIGMA_NAMES = ("x_m", "y_m", "z_m", "pitch_deg", "roll_deg", "yaw_deg")
 
@@ -48,7 +49,7 @@ class LocalizedPhoto:
         pose: In the city's coordinates.
         prior: Likewise.
         moved: How far the estimate lies from the prior.
-        score: Of the method: the overlap (IoU) of mask and model for LoD-Loc v2.
+        score: Of the method: the overlap (IoU) of mask and model for LoD-Loc v2; NaN where it has none.
         probability: That the pose is within 2 m and 2 degrees, where the method knows it.
         covariance: (6, 6) of the error in x, y, z (metres), pitch, roll and yaw (degrees), where it knows it.
         sigmas: Standard deviations of x, y, z (metres), pitch, roll and yaw (degrees), where it knows them.
@@ -100,8 +101,8 @@ class LocalizedPhoto:
         return self.overlay.with_name(f"{self.overlay.stem.removesuffix('_overlay')}_3d.html")
 
     def to_json(self) -> dict[str, Any]:
-        """Returns plain values for JSON, units in the names."""
-        return {
+        """Returns plain values for JSON, units in the names; None for a number that is none."""
+        values = {
             "photo": self.photo,
             "place": None if self.place is None else self.place._asdict(),
             "crs": self.crs,
@@ -125,6 +126,8 @@ class LocalizedPhoto:
             "geojson": None if self.geojson is None else str(self.geojson),
             "notes": list(self.notes),
         }
+        plain: dict[str, Any] = finite(values)
+        return plain
 
 
 def _pose_values(pose: Pose) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from lodbench.harness.city import open_city
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
+from lodbench.reporting.table_columns import finite_text
 from lodbench.reporting.view3d import MAX_PHOTOS, ViewedCamera, draw_view3d
 from lodbench.storage import write_text
 
@@ -43,4 +44,4 @@ def _facts(found: LocalizedPhoto) -> dict[str, str]:
     if found.probability is not None:
         facts["sure"] = f"{100 * found.probability:.0f} %"
     moved = f"{found.moved.translation_m:.2f} m, {found.moved.rotation_deg:.2f} deg"
-    return {**facts, "from the prior": moved, "score": f"{found.score:.3f}"}
+    return {**facts, "from the prior": moved, "score": finite_text(found.score, ".3f")}
