@@ -76,7 +76,7 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
     by its definition, zoom included.
 
     Raises:
-        DatasetError: The photo states none of them, or one that no camera has.
+        DatasetError: The photo states none of them, or one that no camera has, or was cropped since.
     """
     width, height = _size_when_taken(photo)
     if photo.digital_zoom != 1.0:
@@ -98,12 +98,27 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
 
 
 def _size_when_taken(photo: PhotoMetadata) -> tuple[int, int]:
-    """Returns the size that numbers in pixels belong to: another than the file's if it was scaled since."""
-    if photo.size_when_taken is None:
+    """Returns the size that numbers in pixels belong to: another than the file's if it was scaled since.
+
+    Raises:
+        DatasetError: It was cropped since: nobody knows where in the lens's picture it lies.
+    """
+    if photo.size_when_taken is None or not all(photo.size_when_taken):
         return photo.width, photo.height
     width, height = photo.size_when_taken
-    is_scaled = abs(width * photo.height / (height * photo.width) - 1) < _ASPECT_TOLERANCE
-    return (width, height) if is_scaled else (photo.width, photo.height)
+    if _is_same_shape(width, height, photo):
+        return width, height
+    if not _is_same_shape(height, width, photo):
+        raise DatasetError(
+            f"{photo.name} was cropped since it was taken: {width} x {height} then, "
+            f"{photo.width} x {photo.height} now.",
+            f"Take the photo as it was stored, or give {camera_flag(photo.width, photo.height)}.",
+        )
+    return photo.width, photo.height
+
+
+def _is_same_shape(width: int, height: int, photo: PhotoMetadata) -> bool:
+    return abs(width * photo.height / (height * photo.width) - 1) < _ASPECT_TOLERANCE
 
 
 def _dewarped(photo: PhotoMetadata, dewarp: Dewarp, width: int, height: int) -> Camera:

@@ -186,8 +186,16 @@ class TestCamera:
             PHOTO, width=1368, height=912, size_when_taken=(5472, 3648), calibrated_focal_px=3666.0
         )
         assert camera_from_photo(small).camera.fx == pytest.approx(3666.0 / 4)
-        cropped = replace(small, height=700)
-        assert camera_from_photo(cropped).camera.fx == 3666.0
+        turned = replace(PHOTO, width=3648, height=5472, size_when_taken=(5472, 3648), focal_35mm=24.0)
+        assert camera_from_photo(turned).camera.height == 5472
+
+    def test_a_photo_cropped_since_is_not_seen_by_the_whole_lens(self):
+        cropped = replace(PHOTO, width=1368, height=700, size_when_taken=(5472, 3648), focal_35mm=24.0)
+        with pytest.raises(
+            DatasetError, match="cropped since it was taken: 5472 x 3648 then, 1368 x 700 now"
+        ) as fault:
+            camera_from_photo(cropped)
+        assert "--camera 'SIMPLE_PINHOLE 1368 700 FOCAL_PX 684 350'" in fault.value.hint
 
     def test_from_millimetres(self):
         table = camera_from_photo(replace(PHOTO, model="FC6310R", focal_mm=8.8))
