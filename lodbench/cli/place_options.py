@@ -59,7 +59,17 @@ def city_settings(asked: argparse.Namespace) -> dict[str, Any]:
 
 
 def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
-    """Returns what a ``RoughRequest`` takes of ``add_rough_pose_options``."""
+    """Returns what a ``RoughRequest`` takes of ``add_rough_pose_options``.
+
+    Raises:
+        ConfigError: The camera is none, or the place is given twice.
+    """
+    own = {"--lat": asked.lat, "--lon": asked.lon, "--height": asked.height, "--takeoff": asked.takeoff}
+    own |= {"--geoid": asked.geoid, "--height-offset": asked.height_offset or None}
+    unused = [name for name, value in own.items() if value is not None]
+    if asked.center is not None and unused:
+        hint = f"--center has the height too: leave {unused[0]} or --center out."
+        raise ConfigError(f"{unused[0]} is not used with --center.", hint)
     return {
         "camera": given_camera(asked.camera),
         "given": RoughPlace(asked.lat, asked.lon, asked.height, asked.heading, asked.pitch, asked.roll),
@@ -93,7 +103,9 @@ def add_height_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--takeoff", type=float, metavar="M", help="height of the take-off point in the city")
     group.add_argument("--geoid", type=float, metavar="M", help="height of the geoid above the ellipsoid")
-    group.add_argument("--height-offset", type=float, default=0.0, metavar="M", help="added in the end")
+    group.add_argument(
+        "--height-offset", type=float, default=0.0, metavar="M", help="added in the end, to --height too"
+    )
 
 
 def height_options(asked: argparse.Namespace) -> HeightOptions:

@@ -35,10 +35,11 @@ class HeightOptions:
             ellipsoid for RTK solutions, else sea_level.
         takeoff_m: Height of the take-off point, in the city's heights.
         geoid_m: Height of the city's zero above the ellipsoid there; None asks PROJ.
-        offset_m: Added in the end: what is known to be wrong with the drone's barometer.
+        offset_m: Added in the end, whatever the height came from.
 
     Raises:
-        ConfigError: The source is unknown or lacks the take-off height, or a height is not finite.
+        ConfigError: The source is unknown or lacks the take-off height, a height is not finite, or one is
+            given that the source does not use.
     """
 
     source: HeightSource = "auto"
@@ -58,6 +59,19 @@ class HeightOptions:
         require_within("--takeoff", self.takeoff_m, -math.inf)
         require_within("--geoid", self.geoid_m, -math.inf)
         require_within("--height-offset", self.offset_m, -math.inf)
+        self._require_used()
+
+    def _require_used(self) -> None:
+        used = "takeoff" if self.source == "auto" and self.takeoff_m is not None else self.source
+        for name, value, users in (
+            ("--takeoff", self.takeoff_m, ("auto", "takeoff")),
+            ("--geoid", self.geoid_m, ("auto", "ellipsoid")),
+        ):
+            if value is not None and used not in users:
+                why = f"--heights {self.source}" if self.source != "auto" else "--takeoff"
+                own = "takeoff" if name == "--takeoff" else "ellipsoid"
+                hint = f"Leave {name} or {why} out; --heights {own} uses {name}."
+                raise ConfigError(f"{name} is not used with {why}.", hint)
 
     def source_for(self, photo: PhotoMetadata) -> str:
         """Returns the source that counts for a photo."""
@@ -175,8 +189,10 @@ def pose_from_photo(
     longitude = cast(float, _first(given.longitude_deg, photo.longitude_deg))
     east, north = frame.east_north(latitude, longitude)
     height = given.height_m
+    options = heights or HeightOptions()
     if height is None:
-        height = _height(photo, frame, heights or HeightOptions(), latitude, longitude)
+        height = _height(photo, frame, options, latitude, longitude)
+    height += options.offset_m
     return pose_at((east, north, height), frame.convergence_deg(east, north), photo, given)
 
 
@@ -214,6 +230,15 @@ def datum_note(frame: MapFrame) -> str | None:
     return f"the accuracy of the step from WGS 84 to {frame.crs} is {known} (PROJ_NETWORK=ON may better it)"
 
 
+def geoid_note(photo: PhotoMetadata, options: HeightOptions) -> str | None:
+    """Returns a sentence if a geoid was given, and the photo's height is taken as above sea level."""
+    if options.geoid_m is None or options.source_for(photo) != "sea_level":
+        return None
+    return (
+        "--geoid was not used: heights are taken as above sea level without RTK; --heights ellipsoid uses it"
+    )
+
+
 def _height(
     photo: PhotoMetadata, frame: MapFrame, options: HeightOptions, latitude: float, longitude: float
 ) -> float:
@@ -227,7 +252,7 @@ def _height(
         height = frame.height_from_ellipsoid(latitude, longitude, stated)
     else:
         height = stated
-    return height + options.offset_m
+    return height
 
 
 def _first(given: float | None, stated: float | None) -> float | None:

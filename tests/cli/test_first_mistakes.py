@@ -62,6 +62,11 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: [*_at(f), "--mask", f.empty], "Is a directory", "Check the path"),
     (lambda f: [*_at(f), "--lat", "120", "--lon", "51"], "--lat=120 is not within -90 to 90", ""),
     (lambda f: [*_at(f), "--takeoff", "nan"], "--takeoff=nan is not finite", ""),
+    (lambda f: [*_at(f), "--takeoff", "61", "--heights", "sea_level"], "--takeoff is not used", "Leave --t"),
+    (lambda f: [*_at(f), "--takeoff", "61", "--geoid", "46"], "--geoid is not used with --takeoff", "Leave"),
+    (lambda f: [*_at(f), "--heights", "sea_level", "--geoid", "46"], "not used with --heights", "Leave --g"),
+    (lambda f: [*_track(f), "--height", "160"], "--height is not used with --center", "--height or --center"),
+    (lambda f: [*_track(f), "--height-offset", "3"], "--height-offset is not used with --center", "leave"),
     (lambda f: [*_at(f), "--camera", "PINHOLE -320 240 1 1 1 1"], "not -320 x 240", "PINHOLE W H"),
     (lambda f: ["localize", f.photo, "--city", f.degrees], "look like degrees", "--crs EPSG:"),
     (lambda f: [*_at(f)[:-1], "EPSG:4326"], "are no degrees", "--crs EPSG:"),
@@ -163,6 +168,12 @@ def test_names_and_line_ends_of_other_systems_are_no_mistake(files, capsys, tmp_
     code = main([*given, "--method", "lodlocv2", "--method-option", "steps=1", "--out", str(folder / "o ö")])
     assert code in (0, 3), capsys.readouterr().err
     assert (folder / "o ö" / "Föto 1_overlay.png").is_file()
+
+
+def test_a_geoid_that_was_not_used_is_told(files, capsys, tmp_path):
+    words = [*_at(files), "--method", "prior_only", "--geoid", "46", "--out", str(tmp_path)]
+    assert main(words) == 0
+    assert "note: --geoid was not used" in capsys.readouterr().out
 
 
 def test_a_method_without_a_score_says_so(files, capsys, tmp_path):
