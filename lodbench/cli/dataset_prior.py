@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import Any
 from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.cli.parser import Parser
 from lodbench.datasets.prior_sources import Priors, prior_digest, prior_text
-from lodbench.errors import ConfigError
+from lodbench.datasets.query import Dataset
+from lodbench.errors import ConfigError, LodbenchError
 from lodbench.harness.dataset_check import prior_errors_in_words
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin, plugin_names
@@ -47,7 +49,7 @@ def main(argv: Sequence[str]) -> int:
     priors: Priors = to_params(dict(map(_pair, options.set)), load_plugin("priors", options.kind), "--set")
     if options.out.is_dir():
         raise ConfigError(f"{options.out} is a folder.", "Name a file.")
-    dataset = priors.apply(open_named(options), options.seed)
+    dataset = _applied(priors, open_named(options), options.seed)
     write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))
     made = sum(entry.prior is not None for entry in dataset.entries)
     lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {priors.describe()}"]
@@ -56,6 +58,15 @@ def main(argv: Sequence[str]) -> int:
     lines += [f"note: {note}" for note in dataset.notes]
     sys.stdout.write("\n".join(lines) + "\n")
     return 0
+
+
+def _applied(priors: Priors, dataset: Dataset, seed: int) -> Dataset:
+    """Returns the dataset with priors; a fault's hint is in this command's words, not in those of a run."""
+    try:
+        return priors.apply(dataset, seed)
+    except LodbenchError as fault:
+        fault.hint = re.sub(r"\bprior\.(?=\w+=)", "--set ", fault.hint).replace("prior=", "--kind ")
+        raise
 
 
 def _pair(word: str) -> tuple[str, Any]:

@@ -158,7 +158,11 @@ class BasinPrior:
         )
 
     def apply(self, dataset: Dataset, seed: int) -> Dataset:
-        """Returns the dataset with priors drawn around the truth."""
+        """Returns the dataset with priors drawn around the truth.
+
+        Raises:
+            DatasetError: No query has a truth.
+        """
         return with_uniform_priors(dataset, self.widths, seed)
 
     def describe(self) -> str:

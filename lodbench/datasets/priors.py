@@ -8,9 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from lodbench.datasets.query import Dataset
-from lodbench.errors import require_numbers
+from lodbench.errors import DatasetError, require_numbers
 from lodbench.geometry import EulerAngles, Pose
 from lodbench.storage import random_stream
+
+_NO_TRUTH_HINT = "Take the photos' own, prior=sensor, or those of a file: prior=file prior.path=FILE."
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,11 @@ class UniformPrior:
         require_numbers(self, "prior", (field.name for field in fields(self)), 0)
 
     def apply(self, dataset: Dataset, seed: int) -> Dataset:
-        """Returns the dataset with priors drawn around the truth."""
+        """Returns the dataset with priors drawn around the truth.
+
+        Raises:
+            DatasetError: No query has a truth.
+        """
         return with_uniform_priors(dataset, self, seed)
 
     def draw(self, truth: Pose, generator: np.random.Generator) -> Pose:
@@ -72,7 +78,12 @@ def with_uniform_priors(dataset: Dataset, prior: UniformPrior, seed: int) -> Dat
 
     The stream does not know the widths: a wider prior errs in the same direction, only further. A
     query without a truth keeps its own prior; it cannot be scored anyway.
+
+    Raises:
+        DatasetError: No query has a truth.
     """
+    if not any(entry.key in dataset.truth for entry in dataset.entries):
+        raise DatasetError(f"{dataset.name} has no true pose to draw priors around.", _NO_TRUTH_HINT)
     entries = []
     for entry in dataset.entries:
         truth = dataset.truth.get(entry.key)

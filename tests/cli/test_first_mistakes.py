@@ -39,8 +39,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
         empty=str(folder / "empty"),
         degrees=str(folder / "degrees.obj"),
         no_cameras=str(folder / "no_cameras"),
+        no_truth=str(folder / "no_truth"),
         folder=folder,
     )
+    shutil.copytree(folder / "three/data", made.no_truth)
+    (Path(made.no_truth) / "GT_pose.txt").unlink()
+    (Path(made.no_truth) / "dataset.json").write_text('{"truth": false}')
     cv2.imwrite(made.small, np.full((24, 16), 255, np.uint8))
     cv2.imwrite(made.black, np.zeros((240, 320), np.uint8))
     Path(made.empty).mkdir()
@@ -101,6 +105,8 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: ["train", "data=x", "schedule.lr=nan"], "schedule.lr=nan is not within", ""),
     (lambda f: ["train", "data=x", "traced_share=nan"], "lodbench: traced_share=nan", ""),
     (lambda f: ["train", "method=lodloc", "data=x", "schedule.lr=nan"], "schedule.lr=nan is not within", ""),
+    (lambda f: _priors(f), "has no true pose to draw priors around", "--kind file --set path=FILE"),
+    (lambda f: _drawn_run(f), "has no true pose to draw priors around", "prior=file prior.path=FILE"),
     (lambda f: ["run", f.photos], "is no setting", "dataset.root="),
     (lambda f: ["run", f.photo], "is no setting", "lodbench localize PHOTO"),
 ]
@@ -124,6 +130,14 @@ def _drawn(f: SimpleNamespace) -> list[str]:
 
 def _init(f: SimpleNamespace) -> list[str]:
     return ["dataset", "init", "own", "--images", f.flight, "--city", f.city, "--crs", CRS]
+
+
+def _priors(f: SimpleNamespace) -> list[str]:
+    return ["dataset", "prior", f.no_truth, "--kind", "uniform", "--out", "priors.txt"]
+
+
+def _drawn_run(f: SimpleNamespace) -> list[str]:
+    return ["run", "dataset=folder", f"dataset.root={f.no_truth}", f"city={f.city}", "prior=uniform"]
 
 
 def _bench(f: SimpleNamespace) -> list[str]:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.prior_sources import BasinPrior, FilePrior, prior_text
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.geometry import EulerAngles, Pose, wrap_deg
 from lodbench.storage import random_stream
 from tests.town import write_dataset
@@ -89,6 +89,14 @@ def test_a_query_without_truth_keeps_its_prior(tmp_path):
     known = {key: pose for key, pose in dataset.truth.items() if key != lost.key}
     drawn = with_uniform_priors(replace(dataset, truth=known), UniformPrior(), seed=0)
     assert drawn.entries[0].prior is lost.prior
+
+
+@pytest.mark.parametrize("prior", [UniformPrior(), BasinPrior()])
+def test_nothing_is_drawn_around_no_truth(tmp_path, prior):
+    dataset = open_folder(FolderParams(*map(str, write_dataset(tmp_path, count=2))))
+    with pytest.raises(DatasetError, match="no true pose to draw priors around") as fault:
+        prior.apply(replace(dataset, truth={}), seed=0)
+    assert "prior=sensor" in fault.value.hint
 
 
 @pytest.mark.parametrize(("paper_m", "paper_deg"), [(17.6, 3.87), (17.9, 3.94)])
