@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,5 +25,6 @@ def main(argv: Sequence[str]) -> int:
 
     root = build_demo(options.folder, num_queries=options.num_queries, seed=options.seed, look=options.look)
     city = root / CITY_FILE
-    sys.stdout.write(f"{root}\nTry: lodbench run dataset=folder dataset.root={root} city={city}\n")
+    words = shlex.join(["dataset=folder", f"dataset.root={root}", f"city={city}"])
+    sys.stdout.write(f"{root}\nTry: lodbench run {words}\n")
     return 0

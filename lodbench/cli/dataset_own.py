@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -162,5 +163,5 @@ def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
         f"source={asked.source}" if asked.source != "folder" else "",
         *(f"source.options.{option}" for option in asked.option),
     ]
-    lines.append("Next: lodbench run " + " ".join(word for word in words if word))
+    lines.append("Next: lodbench run " + shlex.join(word for word in words if word))
     return "\n".join(lines)

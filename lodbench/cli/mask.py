@@ -37,11 +37,11 @@ def main(argv: Sequence[str]) -> int:
     out = asked.out or asked.photo.with_name(f"{asked.photo.stem}_mask.png")
     require_within("--port", asked.port, 0, 65535)
     if out.is_dir():
-        raise ConfigError(
-            f"--out {out} is a folder.", f"Name a file: --out {out / asked.photo.stem}_mask.png"
-        )
+        inside = shlex.quote(str(out / f"{asked.photo.stem}_mask.png"))
+        raise ConfigError(f"--out {out} is a folder.", f"Name a file: --out {inside}")
     if out.suffix.lower() != ".png":
-        raise ConfigError(f"--out {out} is no PNG file.", f"Masks are PNG: --out {out.with_suffix('.png')}")
+        png = shlex.quote(str(out.with_suffix(".png")))
+        raise ConfigError(f"--out {out} is no PNG file.", f"Masks are PNG: --out {png}")
     if out.exists() and asked.photo.exists() and out.samefile(asked.photo):
         raise ConfigError("--out is the photo itself.", "Leave it out, or name another file.")
     asked.mask = _start(asked, out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -65,7 +66,8 @@ class Parser(argparse.ArgumentParser):
         """Refuses ``key=value``, as commands of settings have it, where an option is meant."""
         name, equals, value = word.partition("=")
         if equals and f"--{name}" in self._option_string_actions and not Path(word).exists():
-            raise ConfigError(f"{self.prog}: {word} is no file.", f"Options have dashes: --{name} {value}")
+            hint = f"Options have dashes: --{name} {shlex.quote(value)}"
+            raise ConfigError(f"{self.prog}: {word} is no file.", hint)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:

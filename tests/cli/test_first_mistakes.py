@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -90,6 +91,8 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: ["mask", f.png, "--mask", f.black, "--port", "99999"], "--port=99999", ""),
     (lambda f: [*_drawn(f), "--out", f.png], "--out is the photo itself", "another file"),
     (lambda f: [*_drawn(f), "--out", "mask.jpg"], "is no PNG file", "--out mask.png"),
+    (lambda f: [*_drawn(f), "--out", "my mask.jpg"], "my mask.jpg is no PNG", "--out 'my mask.png'"),
+    (lambda f: [*_drawn(f), "--out", f.empty], "is a folder", "/empty/view_00_mask.png'"),
     (lambda f: [*_drawn(f), "--out", "/proc/mask.png"], "lodbench: /proc/mask.png: ", "permissions"),
     (lambda f: ["mask", f.png, "--no-page", "--mask", f.small], "16 x 24 pixels", "size of its photo"),
     (lambda f: ["mask", f.png, "--no-page", "--import", f.black], "is no JSON file", "--mask"),
@@ -151,7 +154,7 @@ def test_a_mistake_is_one_line_and_a_hint(files, capsys, tmp_path, monkeypatch, 
     lines = capsys.readouterr().err.splitlines()
     assert (len(lines), lines[0][:10]) == (2 if hint else 1, "lodbench: ")
     assert said in lines[0]
-    assert hint.format(city=files.city) in lines[-1]
+    assert hint.format(city=shlex.quote(files.city)) in lines[-1]
     assert not list(tmp_path.iterdir())
 
 
@@ -188,6 +191,16 @@ def test_a_geoid_that_was_not_used_is_told(files, capsys, tmp_path):
     words = [*_at(files), "--method", "prior_only", "--geoid", "46", "--out", str(tmp_path)]
     assert main(words) == 0
     assert "note: --geoid was not used" in capsys.readouterr().out
+
+
+def test_the_next_command_is_one_that_a_shell_reads(files, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    root = tmp_path / "my town"
+    assert main(["dataset", "init", str(root), *_init(files)[3:]]) == 0
+    (command,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Next: ")]
+    words = shlex.split(command.removeprefix("Next: "))
+    assert f"dataset.root={root}" in words
+    assert main([*words[1:], "method=prior_only"]) == 0, capsys.readouterr().err
 
 
 def test_a_method_without_a_score_says_so(files, capsys, tmp_path):
