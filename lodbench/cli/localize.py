@@ -20,7 +20,7 @@ from lodbench.cli.place_options import (
 )
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.cli.source_profiles import option_pairs
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.segmentation.choice import FOR_PHOTOS
 
 if TYPE_CHECKING:
@@ -144,6 +144,7 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
 
     Raises:
         ConfigError: There is such an option.
+        DatasetError: A photo is not there.
     """
     from lodbench.citymodel.source import is_city_file
 
@@ -151,6 +152,9 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
     if cities:
         hint = "The photos come first, the city model after --city."
         raise ConfigError(f"{cities[0]} is a city model by its name, not a photo.", hint)
+    absent = [photo for photo in asked.photos if not photo.exists()]
+    if absent:
+        raise DatasetError(f"The photo {absent[0]} does not exist.", "Check the path.")
     own = [f"--{name}" for name in ("mask", "lat", "lon", "center") if getattr(asked, name) is not None]
     if own and not is_one:
         hint = (

@@ -62,6 +62,8 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: [*_at(f), "method=region"], "method=region is no file", "--method region"),
     (lambda f: [*_at(f), "--pitch", "-70", "method=region"], "method=region is no file", "--method region"),
     (lambda f: [*_at(f), "--sidecars", "method=region"], "method=region is no file", "--method region"),
+    (lambda f: [*_at(f, "mising.png"), "--mask", f.mask], "photo mising.png does not exist", "Check the p"),
+    (lambda f: [*_at(f, "mising.png"), "--masks", f.masks], "photo mising.png does not exist", "Check"),
     (lambda f: [*_at(f), "--mask", f.small], "16 x 24, the camera 320 x 240", "shows all of its photo"),
     (lambda f: [*_at(f), "--mask", f.black], "holds no building", "white (255)"),
     (lambda f: [*_at(f), "--mask", f.empty], "Is a directory", "Check the path"),
