@@ -15,7 +15,7 @@ from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
 from lodbench.matching.mutual_nn import MutualNn, MutualNnParams
-from lodbench.matching.protocol import Features
+from lodbench.matching.protocol import Features, Matches
 from lodbench.matching.sift import Sift, SiftParams
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.flight.relative_poses import RelativePose, tangents
@@ -29,6 +29,9 @@ _WIDTH, _FEATURES, _CLOSELY, _NARROWEST = 2048, 4000, 100, 1024
 _NEIGHBOURS, _ALIKE_DEG = 4, 50.0
 # Features agree to within so many pixels; fewer that do say nothing. Points of one pair err together.
 _REACH_PX, _FEWEST, _NOISE_PX, _HEAT = 1.5, 30, 0.3, 4.0
+# What is burned into both photos stands still to so many pixels. So does all of a pair from one place, of
+# which less than this share moves.
+_STILL_PX, _FEW_MOVE = 2.0, 0.1
 # A pair's turn is no further from what sensors say than this, degrees.
 _FURTHEST_DEG = 15.0
 # By how much the focal length is changed to see what it does to a pair.
@@ -58,9 +61,8 @@ def relative_poses(queries: Sequence[Query], vectors: Floats) -> list[RelativePo
         if here is None or there is None:
             continue
         matches = matcher.match(here[0], there[0])
-        rays = [
-            _rays(camera, pixels) for camera, pixels in ((here[1], matches.first), (there[1], matches.second))
-        ]
+        is_scene = _is_scene(matches, here[0].size == there[0].size)
+        rays = [_rays(here[1], matches.first[is_scene]), _rays(there[1], matches.second[is_scene])]
         guess = pose_from_vector(vectors[second]).rotation @ pose_from_vector(vectors[first]).rotation.T
         tie = two_view(rays[0], rays[1], here[1].fx, guess)
         if tie is not None:
@@ -168,6 +170,17 @@ def _features(query: Query, sift: Sift, widest: int) -> tuple[Features, Camera] 
     if size != (picture.shape[1], picture.shape[0]):
         picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     return sift.extract(np.ascontiguousarray(picture[..., ::-1])), camera.scaled(*size)
+
+
+def _is_scene(matches: Matches, has_same_size: bool) -> NDArray[np.bool_]:
+    """Returns (M,) which matches are of the scene: text or a logo burned in stands still.
+
+    Still ones agree so well that they would win; all are kept where next to none moves.
+    """
+    moves = np.asarray(np.linalg.norm(matches.first - matches.second, axis=1) > _STILL_PX)
+    if not has_same_size or np.count_nonzero(moves) < _FEW_MOVE * len(moves):
+        return np.ones(len(moves), dtype=bool)
+    return moves
 
 
 def _rays(camera: Camera, pixels: NDArray[np.float32]) -> Floats:

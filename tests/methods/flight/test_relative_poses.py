@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.evaluation import pose_error
-from lodbench.geometry import Pose
+from lodbench.geometry import Camera, Pose
 from lodbench.methods.contour_alignment.pose_vector import (
     pose_from_vector,
     rotation_derivatives,
@@ -22,7 +24,7 @@ from lodbench.methods.flight.reconstruction import placed
 from lodbench.methods.flight.relative_poses import RelativePose, rotation_vector, tangents
 from lodbench.methods.flight.roof_parts import RoofParts
 from lodbench.methods.flight.state import State
-from lodbench.methods.flight.tracks import two_view, width_looked_at
+from lodbench.methods.flight.tracks import relative_poses, two_view, width_looked_at
 from lodbench.storage import random_stream
 from tests.methods.flight.test_method import flight
 
@@ -170,6 +172,44 @@ def test_two_views_are_what_their_points_say():
     assert (
         two_view(first, second, 900.0, Rotation.from_rotvec([0, 0, 1.0]).as_matrix() @ tie.rotation) is None
     )
+
+
+def drawn(pose, camera, texture):
+    """Returns a view of a ground and of blocks with the same texture, a fifth of a metre a pixel."""
+    kinds = {0.0: np.full(texture.shape[:2], 255, np.uint8), 15.0: np.zeros(texture.shape[:2], np.uint8)}
+    for x, y in ((150, 100), (400, 300), (150, 500), (500, 600), (300, 200)):
+        kinds[15.0][y : y + 80, x : x + 80] = 255
+    lens = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    view = np.zeros((camera.height, camera.width, 3), np.uint8)
+    for height, kept in kinds.items():
+        place = np.array([[0.2, 0, -60], [0, 0.2, -20], [0, 0, 1]])
+        above = np.outer(np.array([0.0, 0.0, height]) - pose.center, [0, 0, 1])
+        matrix = lens @ pose.rotation @ (np.diag([1.0, 1.0, 0.0]) + above) @ place
+        size = camera.width, camera.height
+        is_here = cv2.warpPerspective(kept, matrix, size) > 127
+        view[is_here] = cv2.warpPerspective(texture, matrix, size)[is_here]
+    return view
+
+
+@pytest.mark.parametrize("has_moved", [True, False])
+def test_text_burned_into_both_photos_says_no_turn_and_photos_from_one_place_are_tied(tmp_path, has_moved):
+    camera = Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
+    noise = np.random.default_rng(0).integers(0, 256, (900, 900, 3), dtype=np.uint8)
+    texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 4.0), None, 0, 255, cv2.NORM_MINMAX)
+    vectors, queries = VECTORS[:2] if has_moved else VECTORS[[0, 0]], []
+    for k, vector in enumerate(vectors):
+        view = drawn(pose_from_vector(vector), camera, texture)
+        for line in range(9):
+            words = f"{line} 2023-10-18 H 120.3m Survey Ltd"
+            place, font = (10, 470 - 28 * line), cv2.FONT_HERSHEY_SIMPLEX
+            cv2.putText(view, words, place, font, 1.0, (255, 255, 255), 2)
+        view = cv2.add(view, np.random.default_rng(k).integers(0, 8, view.shape, dtype=np.uint8))
+        cv2.imwrite(str(tmp_path / f"{k}.png"), view)
+        pose = pose_from_vector(vector)
+        queries.append(Query(f"{k}.png", "all", camera, pose, image=tmp_path / f"{k}.png"))
+    (tie,) = relative_poses(queries, vectors)
+    truth = pose_from_vector(vectors[1]).rotation @ pose_from_vector(vectors[0]).rotation.T
+    assert np.degrees(np.linalg.norm(rotation_vector(tie.rotation @ truth.T))) < 0.5
 
 
 @pytest.mark.slow
