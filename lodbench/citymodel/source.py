@@ -7,6 +7,7 @@ a path in an archive nor a bomb of zeros can do harm.
 from __future__ import annotations
 
 import gzip
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -30,6 +31,9 @@ _ARCHIVE_SUFFIXES = (".gz", ".zip")
 # Beside the tiles, PLATEAU and others deliver these; none holds a building.
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
 _MAX_MEMBERS = 100_000
+# How the index begins that stands beside tiles cut by ``city convert --tiles``: it is no footprints.
+TILE_INDEX = {"type": "FeatureCollection", "lodbench": "tile index"}
+_TILE_INDEX = re.compile(rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"\s*,\s*"lodbench"\s*:\s*"tile index"')
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +122,7 @@ def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:
         return (_gzip_source(path),)
     if magic == b"PK\x03\x04":
         return _zip_sources(path, layers)
-    return (Source(str(path), lambda: path.open("rb"), path),)
+    return (_file_source(path),)
 
 
 def is_city_file(path: Path) -> bool:
@@ -140,6 +144,7 @@ def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
         if file.suffix.lower() in suffixes
         and file.is_file()
         and _may_hold_buildings(file.relative_to(folder))
+        and not _is_tile_index(_file_source(file))
     ]
     chosen = _of_layers([(file.relative_to(folder), file) for file in files], layers)
     sources = tuple(source for file in chosen for source in open_sources(file, layers))
@@ -159,6 +164,20 @@ def _of_layers(files: Sequence[tuple[PurePath, Item]], layers: Sequence[str]) ->
 
 def _may_hold_buildings(path: Path | PurePosixPath) -> bool:
     return not _OTHER_FOLDERS.intersection(part.lower() for part in path.parts)
+
+
+def _file_source(path: Path) -> Source:
+    return Source(str(path), lambda: path.open("rb"), path)
+
+
+def _is_tile_index(source: Source) -> bool:
+    if not source.name.lower().endswith(".geojson"):
+        return False
+    try:
+        with source.open() as stream:
+            return _TILE_INDEX.match(stream.read(HEAD_BYTES)) is not None
+    except (OSError, CityModelError):
+        return False  # whoever reads it says what is wrong with it
 
 
 def _gzip_source(path: Path) -> Source:
@@ -198,6 +217,7 @@ def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[st
             not member.is_dir()
             and name.suffix.lower() in _CITY_SUFFIXES + _VECTOR_SUFFIXES
             and _may_hold_buildings(name)
+            and not _is_tile_index(_zip_source(path, member))
         ):
             chosen.append((name, member))
     for member in _of_layers(sorted(chosen, key=lambda pair: str(pair[0])), layers):

@@ -9,6 +9,7 @@ import numpy as np
 
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.model import CityModel
+from lodbench.citymodel.source import TILE_INDEX
 from lodbench.citymodel.subset import footprint_boxes, keep_buildings
 from lodbench.errors import CityModelError
 
@@ -93,4 +94,4 @@ def tile_index(tiles: list[tuple[Tile, str]], crs: str | None) -> dict[str, Any]
                 },
             }
         )
-    return {"type": "FeatureCollection", "features": features}
+    return {**TILE_INDEX, "features": features}

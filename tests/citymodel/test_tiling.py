@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,17 @@ def test_tiles_hold_all_and_read_as_one(ending: str, shared_data: Path, tmp_path
         middle = np.median(tile.polygons.points, axis=0) + tile.origin
         assert west - 50 < middle[0] < east + 50
         assert south - 50 < middle[1] < north + 50
+
+
+def test_tiles_are_read_by_their_folder_or_its_archive_whose_index_is_no_footprints(tmp_path: Path) -> None:
+    town = write(tmp_path / "town.gml", box_city())
+    assert main(["city", "convert", str(town), str(tmp_path / "tiles/t.gml"), "--tiles", "100"]) == 0
+    assert json.loads((tmp_path / "tiles/t.geojson").read_text())["lodbench"] == "tile index"
+    packed = shutil.make_archive(str(tmp_path / "packed"), "zip", tmp_path / "tiles")
+    for place in (tmp_path / "tiles", packed):
+        model = read_city_model(place)
+        assert model.building_ids == ("b1",)
+        assert model.findings.counts() == {}
 
 
 def test_files_become_one(tmp_path: Path) -> None:
