@@ -16,6 +16,7 @@ from pathlib import Path, PurePath, PurePosixPath
 from typing import BinaryIO, TypeVar
 
 from lodbench.citymodel.layers import folders_of
+from lodbench.citymodel.raw import NotACity
 from lodbench.citymodel.scene_file import is_scene
 from lodbench.citymodel.streams import BoundedStream, CountedStream
 from lodbench.errors import CityModelError
@@ -147,13 +148,26 @@ def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
         and not _is_tile_index(_file_source(file))
     ]
     chosen = _of_layers([(file.relative_to(folder), file) for file in files], layers)
-    sources = tuple(source for file in chosen for source in open_sources(file, layers))
+    sources = tuple(source for file in chosen for source in _sources_among(file, layers))
     if not sources:
         raise CityModelError(
             f"The folder {folder} holds no city file.",
             f"Looked for {', '.join(suffixes)}, in all its folders.",
         )
     return sources
+
+
+def _sources_among(file: Path, layers: Sequence[str]) -> tuple[Source, ...]:
+    """Returns the city files at a file of a folder; for an archive without one, what refuses to open."""
+    try:
+        return open_sources(file, layers)
+    except NotACity as error:
+        fault = error
+
+    def refuse() -> BinaryIO:
+        raise fault
+
+    return (Source(str(file), refuse, file),)
 
 
 def _of_layers(files: Sequence[tuple[PurePath, Item]], layers: Sequence[str]) -> list[Item]:
@@ -200,8 +214,10 @@ def _zip_sources(path: Path, layers: Sequence[str]) -> tuple[Source, ...]:
         names = ", ".join(member.filename for member in members[:5])
         hint = f"It holds: {names}." if names else "It is empty."
         if any(member.filename.lower().endswith(_ARCHIVE_SUFFIXES) for member in members):
+            # These may well hold tiles: no folder passes over them.
             hint = "Archives inside an archive are not read: unpack the outer one."
-        raise CityModelError(f"{path} holds no city file.", hint)
+            raise CityModelError(f"{path} holds no city file.", hint)
+        raise NotACity(f"{path} holds no city file.", hint)
     return sources
 
 

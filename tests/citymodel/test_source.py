@@ -140,6 +140,21 @@ class TestFolder:
         model = read_city_model(tmp_path)
         assert model.findings.counts() == {"LB211 FILE_SKIPPED": 2}
 
+    def test_an_archive_of_other_things_is_passed_over_and_told(self, tmp_path: Path) -> None:
+        write(tmp_path / "1.gml", BOX)
+        with zipfile.ZipFile(tmp_path / "nothing.zip", "w") as archive:
+            archive.writestr("readme.txt", "hello")
+        model = read_city_model(tmp_path)
+        assert model.building_ids == ("b1",)
+        assert model.findings.counts() == {"LB211 FILE_SKIPPED": 1}
+        (tmp_path / "1.gml").unlink()
+        with pytest.raises(CityModelError, match=r"nothing\.zip holds no city file"):
+            read_city_model(tmp_path)
+        with zipfile.ZipFile(tmp_path / "outer.zip", "w") as archive:
+            archive.writestr("tiles.zip", "PK")
+        with pytest.raises(CityModelError, match=r"outer\.zip holds no city file"):
+            read_city_model(tmp_path)
+
     def test_different_formats_and_levels_merge(self, tmp_path: Path) -> None:
         write(tmp_path / "1.gml", BOX)
         write(tmp_path / "2.json", json.dumps(cityjson("2.0")))
