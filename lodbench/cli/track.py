@@ -31,8 +31,8 @@ Each next frame starts from where the last motion leads. Where nothing near fits
 searched for from there, wider with each frame.
 
 Written to --out: track.csv (a row per frame), track.geojson, poses.txt (name qw qx qy qz tx ty tz, world to
-camera). Masks are named as the photos; those of a video frame_000000.png, frame_000001.png and so on. Exit
-code 3: the camera was lost in some frames; 1: in all.
+camera); refused where it holds a track of other frames. Masks are named as the photos; those of a video
+frame_000000.png, frame_000001.png and so on. Exit code 3: the camera was lost in some frames; 1: in all.
 
 examples:
   lodbench track FLIGHT --city city.gml --masks MASKS
@@ -84,7 +84,7 @@ def describe(done: Track) -> str:
         f"{done.rate:.1f} photos per second from pixels to pose: masks {each * seconds['masks']:.0f} ms "
         f"beside poses {each * seconds['poses']:.0f} ms, {each * done.cpu_s:.0f} ms of processors' time each",
         *(f"note: {plain_text(note)}" for note in done.notes),
-        f"written: {done.out}",
+        *(() if done.out is None else (f"written: {done.out}",)),
     ]
     return "\n".join(lines) + "\n"
 

@@ -102,6 +102,31 @@ def test_every_second_frame_of_a_video(capsys, footage, tmp_path):
     assert [row["frame"] for row in rows(tmp_path)] == [f"frame_{k:06d}.png" for k in (0, 2, 4)]
 
 
+def test_a_track_of_other_frames_is_not_written_over_nor_a_good_one_by_one_that_is_lost(
+    capsys, footage, tmp_path
+):
+    masks, out = ("--masks", footage.folder / "masks"), ("--every", 3, "--out", tmp_path)
+    assert main(footage.words("flight.avi", *masks, *out)) == 0
+    written = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    other = footage.folder / "other.avi"
+    other.write_bytes((footage.folder / "flight.avi").read_bytes())
+    assert main(footage.words("other.avi", *masks, *out)) == 2
+    told = capsys.readouterr().err
+    assert "track.csv is not of" in told
+    assert "--out OTHER" in told
+    # Masks of no building: every frame is lost.
+    empty = tmp_path.with_name(f"{tmp_path.name}_empty")
+    empty.mkdir()
+    for k in range(COUNT):
+        cv2.imwrite(str(empty / f"frame_{k:06d}.png"), np.zeros((240, 320), np.uint8))
+    assert main(footage.words("flight.avi", "--masks", empty, *out)) == 1
+    told = capsys.readouterr().out
+    assert "is left as it is" in told
+    assert "written:" not in told
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == written
+    assert main(footage.words("flight.avi", *masks, *out)) == 0
+
+
 @pytest.mark.parametrize(
     ("source", "more", "said"),
     [

@@ -26,13 +26,19 @@ from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.requests import RoughRequest
+from lodbench.harness.track.folder import (
+    MAP_FILE,
+    POSES_FILE,
+    SOURCE_COLUMN,
+    TABLE_FILE,
+    require_no_other,
+    source_word,
+)
 from lodbench.harness.track.frames import Footage, MaskMaker, with_masks
 from lodbench.methods.tracking import Frame, Params, Tracker
 from lodbench.methods.tracking.tracker import LOST
 from lodbench.segmentation import notes_of
 from lodbench.storage import hide_formula, make_folder, write_text
-
-TABLE_FILE, MAP_FILE, POSES_FILE = "track.csv", "track.geojson", "poses.txt"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,14 +90,14 @@ class Track:
         seconds: Wall time of all frames but the first, in total and by what was done: ``masks`` goes on
             beside ``poses``.
         cpu_s: Processor time of the same.
-        out: Folder written.
+        out: Folder written; None where no frame was found and the folder keeps an earlier track.
         notes: What the reader should know.
     """
 
     frames: tuple[TrackedFrame, ...]
     seconds: dict[str, float]
     cpu_s: float
-    out: Path
+    out: Path | None
     notes: tuple[str, ...]
 
     @property
@@ -113,8 +119,10 @@ def track(request: TrackRequest) -> Track:
     """Returns where each frame was taken; writes a table, a map and the poses.
 
     Raises:
-        LodbenchError: The frames, the city or what is known of the first cannot be read.
+        LodbenchError: The frames, the city or what is known of the first cannot be read, or the folder to be
+            written holds something else.
     """
+    require_no_other(request.out, request.footage.source)
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     scene = city.scene
     frame = None if scene.crs is None else MapFrame(scene.crs)
@@ -143,9 +151,12 @@ def track(request: TrackRequest) -> Track:
             progress.advance()
     seconds = {"total": time.perf_counter() - started, "masks": maker.seconds - masks_s, "poses": poses_s}
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
-    done = Track(tuple(frames), seconds, time.process_time() - cpu, request.out, notes)
-    _write(done, frame)
-    return done
+    cpu_s = time.process_time() - cpu
+    if all(each.pose is None for each in frames) and (request.out / TABLE_FILE).exists():
+        notes += (f"no frame was found: the earlier track in {request.out} is left as it is",)
+        return Track(tuple(frames), seconds, cpu_s, None, notes)
+    _write(frames, request, frame)
+    return Track(tuple(frames), seconds, cpu_s, request.out, notes)
 
 
 def _sigmas(covariance: NDArray[np.float64]) -> tuple[float, float]:
@@ -187,13 +198,14 @@ def _require_near(start: Pose, scene: Scene) -> None:
         )
 
 
-def _write(done: Track, frame: MapFrame | None) -> None:
-    make_folder(done.out)
-    write_text(done.out / TABLE_FILE, _table(done.frames, frame))
-    placed = [FoundPose(f.name, "", f.pose) for f in done.frames if f.pose is not None]
-    write_lines(placed, done.out / POSES_FILE)
+def _write(frames: Sequence[TrackedFrame], request: TrackRequest, frame: MapFrame | None) -> None:
+    out = request.out
+    make_folder(out)
+    write_text(out / TABLE_FILE, _table(frames, frame, request.footage.source))
+    placed = [FoundPose(f.name, "", f.pose) for f in frames if f.pose is not None]
+    write_lines(placed, out / POSES_FILE)
     if frame is not None:
-        write_geojson([_feature(each, frame) for each in done.frames], done.out / MAP_FILE)
+        write_geojson([_feature(each, frame) for each in frames], out / MAP_FILE)
 
 
 def _feature(each: TrackedFrame, frame: MapFrame) -> dict[str, Any]:
@@ -206,14 +218,14 @@ def _feature(each: TrackedFrame, frame: MapFrame) -> dict[str, Any]:
     return nowhere_feature(stated) if each.pose is None else camera_feature(frame, each.pose, stated)
 
 
-def _table(frames: Sequence[TrackedFrame], frame: MapFrame | None) -> str:
+def _table(frames: Sequence[TrackedFrame], frame: MapFrame | None, source: Path) -> str:
     import pandas as pd
 
     rows = []
     for each in frames:
         row: dict[str, Any] = {
             "frame": hide_formula(each.name), "time_s": each.time_s, "state": each.state,
-            "score": each.score, "reason": hide_formula(each.reason),
+            "score": each.score, "reason": hide_formula(each.reason), SOURCE_COLUMN: source_word(source),
         }  # fmt: skip
         if each.sigmas is not None:
             row |= dict(zip(("sigma_m", "sigma_deg"), each.sigmas, strict=True))

@@ -1,0 +1,44 @@
+"""The folder of a track: what is written there, and whose it is, so that no track replaces another's."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from lodbench.errors import DatasetError
+from lodbench.storage import hide_formula
+
+TABLE_FILE, MAP_FILE, POSES_FILE = "track.csv", "track.geojson", "poses.txt"
+# Frames of all videos have the same names: only this tells whose they are.
+SOURCE_COLUMN = "source"
+
+
+def source_word(source: Path) -> str:
+    """Returns what stands in the table for a video or a folder of photos."""
+    return hide_formula(str(source.resolve()))
+
+
+def require_no_other(out: Path, source: Path) -> None:
+    """Refuses a folder that holds a track of other frames, or files of somebody else's under its names.
+
+    Args:
+        out: The folder, which need not be there.
+        source: The video or folder of photos whose track is to be written.
+
+    Raises:
+        DatasetError: It does.
+    """
+    files = [out / name for name in (TABLE_FILE, MAP_FILE, POSES_FILE)]
+    there = [file for file in files if file.exists()]
+    if there and not _is_track_of(out / TABLE_FILE, source):
+        raise DatasetError(
+            f"{there[0]} is not of {source} and would be written over.", "Name another folder: --out OTHER"
+        )
+
+
+def _is_track_of(table: Path, source: Path) -> bool:
+    try:
+        with table.open(encoding="utf-8", newline="") as stream:
+            return {row[SOURCE_COLUMN] for row in csv.DictReader(stream)} == {source_word(source)}
+    except (OSError, ValueError, KeyError, csv.Error):
+        return False  # somebody else's, or of a version that did not say
