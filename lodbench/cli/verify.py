@@ -19,6 +19,7 @@ from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.queries import has_truth
 from lodbench.harness.runs.named_paths import is_own, without_paths
+from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
 from lodbench.params import to_params
@@ -121,9 +122,14 @@ def read_config(folder: Path) -> dict[str, Any]:
     """Returns the configuration of a run folder as JSON values.
 
     Raises:
-        DatasetError: There is none, or it is not one of a run.
+        DatasetError: There is none, it is not one of a run, or the run is not finished.
     """
     path = folder / "config.yaml"
+    # The one is there from a run's start, the other from its end.
+    if (folder / PLAN_FILE).is_file() and not (folder / "summary.json").exists():
+        raise DatasetError(
+            f"The run {folder} is not finished.", "The same `lodbench run` command as before goes on with it."
+        )
     try:
         text = path.read_text(encoding="utf-8")
         if len(text) > _MAX_CONFIG or any(isinstance(token, AliasToken) for token in scan(text)):

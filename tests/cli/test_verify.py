@@ -69,6 +69,16 @@ def test_a_changed_digit_of_the_ledger_is_told(lodbench, run):
     assert "predictions.jsonl: 1 damaged lines" in done.stdout
 
 
+@pytest.mark.parametrize("command", [("verify",), ("report",), ("leaderboard", "add")])
+def test_a_run_that_is_not_finished_is_told_as_such(lodbench, run, command):
+    for name in ("config.yaml", "summary.json", "provenance.json"):
+        (run / name).unlink()
+    done = lodbench(*command, str(run))
+    assert done.returncode == 2
+    assert f"The run {run} is not finished." in done.stderr
+    assert "lodbench run" in done.stderr
+
+
 def test_another_pose_in_the_ledger_is_told_though_its_check_is_made_anew(lodbench, run):
     stored = open_predictions(run)
     answer = json.loads(json.dumps(stored["data/view_00.png"]))
