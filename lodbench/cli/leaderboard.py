@@ -12,6 +12,7 @@ from lodbench.cli.parser import Parser
 from lodbench.cli.verify import add_path_options, describe, read_config, verify_folder
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import DatasetError
+from lodbench.evaluation.queries import has_truth
 from lodbench.harness.runs.result import split_digest
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.leaderboard import build_leaderboard
@@ -51,6 +52,14 @@ def _add(run: Path, options: argparse.Namespace) -> int:
         sys.stdout.write(describe(verdict))
         sys.stderr.write(f"lodbench: {run} was not added: its numbers do not follow from its poses.\n")
         return 1
+    queries = verdict.stored.queries
+    has_some = has_truth(queries).groupby(queries["split"]).any()
+    if not has_some.all():
+        without = ", ".join(map(str, has_some.index[~has_some]))
+        raise DatasetError(
+            f"{run} has no truth for {without}, without which nothing is scored.",
+            "Add a run on data with true poses.",
+        )
     reasons = [*reasons_against(read_config(run), _sizes(verdict)), *_doubts(verdict)]
     entry = measured_entry(
         verdict.stored.summary,

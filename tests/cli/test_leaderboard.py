@@ -60,6 +60,16 @@ def test_a_tampered_run_is_refused_and_an_unverifiable_one_stands_apart(lodbench
     assert "not added" in done.stderr
 
 
+def test_a_run_without_truth_is_refused_in_words(lodbench, tmp_path):
+    root, city = write_dataset(tmp_path / "untold", count=2)
+    (root / "GT_pose.txt").unlink()
+    (root / "dataset.json").write_text('{"truth": false}')
+    done = lodbench("leaderboard", "add", str(run(lodbench, tmp_path, (root, city))))
+    assert done.returncode == 2
+    assert "has no truth for data, without which nothing is scored" in done.stderr
+    assert not entries(tmp_path)
+
+
 def test_a_submitted_pose_file_stands_apart(lodbench, tmp_path, data):
     poses = data[0] / "GPS_pose.txt"
     assert lodbench("evaluate", f"poses={poses}", "dataset=folder", f"dataset.root={data[0]}").returncode == 0
