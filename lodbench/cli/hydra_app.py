@@ -271,7 +271,8 @@ def _unread(word: str, config_name: str) -> ConfigError:
 def _nearest_key(key: str, config_name: str) -> str:
     from hydra import compose, initialize_config_module
 
-    choice = re.compile(r"(method|dataset|segmenter|executor|source)=\w+")
+    groups = "|".join(re.escape(group.key) for group in groups_of(config_name))
+    choice = re.compile(rf"(\w+@)?({groups})=[\w.-]+")
     overrides = [word for word in sys.argv[1:] if choice.fullmatch(word)]
     with initialize_config_module("lodbench.conf", version_base="1.3"):
         config = compose(config_name, overrides=overrides)

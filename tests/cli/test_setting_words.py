@@ -54,6 +54,8 @@ def test_a_run_takes_flags_and_tells_the_former_name(lodbench, tmp_path):
         ("compare", "these words are missing: RUN", "--help"),
         ("leaderboard add x --mapp y", "no option --mapp", "--map"),
         ("run --datset folder", "datset is not a setting", "dataset"),
+        ("run prior=uniform prior.foo=3", "prior.foo is not a setting", "x_m"),
+        ("run runner=subprocess runner.foo=3", "runner.foo is not a setting", "python"),
     ],
 )
 def test_a_slip_is_one_line_and_a_hint(lodbench, words, said, hint):
