@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -48,10 +49,12 @@ def main(argv: Sequence[str]) -> int:
     for word in options.settings:
         if not word.startswith(("method.", "runner.")):
             raise ConfigError(f"{word} is no setting of a method.", "Write method.KEY=VALUE.")
-    if any(word.startswith("runner.") for word in options.settings):
-        checks = list(remote_checks(options.name, options.settings))
-    else:
-        checks = list(_checks(find_plugin("methods", options.name), options.settings))
+    # What the method prints is no line of the report's.
+    with redirect_stdout(sys.stderr):
+        if any(word.startswith("runner.") for word in options.settings):
+            checks = list(remote_checks(options.name, options.settings))
+        else:
+            checks = list(_checks(find_plugin("methods", options.name), options.settings))
     faults = [check for check in checks if check.status != OK]
     if options.json:
         lines = [json.dumps(asdict(check)) for check in checks]
@@ -78,6 +81,8 @@ def _checks(plug_in: PlugIn, settings: Sequence[str]) -> Iterator[Check]:
     broken = {check.name for check in checks if check.status != OK}
     if broken.isdisjoint({"parameters", "inputs"}):
         values = {} if "configuration" in broken else _configuration(plug_in.name, where, settings)
+        if settings:
+            _require_known(kind, values or {})
         yield from check_answers(lambda: kind(_params(kind, values or {})))
 
 
@@ -102,6 +107,16 @@ def _configuration(name: str, where: str, settings: Sequence[str] = ()) -> dict[
         raise explained(error, "run") from error
     except Exception as error:  # the YAML reader's faults share no base with Hydra's
         raise ConfigError(f"{where} cannot be read: {str(error).splitlines()[0]}") from error
+
+
+def _require_known(kind: Any, values: Mapping[str, Any]) -> None:
+    """Refuses wrong settings: they are no fault of the method, as which its answers would tell them."""
+    try:
+        _params(kind, values)
+    except ConfigError:
+        raise
+    except Exception:  # a method may raise anything: that is told with its answers
+        return
 
 
 def _params(kind: Any, values: Mapping[str, Any]) -> Any:

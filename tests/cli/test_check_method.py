@@ -101,6 +101,12 @@ def mistaken(self, query, city_map, streams):
     return Estimate(query.pryor, 0.5)
 
 
+def talking(self, query, city_map, streams):
+    print("I am looking")
+    return Sound.localize(self, query, city_map, streams)
+
+
+Talking = variant("talking", localize=talking)
 GLOBAL = np.array([281_000.0, 5_657_000.0, 60.0])
 Stateful = variant("stateful", localize=stateful)
 Counting = variant("counting", localize=changed(score=lambda q, e: float(next(COUNTER))))
@@ -183,7 +189,7 @@ CONFIGS = {
     "other": "name: other\nsteps: 4\n",
     "torn": "name: [torn\n",
 }
-SOUND = ["sound", "retrieving", "batched"]
+SOUND = ["sound", "retrieving", "batched", "talking"]
 # Method, the check that finds the fault, a word of what is said.
 BROKEN = [
     ("stateful", "any order", "other queries came before"),
@@ -292,6 +298,22 @@ def test_settings_are_tried(capsys):
     assert main(["check-method", "lodlocv2", "method.varjant=no_refine"]) == 2
     assert "method.varjant is not a setting" in capsys.readouterr().err
     assert main(["check-method", "lodlocv2", "tilt=truth"]) == 2
+
+
+def test_a_setting_of_the_wrong_kind_is_no_fault_of_the_method(capsys, monkeypatch, plug_in):
+    monkeypatch.syspath_prepend(plug_in)
+    assert main(["check-method", "sound", "method.steps=x"]) == 2
+    told = capsys.readouterr()
+    assert "steps" in told.err
+    assert not told.out
+
+
+def test_what_a_method_prints_is_not_among_the_lines_for_machines(capsys, monkeypatch, plug_in):
+    monkeypatch.syspath_prepend(plug_in)
+    assert main(["check-method", "talking", "--json"]) == 0
+    told = capsys.readouterr()
+    assert all(json.loads(line)["status"] == "ok" for line in told.out.splitlines())
+    assert "I am looking" in told.err
 
 
 def test_where_a_plug_in_raised_is_shown(capsys, monkeypatch, plug_in):
