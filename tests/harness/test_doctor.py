@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
@@ -15,6 +16,7 @@ from lodbench.errors import LodbenchError
 from lodbench.harness.doctor import doctor, probes
 from lodbench.harness.doctor.doctor import ABSENT, BROKEN, is_base_broken, run_probe
 from lodbench.plugins import plugin_names
+from tests.site_packages import write_package
 
 
 @pytest.fixture
@@ -111,6 +113,22 @@ def test_packages_missing_and_old(monkeypatch):
     assert not checks["render"].is_base
     assert checks["render"].hint == "pip install 'lodbench[render]'"
     assert "open3d is not installed" in checks["render"].detail
+
+
+def test_plug_ins_of_one_name_are_told_with_their_packages(monkeypatch, tmp_path, capsys):
+    for package in ("first", "second"):
+        write_package(tmp_path, package, {"fits": {"same": f"{package}:Fit", package: "math:sqrt"}})
+    monkeypatch.syspath_prepend(tmp_path)
+    names = [name for name in doctor._plugin_probes() if name.startswith("fit ")]
+    assert sorted(names) == ["fit first", "fit same of first 1.0", "fit same of second 1.0", "fit second"]
+    for name in names:
+        monkeypatch.setattr(probes, "trust_driver", lambda: None)
+        probes.main(name)
+        told = json.loads(capsys.readouterr().out)
+        assert told["ok"] == ("same" not in name)
+        if " of " in name:
+            package = name.partition(" of ")[2]
+            assert f"of the package {package} is broken" in told["detail"]
 
 
 def test_a_folder_that_cannot_be_written_to(monkeypatch, tmp_path):

@@ -31,6 +31,8 @@ _PROBE_TIMEOUT_S = 120.0
 RENDERER_TRIALS = {"silhouette": True, "reference": True, "raster": True, "pyrender": False, "open3d": False}
 # Segmenters whose weights come with the base install.
 NETWORKS = ("compact", "compact_instances", "efficient_unet")
+# Between a plug-in's name and its package, which is named where two have one of that name.
+PACKAGE_FOLLOWS = " of "
 
 
 def examine(timeout_s: float = _PROBE_TIMEOUT_S) -> list[Check]:
@@ -58,7 +60,11 @@ def _plugin_probes() -> list[str]:
     from lodbench.plugins import KINDS, installed
 
     others = [plug_in for group in KINDS for plug_in in installed(group) if not plug_in.is_ours]
-    return [f"{KINDS[plug_in.group].label} {plug_in.name}" for plug_in in others]
+    names = [f"{KINDS[plug_in.group].label} {plug_in.name}" for plug_in in others]
+    return [
+        f"{name}{PACKAGE_FOLLOWS}{plug_in.package}" if names.count(name) > 1 else name
+        for name, plug_in in zip(names, others, strict=True)
+    ]
 
 
 def _plugin_packages() -> Iterator[Check]:

@@ -15,7 +15,7 @@ import numpy as np
 from lodbench.citymodel.blocks import scene_of_blocks
 from lodbench.errors import LodbenchError, RenderingError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.doctor.doctor import NETWORKS, RENDERER_TRIALS
+from lodbench.harness.doctor.doctor import NETWORKS, PACKAGE_FOLLOWS, RENDERER_TRIALS
 from lodbench.plugins import KINDS, installed, load_plugin
 from lodbench.rendering import open_renderer
 from lodbench.rendering.gl_guard import trust_driver
@@ -75,10 +75,11 @@ def try_torchvision() -> str:
     return f"{torchvision.__version__} loads beside torch {torch.__version__}"
 
 
-def try_plugin(kind: str, name: str) -> str:
-    """Loads a plug-in; returns whose it is."""
+def try_plugin(kind: str, name: str, package: str = "") -> str:
+    """Loads a plug-in, of a package where two have one of that name; returns whose it is."""
     group = next(group for group, known in KINDS.items() if known.label == kind)
-    plug_in = next(p for p in installed(group) if p.name == name and not p.is_ours)
+    others = [p for p in installed(group) if p.name == name and not p.is_ours]
+    plug_in = next(p for p in others if package in ("", p.package))
     plug_in.load()
     return f"of {plug_in.package}: {plug_in.point.value}"
 
@@ -95,8 +96,9 @@ def main(name: str) -> None:
     """Tries one thing and writes one line of JSON: ok, detail, hint."""
     trust_driver()
     try:
-        kind, _, plug_in = name.partition(" ")
-        detail = try_plugin(kind, plug_in) if plug_in else PROBES[name]()
+        kind, _, rest = name.partition(" ")
+        plug_in, _, package = rest.partition(PACKAGE_FOLLOWS)
+        detail = try_plugin(kind, plug_in, package) if plug_in else PROBES[name]()
         answer = {"ok": True, "detail": detail, "hint": ""}
     except LodbenchError as error:
         answer = {"ok": False, "detail": error.message, "hint": error.hint}
