@@ -53,6 +53,19 @@ class TestTheReport:
         assert figures["m: places within the said 95 %"] == pytest.approx(200 / 3)
         assert "67 %" in report.text
 
+    def test_intervals_are_over_photos(self):
+        ends = trials((1.0, 0.1, 0.5), (1.0, 0.1, 0.5), (9.0, 0.1, 0.5), (9.0, 0.1, 0.5))
+        one, two = (
+            report_real(each, "data").text.splitlines()
+            for each in (
+                ends,
+                ends.assign(photo=["a", "a", "b", "b"]),
+            )
+        )
+        # One photo says nothing of others; of two that are wholly right and wholly wrong, all may be.
+        assert " to " not in one[2]
+        assert "0 to 100 %" in two[2]
+
     def test_limits_are_strict_and_failures_count(self):
         ends = trials((1.9, 0.1, 0.5), (2.0, 0.1, 0.5), (1.0, 1.5, 0.5), (math.inf, 180.0, 0.0))
         assert found(ends, Threshold(2, 1)).tolist() == [True, False, False, False]

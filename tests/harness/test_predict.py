@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,111 +10,17 @@ import pytest
 
 from lodbench.cli import main
 from lodbench.cli.run import _failure_lines
-from lodbench.datasets.codes import KEY_TWICE
-from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Query
-from lodbench.errors import ConfigError, DatasetError, QueryFault
-from lodbench.evaluation.queries import queries_csv
+from lodbench.errors import ConfigError, QueryFault
 from lodbench.harness import RunSettings, run_method
-from lodbench.harness.dataset_check import check_dataset
-from lodbench.harness.runs.gallery import write_overlays
 from lodbench.methods import Estimate
 from lodbench.methods.protocol import FlightEstimate
 from lodbench.segmentation import notes_of
 from lodbench.segmentation.masks import MaskFiles, MasksParams
-from lodbench.segmentation.none import NoMask, NoMaskParams
+from tests.harness.scripted import NAMES, Batched, Flying, Preparing, Scripted, failures, run
 from tests.town import write_dataset
 
-NAMES = ["view_00.png", "view_01.png", "view_02.png"]
-
-
-@dataclass
-class Scripted:
-    """Answers the prior, unless told to raise; notes what it was asked."""
-
-    name = "scripted"
-    requires = frozenset()
-    raises: dict[str, Exception] = field(default_factory=dict)
-    asked: list[str] = field(default_factory=list)
-
-    def localize(self, query, city_map, streams):
-        assert query.building_probability is None
-        self.asked.append(query.name)
-        if query.name in self.raises:
-            raise self.raises[query.name]
-        city_map.render(query.camera, query.prior)
-        return Estimate(query.prior, 1.0, hypotheses=99)
-
-
-@dataclass
-class Batched(Scripted):
-    """The same, two at a time."""
-
-    batch_size = 2
-    batches: list[list[str]] = field(default_factory=list)
-
-    def localize_batch(self, queries, city_map, streams):
-        self.batches.append([query.name for query in queries])
-        found = []
-        for query, each in zip(queries, streams, strict=True):
-            try:
-                found.append(self.localize(query, city_map, each))
-            except QueryFault as fault:
-                found.append(fault)
-        return found
-
-
-@dataclass
-class Flying(Scripted):
-    """The same, a whole flight at a time."""
-
-    flights: list[list[str]] = field(default_factory=list)
-
-    def localize_flight(self, queries, city_map, streams):
-        self.flights.append([query.name for query in queries])
-        return FlightEstimate([Estimate(query.prior, 1.0) for query in queries], {"lost": []})
-
-
-@dataclass
-class Preparing(Scripted):
-    """Reads weights, and prepares the height of the city."""
-
-    weights: Path | None = None
-    made: list[str] = field(default_factory=list)
-    top_m: float | None = None
-
-    def weight_files(self):
-        return [] if self.weights is None else [self.weights]
-
-    def prepare(self, city_map, references, workspace):
-        def make(path):
-            self.made.append(path.suffix)
-            np.save(path, city_map.scene.vertices[:, 2].max())
-
-        self.top_m = float(np.load(workspace.part("top.npy", make)))
-
-    def localize(self, query, city_map, streams):
-        return Estimate(query.prior, self.top_m)
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    root, city = write_dataset(tmp_path_factory.mktemp("town"), count=3)
-    return open_folder(FolderParams(str(root), str(city)))
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("LODBENCH_CACHE", str(tmp_path / "cache"))
-
-
-def run(method, dataset, tmp_path, **more):
-    settings = RunSettings(tmp_path / "runs", {"method": {"name": method.name}}, threads=1, **more)
-    return run_method(method, dataset, NoMask(NoMaskParams()), settings)
-
-
-def failures(run) -> list[str]:
-    return [found.failure for found in run.predictions.values()]
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def test_the_map_counts_and_the_clock_is_the_harness_s(dataset, tmp_path):
@@ -149,131 +54,6 @@ def test_an_odd_answer_is_no_answer(dataset, tmp_path, odd, word):
     first, *others = failures(run(Odd(), dataset, tmp_path))
     assert first.startswith(word)
     assert others == ["", ""]
-
-
-@pytest.mark.parametrize("answer", [ZeroDivisionError("no pixels"), None, "mask", np.ones(7)])
-def test_a_picture_without_its_mask_ends_no_run(dataset, tmp_path, answer):
-    class Odd(NoMask):
-        provides = frozenset({"mask"})
-
-        def segment(self, entry):
-            if isinstance(answer, Exception):
-                raise answer
-            return answer
-
-    class Masked(Scripted):
-        requires = frozenset({"mask"})
-
-    settings = RunSettings(tmp_path / "runs", {"method": {"name": "scripted"}}, threads=1, limit=1)
-    done = run_method(Masked(), dataset, Odd(NoMaskParams()), settings)
-    assert all(failures(done))
-    assert [path.suffix for path in write_overlays(done, done.preparation, done.scorer)] == [".png"]
-
-
-NAN, FLAT = float("nan"), np.eye(6)
-
-
-@pytest.mark.parametrize(
-    ("odd", "word"),
-    [
-        ({"probability": NAN}, "the probability is nan"),
-        ({"probability": 1.5}, "the probability is 1.5"),
-        ({"covariance": np.eye(3)}, "of shape (3, 3)"),
-        ({"covariance": FLAT * NAN}, "the covariance is not finite"),
-        ({"covariance": FLAT + np.eye(6, k=1)}, "not symmetric"),
-        ({"covariance": -FLAT}, "a negative eigenvalue"),
-        ({"trace": {"search": (0.5, NAN)}}, "trace holds a number that is not finite"),
-        ({"notes": "one text"}, "the notes are no tuple of texts"),
-        ({"notes": (1,)}, "the notes are no tuple of texts"),
-    ],
-)
-def test_an_estimate_that_cannot_be_stored_is_its_query_s_fault(dataset, tmp_path, odd, word):
-    class Odd(Scripted):
-        def localize(self, query, city_map, streams):
-            return replace(super().localize(query, city_map, streams), **odd)
-
-    for failure in failures(run(Odd(), dataset, tmp_path, limit=1)):
-        assert failure.startswith("ValueError: ")
-        assert word in failure
-
-
-def test_an_alternative_that_is_no_pose_is_its_query_s_fault(dataset, tmp_path):
-    class Odd(Scripted):
-        def localize(self, query, city_map, streams):
-            nowhere = replace(query.prior, translation=np.full(3, NAN))
-            return Estimate(query.prior, 1.0, alternatives=(nowhere,))
-
-    assert failures(run(Odd(), dataset, tmp_path, limit=1)) == [
-        "A pose matrix has values that are not finite"
-    ]
-
-
-def test_rounding_in_a_covariance_is_no_fault(dataset, tmp_path):
-    class Noisy(Scripted):
-        def localize(self, query, city_map, streams):
-            noisy = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1e-12]) + 1e-12 * np.eye(6, k=1)
-            return Estimate(query.prior, 1.0, covariance=noisy, notes=["told"], seconds={"x": np.float32(0)})
-
-    (found,) = run(Noisy(), dataset, tmp_path, limit=1).predictions.values()
-    assert (found.failure, len(found.covariance), found.notes) == ("", 21, ("told",))
-
-
-def test_two_queries_of_one_name_are_told_before_any_work(dataset, tmp_path):
-    double = replace(dataset, entries=(*dataset.entries, dataset.entries[0]))
-    key = dataset.entries[0].key
-    with pytest.raises(DatasetError, match=f"has several queries {key}"):
-        run(Scripted(), double, tmp_path, limit=1)
-    assert not (tmp_path / "runs").exists()
-    found = check_dataset(double, with_pixels=False).findings
-    assert [each.object_id for each in found.items if each.code is KEY_TWICE] == [key]
-
-
-def test_a_plug_in_that_leaves_the_working_folder_moves_no_run(dataset, tmp_path, monkeypatch):
-    class Moving(Preparing):
-        def prepare(self, city_map, references, workspace):
-            super().prepare(city_map, references, workspace)
-            os.chdir("/")
-
-        def localize(self, query, city_map, streams):
-            os.chdir("/")
-            return super().localize(query, city_map, streams)
-
-    monkeypatch.chdir(tmp_path)
-    settings = RunSettings(Path("runs"), {"method": {"name": "scripted"}}, threads=1, limit=1)
-    done = run_method(Moving(), dataset, NoMask(NoMaskParams()), settings)
-    assert (failures(done), Path.cwd()) == ([""], tmp_path)
-    assert (tmp_path / done.folder / "predictions.jsonl").is_file()
-
-
-def test_a_text_that_is_no_utf_8_is_written_all_the_same(dataset, tmp_path):
-    done = run(Scripted({NAMES[0]: OSError("gone: \udcff")}), dataset, tmp_path)
-    assert failures(done) == ["OSError: gone: \\udcff", "", ""]
-    assert "\\udcff" in queries_csv(done.queries)
-    (kept,) = (done.folder / "tracebacks").iterdir()
-    assert "OSError: gone: \\udcff" in kept.read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("kind", [Scripted, Batched])
-def test_a_plug_in_that_exits_ends_no_run(dataset, tmp_path, kind):
-    done = run(kind({NAMES[1]: SystemExit(0)}), dataset, tmp_path)
-    assert failures(done) == ["", "SystemExit: 0", ""]
-
-
-def test_a_flight_that_exits_is_its_photos_fault(dataset, tmp_path):
-    class Leaving(Flying):
-        def localize_flight(self, queries, city_map, streams):
-            raise SystemExit
-
-    assert failures(run(Leaving(), dataset, tmp_path)) == ["SystemExit"] * 3
-
-
-def test_a_preparation_that_exits_is_told(dataset, tmp_path):
-    class Leaving(Preparing):
-        def prepare(self, city_map, references, workspace):
-            raise SystemExit(3)
-
-    with pytest.raises(ConfigError, match="cannot prepare: SystemExit: 3"):
-        run(Leaving(), dataset, tmp_path)
 
 
 def test_wrong_settings_end_the_run_and_leave_nothing(dataset, tmp_path):
