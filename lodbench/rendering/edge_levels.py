@@ -35,12 +35,14 @@ class LinePoints(NamedTuple):
     Attributes:
         points: (P, 2, 3) float64 a point and another farther along its line, scene metres.
         rises: (P, 2) float64 by how much either moves up where roofs are a metre higher, metres.
+        outward: (P, 2) float64 how far the first moves along x and y where eaves stand out a metre farther.
         kinds: (P,) int64 which worth its levels have.
         buildings: (P,) int64 whose sum it is added to.
     """
 
     points: Floats
     rises: Floats
+    outward: Floats
     kinds: NDArray[np.int64]
     buildings: NDArray[np.int64]
 
@@ -112,7 +114,7 @@ def _looked_up(forms, turns, table):  # type: ignore[no-untyped-def]  # noqa: AN
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sum_along_lines(lines, rotations, centers, roofs_m, intrinsics, levels, offset_px, own_m, worth, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def sum_along_lines(lines, rotations, centers, of_all_m, intrinsics, levels, offset_px, own_m, worth, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Adds up what the levels are worth that points of lines meet in a photo; outside is worth nothing.
 
     For N poses, and for each building by itself at D heights of its roof.
@@ -121,7 +123,8 @@ def sum_along_lines(lines, rotations, centers, roofs_m, intrinsics, levels, offs
         lines: Their P points.
         rotations: (N, 3, 3) cam_from_world.
         centers: (N, 3) metres.
-        roofs_m: (N,) how much higher than the points say all roofs are taken to be, metres.
+        of_all_m: (N, 2) how much higher than the points say all roofs are taken to be, and how much farther
+            all eaves to stand out, metres.
         intrinsics: fx, fy, cx, cy.
         levels: (H, W, 12) uint8 of ``directed_edge_levels``.
         offset_px: How far beside the line to look.
@@ -129,17 +132,20 @@ def sum_along_lines(lines, rotations, centers, roofs_m, intrinsics, levels, offs
         worth: (K, 16) float64 of each level, by the points' kinds.
         sums: (N, B, D) float64 to add to.
     """
-    points, rises, kinds, buildings = lines
+    points, rises, outward, kinds, buildings = lines
     height, width = levels.shape[:2]
     focal_x, focal_y, middle_x, middle_y = intrinsics
     # Poses in the inner loop: they are close together, and so is what they look up of one point.
     for i in range(len(points)):
         p, q, building, values = points[i, 0], points[i, 1], buildings[i], worth[kinds[i]]
-        rise, rise_along = rises[i, 0], rises[i, 1]
+        rise, rise_along, out_x, out_y = rises[i, 0], rises[i, 1], outward[i, 0], outward[i, 1]
         for n in range(len(rotations)):
-            p_z, q_z = p[2] + rise * roofs_m[n], q[2] + rise_along * roofs_m[n]
-            x, y, z = camera_axes(p[0], p[1], p_z, rotations[n], centers[n])
-            s, t, r = camera_axes(q[0], q[1], q_z, rotations[n], centers[n])
+            roofs_m, eaves_m = of_all_m[n, 0], of_all_m[n, 1]
+            p_z, q_z = p[2] + rise * roofs_m, q[2] + rise_along * roofs_m
+            # Lines move out without turning.
+            east, north = eaves_m * out_x, eaves_m * out_y
+            x, y, z = camera_axes(p[0] + east, p[1] + north, p_z, rotations[n], centers[n])
+            s, t, r = camera_axes(q[0] + east, q[1] + north, q_z, rotations[n], centers[n])
             if z < 1.0 or r < 1.0:
                 continue
             # A roof of another height shifts its lines; that it turns them is left out.

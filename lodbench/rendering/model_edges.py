@@ -49,6 +49,8 @@ class ViewEdges:
         is_visible: (S,) whether nothing stands before it, to two pixels at its ends.
         kind: (S,) uint8 ``EdgeKind``.
         building: (S,) int64 index into ``scene.building_ids``.
+        corners: (S, 2) int32 the vertices of the scene between which the whole edge runs.
+        shares: (S, 2) float64 where on that edge the piece begins and ends, 0 to 1.
     """
 
     points: Floats
@@ -56,6 +58,8 @@ class ViewEdges:
     is_visible: NDArray[np.bool_]
     kind: NDArray[np.uint8]
     building: NDArray[np.int64]
+    corners: NDArray[np.int32]
+    shares: Floats
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -65,6 +69,7 @@ class EdgeFaces(NamedTuple):
     """The edges of a scene with what lies beside them, for the kernel.
 
     Attributes:
+        corners: (E, 2) int32 vertices that they run between.
         ends: (E, 2, 3) float64 end points, scene metres.
         beside: (E, 2, 3) float64 third corner of either face; of a lone one twice.
         angle_deg: (E,) angle between the faces' planes, 0 where they continue each other; 180 for a lone
@@ -73,6 +78,7 @@ class EdgeFaces(NamedTuple):
         starts: (B + 1,) int64 offsets by building.
     """
 
+    corners: NDArray[np.int32]
     ends: Floats
     beside: Floats
     angle_deg: Floats
@@ -98,7 +104,7 @@ def edge_faces(scene: Scene) -> EdgeFaces:
     angle = _angles_deg(ends, beside)
     angle[is_lone | is_crowded[kept]] = 180.0
     starts = np.searchsorted(kept, table.starts)
-    return EdgeFaces(ends, beside, angle, is_lone, starts.astype(np.int64))
+    return EdgeFaces(corners, ends, beside, angle, is_lone, starts.astype(np.int64))
 
 
 def _third_corner(
@@ -151,7 +157,8 @@ def edges_in_view(
     )
     ends = edges.ends[rows[:, 0]]
     points = ends[:, :1] + shares[:, :, None] * (ends[:, 1:] - ends[:, :1])
-    return ViewEdges(points, pixels, rows[:, 1] == 1, rows[:, 2].astype(np.uint8), building)
+    is_visible, kind = rows[:, 1] == 1, rows[:, 2].astype(np.uint8)
+    return ViewEdges(points, pixels, is_visible, kind, building, edges.corners[rows[:, 0]], shares)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

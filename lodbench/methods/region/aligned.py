@@ -29,7 +29,7 @@ class Aligned(NamedTuple):
     """A pose and a height of roofs that put the model's lines on the photo's edges.
 
     Attributes:
-        vector: (7,) both.
+        vector: (8,) both.
         lines: What edges say of others.
         regions: What regions and prior say of them, with each roof at a height of its own.
         sharpness: As of ``LineFit``: whether the map is exact enough for it to count.
@@ -41,7 +41,7 @@ class Aligned(NamedTuple):
     sharpness: float
 
     def nats(self, vectors: Floats, share: float = 1.0) -> Floats:
-        """Returns the (N,) logarithm of the likelihood of such, (N, 7), of a share of the photo's nats."""
+        """Returns the (N,) logarithm of the likelihood of such, (N, 8), of a share of the photo's nats."""
         return self.lines(vectors, share) + share * self.regions.nats(vectors)
 
 
@@ -55,7 +55,7 @@ def aligned_by_lines(
     params: Params,
     streams: Streams,
 ) -> Aligned | None:
-    """Returns what is near (7,) and puts the model's lines on the photo's edges; None without lines in view.
+    """Returns what is near (8,) and puts the model's lines on the photo's edges; None without lines in view.
 
     Lines alone lead in the first rounds, after which each roof is drawn where they put it; in the last the
     regions have their say too.
@@ -69,7 +69,7 @@ def aligned_by_lines(
         nats = Aligned(vector, lines, regions, 0.0).nats if is_last else lines
         vector = _climbed(nats, regions, vector, cloud, params.population, streams("lines", number))
         if not is_last:
-            roofs = roofs.each_by_itself(lines.own_roofs_m(vector))
+            roofs = roofs.each_by_itself(lines.own_roofs_m(vector), float(vector[7]))
     return Aligned(vector, lines, regions, lines.sharpness(vector))
 
 

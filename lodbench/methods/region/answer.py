@@ -23,7 +23,7 @@ from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES
 from lodbench.methods.region.uncertainty import information_at
 
 Floats = NDArray[np.float64]
-# Of (N, 7) poses and roofs, and of a share of the photo's nats.
+# Of (N, 8) poses and roofs, and of a share of the photo's nats.
 Nats = Callable[[Floats, float], Floats]
 
 
@@ -48,7 +48,7 @@ class Answer(NamedTuple):
 class Answering:
     """Ends the search for one photo.
 
-    Vectors of seven numbers are a pose and how much higher than in the map all roofs are.
+    Vectors of eight numbers are a pose, and how much higher and wider than in the map all roofs are.
 
     Args:
         photo: As of ``read_picture``.
@@ -72,7 +72,7 @@ class Answering:
 
     def answer(self, best: Floats, streams: Streams) -> Answer:
         """Returns the answer near the best pose, (6,): by lines where edges are sharp beside them."""
-        params, start = self._params, np.append(best, 0.0)
+        params, start = self._params, np.append(best, [0.0, 0.0])
         if params.lines_weight <= 0:
             return self._by_regions(start, *TYPICAL_LINES)
         # Lines say what edges say, and more: the regions join them without.
@@ -90,7 +90,7 @@ class Answering:
         return Answer(mean[:6], *covariances, apart_m, aligned.sharpness)
 
     def _by_regions(self, vector: Floats, apart_m: float, sharpness: float) -> Answer:
-        """Returns the mean of what regions and outlines leave around (7,), of a wider photo."""
+        """Returns the mean of what regions and outlines leave around (8,), of a wider photo."""
         params, of_map = self._params, (self._query, self._roofs)
         fine = RoofEvidence(*of_map, self._fit, params)
         covariances = self._certainty(_of_share(fine), vector, fine)
@@ -106,7 +106,7 @@ class Answering:
         pose, evidence = vector[:6], regions.at(float(vector[6]))
 
         def of_poses(poses: Floats) -> Floats:
-            return nats(np.column_stack([poses, np.full(len(poses), vector[6])]), 1.0)
+            return nats(np.column_stack([poses, np.tile(vector[6:], (len(poses), 1))]), 1.0)
 
         information = information_at(of_poses, pose, evidence, self._around)
         prior, outline = evidence.prior_information(), self._around.outline(pose, evidence)
@@ -114,7 +114,7 @@ class Answering:
         return covariance, np.asarray(np.linalg.inv(information + prior))
 
     def _mean(self, nats: Nats, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
-        """Returns the posterior's mean around (7,); of ``mean_pixels`` = 0, the point itself."""
+        """Returns the posterior's mean around (8,); of ``mean_pixels`` = 0, the point itself."""
         share = self._params.mean_share()
         if share <= 0:
             return vector

@@ -63,7 +63,7 @@ class LineFit:
         photo: As of ``read_picture``.
         query: The query.
         roofs: The map, which says what lines are seen.
-        vector: (7,) the pose that they are seen from, and how much higher all roofs then are.
+        vector: (8,) the pose that they are seen from, and how much higher and wider all roofs then are.
         blur_px: Of the photo, pixels of the working size.
         params: The method's.
 
@@ -89,7 +89,7 @@ class LineFit:
         points, spacing_px = _points_on_lines(roofs, step, camera, vector[:6])
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
         self._points = points._replace(buildings=buildings)
-        self._roofs, self._roofs_m = roofs, step * STEP_M
+        self._roofs, self._of_map_m = roofs, np.array([step * STEP_M, roofs.eaves_m])
         self._weight = params.lines_weight * spacing_px
         self._sigma_m = max(params.own_roofs_m, _LEAST_SIGMA_M)
         self._own_m = params.own_roofs_m * (_OWN if params.own_roofs_m > 0 else _OWN[:1])
@@ -101,7 +101,7 @@ class LineFit:
         return len(self._points.kinds)
 
     def __call__(self, vectors: Floats, share: float = 1.0) -> Floats:
-        """Returns the (N,) logarithm of the likelihood of poses and roofs (N, 7), up to a constant.
+        """Returns the (N,) logarithm of the likelihood of poses and roofs (N, 8), up to a constant.
 
         How strongly edges stand out along outlines and along creases is taken as fits the first pose best.
 
@@ -134,7 +134,7 @@ class LineFit:
         return (on - max(near, far)) / max(on - far, _LEAST_CONTRAST)
 
     def _best_strengths(self, vector: Floats) -> NDArray[np.int64]:
-        """Returns (2,) how strongly edges stand out along outlines and creases, as fits (7,) best.
+        """Returns (2,) how strongly edges stand out along outlines and creases, as fits (8,) best.
 
         One after the other, twice.
         """
@@ -163,7 +163,7 @@ class LineFit:
     def _sums(self, vectors: Floats, worth: Floats, own_m: Floats, offset_px: float = 0.0) -> Floats:
         sums = np.zeros((len(vectors), len(self.buildings), len(own_m)))
         rotations, centers = rotations_from_euler(vectors[:, 3:6]), np.ascontiguousarray(vectors[:, :3])
-        view = rotations, centers, vectors[:, 6] - self._roofs_m, self._intrinsics
+        view = rotations, centers, vectors[:, 6:] - self._of_map_m, self._intrinsics
         sum_along_lines(self._points, *view, self._levels, offset_px, own_m, worth, sums)
         return sums
 
@@ -187,4 +187,6 @@ def _points_on_lines(
     pairs = np.stack([points, points + 0.5 * (1.0 - place)[:, None] * along], axis=1)
     owners = seen.building[rows]
     rises = np.stack([roofs.shares(each, owners, step) for each in pairs[..., 2].T], axis=1)
-    return LinePoints(pairs, rises, seen.kind[rows].astype(np.int64), owners), spacing_px
+    first, last = seen.shares[rows].T
+    outward = rises[:, :1] * roofs.outward(seen.corners[rows], first + place * (last - first))
+    return LinePoints(pairs, rises, outward, seen.kind[rows].astype(np.int64), owners), spacing_px

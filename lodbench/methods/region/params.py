@@ -15,7 +15,8 @@ _CIRCLE_DEG = 360.0
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 _AT_LEAST_0 = (
     *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
-    *("judging_edge_weight", "roofs_m", "own_roofs_m", "mean_pixels", "lines_weight", "least_sharpness"),
+    *("judging_edge_weight", "roofs_m", "own_roofs_m", "eaves_m", "mean_pixels", "lines_weight"),
+    "least_sharpness",
 )
 _POSITIVE = ("stride_m", "stride_z_m", "stride_yaw_deg", "coarse_spread_px", "fine_spread_px", "edge_blur_px")
 
@@ -55,6 +56,8 @@ class Params:
         roofs_m: How far all roofs may be higher or lower than in the map, all alike: a standard deviation,
             metres; 0 for a map whose roofs do not err.
         own_roofs_m: The same of each roof by itself.
+        eaves_m: How much farther or less far than in the map all eaves may stand out, all alike: a standard
+            deviation, metres; 0 for a map whose outlines are those of the roofs.
         mean_width: Width of silhouettes where the answer becomes the mean of the posterior, pixels.
         mean_pixels: How many independent pixels a photo is worth there, ``effective_pixels`` at most; 0
             leaves the answer at the best pose.
@@ -91,6 +94,7 @@ class Params:
     edge_blur_px: float = 1.0
     roofs_m: float = 0.5
     own_roofs_m: float = 0.7
+    eaves_m: float = 0.4
     mean_width: int = 640
     mean_pixels: float = 500.0
     lines_width: int = 960

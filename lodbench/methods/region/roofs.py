@@ -1,7 +1,8 @@
-"""How much higher than in the map all roofs are: a seventh number beside the pose, metres.
+"""How much higher and wider than in the map all roofs are: two numbers beside the pose, metres.
 
-Blocks end somewhere between eaves and ridge, as whoever made the map decided: its roofs err alike. The photo
-tells by how much, and a camera that has to make up for it ends too high or too low (docs/adr/0052).
+Blocks end somewhere between eaves and ridge, and are as wide as walls or as roofs, as whoever made the map
+decided: its roofs err alike. The photo tells by how much, and a camera that has to make up for it ends too
+high or too low (docs/adr/0052, docs/adr/0054).
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.query import Query
+from lodbench.methods.region.eaves import outward_moves
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.params import Params
 
@@ -32,7 +34,7 @@ _LEAST_SIGMA_M = 1e-3
 
 
 class RaisedRoofs:
-    """Some buildings of a map with all their roofs higher, or lower; their floors stay.
+    """Some buildings of a map with all their roofs higher or lower, wider or narrower; their floors stay.
 
     What is drawn of them counts as drawn of the map.
 
@@ -42,22 +44,32 @@ class RaisedRoofs:
 
     Attributes:
         own_m: (B,) how much higher than all the others each roof is, metres.
+        eaves_m: How much farther than in the map all eaves stand out, metres.
     """
 
     def __init__(self, city_map: CityMap, part: Scene) -> None:
         self._map, self._part = city_map, part
-        self.own_m = np.zeros(part.num_buildings)
+        self.own_m, self.eaves_m = np.zeros(part.num_buildings), 0.0
         self._drawn: dict[int, CityMap] = {}
         boxes = building_boxes(part)
         self._floors, self._rises = np.zeros((2, part.num_buildings))
         self._floors[boxes.building] = boxes.low[:, 2]
         self._rises[boxes.building] = boxes.high[:, 2] - boxes.low[:, 2]
 
-    def each_by_itself(self, own_m: Floats) -> RaisedRoofs:
-        """Returns the same buildings with each roof so much higher than all the others, (B,) metres."""
+    def each_by_itself(self, own_m: Floats, eaves_m: float) -> RaisedRoofs:
+        """Returns the same buildings with each roof so much higher than all the others, (B,) metres.
+
+        Args:
+            own_m: Of each building.
+            eaves_m: How much farther than in the map all eaves stand out, metres.
+        """
         other = copy(self)
-        other.own_m, other._drawn = own_m, {}
+        other.own_m, other.eaves_m, other._drawn = own_m, eaves_m, {}
         return other
+
+    @cached_property
+    def _outward(self) -> Floats:
+        return outward_moves(self._part)
 
     def at(self, step: int) -> CityMap:
         """Returns the map of the buildings with roofs so many steps higher."""
@@ -66,7 +78,10 @@ class RaisedRoofs:
             owner = np.repeat(np.arange(part.num_buildings), np.diff(part.vertex_starts))
             heights = part.vertices[:, 2].astype(np.float64)
             vertices = part.vertices.copy()
-            vertices[:, 2] = heights + self._shares(heights, owner, self._rises) * self._raised(step)[owner]
+            shares = self._shares(heights, owner, self._rises)
+            vertices[:, 2] = heights + shares * self._raised(step)[owner]
+            if self.eaves_m != 0.0:
+                vertices[:, :2] += (self.eaves_m * shares)[:, None] * self._outward
             # By the engine, whoever draws the map: a dozen of these live and die with each query.
             drawn = CityMap(replace(part, vertices=vertices), threads=self._map.threads)
             drawn.usage = self._map.usage
@@ -84,6 +99,16 @@ class RaisedRoofs:
             step: Of the map that the points are of.
         """
         return self._shares(heights, buildings, self._rises + self._raised(step))
+
+    def outward(self, corners: NDArray[np.int32], places: Floats) -> Floats:
+        """Returns (N, 2) how far points of edges move east and north where walls stand out a metre farther.
+
+        Args:
+            corners: (N, 2) vertices of the part, between which the edges run.
+            places: (N,) where the points are on them, 0 to 1.
+        """
+        first, last = (self._outward[end] for end in corners.T)
+        return np.asarray(first + places[:, None] * (last - first))
 
     def _shares(self, heights: Floats, buildings: NDArray[np.int64], rises: Floats) -> Floats:
         tall = rises[buildings]
@@ -103,11 +128,14 @@ def step_of(roofs_m: Floats) -> NDArray[np.int64]:
 
 
 class RoofEvidence:
-    """What photo and prior say of poses and of how much higher all roofs are, (N, 7), up to a constant."""
+    """What photo and prior say of poses, and of how much higher and wider all roofs are, up to a constant.
+
+    Of (N, 8) vectors; silhouettes are those of the map's eaves, whatever the last number says.
+    """
 
     def __init__(self, query: Query, roofs: RaisedRoofs, fit: PhotoFit, params: Params) -> None:
         self._evidence = lru_cache(None)(lambda step: Evidence(query, roofs.at(step), fit, params))
-        self._sigma_m = max(params.roofs_m, _LEAST_SIGMA_M)
+        self._sigmas_m = np.maximum([params.roofs_m, params.eaves_m], _LEAST_SIGMA_M)
 
     def at(self, roofs_m: float) -> Evidence:
         """Returns the evidence on poses alone, (N, 6), of roofs so much higher."""
@@ -124,13 +152,13 @@ class RoofEvidence:
     def log_prior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the prior, up to a constant."""
         poses = self._evidence(0).log_prior(vectors[:, :6])
-        return np.asarray(poses - 0.5 * (vectors[:, 6] / self._sigma_m) ** 2)
+        return np.asarray(poses - 0.5 * ((vectors[:, 6:] / self._sigmas_m) ** 2).sum(axis=1))
 
     def widened(self, covariance: Floats, most_m: float = math.inf) -> Floats:
-        """Returns the covariance (7, 7) of a pose's, (6, 6), and of the roofs beforehand.
+        """Returns the covariance (8, 8) of a pose's, (6, 6), and of the roofs beforehand.
 
-        Their deviation is ``most_m`` at most.
+        Their deviations are ``most_m`` at most.
         """
-        whole = np.zeros((7, 7))
-        whole[:6, :6], whole[6, 6] = covariance, min(self._sigma_m, most_m) ** 2
+        whole = np.diag(np.concatenate([np.zeros(6), np.minimum(self._sigmas_m, most_m) ** 2]))
+        whole[:6, :6] = covariance
         return whole
