@@ -35,8 +35,8 @@ def shaded(city_map, truths):
 
 
 def with_roofs(truth):
-    """Returns (7,) a pose and roofs as the map has them."""
-    return np.append(vector_from_pose(truth), 0.0)
+    """Returns (8,) a pose and roofs as the map has them."""
+    return np.append(vector_from_pose(truth), [0.0, 0.0])
 
 
 def fit_of(photo, query, roofs, truth):
@@ -44,7 +44,7 @@ def fit_of(photo, query, roofs, truth):
 
 
 def test_lines_fit_best_at_the_truth(roofs, queries, truths, shaded):
-    moves = np.concatenate([d * np.eye(7) * [1.5, 1.5, 4.0, 1.0, 1.0, 1.0, 1.5] for d in (-1.0, 1.0)])
+    moves = np.concatenate([d * np.eye(8) * [1.5, 1.5, 4.0, 1.0, 1.0, 1.0, 1.5, 1.5] for d in (-1.0, 1.0)])
     for photo, query, truth in zip(shaded, queries, truths, strict=True):
         fit, vector = fit_of(photo, query, roofs, truth), with_roofs(truth)
         assert len(fit) > 100
@@ -85,7 +85,7 @@ def test_the_method_ends_nearer_with_lines(city_map, tmp_path):
 
 
 def test_a_pose_without_lines_in_view_counts_nothing(roofs, queries, truths, shaded):
-    away = with_roofs(truths[0]) + np.array([5000.0, 0, 0, 0, 0, 0, 0])
+    away = with_roofs(truths[0]) + np.array([5000.0, 0, 0, 0, 0, 0, 0, 0])
     fit = LineFit(shaded[0], queries[0], roofs, away, 1.0, Params())
     assert len(fit) == 0
     assert fit.sharpness(away) == 0.0

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 # What counts as a wall: the most that its normal rises or falls, as a share of its length.
 _WALL_RISE = 0.3
 # Walls in one line count as one; corners move out by twice the distance of their walls at most.
-_IN_LINE, _SHARPEST = 0.01, 2.0
+_IN_LINE, _SHARPEST = 1e-4, 2.0
 # Shorter edges have no direction, metres.
 _SHORTEST_M = 1e-3
 

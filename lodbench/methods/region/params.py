@@ -94,7 +94,7 @@ class Params:
     edge_blur_px: float = 1.0
     roofs_m: float = 0.5
     own_roofs_m: float = 0.7
-    eaves_m: float = 0.4
+    eaves_m: float = 0.3
     mean_width: int = 640
     mean_pixels: float = 500.0
     lines_width: int = 960
