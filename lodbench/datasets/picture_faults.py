@@ -29,6 +29,11 @@ def mask_fault(mask: Path, size: tuple[int, int]) -> str:
     found = picture_size(mask)
     if found is None:
         return f"the mask {mask.name} cannot be read"
+    return aspect_fault(found, size)
+
+
+def aspect_fault(found: tuple[int, int], size: tuple[int, int]) -> str:
+    """Returns why a mask of some width and height does not fit a photo of another; "" if it does."""
     width, height = found
     apart = abs((width / height) / (size[0] / size[1]) - 1.0)
     # Sides are whole: of a photo a few pixels wide, rounding alone changes the aspect by more.

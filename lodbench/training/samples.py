@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.instance_labels import read_labels
-from lodbench.errors import DatasetError, LodbenchError
+from lodbench.datasets.own import PHOTO_SUFFIXES
+from lodbench.datasets.picture_faults import aspect_fault, mask_fault
+from lodbench.datasets.pictures import picture_size
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.segmentation.compact_instances import interiors
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photos import read_photo
@@ -22,7 +25,6 @@ Photo = NDArray[np.uint8]
 MASKS, INTERIORS = "masks", "interiors"
 _FOLDERS = {MASKS: "masks", INTERIORS: "labels"}
 _HELD_OUT = 20
-ENDINGS = (".jpg", ".jpeg", ".png")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,8 @@ class Sample:
         except LodbenchError as fault:
             raise DatasetError(f"{self.key}: {fault.message}") from fault
         height, width = photo.shape[:2]
+        if fault_of_size := aspect_fault((mask.shape[1], mask.shape[0]), (width, height)):
+            raise DatasetError(f"{self.key}: {fault_of_size}")
         if size:
             factor = size / max(height, width)
             height, width = max(1, round(height * factor)), max(1, round(width * factor))
@@ -91,13 +95,14 @@ def find_samples(folder: Path, split: str, learns: str = MASKS) -> list[Sample]:
         learns: ``masks``, or ``interiors`` of the labels of single buildings.
 
     Raises:
-        DatasetError: The folder is missing, or a picture has no mask, or no labels.
+        DatasetError: The folder is missing, or a picture has no mask, or no labels, or a mask of another
+            aspect, or shares it with another picture.
     """
     if not folder.is_dir():
         raise DatasetError(f"There is no folder {folder}.", "lodbench generate-training-data makes one.")
     samples, without = [], []
     for images in sorted(path for path in folder.rglob("images") if path.parent.name == split):
-        for photo in sorted(path for path in images.iterdir() if path.suffix.lower() in ENDINGS):
+        for photo in sorted(path for path in images.iterdir() if path.suffix.lower() in PHOTO_SUFFIXES):
             mask = images.parent / _FOLDERS[learns] / f"{photo.stem}.png"
             if mask.exists():
                 key = (images.parent.relative_to(folder) / photo.stem).as_posix()
@@ -112,7 +117,25 @@ def find_samples(folder: Path, split: str, learns: str = MASKS) -> list[Sample]:
         raise DatasetError(
             f"{len(without)} pictures in {folder} have no {kind}, the first is {without[0].name}.", hint
         )
+    _require_fitting(samples)
     return samples
+
+
+def _require_fitting(samples: list[Sample]) -> None:
+    """Makes sure, by the headers of files, that each picture has a mask of its own and of its aspect.
+
+    Raises:
+        DatasetError: One has not.
+    """
+    photos: dict[Path, Path] = {}
+    for sample in samples:
+        other = photos.setdefault(sample.mask, sample.photo)
+        if other != sample.photo:
+            raise DatasetError(f"{other} and {sample.photo.name} share a name: their masks would be one.")
+        size = picture_size(sample.photo)
+        fault = mask_fault(sample.mask, size) if size is not None else ""
+        if fault:
+            raise DatasetError(f"{sample.photo}: {fault}.", "Is it this picture's?")
 
 
 def split_samples(
@@ -128,9 +151,11 @@ def split_samples(
 
     Raises:
         DatasetError: There are none of one kind.
+        ConfigError: Views of ``val_data`` are trained on.
     """
     if val_data is not None:
         val = [s for split in ("train", "val", "test") for s in find_samples(val_data, split, learns)]
+        _require_unseen(train, val)
         source = f"views of {val_data.name}"
     else:
         source = "val views, of regions of their own"
@@ -141,6 +166,21 @@ def split_samples(
         kind = "train on" if not train else "validate on"
         raise DatasetError(f"There are no views to {kind}.", "lodbench generate-training-data makes some.")
     return train, val, source
+
+
+def _require_unseen(train: list[Sample], val: list[Sample]) -> None:
+    """Makes sure that no view that validates is trained on as well.
+
+    Raises:
+        ConfigError: One is: its IoU would be told as that of views the network has never seen.
+    """
+    learnt = {sample.photo.resolve() for sample in train}
+    both = [sample.photo for sample in val if sample.photo.resolve() in learnt]
+    if both:
+        raise ConfigError(
+            f"{len(both)} of the {len(val)} views of val_data are trained on, the first is {both[0]}.",
+            "val_data=SET of other views; without it the val views of data validate.",
+        )
 
 
 def samples_digest(samples: list[Sample]) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.datasets.own import PHOTO_SUFFIXES
 from lodbench.datasets.pictures import encoded
 from lodbench.errors import DatasetError
 from lodbench.execution import Progress
@@ -20,7 +21,7 @@ from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.photos import read_photo
 from lodbench.segmentation.working_size import resized_photo, working_size
 from lodbench.storage import make_folder, write_bytes
-from lodbench.training.samples import ENDINGS, Sample
+from lodbench.training.samples import Sample
 
 Photo = NDArray[np.uint8]
 # Of the working size: at which empty ground is learnt.
@@ -85,7 +86,7 @@ def _written(
     """Returns the views made of each photo below some folders, their pictures and masks written."""
     samples = []
     for folder, name in zip(folders, _names(folders), strict=True):
-        photos = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
+        photos = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES)
         if not photos:
             raise DatasetError(f"{folder} holds no photos to learn from.", "Name a folder of photos.")
         with Progress(f"photos of {folder.name}", len(photos)) as progress:

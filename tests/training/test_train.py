@@ -156,6 +156,29 @@ def test_faults_of_the_data(views, tmp_path, capsys):
     assert "no network to train" in capsys.readouterr().err
 
 
+def test_a_mask_of_another_aspect_is_refused_before_training(views, tmp_path):
+    shutil.copytree(views, tmp_path / "set")
+    samples = find_samples(tmp_path / "set", "train")
+    cv2.imwrite(str(samples[3].mask), np.zeros((96, 64), np.uint8))
+    with pytest.raises(DatasetError, match="the mask is 64 x 96, the photo 96 x 64: another aspect"):
+        find_samples(tmp_path / "set", "train")
+    with pytest.raises(DatasetError, match="another aspect"):
+        samples[3].read(64, square=True)
+
+
+def test_pictures_that_would_share_a_mask_are_refused(views, tmp_path):
+    shutil.copytree(views, tmp_path / "set")
+    photo = find_samples(tmp_path / "set", "train")[0].photo
+    cv2.imwrite(str(photo.with_suffix(".tif")), cv2.imread(str(photo)))
+    with pytest.raises(DatasetError, match="share a name"):
+        find_samples(tmp_path / "set", "train")
+
+
+def test_views_that_are_trained_on_do_not_validate(views, tmp_path, capsys):
+    assert train(views, tmp_path / "out", f"val_data={views}") == 2
+    assert "10 of the 12 views of val_data are trained on" in capsys.readouterr().err
+
+
 def test_views_are_held_out_where_there_are_none_to_validate_on(views):
     train_views, val_views, source = split_samples(
         find_samples(views, "train"), find_samples(views, "val"), None

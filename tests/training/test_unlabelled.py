@@ -48,6 +48,11 @@ def test_photos_of_one_name_in_folders_of_one_name_stay_apart(photos, tmp_path):
     assert [sample.read(0, square=False)[0].any() for sample in samples] == [True] * 4 + [False] * 4
 
 
+def test_photos_stored_as_tiff_are_learnt_as_well(photos, tmp_path):
+    cv2.imwrite(str(photos / "c.tif"), np.zeros((40, 60, 3), np.uint8))
+    assert len(ground_samples(64, [photos], tmp_path / "out")) == 6
+
+
 def test_a_folder_without_photos_is_named(tmp_path):
     with pytest.raises(DatasetError, match="holds no photos to learn from"):
         ground_samples(64, [tmp_path], tmp_path / "out")
