@@ -88,11 +88,14 @@ def _tell(line: str) -> None:
 def report(trained: Trained) -> str:
     """Returns what is said at the end."""
     last = trained.history[-1]
-    iou = f"mean per view {last['mean_iou']:.4f}, pooled {last['pooled_iou']:.4f}"
+    # Of the weights that are named below, which may be the mean with those of other trainings.
+    stored = trained.averaged or last
+    iou = f"mean per view {stored['mean_iou']:.4f}, pooled {stored['pooled_iou']:.4f}"
+    alone = f" ({last['mean_iou']:.4f} before averaging)" if trained.averaged else ""
     before = f" ({trained.started_at} were there already)" if trained.started_at else ""
     return (
         f"epochs:  {len(trained.history)}{before} over {trained.views} views, last loss {last['loss']:.4f}\n"
-        f"val IoU: {iou}, over {last['views']:.0f} {trained.validated_on}\n"
+        f"val IoU: {iou}{alone}, over {last['views']:.0f} {trained.validated_on}\n"
         f"weights: {trained.weights}\n"
         f"curves:  {trained.weights.parent / 'curves.png'}\n"
     )

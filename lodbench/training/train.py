@@ -53,13 +53,23 @@ PACKAGE = "package"
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What came out of a training."""
+    """What came out of a training.
+
+    Attributes:
+        weights: Their file.
+        history: A row per epoch.
+        validated_on: What the views to validate on are.
+        views: To train on.
+        started_at: Epochs that were there already.
+        averaged: IoUs of the mean of several trainings, where that is what is stored; else empty.
+    """
 
     weights: Path
     history: list[dict[str, float]]
     validated_on: str
     views: int
     started_at: int
+    averaged: dict[str, float]
 
 
 def train_network(
@@ -92,14 +102,17 @@ def train_network(
         write_text(out / MANIFEST_FILE, _json(record | {"history": history}))
         tell(_epoch_line(history[-1], params.epochs))
 
-    history, weights = run_training(segmenter, params, train, val, record["digest"], keep, started_at)
+    history, weights, averaged = run_training(
+        segmenter, params, train, val, record["digest"], keep, started_at
+    )
     if not history:  # one of several processes, and not the one that writes
-        return Trained(weights, history, source, len(train), started_at[0])
+        return Trained(weights, history, source, len(train), started_at[0], averaged)
     # One that was stopped after its last epoch was kept, and before its curves were, has none left to run.
     write_curves(history, out / CURVES_FILE)
     finished = record | {"history": history, "weights": {weights.name: file_digest(weights)}}
+    finished |= {"averaged": averaged} if averaged else {}
     write_text(out / MANIFEST_FILE, _json(finished))
-    return Trained(weights, history, source, len(train), started_at[0])
+    return Trained(weights, history, source, len(train), started_at[0], averaged)
 
 
 def _samples(

@@ -297,9 +297,11 @@ def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
+    from lodbench.segmentation.compact import Compact
     from lodbench.segmentation.nets.compact import CompactNet
     from lodbench.segmentation.nets.weights import load_own
     from lodbench.training.nets.average import average_into
+    from lodbench.training.nets.validate import validation_iou
 
     assert train(views, tmp_path / "a", "schedule.epochs=1") == 0
     assert train(views, tmp_path / "b", "schedule.epochs=1", "seed=1") == 0
@@ -311,7 +313,13 @@ def test_the_mean_of_two_trainings_is_stored(views, tmp_path, capsys):
         expected = (first.get_parameter(name) + second.get_parameter(name)) / 2
         torch.testing.assert_close(value, expected)
     words = ["schedule.epochs=1", f"average=[{files[1]}]"]
+    capsys.readouterr()
     assert train(views, tmp_path / "c", *words) == 0
+    of_mean = validation_iou(mean, find_samples(views, "val"), 0, False, Compact.stride, torch.device("cpu"))
+    assert f"mean per view {of_mean['mean_iou']:.4f}" in capsys.readouterr().out
+    record = json.loads((tmp_path / "c" / "training.json").read_text())
+    assert record["averaged"]["mean_iou"] == pytest.approx(of_mean["mean_iou"], abs=1e-6)
+    assert record["history"][-1]["mean_iou"] != pytest.approx(of_mean["mean_iou"], abs=1e-6)
     alone, both = ((tmp_path / name / "compact.onnx").read_bytes() for name in "ac")
     assert alone != both
     kept = load_own(CompactNet(), str(tmp_path / "c" / "averaged.safetensors"))

@@ -17,6 +17,7 @@ from lodbench.training.nets.checkpoints import load_checkpoint
 from lodbench.training.nets.distributed import joined
 from lodbench.training.nets.loop import fit, make_state
 from lodbench.training.nets.room import require_room
+from lodbench.training.nets.validate import validation_iou
 from lodbench.training.nets.warm_start import adapt_norms
 from lodbench.training.samples import Sample
 from lodbench.training.train_params import TrainParams
@@ -36,8 +37,10 @@ def run_training(
     identity: str,
     keep: Callable[[History], None],
     started_at: list[int],
-) -> tuple[History, Path]:
-    """Trains and returns the history and the weights' file.
+) -> tuple[History, Path, dict[str, float]]:
+    """Trains and returns the history, the weights' file, and the IoUs of the mean of several trainings.
+
+    The last are empty where none is averaged: the weights are then those of the history's last row.
 
     Args:
         segmenter: Knows how to build its network and how to store its weights.
@@ -74,12 +77,16 @@ def run_training(
                     board(name, value, int(row["epoch"]))
 
         fit(state, params, train, val, segmenter.stride, place, identity, after_epoch)
+        averaged: dict[str, float] = {}
         if params.average:
             average_into(net, [Path(path).expanduser() for path in params.average])
             if place.rank == 0:  # the checkpoint keeps this training's own weights
+                averaged = validation_iou(
+                    net, val, params.size, not params.crop, segmenter.stride, place.device
+                )
                 save_weights(net.cpu(), out / AVERAGED_FILE)
         weights = segmenter.store(net.cpu().eval(), out) if place.rank == 0 else out
-    return state.history, weights
+    return state.history, weights, averaged
 
 
 def _make_deterministic(params: TrainParams) -> None:
