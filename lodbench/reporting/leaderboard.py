@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
+from lodbench.reporting.split_numbers import numbers_of
 from lodbench.reporting.table_columns import (
     Column,
     finite_text,
@@ -24,7 +25,7 @@ from lodbench.reporting.table_columns import (
     segmenter_columns,
 )
 from lodbench.reporting.table_formats import format_html, format_latex, format_markdown
-from lodbench.reporting.tables import Line, RecallTable, numbers_of
+from lodbench.reporting.tables import Line, RecallTable
 from lodbench.storage import digest_of
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.reporting.safe_text import plain_text
+from lodbench.reporting.split_numbers import mean_numbers, numbers_of, require_one_run_a_seed
 from lodbench.reporting.table_columns import Column, columns_named, paper_columns
 
 if TYPE_CHECKING:
@@ -126,49 +126,6 @@ class RecallTable:
         return "/".join(str(count) for count in counts if count)
 
 
-def numbers_of(split: dict[str, Any]) -> dict[str, Any]:
-    """Returns the numbers of one split of a ``summary.json`` by flat names, as CSV has them."""
-    bounds = {
-        **split.get("recall_interval_95", {}),
-        **{f"median_{name}": ends for name, ends in split.get("median_interval_95", {}).items()},
-        **{f"AUC {label}": ends for label, ends in split.get("auc_interval_95", {}).items()},
-    }
-    counts = {"queries": split["num_queries"] or 0, "failed": split["num_failed"] or 0}
-    printed = {f"{head} printed": text for head, text in split.get("printed", {}).items()}
-    costs = ("hypotheses_per_query", "seconds_per_query")
-    numbers = {
-        **split["recall"],
-        **{
-            f"{label} {end}": value
-            for label, ends in bounds.items()
-            for end, value in zip(("low", "high"), ends, strict=True)
-        },
-        **{f"{label} of answered": value for label, value in split.get("recall_of_answered", {}).items()},
-        **{f"AUC {label}": value for label, value in split.get("auc", {}).items()},
-        **{name: split.get(name) for name in ("median_translation_m", "median_rotation_deg")},
-        **split.get("metrics", {}),
-    }
-    known = {name: math.nan if value is None else float(value) for name, value in numbers.items()}
-    known |= {name: math.nan if split.get(name) is None else float(split[name]) for name in costs}
-    return {**known, **counts, **printed, **({"is_printed": True} if printed else {})}
-
-
-def mean_numbers(runs: Sequence[dict[str, Any]], split: str) -> dict[str, Any]:
-    """Returns the numbers of one run, or the means of several with their standard deviations (``spread``)."""
-    import pandas as pd
-
-    known = [numbers_of(run["splits"][split]) for run in runs if split in run["splits"]]
-    if len(known) == 1:
-        return known[0]
-    frame = pd.DataFrame(known)
-    bounds = [name for name in frame if str(name).endswith((" low", " high"))]
-    numbers = frame.drop(columns=[*bounds, "queries", "failed"])
-    spread = numbers.std(ddof=1, skipna=False).add_suffix(" spread")
-    counts = {"queries": int(frame["queries"].iloc[0]), "failed": int(frame["failed"].max())}
-    means = {str(name): value for name, value in [*numbers.mean(skipna=False).items(), *spread.items()]}
-    return {**means, **counts}
-
-
 def tables_of(
     summaries: Sequence[dict[str, Any]], free: Collection[str] = (), over_seeds: bool = False
 ) -> list[RecallTable]:
@@ -180,6 +137,9 @@ def tables_of(
         summaries: ``summary.json`` of each run.
         free: Parts of the protocol that may differ within a table: its rows then say which they have.
         over_seeds: Whether runs that differ in their seed alone become one row, mean and spread.
+
+    Raises:
+        ConfigError: Two runs that would become one row have the same seed.
     """
     free = {*free, "seed"} if over_seeds else set(free)
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
@@ -220,6 +180,7 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
         labelled.setdefault(label if over_seeds else f"{label}\0{len(labelled)}", []).append(member)
     found = []
     for label, runs in labelled.items():
+        require_one_run_a_seed(label, runs)
         shown = label.split("\0")[0] + (f" ({len(runs)} seeds)" if over_seeds else "")
         found.append(Line(shown, {name: mean_numbers(runs, name) for name in runs[0]["splits"]}))
     if len({_name(member) for member in members}) == 1:

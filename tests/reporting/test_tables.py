@@ -128,6 +128,15 @@ def test_seeds_become_one_row_with_mean_and_spread():
     assert r"94.00 $\pm$4.00" in FORMATS["latex"](table)
 
 
+def test_a_seed_counts_once_in_a_mean_over_seeds():
+    runs = [summary("full", value) for value in (90.0, 94.0, 94.0)]
+    for seed, run in zip((0, 1, 1), runs, strict=True):
+        run["protocol"]["seed"] = seed
+    with pytest.raises(ConfigError, match="2 of the runs of lodlocv2 full have seed 1"):
+        tables_of(runs, over_seeds=True)
+    assert len(tables_of(runs)) == 2
+
+
 def test_what_is_freed_stands_in_the_row():
     runs = [summary("full", 90.0), summary("full", 95.0)]
     runs[1]["protocol"]["lod"] = "2"
