@@ -80,6 +80,12 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
         ({"size": (8, 8)}, "size=8 is not within"),
         ({"sampling": "spiral"}, "sampling=spiral is not known"),
         ({"sampling": "priors"}, "needs poses"),
+        ({"poses": "track.txt"}, "poses means nothing to sampling=grid"),
+        ({"count": 50}, "count means nothing to sampling=grid"),
+        ({"sampling": "random", "spacing_m": 20.0}, "spacing_m means nothing to sampling=random"),
+        ({"sampling": "priors", "poses": "a", "height": [80.0]}, "height means nothing to sampling=priors"),
+        ({"texture_model": "a.obj", "props": "p.npz"}, "props means nothing to texture_model"),
+        ({"texture_up": "y"}, "texture_up means nothing without texture_model"),
         ({"renderer": "pyrender"}, "textured meshes only"),
         ({"val_share": 0.6, "test_share": 0.6}, "leave little to train on"),
         ({"fov_deg": float("nan")}, "fov_deg=nan"),
@@ -88,6 +94,14 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
 def test_impossible_settings_are_named(settings, message):
     with pytest.raises(ConfigError, match=message):
         GenerateParams("city.obj", "out", **settings)
+
+
+def test_more_buildings_than_labels_tell_apart_are_refused(box_file, tmp_path, monkeypatch):
+    monkeypatch.setattr("lodbench.synthesis.training_data.generate.MOST_LABELS", 1)
+    params = GenerateParams(str(box_file), str(tmp_path / "data"), labels=True, **{**SMALL, **WHOLE})
+    with pytest.raises(ConfigError, match="labels tell 1 apart"):
+        generate_training_data(params)
+    assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.parametrize(

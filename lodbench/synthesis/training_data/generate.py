@@ -29,7 +29,13 @@ from lodbench.synthesis.surroundings.surroundings import make_surroundings
 from lodbench.synthesis.training_data.manifest import SHEET_FILE, begin_manifest, finish_manifest, write_sheet
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, PlannedView, ViewPlan, plan_views
-from lodbench.synthesis.training_data.view_writer import PictureParts, ViewWriter, files_of, is_written
+from lodbench.synthesis.training_data.view_writer import (
+    MOST_LABELS,
+    PictureParts,
+    ViewWriter,
+    files_of,
+    is_written,
+)
 
 # Settings that name files to read.
 _FILES = ("city", "props", "terrain", "texture_model")
@@ -90,6 +96,11 @@ def generate_training_data(
 def _prepare(params: GenerateParams, options: ReadOptions) -> tuple[PictureParts, ViewPlan, tuple[str, ...]]:
     """Returns the city with its surroundings, the views to take of it, and what was met."""
     city, picture = open_cities(params, options)
+    if params.labels and city.num_buildings > MOST_LABELS:
+        raise ConfigError(
+            f"The city has {city.num_buildings} buildings; labels tell {MOST_LABELS} apart.",
+            "Leave labels out, or take the city's tiles one by one.",
+        )
     parts, land, notes = world_parts(params, city, picture)
     with Progress("views judged", None) as progress:
         plan = plan_views(params, city, land.ground, progress.advance)

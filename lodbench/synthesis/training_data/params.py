@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any
 
 from lodbench.errors import ConfigError, require_choice, require_within
 from lodbench.geometry import Camera
@@ -35,6 +36,17 @@ _BOUNDS = {
     "overlap": (0.0, 1.0),
     "prior_m": (0.0, 1e4),
     "prior_deg": (0.0, 180.0),
+}
+# Which camera paths take a setting; the others would leave it unheard.
+_PATHS_WITH = {
+    "pitch": ("grid", "random", "anywhere", "trajectory"),
+    "height": ("grid", "random", "anywhere", "trajectory"),
+    "yaw": ("grid", "trajectory"),
+    "spacing_m": ("grid", "trajectory"),
+    "count": ("random", "anywhere", "priors"),
+    "poses": ("trajectory", "priors"),
+    "prior_m": ("priors",),
+    "prior_deg": ("priors",),
 }
 
 
@@ -93,6 +105,7 @@ class GenerateParams:
                 raise ConfigError(f"{name} is empty.", f"Give it as a list: {name}='[{_BOUNDS[name][0]:g}]'.")
         for name, (low, high) in _BOUNDS.items():
             require_within(name, getattr(self, name), low, high)
+        self._require_heard()
         if self.sampling in ("trajectory", "priors") and self.poses is None:
             raise ConfigError(f"sampling={self.sampling} needs poses.", "Add poses=FILE.")
         if self.renderer == "pyrender" and self.texture_model is None:
@@ -105,6 +118,25 @@ class GenerateParams:
                 f"val_share={self.val_share:g} and test_share={self.test_share:g} leave little to train on."
             )
 
+    def _require_heard(self) -> None:
+        """Makes sure that nothing is set that the pictures would not follow.
+
+        Raises:
+            ConfigError: Something is.
+        """
+        for name, paths in _PATHS_WITH.items():
+            if self.sampling not in paths and _plain(getattr(self, name)) != _plain(_DEFAULTS[name]):
+                raise ConfigError(
+                    f"{name} means nothing to sampling={self.sampling}.",
+                    "limit=N takes N views of any sampling."
+                    if name == "count"
+                    else f"Leave it out, or set sampling={' or '.join(paths)}.",
+                )
+        if self.texture_model is not None and self.props is not None:
+            raise ConfigError("props means nothing to texture_model.", "Leave one of them out.")
+        if self.texture_model is None and self.texture_up != "auto":
+            raise ConfigError("texture_up means nothing without texture_model.", "Add texture_model=FILE.")
+
     def pitches_from_nadir(self) -> list[float]:
         """Returns the pitches as the poses have them: 0 straight down, 90 at the horizon."""
         return [90.0 - pitch if self.pitch_from == "horizon" else pitch for pitch in self.pitch]
@@ -115,3 +147,19 @@ class GenerateParams:
         width, height = self.size
         focal = 0.5 * width / math.tan(math.radians(0.5 * self.fov_deg))
         return Camera(width, height, focal, focal, 0.5 * width, 0.5 * height)
+
+
+def _plain(value: Any) -> Any:
+    """Returns a value to be compared: YAML has lists where there are tuples here."""
+    return list(value) if isinstance(value, list | tuple) else value
+
+
+def _defaults() -> dict[str, Any]:
+    made = {
+        entry.name: entry.default if entry.default_factory is MISSING else entry.default_factory()
+        for entry in fields(GenerateParams)
+    }
+    return {name: value for name, value in made.items() if value is not MISSING}
+
+
+_DEFAULTS = _defaults()

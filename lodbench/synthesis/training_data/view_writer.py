@@ -21,7 +21,9 @@ from lodbench.synthesis.photo.renderer import PyrenderPhotos, photo_file
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView
 
+# What 16 bits hold: centimetres of depth, and buildings, for 0 is none.
 _MOST = 65535
+MOST_LABELS = _MOST
 
 
 @dataclass(frozen=True, slots=True, eq=False)
