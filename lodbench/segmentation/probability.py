@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.errors import ConfigError, nearest_names
+from lodbench.errors import ConfigError, QueryFault, nearest_names
 
 # A part is kept where this share of its pixels is sure, if the setting asks for it.
 _SURE_SHARE = 0.1
@@ -32,7 +32,12 @@ def probability_of(logits: NDArray[np.float32], normalise: str) -> NDArray[np.fl
         normalise: ``none``: the sigmoid; ``paper``: stretched to 0 to 1 per photo after it, as the
             released code does, except where no pixel reaches 0.5, which that would turn into noise, or
             where none falls below it.
+
+    Raises:
+        QueryFault: Some are NaN.
     """
+    if np.isnan(logits).any():
+        raise QueryFault("the network's answer holds NaN", "Its weights are damaged, or too large for it.")
     with np.errstate(over="ignore"):
         probability = (1.0 / (1.0 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
     if normalise == "none":

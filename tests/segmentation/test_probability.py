@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lodbench.errors import ConfigError
+from lodbench.errors import ConfigError, QueryFault
 from lodbench.segmentation.probability import check_normalise, probability_of, without_unsure_parts
 
 
@@ -52,3 +52,11 @@ def test_parts_that_convince_nobody_are_dropped():
     assert np.array_equal(kept[expected], found[expected])
     assert kept[5, 5] == np.float32(0.4)
     assert np.array_equal(without_unsure_parts(found, 0.0), found)
+
+
+@pytest.mark.parametrize("normalise", ["none", "paper"])
+def test_an_answer_that_is_no_number_is_no_empty_mask(normalise):
+    logits = np.zeros((4, 6), np.float32)
+    logits[1, 2] = np.nan
+    with pytest.raises(QueryFault, match="NaN"):
+        probability_of(logits, normalise)

@@ -179,6 +179,24 @@ def test_views_that_are_trained_on_do_not_validate(views, tmp_path, capsys):
     assert "10 of the 12 views of val_data are trained on" in capsys.readouterr().err
 
 
+def test_a_training_that_diverges_stops_and_keeps_its_checkpoint(views, tmp_path, monkeypatch, capsys):
+    from lodbench.training.nets import loop
+
+    losses = iter(range(100))
+    counted = loop.total_loss
+    # Two steps an epoch: the fourth is in the second.
+    monkeypatch.setattr(
+        loop, "total_loss", lambda *args: counted(*args) * (math.nan if next(losses) == 3 else 1.0)
+    )
+    assert train(views, tmp_path / "out") == 2
+    told = capsys.readouterr().err
+    assert "The loss is nan in step 2 of epoch 2" in told
+    assert "schedule.lr" in told
+    kept = torch.load(tmp_path / "out" / "checkpoint.pt", weights_only=True)
+    assert kept["epoch"] == 1
+    assert all(torch.isfinite(value.float()).all() for value in kept["net"].values())
+
+
 def test_views_are_held_out_where_there_are_none_to_validate_on(views):
     train_views, val_views, source = split_samples(
         find_samples(views, "train"), find_samples(views, "val"), None

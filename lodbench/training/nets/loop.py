@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from lodbench.errors import ConfigError
 from lodbench.execution import Progress
 from lodbench.training.nets.batches import batches, steps_per_epoch
 from lodbench.training.nets.checkpoints import save_checkpoint
@@ -88,6 +89,9 @@ def fit(
         place: Of this process among others.
         identity: What the checkpoint must match to be taken up.
         after_epoch: Called on rank 0 with each new row of the history.
+
+    Raises:
+        ConfigError: The training diverged.
     """
     steps = steps_per_epoch(len(train), params.batch)
     model = place.wrapped(state.net)
@@ -122,7 +126,11 @@ def _epoch(
     place: Place,
     progress: Progress,
 ) -> float:
-    """Trains one epoch and returns the mean loss of this process."""
+    """Trains one epoch and returns the mean loss of this process.
+
+    Raises:
+        ConfigError: The loss is no number any more.
+    """
     model.train()
     total = 0.0
     for step, (images, truth) in enumerate(batches(train, params, epoch, 0, place.rank, place.ranks)):
@@ -134,14 +142,28 @@ def _epoch(
         with _precision(params.precision, place.device):
             outputs = model(images)
         loss = total_loss(outputs, truth, params.weighting)
+        total += _finite(float(loss.detach()), epoch, step)
         model.zero_grad(set_to_none=True)
         loss.backward()
         nn.utils.clip_grad_norm_(state.net.parameters(), _LONGEST_GRADIENT)
         for optimizer in state.optimizers:
             optimizer.step()
-        total += float(loss.detach())
         progress.advance()
     return total / steps
+
+
+def _finite(loss: float, epoch: int, step: int) -> float:
+    """Returns a loss that is a number: what is learnt from another one spoils all weights for good.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    if not math.isfinite(loss):
+        raise ConfigError(
+            f"The loss is {loss} in step {step + 1} of epoch {epoch + 1}: the training has diverged.",
+            "A smaller schedule.lr and schedule.muon_lr, in another out=FOLDER; the last checkpoint stays.",
+        )
+    return loss
 
 
 def _precision(wanted: str, device: torch.device) -> AbstractContextManager[Any]:
