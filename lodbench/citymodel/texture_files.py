@@ -77,6 +77,20 @@ def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None
     return mesh
 
 
+def files_of_textured(path: Path) -> list[Path]:
+    """Returns the files that a textured mesh is read from: its own, and those it names that are there.
+
+    Raises:
+        DatasetError: It names one outside of its folder.
+    """
+    if path.is_dir():
+        return sorted(file for file in path.rglob("*") if file.is_file())
+    folder = TextureFolder(path.parent, path.parent)
+    others, pictures = _named_files(path, folder)
+    found = (folder.path(name) for name in (*others, *pictures))
+    return [path, *(file for file in found if file is not None)]
+
+
 def _read_file(path: Path, root: Path, up_axis: str, options: ReadOptions) -> TexturedMesh:
     suffix = path.suffix.lower()
     if not path.is_file() or suffix not in _MESHES + _CITIES:

@@ -16,6 +16,7 @@ from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.storage import random_stream
 from lodbench.synthesis.photo import PhotoRenderer, draw_look, look_ranges
 from lodbench.synthesis.training_data.generate import generate_training_data
+from lodbench.synthesis.training_data.manifest import _texture_digests
 from lodbench.synthesis.training_data.params import GenerateParams
 from tests.synthesis.conftest import SMALL, WHOLE
 
@@ -147,3 +148,13 @@ def test_pyrender_and_the_raster_agree(box_file, tmp_path):
     off = np.abs(pictures[0] - pictures[1]).max(axis=2)
     assert np.median(off) <= 2.0
     assert (off > 12).mean() < 0.05
+
+
+def test_a_changed_texture_makes_another_set(tmp_path):
+    path = write_obj(tmp_path)
+    before = _texture_digests(path)
+    assert set(before) == {"mesh.obj", "m.mtl", "ground.png"}
+    cv2.imwrite(str(tmp_path / "ground.png"), np.zeros((PIXELS, PIXELS, 3), np.uint8))
+    after = _texture_digests(path)
+    assert [name for name in before if before[name] != after[name]] == ["ground.png"]
+    assert _texture_digests(tmp_path) == after

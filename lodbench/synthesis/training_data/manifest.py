@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lodbench import __version__
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
+from lodbench.citymodel.texture_files import files_of_textured
 from lodbench.datasets.pictures import encoded
 from lodbench.errors import DatasetError
 from lodbench.storage import digest_of, file_digest, make_folder, remove_leftovers, write_bytes, write_text
@@ -67,7 +68,11 @@ def finish_manifest(manifest: dict[str, Any], out: Path) -> None:
 
 def _manifest(params: GenerateParams, scene: Scene, plan: ViewPlan) -> dict[str, Any]:
     settings = {key: value for key, value in asdict(params).items() if key not in _IDLE}
-    inputs = {key: _digests(Path(settings[key]).expanduser()) for key in _PATHS if settings[key] is not None}
+    paths = {key: Path(settings[key]).expanduser() for key in _PATHS if settings[key] is not None}
+    inputs = {
+        key: _texture_digests(path) if key == "texture_model" else _digests(path)
+        for key, path in paths.items()
+    }
     identity = {
         "settings": {key: value for key, value in settings.items() if key not in _PATHS},
         "inputs": {key: sorted(digests.values()) for key, digests in inputs.items()},
@@ -98,6 +103,13 @@ def _digests(path: Path) -> dict[str, str]:
     if path.is_dir():
         return {source.path.name: file_digest(source.path) for source in open_sources(path)}
     return {path.name: file_digest(path)}
+
+
+def _texture_digests(path: Path) -> dict[str, str]:
+    """Returns the SHA-256 of every file of a textured mesh: its materials and pictures are what is drawn."""
+    root = path if path.is_dir() else path.parent
+    files = dict.fromkeys(files_of_textured(path))
+    return {file.relative_to(root).as_posix(): file_digest(file) for file in files}
 
 
 def _read(path: Path) -> dict[str, Any]:
