@@ -48,6 +48,8 @@ def main(argv: Sequence[str]) -> int:
     thresholds = parse_thresholds(options.thresholds)
     summaries = [summary_at(run, thresholds) for run in runs]
     scored = [summary for run, summary in zip(runs, summaries, strict=True) if has_truth(run.queries).any()]
+    if options.format not in ("text", "html"):
+        _require_truth(options.format, len(runs) - len(scored), len(scored))
     tables = tables_of(scored, options.free, options.over_seeds)
     shown = [table.with_columns(columns) for table in tables for columns in options.columns]
     names = names_of(summaries, options.free)
@@ -68,6 +70,21 @@ def main(argv: Sequence[str]) -> int:
     if options.budget is not None:
         _write_budget(runs, options.budget)
     return 0
+
+
+def _require_truth(kind: str, without: int, scored: int) -> None:
+    """Says which runs a table of numbers leaves out.
+
+    Raises:
+        ConfigError: All of them: the table would be empty.
+    """
+    if not scored:
+        raise ConfigError(
+            f"No run has a truth, and --format {kind} has nothing but errors and recalls.",
+            "--format text or html shows the answers themselves.",
+        )
+    if without:
+        sys.stderr.write(f"lodbench: runs without a truth, left out of --format {kind}: {without}\n")
 
 
 def _write_budget(runs: Sequence[StoredRun], folder: Path) -> None:

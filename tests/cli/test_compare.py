@@ -76,6 +76,10 @@ def test_runs_without_a_truth_are_told_apart_by_their_answers(lodbench, tmp_path
     out = lodbench("compare", *folders).stdout
     assert out.count("There is no truth to compare with: the answers themselves") == 2
     assert "no paired test: there is no truth" in out
+    empty = lodbench("compare", *folders, "--format", "csv", "--out", str(tmp_path / "t.csv"))
+    assert empty.returncode == 2
+    assert "No run has a truth" in empty.stderr
+    assert not (tmp_path / "t.csv").exists()
     assert "Answers of both: 2 queries, 0 within 2 m" in out
     assert "2m-2deg" not in out
 
