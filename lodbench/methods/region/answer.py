@@ -114,15 +114,16 @@ class Answering:
         return covariance, np.asarray(np.linalg.inv(information + prior))
 
     def _mean(self, nats: Nats, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
-        """Returns the posterior's mean around (8,); of ``mean_pixels`` = 0, the point itself."""
+        """Returns the posterior's mean around (8,), eaves as they are; of ``mean_pixels`` = 0, the point."""
         share = self._params.mean_share()
         if share <= 0:
             return vector
 
         def posterior(vectors: Floats) -> Floats:
-            return nats(vectors, share) + regions.log_prior(vectors)
+            whole = np.column_stack([vectors, np.full(len(vectors), vector[7])])
+            return nats(whole, share) + regions.log_prior(whole)
 
-        return posterior_mean(posterior, vector, regions.widened(covariance))
+        return posterior_mean(posterior, vector[:7], regions.widened(covariance)[:7, :7])
 
 
 def _of_share(evidence: RoofEvidence) -> Nats:

@@ -56,8 +56,8 @@ class Params:
         roofs_m: How far all roofs may be higher or lower than in the map, all alike: a standard deviation,
             metres; 0 for a map whose roofs do not err.
         own_roofs_m: The same of each roof by itself.
-        eaves_m: How much farther or less far than in the map all eaves may stand out, all alike: a standard
-            deviation, metres; 0 for a map whose outlines are those of the roofs.
+        eaves_m: How much farther or less far than in the map all eaves may stand out, all alike, if they do
+            at all, which is as likely as not: a standard deviation, metres; 0 for a map of roof outlines.
         mean_width: Width of silhouettes where the answer becomes the mean of the posterior, pixels.
         mean_pixels: How many independent pixels a photo is worth there, ``effective_pixels`` at most; 0
             leaves the answer at the best pose.
@@ -94,7 +94,7 @@ class Params:
     edge_blur_px: float = 1.0
     roofs_m: float = 0.5
     own_roofs_m: float = 0.7
-    eaves_m: float = 0.3
+    eaves_m: float = 0.4
     mean_width: int = 640
     mean_pixels: float = 500.0
     lines_width: int = 960

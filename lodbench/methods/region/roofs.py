@@ -31,6 +31,8 @@ STEP_M, _FARTHEST_M = 0.5, 3.0
 _LOWEST_M, _FLAT_M = 2.0, 0.1
 # The deviation of roofs that are told not to err: a matrix without a width has no inverse.
 _LEAST_SIGMA_M = 1e-3
+# Eaves of every other map are its outlines, to so many metres: a standard deviation.
+_EXACT_M = 0.03
 
 
 class RaisedRoofs:
@@ -152,7 +154,10 @@ class RoofEvidence:
     def log_prior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the prior, up to a constant."""
         poses = self._evidence(0).log_prior(vectors[:, :6])
-        return np.asarray(poses - 0.5 * ((vectors[:, 6:] / self._sigmas_m) ** 2).sum(axis=1))
+        roofs, eaves = vectors[:, 6] / self._sigmas_m[0], vectors[:, 7]
+        exact, wide = np.minimum(_EXACT_M, self._sigmas_m[1]), self._sigmas_m[1]
+        of_eaves = np.logaddexp(*(-0.5 * (eaves / sigma) ** 2 - np.log(sigma) for sigma in (exact, wide)))
+        return np.asarray(poses - 0.5 * roofs**2 + of_eaves)
 
     def widened(self, covariance: Floats, most_m: float = math.inf) -> Floats:
         """Returns the covariance (8, 8) of a pose's, (6, 6), and of the roofs beforehand.
