@@ -31,10 +31,7 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
     for name in values:
         if name not in types:
             raise ConfigError(f"{_dotted(prefix, name)} is not a setting.", nearest_names(name, types))
-    given = {
-        name: [str(value)] if isinstance(value, str | int | float) and types[name] == "list[str]" else value
-        for name, value in values.items()
-    }
+    given = {name: _as_typed(value, types[name]) for name, value in values.items()}
     try:
         merged = OmegaConf.merge(_writable(OmegaConf.structured(params_type)), _literal(given))
         return cast(T, OmegaConf.to_object(merged))
@@ -51,6 +48,13 @@ def read_settings(text: str) -> dict[str, Any]:
     from omegaconf import OmegaConf
 
     return cast(dict[str, Any], OmegaConf.to_container(OmegaConf.create(text)))
+
+
+def _as_typed(value: Any, wanted: object) -> Any:
+    """Returns a value with words as they were typed: a ``true`` where a name is wanted is no boolean."""
+    if isinstance(value, bool) and wanted in ("str", "str | None", "list[str]"):
+        value = str(value).lower()
+    return [str(value)] if isinstance(value, str | int | float) and wanted == "list[str]" else value
 
 
 def _dotted(prefix: str, name: str) -> str:

@@ -13,9 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.cli.flags import hints_in_flags
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import add_city_options, add_height_options, given_camera, height_options
+from lodbench.cli.place_options import (
+    add_city_options,
+    add_height_options,
+    city_flags,
+    given_camera,
+    height_flags,
+    height_options,
+)
 from lodbench.cli.source_profiles import load_profile
-from lodbench.errors import require_within
+from lodbench.errors import ConfigError, require_within
 
 if TYPE_CHECKING:
     from lodbench.harness.photo.own_dataset import OwnDataset
@@ -122,6 +129,7 @@ def _make(asked: argparse.Namespace, **sources: Any) -> int:
     from lodbench.harness.photo.own_dataset import OwnRequest, make_own_dataset, to_json
 
     require_within("--offset", asked.offset, -math.inf)
+    _require_used(asked)
     profile = load_profile(asked.source, asked.option, asked.crs)
     made = make_own_dataset(
         OwnRequest(
@@ -140,6 +148,28 @@ def _make(asked: argparse.Namespace, **sources: Any) -> int:
     text = json.dumps(to_json(made), indent=2, ensure_ascii=False) if asked.json else _describe(made, asked)
     sys.stdout.write(text + "\n")
     return 0
+
+
+def _require_used(asked: argparse.Namespace) -> None:
+    """Refuses options that nothing would read.
+
+    Raises:
+        ConfigError: There is one.
+    """
+    heights, is_import = height_flags(asked), asked.make is _import
+    unused = [
+        ("--city", city_flags(asked) if asked.city is None else []),
+        ("--city and --images", heights if None in (asked.city, asked.images) else []),
+        ("--images", ["--masks"] if asked.images is None and asked.masks is not None else []),
+        ("--colmap", ["--offset"] if not is_import and asked.colmap is None and any(asked.offset) else []),
+    ]
+    for needed, flags in unused:
+        if flags:
+            raise ConfigError(
+                f"{flags[0]} is not used without {needed}.", f"Give {needed}, or leave {flags[0]} out."
+            )
+    if is_import and asked.camera is not None and asked.cameras is not None:
+        raise ConfigError("--camera and --cameras say the same.", "Leave one of them out.")
 
 
 def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lodbench.cli.parser import Parser
-from lodbench.cli.place_options import add_height_options, add_map_options, city_settings
-from lodbench.cli.segmenters import segmenter_of
+from lodbench.cli.place_options import add_height_options, add_map_options, city_settings, height_flags
+from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.choice import FOR_PHOTOS
@@ -83,6 +83,11 @@ def _require_given(asked: argparse.Namespace) -> None:
         raise DatasetError(f"{asked.start} does not exist.", "Check the path.")
     if asked.masks is None and asked.images is None:
         raise ConfigError("There is nothing to place the model by.", "Give --masks DIR, or --images DIR.")
+    unused = height_flags(asked)
+    if asked.start is not None and unused:
+        hint = f"--start has the heights: leave {unused[0]} or --start out."
+        raise ConfigError(f"{unused[0]} is not used with --start.", hint)
+    require_one_mask_source(asked, "--masks")
     if asked.sidecars and asked.images is None:
         raise ConfigError("--sidecars are written beside photos.", "Name their folder with --images.")
 

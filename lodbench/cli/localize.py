@@ -18,7 +18,7 @@ from lodbench.cli.place_options import (
     city_settings,
     rough_settings,
 )
-from lodbench.cli.segmenters import segmenter_of
+from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.cli.source_profiles import option_pairs
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.segmentation.choice import FOR_PHOTOS
@@ -68,8 +68,8 @@ def main(argv: Sequence[str]) -> int:
 
     is_one = len(asked.photos) == 1 and asked.photos[0].is_file()
     _require_options(asked, is_one)
-    masks = asked.masks or _masks_inside(asked)
-    photos = photos_of(asked.photos, masks)
+    photos = photos_of(asked.photos, asked.masks or _masks_inside(asked))
+    masks = _masks_for(asked)
     method = _method(asked, is_one, masks)
     masks = masks if "mask" in method.requires else None
     if masks is not None:
@@ -105,6 +105,12 @@ def _write_sidecars(found: Sequence[tuple[Path, LocalizedPhoto]], asked: argpars
         sys.stderr.write(f"lodbench: sidecars: {write_sidecars(trusted, found[0][1].crs)}\n")
 
 
+def _masks_for(asked: argparse.Namespace) -> Path | None:
+    """Returns the folder of masks that counts: a segmenter that was asked for goes before what lies there."""
+    is_segmented = asked.segmenter is not None or asked.segmenter_option
+    return None if is_segmented else asked.masks or _masks_inside(asked)
+
+
 def _masks_inside(asked: argparse.Namespace) -> Path | None:
     """Returns the folder ``masks`` in the one folder that was asked for; None where there is none."""
     inside: Path = asked.photos[0] / "masks"
@@ -119,7 +125,8 @@ def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Meth
     """
     from lodbench.methods.registry import configure_method
 
-    named = [f"--{name}" for name in ("mask", "masks", "segmenter") if getattr(asked, name) is not None]
+    given = [name for name in ("mask", "masks", "segmenter", "segmenter_option") if getattr(asked, name)]
+    named = [f"--{name.replace('_', '-')}" for name in given]
     alone = "contour_alignment" if named or masks is not None else "region"
     name = asked.method or (alone if is_one or asked.each_alone else "flight")
     method = configure_method({**option_pairs(asked.method_option), "name": name}).make()
@@ -148,6 +155,7 @@ def _require_options(asked: argparse.Namespace, is_one: bool) -> None:
     """
     from lodbench.citymodel.source import is_city_file
 
+    require_one_mask_source(asked, "--mask", "--masks")
     cities = [photo for photo in asked.photos if is_city_file(photo)]
     if cities:
         hint = "The photos come first, the city model after --city."

@@ -62,14 +62,17 @@ def rough_settings(asked: argparse.Namespace) -> dict[str, Any]:
     """Returns what a ``RoughRequest`` takes of ``add_rough_pose_options``.
 
     Raises:
-        ConfigError: The camera is none, or the place is given twice.
+        ConfigError: The camera is none, or the place or its height is given twice.
     """
-    own = {"--lat": asked.lat, "--lon": asked.lon, "--height": asked.height, "--takeoff": asked.takeoff}
-    own |= {"--geoid": asked.geoid, "--height-offset": asked.height_offset or None}
-    unused = [name for name, value in own.items() if value is not None]
+    own = {"--lat": asked.lat, "--lon": asked.lon, "--height": asked.height}
+    unused = [name for name, value in own.items() if value is not None] + height_flags(asked)
     if asked.center is not None and unused:
         hint = f"--center has the height too: leave {unused[0]} or --center out."
         raise ConfigError(f"{unused[0]} is not used with --center.", hint)
+    unused = [flag for flag in height_flags(asked) if flag != "--height-offset"]
+    if asked.height is not None and unused:
+        hint = f"--height is in the city's heights already: leave {unused[0]} or --height out."
+        raise ConfigError(f"{unused[0]} is not used with --height.", hint)
     return {
         "camera": given_camera(asked.camera),
         "given": RoughPlace(asked.lat, asked.lon, asked.height, asked.heading, asked.pitch, asked.roll),
@@ -85,7 +88,7 @@ def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
     add = place.add_argument
     add("--lat", type=float, metavar="DEG", help="latitude, WGS 84")
     add("--lon", type=float, metavar="DEG", help="longitude, WGS 84")
-    add("--height", type=float, metavar="M", help="in the city's heights")
+    add("--height", type=float, metavar="M", help="in the city's heights; not with the options below")
     add("--heading", type=float, metavar="DEG", help="clockwise from true north")
     add("--pitch", type=float, metavar="DEG", help="0 at the horizon, -90 straight down")
     add("--roll", type=float, metavar="DEG", help="about the optical axis")
@@ -106,6 +109,28 @@ def add_height_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--height-offset", type=float, default=0.0, metavar="M", help="added in the end, to --height too"
     )
+
+
+def height_flags(asked: argparse.Namespace) -> list[str]:
+    """Returns which of ``add_height_options`` were given; a height that is known leaves nothing to them."""
+    given = {
+        "--takeoff": asked.takeoff is not None,
+        "--geoid": asked.geoid is not None,
+        "--heights": asked.heights != "auto",
+        "--height-offset": asked.height_offset != 0,
+    }
+    return [flag for flag, is_given in given.items() if is_given]
+
+
+def city_flags(asked: argparse.Namespace) -> list[str]:
+    """Returns which of ``add_city_options`` were given; without a city nobody reads it so."""
+    given = {
+        "--lod": asked.lod is not None,
+        "--crs": asked.crs is not None,
+        "--source": asked.source != "folder",
+        "--option": bool(asked.option),
+    }
+    return [flag for flag, is_given in given.items() if is_given]
 
 
 def height_options(asked: argparse.Namespace) -> HeightOptions:

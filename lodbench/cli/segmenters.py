@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from lodbench.cli.source_profiles import option_pairs
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset
+from lodbench.errors import ConfigError
 from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin
 from lodbench.segmentation import Segmenter
@@ -25,6 +27,25 @@ def segmenter_of(name: str, words: Sequence[str] = ()) -> Segmenter:
         LodbenchError: There is none of this name, an option is not one of it, or its weights are missing.
     """
     return _made({"name": name}, option_pairs(words))[0]
+
+
+def require_one_mask_source(asked: argparse.Namespace, *flags: str) -> None:
+    """Refuses a segmenter beside masks that are made already: one of the two would be looked at for nothing.
+
+    Args:
+        asked: With ``segmenter``, and ``segmenter_option`` where the command has it.
+        flags: The command's options that name masks.
+
+    Raises:
+        ConfigError: Both were given.
+    """
+    named = [flag for flag in flags if getattr(asked, flag.removeprefix("--")) is not None]
+    makers = ["--segmenter"] if asked.segmenter is not None else []
+    makers += ["--segmenter-option"] if getattr(asked, "segmenter_option", []) else []
+    if named and makers:
+        raise ConfigError(
+            f"{makers[0]} is not used with {named[0]}.", f"Leave {makers[0]} or {named[0]} out."
+        )
 
 
 def named_segmenter(values: Mapping[str, Any]) -> Made | None:

@@ -17,7 +17,7 @@ from lodbench.cli.place_options import (
     city_settings,
     rough_settings,
 )
-from lodbench.cli.segmenters import segmenter_of
+from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.choice import FOR_PHOTOS
@@ -52,6 +52,7 @@ def main(argv: Sequence[str]) -> int:
         raise DatasetError(f"{asked.footage} does not exist.", "Check the path.")
     if asked.masks is not None and not asked.masks.is_dir():
         raise DatasetError(f"{asked.masks} is no folder.", "Name the folder of the frames' masks.")
+    require_one_mask_source(asked, "--masks")
     require_within("--every", asked.every, 1)
     require_within("--fps", asked.fps, 0, ends="(]")
     segmenter = None
