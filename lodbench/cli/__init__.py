@@ -103,10 +103,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _run(words)
     except LodbenchError as error:
-        if words[0] in _WITH_FLAGS:
-            from lodbench.cli.flags import in_flags
+        from lodbench.cli.flags import in_syntax_of
 
-            error.hint = in_flags(error.hint)
+        error.hint = in_syntax_of(words, error.hint)
         report_fault(error)
         return 2
     except BrokenPipeError:
@@ -125,8 +124,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
 
 
-# Commands of photos that have no settings as KEY=VALUE: hints of what they call are turned into options.
-_WITH_FLAGS = ("localize", "track", "georeference", "mask")
 # What a command does that is given again after it was stopped.
 _GOES_ON = dict.fromkeys(("run", "basin", "generate-training-data"), "goes on from here") | {
     "train": "goes on after the last epoch that was validated, if there is one, else from the start"

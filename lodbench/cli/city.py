@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.cli.city_parser import city_parser
-from lodbench.cli.flags import hints_in_flags
 from lodbench.cli.source_profiles import load_profile
 from lodbench.errors import CityModelError
 from lodbench.execution import ProgressCallback
@@ -30,17 +29,16 @@ _PACKED = (".gz", ".zip")
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code: 1 if `check` finds an error."""
     asked = city_parser().parse_args(argv)
-    with hints_in_flags():
-        if asked.action == "info" and (asked.file / "scene.json").is_file():
-            return _scene_info(asked)
-        profile = load_profile(asked.source, asked.option, asked.crs)
-        if asked.layers:
-            profile = replace(profile, options=replace(profile.options, layers=asked.layers))
-        if asked.action == "info":
-            return _info(asked, profile.options)
-        if asked.action == "check":
-            return _check(asked, profile.options)
-        return _convert(asked, profile.options, asked.lod or profile.lod)
+    if asked.action == "info" and (asked.file / "scene.json").is_file():
+        return _scene_info(asked)
+    profile = load_profile(asked.source, asked.option, asked.crs)
+    if asked.layers:
+        profile = replace(profile, options=replace(profile.options, layers=asked.layers))
+    if asked.action == "info":
+        return _info(asked, profile.options)
+    if asked.action == "check":
+        return _check(asked, profile.options)
+    return _convert(asked, profile.options, asked.lod or profile.lod)
 
 
 def _scene_info(asked: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from lodbench.cli.dataset_card import config_card
-from lodbench.cli.flags import hints_in_flags, in_flags
+from lodbench.cli.flags import in_flags
 from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.cli.parser import Parser
 from lodbench.findings import Findings, Severity
@@ -38,11 +38,10 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--headers-only", action="store_true", help="do not decode the photos")
     parser.add_argument("--json", action="store_true", help="print plain values instead of text")
     options = parser.parse_args(argv[1:])
-    with hints_in_flags():
-        dataset, card = open_named(options), config_card(options.dataset)
-        counts = card.counts if card else {}
-        dataset = replace(dataset, city_hint=in_flags(dataset.city_hint))
-        report = check_dataset(dataset, with_pixels=not options.headers_only, counts=counts)
+    dataset, card = open_named(options), config_card(options.dataset)
+    counts = card.counts if card else {}
+    dataset = replace(dataset, city_hint=in_flags(dataset.city_hint))
+    report = check_dataset(dataset, with_pixels=not options.headers_only, counts=counts)
     text = json.dumps(_values(report), indent=2) + "\n" if options.json else _text(report)
     sys.stdout.write(text)
     return 1 if report.findings.has_errors() else 0

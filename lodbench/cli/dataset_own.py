@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lodbench.cli.flags import hints_in_flags
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import (
     add_city_options,
@@ -52,8 +51,7 @@ def main(argv: Sequence[str]) -> int:
     parser = Parser("lodbench dataset")
     _add_actions(parser.add_subparsers(dest="action", required=True))
     asked = parser.parse_args(argv)
-    with hints_in_flags():
-        code: int = asked.make(asked)
+    code: int = asked.make(asked)
     return code
 
 

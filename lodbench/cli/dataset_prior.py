@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.cli.parser import Parser
 from lodbench.datasets.prior_sources import Priors, prior_digest, prior_text
-from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.harness.dataset_check import prior_errors_in_words
 from lodbench.params import to_params
@@ -46,27 +46,34 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     parser.add_argument("--out", type=Path, metavar="FILE", required=True, help="the file to write")
     options = parser.parse_args(argv[1:])
-    priors: Priors = to_params(dict(map(_pair, options.set)), load_plugin("priors", options.kind), "--set")
     if options.out.is_dir():
         raise ConfigError(f"{options.out} is a folder.", "Name a file.")
-    dataset = _applied(priors, open_named(options), options.seed)
+    with _in_own_words():
+        kind = load_plugin("priors", options.kind)
+        priors: Priors = to_params(dict(map(_pair, options.set)), kind, "--set")
+        dataset = priors.apply(open_named(options), options.seed)
     write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))
     made = sum(entry.prior is not None for entry in dataset.entries)
     lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {priors.describe()}"]
     lines += [f"digest {prior_digest(dataset.entries)}"]
     lines += [f"{split}: {words}" for split, words in prior_errors_in_words(dataset).items()]
-    lines += [f"note: {note}" for note in dataset.notes]
+    lines += [f"note: {_own_words(note)}" for note in dataset.notes]
     sys.stdout.write("\n".join(lines) + "\n")
     return 0
 
 
-def _applied(priors: Priors, dataset: Dataset, seed: int) -> Dataset:
-    """Returns the dataset with priors; a fault's hint is in this command's words, not in those of a run."""
+@contextmanager
+def _in_own_words() -> Iterator[None]:
+    """Turns what faults say of the settings of a run into this command's words."""
     try:
-        return priors.apply(dataset, seed)
+        yield
     except LodbenchError as fault:
-        fault.hint = re.sub(r"\bprior\.(?=\w+=)", "--set ", fault.hint).replace("prior=", "--kind ")
+        fault.message, fault.hint = _own_words(fault.message), _own_words(fault.hint)
         raise
+
+
+def _own_words(text: str) -> str:
+    return re.sub(r"\bprior\.(?=\w)", "--set ", text).replace("prior=", "--kind ")
 
 
 def _pair(word: str) -> tuple[str, Any]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import fields
 
 from lodbench.citymodel.options import ReadOptions
-from lodbench.errors import LodbenchError
+from lodbench.cli.setting_words import SETTINGS_COMMANDS, has_flags_alone, short_name
 
 _FLAGS = {
     "crs": "--crs",
@@ -24,6 +23,8 @@ _FLAGS = {
 _OPTIONS = {field.name: f"--option {field.name}" for field in fields(ReadOptions)}
 # Settings of these are words of one option.
 _OF_PART = re.compile(r"(?<![\w.])(method|segmenter)\.(?=\w+=)")
+_ANY_SETTING = re.compile(r"(?<![\w./'\"-])([a-z][\w.]*)=(?=[^\s=])")
+_NAMED = re.compile(rf"(lodbench (?:{'|'.join(SETTINGS_COMMANDS)})\b)")
 _SETTING = re.compile(rf"(?<![\w./])({'|'.join(map(re.escape, [*_FLAGS, *_OPTIONS]))})=")
 
 
@@ -49,11 +50,30 @@ def in_flags(text: str) -> str:
     return found.replace("Set --", "Give --")
 
 
-@contextmanager
-def hints_in_flags() -> Iterator[None]:
-    """Turns the hints of faults raised inside into the syntax of flags."""
-    try:
-        yield
-    except LodbenchError as fault:
-        fault.hint = in_flags(fault.hint)
-        raise
+def in_syntax_of(words: Sequence[str], hint: str) -> str:
+    """Returns a hint in the syntax of the command that was typed: settings as it has them, or flags.
+
+    Args:
+        words: The command and all that follows it.
+        hint: As a library has it: settings as ``KEY=VALUE``.
+
+    Example:
+        >>> in_syntax_of(["run", "dataset=folder"], "Set dataset.root=FOLDER.")
+        'Set dataset.root=FOLDER.'
+        >>> in_syntax_of(["run", "--dataset", "folder"], "Set dataset.root=FOLDER.")
+        'Give --root FOLDER.'
+        >>> in_syntax_of(["localize", "a.jpg"], "Set segmenter=NAME, or: lodbench run method=region.")
+        'Give --segmenter NAME, or: lodbench run method=region.'
+    """
+    if words[0] in SETTINGS_COMMANDS:
+        return _as_long_flags(words[0], hint) if has_flags_alone(words[1:]) else hint
+    # Another command that a hint names in full keeps its own syntax.
+    own, named, rest = _NAMED.split(hint, maxsplit=1) if _NAMED.search(hint) else (hint, "", "")
+    return in_flags(own) + named + rest
+
+
+def _as_long_flags(command: str, hint: str) -> str:
+    def flag(match: re.Match[str]) -> str:
+        return f"--{short_name(command, match[1])} "
+
+    return _ANY_SETTING.sub(flag, hint).replace("Set --", "Give --")

@@ -10,8 +10,10 @@ from lodbench.errors import ConfigError, nearest_names
 # Hydra's own flags; the second part takes a value.
 _FLAGS = {"-m", "--multirun", "--resolve", "--retry-failed"}
 _FLAGS_WITH_VALUE = {"-c", "--cfg", "-p", "--package", "--info", "-i"}
+_FLAGS_OF_HYDRA = _FLAGS | _FLAGS_WITH_VALUE
 # What every command calls by one name, and where it stands in the configuration of these.
 _SHORT = {"city": "dataset.city_model", "root": "dataset.root"}
+SETTINGS_COMMANDS = ("run", "basin", "evaluate", "render", "generate-training-data", "train")
 _OF_DATASETS = ("run", "basin", "evaluate")
 
 
@@ -53,6 +55,18 @@ def _current(command: str, word: str) -> str:
     if equals and command in _OF_DATASETS and key in _SHORT:
         return f"{_SHORT[key]}={value}"
     return word
+
+
+def has_flags_alone(words: Sequence[str]) -> bool:
+    """Tells whether settings were typed as ``--KEY VALUE``, and none as ``KEY=VALUE``."""
+    flags = [word for word in words if word.startswith("--") and word.split("=")[0] not in _FLAGS_OF_HYDRA]
+    return bool(flags) and not any("=" in word for word in words if not word.startswith("-"))
+
+
+def short_name(command: str, key: str) -> str:
+    """Returns what a command calls a setting that has a shorter name than it has inside."""
+    short = {inside: name for name, inside in _SHORT.items()} if command in _OF_DATASETS else {}
+    return short.get(key, key)
 
 
 def tell_old_names(command: str, words: Sequence[str]) -> None:

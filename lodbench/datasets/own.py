@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lodbench.datasets.folder import ABOUT_FILE, sealed_about, write_poses
-from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import pinhole_of, undistorted
@@ -34,6 +34,8 @@ class OwnImage:
         truth: True pose, or None.
         photo: Its file, or None.
         mask: Building mask of the photo as stored, or None.
+        stated: What its photo says of itself, where the prior is from that; else None.
+        no_prior: Why its photo, which was asked, gives no prior; "" where it does, or was not asked.
     """
 
     name: str
@@ -42,6 +44,8 @@ class OwnImage:
     truth: Pose | None = None
     photo: Path | None = None
     mask: Path | None = None
+    stated: PhotoMetadata | None = None
+    no_prior: str = ""
 
     @property
     def file_name(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Camera
 
 LeftOut = list[tuple[str, str]]
 
@@ -51,7 +52,8 @@ def images_from_photos(
             require_stated(photo, heights, knows_camera=camera is not None)
             found = camera or camera_from_photo(photo).camera
             prior = pose_from_photo(photo, frame, heights)
-            images.append(OwnImage(name, found, prior=prior, photo=path, mask=find_mask(masks, name)))
+            mask = find_mask(masks, name)
+            images.append(OwnImage(name, found, prior=prior, photo=path, mask=mask, stated=photo))
         except LodbenchError as fault:
             # Should none be left, the last one's hint says what to do about all.
             left_out.append((name, fault.message))
@@ -100,17 +102,18 @@ def images_from_poses(
         elif photos is not None and photo is None:
             left_out.append((image.name, f"no such photo in {photos}"))
         else:
-            prior = None
-            if frame is not None and photo is not None:
-                prior = _stated_pose(photo, frame, heights)
-            truth = image.pose.shifted(offset_m)
-            images.append(OwnImage(image.name, camera, prior, truth, photo, find_mask(masks, image.name)))
+            mask, truth = find_mask(masks, image.name), image.pose.shifted(offset_m)
+            own = OwnImage(image.name, camera, None, truth, photo, mask)
+            images.append(own if frame is None else _with_stated_prior(own, frame, heights))
     return images, left_out
 
 
-def _stated_pose(photo: Path, frame: MapFrame, heights: HeightOptions | None) -> Pose | None:
-    """Returns where a photo says it was taken, or None: such a query has no prior, which its row says."""
+def _with_stated_prior(image: OwnImage, frame: MapFrame, heights: HeightOptions | None) -> OwnImage:
+    """Returns an image with the rough pose that its photo states, or with the reason why it states none."""
+    if image.photo is None:
+        return image
     try:
-        return pose_from_photo(read_photo_metadata(photo), frame, heights)
-    except DatasetError:
-        return None
+        stated = read_photo_metadata(image.photo)
+        return replace(image, prior=pose_from_photo(stated, frame, heights), stated=stated)
+    except DatasetError as fault:
+        return replace(image, no_prior=fault.message.rstrip("."))

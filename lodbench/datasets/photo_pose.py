@@ -8,7 +8,7 @@ city (up to 100 m), the gimbal's roll about the optical axis (what it is).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
@@ -230,13 +230,25 @@ def datum_note(frame: MapFrame) -> str | None:
     return f"the accuracy of the step from WGS 84 to {frame.crs} is {known} (PROJ_NETWORK=ON may better it)"
 
 
-def geoid_note(photo: PhotoMetadata, options: HeightOptions) -> str | None:
-    """Returns a sentence if a geoid was given, and the photo's height is taken as above sea level."""
-    if options.geoid_m is None or options.source_for(photo) != "sea_level":
-        return None
-    return (
+def place_notes(
+    frame: MapFrame | None, photos: Iterable[PhotoMetadata], options: HeightOptions | None = None
+) -> tuple[str, ...]:
+    """Returns what a reader should know of places and heights that were read from photos, a sentence each.
+
+    Args:
+        frame: The city's coordinates; None where nobody knows them on Earth.
+        photos: Those whose stated heights were used.
+        options: How the drone's heights became the city's.
+    """
+    options = options or HeightOptions()
+    datum = None if frame is None else datum_note(frame)
+    is_unused = options.geoid_m is not None and any(
+        options.source_for(photo) == "sea_level" for photo in photos
+    )
+    geoid = (
         "--geoid was not used: heights are taken as above sea level without RTK; --heights ellipsoid uses it"
     )
+    return tuple(filter(None, (datum, geoid if is_unused else None)))
 
 
 def _height(

@@ -12,16 +12,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Protocol, cast
 
-from lodbench.citymodel.cache import open_cached_scene
 from lodbench.datasets.codes import NO_PRIOR
 from lodbench.datasets.exchange.lines import read_lines
-from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.photo_frame import in_settings, photo_frame
 from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.photo_pose import HeightOptions, HeightSource, pose_from_photo
+from lodbench.datasets.photo_pose import HeightOptions, HeightSource, place_notes, pose_from_photo
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.datasets.query import Dataset, Entry, notes_of
-from lodbench.errors import DatasetError, require_numbers
+from lodbench.errors import ConfigError, DatasetError, require_numbers
 from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.storage import digest_of
@@ -87,7 +86,7 @@ class SensorPrior:
         offset_m: Added in the end.
 
     Raises:
-        ConfigError: A height is not finite.
+        ConfigError: A height is not finite, or settings contradict each other.
     """
 
     name: ClassVar[str] = "sensor"
@@ -98,6 +97,14 @@ class SensorPrior:
 
     def __post_init__(self) -> None:
         require_numbers(self, "prior", ("takeoff_m", "geoid_m", "offset_m"), -math.inf)
+        self._heights()
+
+    def _heights(self) -> HeightOptions:
+        try:
+            kind = cast(HeightSource, self.heights)
+            return HeightOptions(kind, self.takeoff_m, self.geoid_m, self.offset_m)
+        except ConfigError as fault:
+            raise ConfigError(in_settings(fault.message), in_settings(fault.hint)) from fault
 
     def apply(self, dataset: Dataset, seed: int) -> Dataset:
         """Returns the dataset with these priors; a photo that does not state all gives none, and is counted.
@@ -105,23 +112,27 @@ class SensorPrior:
         Raises:
             DatasetError: The dataset's coordinates are not known on Earth, or no photo states its place.
         """
-        frame, origin = _photo_frame(dataset)
-        heights = HeightOptions(cast(HeightSource, self.heights), self.takeoff_m, self.geoid_m, self.offset_m)
-        priors, findings, reason = [], Findings(), "no query has a photo"
+        frame, origin = photo_frame(dataset)
+        heights = self._heights()
+        priors, findings, reason, stated = [], Findings(), DatasetError("no query has a photo"), []
         for entry in dataset.entries:
             poses: tuple[Pose, ...] = ()
             try:
                 if entry.image is None:
                     raise DatasetError("there is no photo")
-                pose = pose_from_photo(read_photo_metadata(entry.image), frame, heights)
-                poses = (pose.shifted([-value for value in origin]),)
+                photo = read_photo_metadata(entry.image)
+                poses = (pose_from_photo(photo, frame, heights).shifted([-value for value in origin]),)
+                stated.append(photo)
             except DatasetError as error:
-                reason = error.message
-                findings.add(NO_PRIOR, entry.key, reason.rstrip("."))
+                reason = error
+                findings.add(NO_PRIOR, entry.key, reason.message.rstrip("."))
             priors.append(poses)
-        if not any(priors):
-            raise DatasetError(f"No photo of {dataset.name} states a prior: {reason}", "Use prior=file.")
-        return _with_priors(dataset, priors, findings)
+        if not stated:
+            hint = in_settings(reason.hint) if "--geoid" in reason.hint else "Use prior=file."
+            raise DatasetError(f"No photo of {dataset.name} states a prior: {reason}", hint)
+        notes = tuple(map(in_settings, place_notes(frame, stated, heights)))
+        made = _with_priors(dataset, priors, findings)
+        return replace(made, notes=made.notes + notes)
 
     def describe(self) -> str:
         """Returns the protocol in words."""
@@ -207,28 +218,6 @@ def _by_key(path: Path, entries: Sequence[Entry]) -> dict[str, tuple[Pose, ...]]
             raise DatasetError(f"{line.where}: {line.name} {meaning}.", "Write split/name.")
         found[owners[0]] = (*found.get(owners[0], ()), line.pose)
     return found
-
-
-def _photo_frame(dataset: Dataset) -> tuple[MapFrame, tuple[float, ...]]:
-    """Returns the map frame of a dataset, and where the zero of its coordinates lies in it."""
-    if dataset.photo_crs is not None:
-        if dataset.photo_origin is None:
-            raise DatasetError(
-                f"Where {dataset.name} lies on Earth is withheld by its publishers.",
-                f"Set dataset.origin='[EAST,NORTH,HEIGHT]' in {dataset.photo_crs}, or use prior=file.",
-            )
-        return MapFrame(dataset.photo_crs), dataset.photo_origin
-    crs = None
-    if dataset.city_model is not None:
-        crs = open_cached_scene(
-            dataset.city_model, lod=dataset.lod, options=dataset.city_options, roof_height=dataset.roof_height
-        ).crs
-    if crs is None:
-        raise DatasetError(
-            f"Where {dataset.name} lies on Earth is not known: its city model names no reference system.",
-            "Set dataset.crs=EPSG:CODE, or use prior=file.",
-        )
-    return MapFrame(crs), (0.0, 0.0, 0.0)
 
 
 def _with_priors(dataset: Dataset, priors: Sequence[Sequence[Pose]], findings: Findings) -> Dataset:

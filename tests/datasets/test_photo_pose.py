@@ -16,7 +16,7 @@ from pyproj.network import is_network_enabled, set_network_enabled
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata
-from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, datum_note, geoid_note, pose_from_photo
+from lodbench.datasets.photo_pose import HeightOptions, RoughPlace, datum_note, place_notes, pose_from_photo
 from lodbench.datasets.photo_tags import Dewarp
 from lodbench.errors import ConfigError, DatasetError
 
@@ -129,9 +129,10 @@ class TestHeights:
         # An RTK solution is above the ellipsoid without being told.
         assert self.height(HeightOptions(geoid_m=46.2), has_rtk=True) == pytest.approx(157.2)
         assert self.height(HeightOptions(geoid_m=46.2)) == pytest.approx(203.4)
-        assert "--heights ellipsoid uses it" in (geoid_note(PHOTO, HeightOptions(geoid_m=46.2)) or "")
-        assert geoid_note(replace(PHOTO, has_rtk=True), HeightOptions(geoid_m=46.2)) is None
-        assert geoid_note(PHOTO, HeightOptions()) is None
+        (note,) = place_notes(NRW, [PHOTO], HeightOptions(geoid_m=46.2))
+        assert "--heights ellipsoid uses it" in note
+        assert place_notes(NRW, [replace(PHOTO, has_rtk=True)], HeightOptions(geoid_m=46.2)) == ()
+        assert place_notes(NRW, [PHOTO], HeightOptions()) == ()
 
     def test_without_a_geoid_model_it_is_an_error_and_no_silent_46_metres(self, proj_data):
         with pytest.raises(DatasetError, match="geoid model") as fault:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +14,9 @@ from lodbench.citymap import CityMap
 from lodbench.citymodel.cache import OpenCity
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.colmap import read_colmap
-from lodbench.datasets.exchange.posed import FoundPose, Place, read_json
+from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import find_inside, find_mask
-from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.photo_pose import pose_from_photo
-from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.query import Entry, Query
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
@@ -31,6 +26,7 @@ from lodbench.geometry.similarity import FEWEST_POSES, FittedSimilarity, Similar
 from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
 from lodbench.harness.georeference.outputs import write_georeferenced
 from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
+from lodbench.harness.georeference.start import ROUGH_DEG, ROUGH_M, rough_start
 from lodbench.methods import Estimate
 from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
@@ -40,8 +36,6 @@ from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
 
-# What rough places and directions are off by, each photo by itself, metres and degrees.
-_ROUGH_M, _ROUGH_DEG = np.array([3.0, 3.0, 5.0]), 5.0
 # Masks are held at this width, pixels: half as much again as methods look at.
 _MASK_WIDTH = 900
 
@@ -58,9 +52,9 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     images = list(read_colmap(request.model))
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     frame = None if city.scene.crs is None else MapFrame(city.scene.crs)
-    rough, start = _rough(request, images, frame)
-    _require_near(images, rough, city.scene)
-    queries, left_out = _queries(request, images, rough, city.scene)
+    start = rough_start(request, images, frame)
+    _require_near(images, start.similarity, city.scene)
+    queries, left_out = _queries(request, images, start.similarity, city.scene)
     _require_enough(len(queries), len(images), left_out)
     found = _solved(request, queries, city)
     places = {
@@ -80,14 +74,14 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     used = [name for name in places if name not in lost]
     _require_enough(len(used), len(images), left_out)
     fitted = _fitted({i.name: i.pose for i in images}, {name: places[name] for name in used}, city.scene)
-    notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
+    notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ()) + start.notes
     placed = Georeferenced(
         fitted=fitted,
         cameras=tuple(image._replace(pose=fitted.similarity.pose(image.pose)) for image in images),
         used=dict(zip(used, map(float, fitted.distances_m), strict=True)),
         left_out=tuple(left_out),
         findings=found.findings,
-        start=start,
+        start=start.source,
         crs=city.scene.crs,
         files={},
         notes=notes,
@@ -104,88 +98,6 @@ def _require_enough(usable: int, count: int, left_out: Sequence[tuple[str, str]]
         raise DatasetError(
             f"{usable} of {count} photos can be used, and {FEWEST_POSES} are needed: {reasons}.", hint
         )
-
-
-def _rough(
-    request: GeoreferenceRequest, images: Sequence[FoundPose], frame: MapFrame | None
-) -> tuple[Similarity, str]:
-    """Returns the similarity to start from, and where it came from."""
-    if request.start is not None and request.start.suffix == ".json":
-        values = read_json(request.start)
-        if "similarity" in values:
-            return _stated_similarity(
-                values["similarity"], request.start
-            ), f"the similarity in {request.start}"
-    if request.start is not None:
-        _, listed = read_pose_file(request.start, "auto")
-        known = _by_name(images, listed)
-        source = str(request.start)
-    else:
-        known, source = _stated_by_photos(request, images, frame), "what the photos state"
-    if len(known) < FEWEST_POSES:
-        raise DatasetError(
-            f"{len(known)} of the model's {len(images)} cameras have a rough place ({source}), and "
-            f"{FEWEST_POSES} are needed.",
-            "Give --images DIR with the drone's photos, or --start FILE with rough poses.",
-        )
-    mine = {image.name: image.pose for image in images}
-    sigmas = np.broadcast_to(_ROUGH_M, (len(known), 3)), np.full(len(known), _ROUGH_DEG)
-    fitted = fit_similarity([mine[name] for name in known], list(known.values()), *sigmas)
-    away = float(np.median(fitted.distances_m))
-    return fitted.similarity, f"{source}: {len(known)} cameras, {away:.1f} m apart in the median"
-
-
-def _by_name(images: Sequence[FoundPose], listed: Sequence[FoundPose]) -> dict[str, Pose]:
-    """Returns the rough poses of images, by name: the same, or that without folders where one has it."""
-    whole = {pose.name: pose.pose for pose in listed}
-    named = Counter(Path(image.name).name for image in images)
-    bare: dict[str, list[Pose]] = defaultdict(list)
-    for pose in listed:
-        bare[Path(pose.name).name].append(pose.pose)
-    known = {}
-    for image in images:
-        same = bare[Path(image.name).name]
-        if image.name in whole:
-            known[image.name] = whole[image.name]
-        elif len(same) == named[Path(image.name).name] == 1:
-            known[image.name] = same[0]
-    return known
-
-
-def _stated_similarity(values: object, path: Path) -> Similarity:
-    with Place(str(path), "a similarity: scale, rotation, translation"):
-        if not isinstance(values, Mapping):
-            raise ValueError("it is no object")
-        scale, turn = float(values["scale"]), np.array(values["rotation"], dtype=np.float64)
-        shift = np.array(values["translation"], dtype=np.float64)
-        if scale <= 0 or turn.shape != (3, 3) or shift.shape != (3,):
-            raise ValueError("its scale is no positive number, or a shape is wrong")
-        return Similarity(scale, Pose.from_matrix(np.column_stack([turn, shift])).rotation, shift)
-
-
-def _stated_by_photos(
-    request: GeoreferenceRequest, images: Sequence[FoundPose], frame: MapFrame | None
-) -> dict[str, Pose]:
-    """Returns where photos say they were taken, by name, for those that say it."""
-    if request.images is None:
-        raise DatasetError(
-            "Nobody says where the model is, roughly.",
-            "Give --images DIR with the drone's photos, or --start FILE with rough poses.",
-        )
-    if frame is None:
-        raise DatasetError(
-            f"{request.city.name} names no reference system, so GPS means nothing in it.",
-            "Name it with --crs, or give --start FILE with rough poses.",
-        )
-    known = {}
-    for image in images:
-        photo = find_inside(request.images, image.name)
-        if photo is not None:
-            try:
-                known[image.name] = pose_from_photo(read_photo_metadata(photo), frame, request.heights)
-            except LodbenchError:
-                continue  # those that say it are counted
-    return known
 
 
 def _require_near(images: Sequence[FoundPose], rough: Similarity, scene: Scene) -> None:
@@ -246,7 +158,7 @@ def _solved(request: GeoreferenceRequest, queries: Mapping[str, Query], city: Op
 
 def _fitted(model: Mapping[str, Pose], places: Mapping[str, Estimate], scene: Scene) -> FittedSimilarity:
     """Returns the similarity that lays the model on the poses found, weighed by how sure each is."""
-    unknown = np.diag([*_ROUGH_M, *[_ROUGH_DEG] * 3]) ** 2
+    unknown = np.diag([*ROUGH_M, *[ROUGH_DEG] * 3]) ** 2
     spreads = np.array(
         [np.diagonal(unknown if each.covariance is None else each.covariance) for each in places.values()]
     )

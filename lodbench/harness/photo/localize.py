@@ -16,7 +16,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import write_geojson
 from lodbench.datasets.inputs import Input, declared_inputs, require_inputs
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_pose import datum_note, geoid_note
+from lodbench.datasets.photo_pose import place_notes
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
@@ -174,11 +174,10 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     notes = [*place.city.notes()]
     if photo.mask is not None and photo.request.mask is None:
         notes += notes_of(photo.request.segmenter)
-    datum = None if place.frame is None else datum_note(place.frame)
-    notes += estimate.notes if datum is None else (*estimate.notes, datum)
-    if photo.request.center is None and photo.request.given.height_m is None:
-        geoid = geoid_note(photo.stated, photo.request.heights)
-        notes += [] if geoid is None else [geoid]
+    request = photo.request
+    has_height = request.center is not None or request.given.height_m is not None
+    notes += estimate.notes
+    notes += place_notes(place.frame, () if has_height else (photo.stated,), request.heights)
     if photo.stated.orientation > 1:
         notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
     if view.pixels is None:

@@ -23,7 +23,7 @@ from lodbench.datasets.own import (
     write_dataset,
 )
 from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
-from lodbench.datasets.photo_pose import HeightOptions, datum_note
+from lodbench.datasets.photo_pose import HeightOptions, place_notes
 from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_cameras
@@ -102,13 +102,26 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
     }
     with Progress(f"writing {request.folder.name}", len(images)) as progress:
         written = write_dataset(images, request.folder, about, progress.advance, left_out)
-    kept = set(written.names)
-    priors = sum(image.prior is not None for image in images if image.file_name in kept)
-    datum = None if frame is None or not priors else datum_note(frame)
-    notes = [] if datum is None else [datum]
+    kept = [image for image in images if image.file_name in set(written.names)]
+    notes = _prior_notes(kept, frame, request.heights)
     if request.masks is not None:
-        notes += _mask_notes(request.masks, [image for image in images if image.file_name in kept])
+        notes += _mask_notes(request.masks, kept)
+    priors = sum(image.prior is not None for image in kept)
     return OwnDataset(written, request.poses is not None, priors, tuple(notes))
+
+
+def _prior_notes(images: Sequence[OwnImage], frame: MapFrame | None, heights: HeightOptions) -> list[str]:
+    """Returns what the reader should know of rough poses from photos: how sure they are, and which lack."""
+    stated = [image.stated for image in images if image.stated is not None]
+    notes = [*place_notes(frame, stated, heights)] if stated else []
+    lacking = [image for image in images if image.no_prior]
+    if lacking:
+        first = lacking[0]
+        notes.append(
+            f"{len(lacking)} of {len(images)} photos state no rough pose; the first, {first.name}: "
+            f"{first.no_prior}"
+        )
+    return notes
 
 
 def _mask_notes(folder: Path, images: Sequence[OwnImage]) -> list[str]:

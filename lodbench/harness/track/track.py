@@ -19,7 +19,7 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
-from lodbench.datasets.photo_pose import pose_at, pose_from_photo
+from lodbench.datasets.photo_pose import place_notes, pose_at, pose_from_photo
 from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
@@ -126,7 +126,7 @@ def track(request: TrackRequest) -> Track:
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     scene = city.scene
     frame = None if scene.crs is None else MapFrame(scene.crs)
-    camera, start = _start(request, frame)
+    camera, start, stated = _start(request, frame)
     _require_near(start, scene)
     pinhole = pinhole_of(camera)
     maker = MaskMaker(camera, pinhole, request.masks, request.segmenter)
@@ -151,6 +151,7 @@ def track(request: TrackRequest) -> Track:
             progress.advance()
     seconds = {"total": time.perf_counter() - started, "masks": maker.seconds - masks_s, "poses": poses_s}
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
+    notes += place_notes(frame, stated, request.heights)
     cpu_s = time.process_time() - cpu
     if all(each.pose is None for each in frames) and (request.out / TABLE_FILE).exists():
         notes += (f"no frame was found: the earlier track in {request.out} is left as it is",)
@@ -165,8 +166,8 @@ def _sigmas(covariance: NDArray[np.float64]) -> tuple[float, float]:
     return float(np.sqrt(variances[:3].sum())), float(np.sqrt(variances[3:].sum()))
 
 
-def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose]:
-    """Returns the camera, and the rough pose of the first frame in the city's coordinates."""
+def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose, tuple[PhotoMetadata, ...]]:
+    """Returns the camera, the rough pose of the first frame (city's coordinates), and whose height it has."""
     first = request.footage.first_photo()
     if first is None:
         if request.camera is None:
@@ -180,13 +181,14 @@ def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose]
     if request.center is not None:
         east, north, _ = request.center
         convergence = 0.0 if frame is None else frame.convergence_deg(east, north)
-        return camera, pose_at(request.center, convergence, stated, request.given)
+        return camera, pose_at(request.center, convergence, stated, request.given), ()
     if frame is None:
         raise DatasetError(
             f"{request.city.name} names no reference system, so GPS means nothing in it.",
             "Name it with --crs, or give --center EAST NORTH UP in the city's coordinates.",
         )
-    return camera, pose_from_photo(stated, frame, request.heights, request.given)
+    pose = pose_from_photo(stated, frame, request.heights, request.given)
+    return camera, pose, () if request.given.height_m is not None else (stated,)
 
 
 def _require_near(start: Pose, scene: Scene) -> None:
