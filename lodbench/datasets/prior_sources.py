@@ -16,7 +16,7 @@ from lodbench.datasets.codes import NO_PRIOR
 from lodbench.datasets.exchange.lines import read_lines
 from lodbench.datasets.photo_frame import in_settings, photo_frame
 from lodbench.datasets.photo_metadata import read_photo_metadata
-from lodbench.datasets.photo_pose import HeightOptions, HeightSource, place_notes, pose_from_photo
+from lodbench.datasets.photo_pose import HeightOptions, HeightSource, pose_from_photo
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.priors import UniformPrior, with_uniform_priors
 from lodbench.datasets.query import Dataset, Entry, notes_of
@@ -114,25 +114,22 @@ class SensorPrior:
         """
         frame, origin = photo_frame(dataset)
         heights = self._heights()
-        priors, findings, reason, stated = [], Findings(), DatasetError("no query has a photo"), []
+        priors, findings, reason = [], Findings(), DatasetError("no query has a photo")
         for entry in dataset.entries:
             poses: tuple[Pose, ...] = ()
             try:
                 if entry.image is None:
                     raise DatasetError("there is no photo")
-                photo = read_photo_metadata(entry.image)
-                poses = (pose_from_photo(photo, frame, heights).shifted([-value for value in origin]),)
-                stated.append(photo)
+                pose = pose_from_photo(read_photo_metadata(entry.image), frame, heights)
+                poses = (pose.shifted([-value for value in origin]),)
             except DatasetError as error:
                 reason = error
                 findings.add(NO_PRIOR, entry.key, reason.message.rstrip("."))
             priors.append(poses)
-        if not stated:
+        if not any(priors):
             hint = in_settings(reason.hint) if "--geoid" in reason.hint else "Use prior=file."
             raise DatasetError(f"No photo of {dataset.name} states a prior: {reason}", hint)
-        notes = tuple(map(in_settings, place_notes(frame, stated, heights)))
-        made = _with_priors(dataset, priors, findings)
-        return replace(made, notes=made.notes + notes)
+        return _with_priors(dataset, priors, findings)
 
     def describe(self) -> str:
         """Returns the protocol in words."""

@@ -46,21 +46,6 @@ def test_a_geoid_that_was_not_used_is_told(folder, capsys, tmp_path, words):
     assert SAID in told.out
 
 
-def test_priors_from_photos_say_it_in_settings(folder, capsys, tmp_path):
-    root = tmp_path / "own"
-    city = ["--city", str(folder / "three/city.obj"), "--crs", CRS]
-    assert main(["dataset", "init", str(root), "--images", str(folder / "photos"), *city]) == 0
-    capsys.readouterr()
-    words = [
-        "dataset=folder",
-        f"dataset.root={root}",
-        f"dataset.crs={CRS}",
-        f"paths.runs={tmp_path / 'runs'}",
-    ]
-    assert main(["run", *words, "prior=sensor", "prior.geoid_m=46", "method=prior_only"]) == 0
-    assert "note: prior.geoid_m was not used" in capsys.readouterr().out
-
-
 def test_photos_that_state_no_rough_pose_are_told(folder, capsys, tmp_path):
     words = ["dataset", "import", "colmap", str(folder / "model"), str(tmp_path / "own")]
     words += [
