@@ -16,6 +16,7 @@ import numpy as np
 
 from lodbench.bench.accuracy_cities import drawable, name_of, share_found
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
+from lodbench.bench.outline_limit import share_within_reach
 from lodbench.bench.views import Job, protocol_of, sweep
 from lodbench.methods import Method
 from lodbench.reporting.aligned_text import format_columns
@@ -39,6 +40,11 @@ _GLOSSARY = (
     "probability given; place known: priors at the true place, while methods are told the same range; "
     "exact map: the level that masks are drawn from."
 )
+_LIMIT = "best linear"
+_LIMIT_GLOSSARY = (
+    f"{_LIMIT}: what least squares find that start at the truth, over the exact map, and know "
+    "how such masks err: hardly any method will find more from them."
+)
 
 
 def measure_causes(
@@ -47,8 +53,17 @@ def measure_causes(
     methods: Sequence[Method],
     progress: Progress = no_progress,
     threads: int | None = None,
+    limit_draws: int = 0,
 ) -> Report:
     """Returns what methods find of the same views with causes of errors taken away, at the sensor's tilt.
+
+    Args:
+        cities: What is drawn.
+        seeds: Of the views.
+        methods: What finds them.
+        progress: Called after each run.
+        threads: Of the engine; None for one per core.
+        limit_draws: Masks of each view by which ``share_within_reach`` is found; 0 leaves it out.
 
     Raises:
         DatasetError: No city is left.
@@ -63,8 +78,23 @@ def measure_causes(
         }
         for method in methods
     }
-    lines = [_table(table), f"{protocol_of(drawn[0], seeds)}.", *left_out, _GLOSSARY]
+    lines = [f"{protocol_of(drawn[0], seeds)}.", *left_out, _GLOSSARY]
+    if limit_draws:
+        limits = _limits(drawn, limit_draws)
+        for rows in table.values():
+            for city, row in rows.items():
+                row[_LIMIT] = limits[city]
+        lines.append(_LIMIT_GLOSSARY)
+    lines.insert(0, _table(table))
     return Report("\n".join(lines), list(_figures(table)), queries)
+
+
+def _limits(drawn: Sequence[ViewsParams], draws: int) -> dict[str, float]:
+    """Returns the percent within reach of each city, the mean over its seeds."""
+    shares: dict[str, list[float]] = {}
+    for views in drawn:
+        shares.setdefault(name_of(views), []).append(share_within_reach(views, draws))
+    return {city: float(np.mean(of_seeds)) for city, of_seeds in shares.items()}
 
 
 def _job(method: Method, views: ViewsParams, cause: str) -> Job:

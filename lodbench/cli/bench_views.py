@@ -22,6 +22,8 @@ _WORLD = (
     "how what is seen differs from the map: shared_roofs and hidden_feet in metres, focal as a share, "
     "tilt as a factor on the told one"
 )
+# Fewer masks say nothing about how masks err.
+_FEWEST_MASKS = 20
 
 
 def add_views(actions: Any) -> None:
@@ -32,6 +34,8 @@ def add_views(actions: Any) -> None:
     accuracy.add_argument("--pictures", type=Path, help="folder for reliability and risk over coverage")
     why = "why poses are not found: causes of errors taken away, one a column"
     accuracy.add_argument("--causes", action="store_true", help=why)
+    limit = "with --causes: what the best estimate finds that knows map and noise, from so many masks a view"
+    accuracy.add_argument("--limit", type=int, default=0, metavar="MASKS", help=limit)
     several = "city model, repeat for a table of several; the demo town"
     accuracy.add_argument("--city", type=Path, action="append", help=several)
     budget = actions.add_parser("budget", help="recall of both methods over the hypotheses they may render")
@@ -87,8 +91,13 @@ def accuracy(given: argparse.Namespace, steps: ProgressCallback) -> Report:
     methods = [make_method(name) for name in given.method.split(",")]
     drawn = [_views(given, city) for city in given.city or [None]]
     seeded = _seeds(given)
+    if given.limit and (not given.causes or given.limit < _FEWEST_MASKS):
+        raise ConfigError(
+            f"--limit {given.limit} is a column of --causes, of {_FEWEST_MASKS} masks a view or more.",
+            "Write --causes --limit 200.",
+        )
     if given.causes:
-        return measure_causes(drawn, seeded, methods, steps)
+        return measure_causes(drawn, seeded, methods, steps, limit_draws=given.limit)
     if len(drawn) == 1:
         return measure_accuracy(drawn[0], seeded, methods, steps)
     return measure_cities(drawn, seeded, methods, steps)
