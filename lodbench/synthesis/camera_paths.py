@@ -27,17 +27,11 @@ _YAWS_DEG = tuple(range(0, 360, 45))
 
 
 class Place(NamedTuple):
-    """What a path is laid out over, in the frame of a scene.
+    """What a path is laid out over, in the frame of a scene."""
 
-    Attributes:
-        bases: (B, 3) middle of each building's base, local metres.
-        ground: Ground heights.
-        origin: (3,) of the frame, coordinates of the city's CRS.
-    """
-
-    bases: Floats
-    ground: Ground
-    origin: Floats
+    bases: Floats  # (B, 3) middle of each building's base, local metres
+    ground: Ground  # ground heights
+    origin: Floats  # (3,) of the frame, coordinates of the city's CRS
 
 
 def _on_grid(params: GenerateParams, place: Place) -> Iterator[Pose]:

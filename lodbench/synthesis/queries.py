@@ -18,25 +18,15 @@ from lodbench.storage import make_folder, write_bytes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticQuery:
-    """What is made up for one view, in the scene's local frame.
+    """What is made up for one view, in the scene's local frame."""
 
-    Attributes:
-        name: Of the view; its random streams follow from it.
-        truth: Where the view was drawn from.
-        prior: The rough pose.
-        mask: (H, W) query mask, as wrong as a network's.
-        achieved_iou: Its IoU with the silhouette at the truth.
-        photo: JPEG file of the view, or None.
-        instances: (H, W) labels of buildings that fill the mask, or None.
-    """
-
-    name: str
-    truth: Pose
-    prior: Pose
-    mask: NDArray[np.bool_]
-    achieved_iou: float
-    photo: bytes | None = None
-    instances: NDArray[np.uint16] | None = None
+    name: str  # of the view; its random streams follow from it
+    truth: Pose  # where the view was drawn from
+    prior: Pose  # the rough pose
+    mask: NDArray[np.bool_]  # (H, W) query mask, as wrong as a network's
+    achieved_iou: float  # its IoU with the silhouette at the truth
+    photo: bytes | None = None  # JPEG file of the view, or None
+    instances: NDArray[np.uint16] | None = None  # (H, W) labels of buildings that fill the mask, or None
 
     @property
     def file_name(self) -> str:

@@ -37,23 +37,17 @@ _MAX_DRAWS_PER_VIEW = 200
 class ViewSampling:
     """Which views to draw, from any side and almost level; every range is uniform, ends included.
 
-    Attributes:
-        height_m: Camera height above the ground at the view's centre, metres.
-        pitch_deg: From nadir, degrees: 0 looks straight down.
-        building_share: Accepted share of building pixels in the picture.
-        area_m: West, south, east and north bounds of the view centres, local metres, or None for
-            the whole city.
-        seed: Seed of the random streams.
-
     Raises:
         ConfigError: A range is empty, not finite, or beyond what a view can have.
     """
 
+    # Camera height above the ground at the view's centre, metres.
     height_m: tuple[float, float] = (100.0, 160.0)
-    pitch_deg: tuple[float, float] = (20.0, 60.0)
-    building_share: tuple[float, float] = (0.10, 0.80)
+    pitch_deg: tuple[float, float] = (20.0, 60.0)  # from nadir, degrees: 0 looks straight down
+    building_share: tuple[float, float] = (0.10, 0.80)  # accepted share of building pixels in the picture
+    # West, south, east and north bounds of the view centres, local metres, or None for the whole city.
     area_m: tuple[float, float, float, float] | None = None
-    seed: int = 0
+    seed: int = 0  # seed of the random streams
 
     def __post_init__(self) -> None:
         for name, (least, most) in _LIMITS.items():
@@ -67,15 +61,10 @@ class ViewSampling:
 
 @dataclass(frozen=True, slots=True)
 class SampledViews:
-    """Views drawn over a city.
+    """Views drawn over a city."""
 
-    Attributes:
-        poses: The accepted views, in order.
-        rejections: How many draws were thrown away on the way.
-    """
-
-    poses: tuple[Pose, ...]
-    rejections: int
+    poses: tuple[Pose, ...]  # the accepted views, in order
+    rejections: int  # how many draws were thrown away on the way
 
 
 def sample_views(

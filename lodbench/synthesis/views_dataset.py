@@ -49,20 +49,15 @@ _WORLD_LIMITS = {"shared_roofs_m": (-50, 50), "hidden_feet_m": (0, 50), "focal":
 class World:
     """How what is seen differs from the map that is searched and from what is told, in all views alike.
 
-    Attributes:
-        shared_roofs_m: Every building reaches so much higher than in the map; below 0 less high.
-        hidden_feet_m: So much of the lowest part of every wall is hidden, by hedges or cars.
-        focal: The lens is longer than told by this share of its focal length, in every second view shorter.
-        tilt: Pitch and roll of the priors err so many times as far as told.
-
     Raises:
         ConfigError: A value is not finite or beyond what there is.
     """
 
-    shared_roofs_m: float = 0.0
-    hidden_feet_m: float = 0.0
+    shared_roofs_m: float = 0.0  # every building reaches so much higher than in the map; below 0 less high
+    hidden_feet_m: float = 0.0  # so much of the lowest part of every wall is hidden, by hedges or cars
+    # The lens is longer than told by this share of its focal length, in every second view shorter.
     focal: float = 0.0
-    tilt: float = 1.0
+    tilt: float = 1.0  # pitch and roll of the priors err so many times as far as told
 
     def __post_init__(self) -> None:
         for name, (low, high) in _WORLD_LIMITS.items():

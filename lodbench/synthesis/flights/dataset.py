@@ -189,17 +189,11 @@ def draw_flight(params: FlightsParams, world: Scene, renderer: Renderer, flight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DroneErrors:
-    """What a flight's drone is wrong about in all photos.
+    """What a flight's drone is wrong about in all photos."""
 
-    Attributes:
-        sensors: (6,) by which priors are off, metres and degrees.
-        focal: The focal length over what is told of it.
-        distortion: Radial distortion k1.
-    """
-
-    sensors: NDArray[np.float64]
-    focal: float
-    distortion: float
+    sensors: NDArray[np.float64]  # (6,) by which priors are off, metres and degrees
+    focal: float  # the focal length over what is told of it
+    distortion: float  # radial distortion k1
 
     def camera(self, told: Camera) -> Camera:
         """Returns the pinhole that photos are taken with, of the size of the one that is told."""

@@ -17,20 +17,14 @@ Floats = NDArray[np.float64]
 class SensorErrors:
     """Half widths of uniform errors, either a flight's or a photo's own.
 
-    Attributes:
-        horizontal_m: East and north, metres.
-        height_m: Up, metres.
-        tilt_deg: Pitch and roll, degrees.
-        yaw_deg: Yaw, degrees.
-
     Raises:
         ConfigError: One is negative or not finite.
     """
 
-    horizontal_m: float
-    height_m: float
-    tilt_deg: float
-    yaw_deg: float
+    horizontal_m: float  # east and north, metres
+    height_m: float  # up, metres
+    tilt_deg: float  # pitch and roll, degrees
+    yaw_deg: float  # yaw, degrees
 
     def __post_init__(self) -> None:
         if not all(0 <= width < np.inf for width in astuple(self)):

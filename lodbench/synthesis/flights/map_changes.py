@@ -22,18 +22,13 @@ _AWAY_M, _TRIES = (25.0, 80.0), 50
 class MapErrors:
     """Which share of the map's buildings is wrong.
 
-    Attributes:
-        heights: Share whose height is changed by 1.5 to 5 m.
-        missing: Share that the map lacks.
-        extra: Share that the map has twice, once where there is nothing.
-
     Raises:
         ConfigError: A share is not within 0 and 0.5.
     """
 
-    heights: float = 0.0
-    missing: float = 0.0
-    extra: float = 0.0
+    heights: float = 0.0  # share whose height is changed by 1.5 to 5 m
+    missing: float = 0.0  # share that the map lacks
+    extra: float = 0.0  # share that the map has twice, once where there is nothing
 
     def __post_init__(self) -> None:
         for share in (self.heights, self.missing, self.extra):

@@ -70,27 +70,21 @@ class SurfaceClass(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneProps:
-    """Triangles to be seen, in the local metric frame of a city's scenes (x east, y north, z up).
+    """Triangles to be seen, in the local metric frame of a city's scenes (x east, y north, z up)."""
 
-    Attributes:
-        vertices: (V, 3) float32, metres; ``vertices + origin`` are coordinates in the city's CRS.
-        triangles: (T, 3) int32 indices into ``vertices``, counter-clockwise seen from outside.
-        surface: (T,) uint8 ``SurfaceClass``.
-        objects: (T,) int32 number of the object a triangle is part of: below ``num_buildings`` the
-            index of the building in the city file's order (``Scene.building_ids``), above one number for
-            each tree, car or street. For instance labels, and for one random tint per object.
-        tint: (T, 3) uint8 RGB, the base colour in white light, before texture, noise and shading.
-        num_buildings: Buildings of the city file.
-        origin: (3,) float64.
-    """
-
+    # (V, 3) float32, metres; ``vertices + origin`` are coordinates in the city's CRS.
     vertices: NDArray[np.float32]
+    # (T, 3) int32 indices into ``vertices``, counter-clockwise seen from outside.
     triangles: NDArray[np.int32]
-    surface: NDArray[np.uint8]
+    surface: NDArray[np.uint8]  # (T,) uint8 ``SurfaceClass``
+    # (T,) int32 number of the object a triangle is part of: below ``num_buildings`` the index of the building
+    # in the city file's order (``Scene.building_ids``), above one number for each tree, car or street. For
+    # instance labels, and for one random tint per object.
     objects: NDArray[np.int32]
+    # (T, 3) uint8 RGB, the base colour in white light, before texture, noise and shading.
     tint: NDArray[np.uint8]
-    num_buildings: int
-    origin: NDArray[np.float64]
+    num_buildings: int  # buildings of the city file
+    origin: NDArray[np.float64]  # (3,) float64
 
     def __len__(self) -> int:
         return len(self.triangles)

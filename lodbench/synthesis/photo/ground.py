@@ -31,27 +31,19 @@ _DASH_M = 6.0  # a dash and its gap
 
 
 class LandCover(NamedTuple):
-    """What covers the ground, on a grid.
+    """What covers the ground, on a grid."""
 
-    Attributes:
-        classes: (rows, columns) uint8 ``SurfaceClass``, south to north; roads are in ``road_m2``.
-        road_m2: (rows, columns) float32 square of the distance to the middle of the nearest road.
-        road_rad: (rows, columns) float32 direction of that road, counter-clockwise from east.
-        west: Left edge of the first column, local metres.
-        south: Lower edge of the first row.
-        cell_m: Size of a cell.
-        half_road_m: Half the width of a carriageway.
-        pavement_m: Width of the pavement beside it.
-    """
-
+    # (rows, columns) uint8 ``SurfaceClass``, south to north; roads are in ``road_m2``.
     classes: NDArray[np.uint8]
+    # (rows, columns) float32 square of the distance to the middle of the nearest road.
     road_m2: NDArray[np.float32]
+    # (rows, columns) float32 direction of that road, counter-clockwise from east.
     road_rad: NDArray[np.float32]
-    west: float
-    south: float
-    cell_m: float
-    half_road_m: float
-    pavement_m: float
+    west: float  # left edge of the first column, local metres
+    south: float  # lower edge of the first row
+    cell_m: float  # size of a cell
+    half_road_m: float  # half the width of a carriageway
+    pavement_m: float  # width of the pavement beside it
 
 
 _GRASSLAND = np.full((1, 1), _GRASS, dtype=np.uint8)

@@ -98,24 +98,14 @@ def look_ranges(name: str) -> LookRanges:
 
 
 class Look(NamedTuple):
-    """The look of one picture, for the kernel; see ``LookRanges`` for what is not explained here.
+    """The look of one picture, for the kernel; see ``LookRanges`` for what is not explained here."""
 
-    Attributes:
-        sun: Unit vector towards the sun, world axes.
-        sun_rgb: Its light, linear.
-        sky_rgb: Light of the whole sky on level ground, linear.
-        haze_rgb: Colour of far air, linear.
-        zenith_rgb: Colour of the sky straight up, linear.
-        haze_per_m: Share of contrast lost per metre.
-        seed: Of patterns and of objects' colours.
-    """
-
-    sun: Triple
-    sun_rgb: Triple
-    sky_rgb: Triple
-    haze_rgb: Triple
-    zenith_rgb: Triple
-    haze_per_m: float
+    sun: Triple  # unit vector towards the sun, world axes
+    sun_rgb: Triple  # its light, linear
+    sky_rgb: Triple  # light of the whole sky on level ground, linear
+    haze_rgb: Triple  # colour of far air, linear
+    zenith_rgb: Triple  # colour of the sky straight up, linear
+    haze_per_m: float  # share of contrast lost per metre
     dryness: float
     texture: float
     tint_jitter: float
@@ -127,7 +117,7 @@ class Look(NamedTuple):
     skylights: float
     roof_units: float
     repaint: float
-    seed: int
+    seed: int  # of patterns and of objects' colours
 
 
 class CameraResponse(NamedTuple):

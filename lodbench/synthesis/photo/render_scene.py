@@ -29,41 +29,26 @@ _NO_CASTERS = np.array([*ON_GROUND, *_ON_WALLS, LAND_COVER, TEXTURED], dtype=np.
 
 
 class Skin(NamedTuple):
-    """What the triangles of a render scene look like, for the kernel.
+    """What the triangles of a render scene look like, for the kernel."""
 
-    Attributes:
-        normal: (T, 3) float32 unit normals, whichever side.
-        surface: (T,) uint8 ``SurfaceClass``, or ``LAND_COVER``.
-        number: (T,) int32 of the object.
-        tint: (T, 3) float32 linear base colour; a negative red one for the palette's.
-        place: (T, 7) float32. Walls: tangent x, y, where the wall begins along it, its width, base and
-            top heights; a width of 0 for no painted windows. Leaves: centre of the crown at 0 to 2, and
-            1 at 6, for light as round a crown.
-    """
-
-    normal: NDArray[np.float32]
-    surface: NDArray[np.uint8]
-    number: NDArray[np.int32]
-    tint: NDArray[np.float32]
+    normal: NDArray[np.float32]  # (T, 3) float32 unit normals, whichever side
+    surface: NDArray[np.uint8]  # (T,) uint8 ``SurfaceClass``, or ``LAND_COVER``
+    number: NDArray[np.int32]  # (T,) int32 of the object
+    tint: NDArray[np.float32]  # (T, 3) float32 linear base colour; a negative red one for the palette's
+    # (T, 7) float32. Walls: tangent x, y, where the wall begins along it, its width, base and top heights; a
+    # width of 0 for no painted windows. Leaves: centre of the crown at 0 to 2, and 1 at 6, for light as round
+    # a crown.
     place: NDArray[np.float32]
 
 
 class RenderScene(NamedTuple):
-    """A city with its surroundings, ready to be pictured.
+    """A city with its surroundings, ready to be pictured."""
 
-    Attributes:
-        mesh: Its triangles as a ``Scene`` whose "buildings" are groups of neighbours.
-        skin: What they look like.
-        is_occluder: (T,) whether a triangle stands before buildings without being one.
-        casters: Those triangles that cast shadows worth drawing, or None if none do.
-        charts: Where on its texture each textured triangle is; its ``Skin.number`` is the row.
-    """
-
-    mesh: Scene
-    skin: Skin
-    is_occluder: NDArray[np.bool_]
-    casters: Scene | None
-    charts: Charts
+    mesh: Scene  # its triangles as a ``Scene`` whose "buildings" are groups of neighbours
+    skin: Skin  # what they look like
+    is_occluder: NDArray[np.bool_]  # (T,) whether a triangle stands before buildings without being one
+    casters: Scene | None  # those triangles that cast shadows worth drawing, or None if none do
+    charts: Charts  # where on its texture each textured triangle is; its ``Skin.number`` is the row
 
 
 class _Loose(NamedTuple):

@@ -20,21 +20,13 @@ REACH_M = 450.0
 
 
 class SunMap(NamedTuple):
-    """Depth towards the sun, for the kernel.
+    """Depth towards the sun, for the kernel."""
 
-    Attributes:
-        depth: (N, N) float32 metres from the map's camera; 0 where there is nothing.
-        rotation: (3, 3) sun_from_world.
-        center: (3,) of the camera, local metres.
-        focal: Focal length, pixels.
-        texel_m: Size of a map pixel on the scene.
-    """
-
-    depth: NDArray[np.float32]
-    rotation: tuple[tuple[float, float, float], ...]
-    center: tuple[float, float, float]
-    focal: float
-    texel_m: float
+    depth: NDArray[np.float32]  # (N, N) float32 metres from the map's camera; 0 where there is nothing
+    rotation: tuple[tuple[float, float, float], ...]  # (3, 3) sun_from_world
+    center: tuple[float, float, float]  # (3,) of the camera, local metres
+    focal: float  # focal length, pixels
+    texel_m: float  # size of a map pixel on the scene
 
 
 _LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

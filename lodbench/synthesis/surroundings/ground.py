@@ -29,19 +29,12 @@ _BELOW_M = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
-    """Ground heights on a grid of points, from the south-west.
+    """Ground heights on a grid of points, from the south-west."""
 
-    Attributes:
-        west: x of the first column, local metres.
-        south: y of the first row.
-        cell_m: Distance of points.
-        heights_m: (rows, columns).
-    """
-
-    west: float
-    south: float
-    cell_m: float
-    heights_m: Floats
+    west: float  # x of the first column, local metres
+    south: float  # y of the first row
+    cell_m: float  # distance of points
+    heights_m: Floats  # (rows, columns)
 
     @property
     def places(self) -> Floats:

@@ -34,21 +34,13 @@ _ROUND_M = 2.5  # corners of what covers the ground are rounded by this much
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TopView:
-    """A city seen from above, on a grid from the south-west; its margin included.
+    """A city seen from above, on a grid from the south-west; its margin included."""
 
-    Attributes:
-        west: Left edge, local metres.
-        south: Lower edge.
-        cell_m: Size of a cell.
-        tops_m: (rows, columns) height of the highest surface, NaN where there is no building.
-        bases: (B, 3) middle of each building's lowest points, local metres; empty ones are left out.
-    """
-
-    west: float
-    south: float
-    cell_m: float
-    tops_m: Grid
-    bases: Floats
+    west: float  # left edge, local metres
+    south: float  # lower edge
+    cell_m: float  # size of a cell
+    tops_m: Grid  # (rows, columns) height of the highest surface, NaN where there is no building
+    bases: Floats  # (B, 3) middle of each building's lowest points, local metres; empty ones are left out
 
     @property
     def is_built(self) -> NDArray[np.bool_]:

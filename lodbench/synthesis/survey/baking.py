@@ -24,19 +24,13 @@ _ATLAS_WIDTH = 2048
 
 
 class Layout(NamedTuple):
-    """Triangles on one picture.
+    """Triangles on one picture."""
 
-    Attributes:
-        triangle: (N,) their numbers.
-        texels: (N, 3, 2) float64 column and row of the corners, the picture's upper left corner being (0, 0).
-        size: Width and height of the picture.
-        texel_m: Size of a texel.
-    """
-
-    triangle: NDArray[np.int64]
+    triangle: NDArray[np.int64]  # (N,) their numbers
+    # (N, 3, 2) float64 column and row of the corners, the picture's upper left corner being (0, 0).
     texels: Floats
-    size: tuple[int, int]
-    texel_m: float
+    size: tuple[int, int]  # width and height of the picture
+    texel_m: float  # size of a texel
 
 
 def lay_out_ground(

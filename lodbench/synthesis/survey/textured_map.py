@@ -58,19 +58,12 @@ _DAY = LookRanges(
 
 
 class Patch(NamedTuple):
-    """Triangles of the map that share a picture, or have colours at their corners.
+    """Triangles of the map that share a picture, or have colours at their corners."""
 
-    Attributes:
-        name: Unique.
-        corners: (N, 3, 3) metres.
-        texels: (N, 3, 2) places on the picture, or None.
-        colours: (H, W, 3) picture, or (N, 3, 3) colours, uint8 RGB.
-    """
-
-    name: str
-    corners: Floats
-    texels: Floats | None
-    colours: NDArray[np.uint8]
+    name: str  # unique
+    corners: Floats  # (N, 3, 3) metres
+    texels: Floats | None  # (N, 3, 2) places on the picture, or None
+    colours: NDArray[np.uint8]  # (H, W, 3) picture, or (N, 3, 3) colours, uint8 RGB
 
 
 def write_textured_map(path: Path, town: Town, scene: Scene) -> None:

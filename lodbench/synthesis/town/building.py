@@ -44,20 +44,13 @@ class Age(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What is decided of a building before it stands.
+    """What is decided of a building before it stands."""
 
-    Attributes:
-        strip: Its plan.
-        roof: Its roof, heights above the base.
-        function: ``residential``, ``commercial``, ``public``, ``church``, ``industrial``, ``garage``.
-        district: Where in town it stands.
-        details: Annexes and lift houses, which LoD2 shows, and dormers, which only LoD3 shows.
-    """
-
-    strip: Strip
-    roof: Roof
-    function: str
-    district: str
+    strip: Strip  # its plan
+    roof: Roof  # its roof, heights above the base
+    function: str  # ``residential``, ``commercial``, ``public``, ``church``, ``industrial``, ``garage``
+    district: str  # where in town it stands
+    # Annexes and lift houses, which LoD2 shows, and dormers, which only LoD3 shows.
     details: tuple[Detail, ...] = ()
 
     @property
@@ -74,26 +67,17 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Building:
-    """A building with its solids, local metres.
+    """A building with its solids, local metres."""
 
-    Attributes:
-        identifier: Unique and stable for a seed.
-        plan: What it was built from.
-        age: Whether the coarse map still tells the truth about it.
-        lod1: A box over the generalised outline, from the ground to between eaves and ridge, its
-            height as wrong as measured ones are.
-        lod2: Walls, roof faces, annexes and lift houses.
-        lod3: The same with eaves that stand out, dormers, windows and doors.
-        installations: Chimneys and balconies of LoD3, each a closed body of its own.
-    """
-
-    identifier: str
-    plan: Plan
-    age: Age
+    identifier: str  # unique and stable for a seed
+    plan: Plan  # what it was built from
+    age: Age  # whether the coarse map still tells the truth about it
+    # A box over the generalised outline, from the ground to between eaves and ridge, its height as wrong as
+    # measured ones are.
     lod1: Solid
-    lod2: Solid
-    lod3: Solid
-    installations: tuple[Solid, ...]
+    lod2: Solid  # walls, roof faces, annexes and lift houses
+    lod3: Solid  # the same with eaves that stand out, dormers, windows and doors
+    installations: tuple[Solid, ...]  # chimneys and balconies of LoD3, each a closed body of its own
 
 
 def construct_all(

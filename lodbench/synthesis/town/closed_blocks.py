@@ -62,19 +62,12 @@ def _corner_legs(ring: Points, depth: float, generator: np.random.Generator) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ClosedBlock:
-    """A block while its houses are placed.
+    """A block while its houses are placed."""
 
-    Attributes:
-        site: The block.
-        depth: Of its houses, metres.
-        storeys: Usual number of storeys.
-        legs: (N, 2) how far each corner house reaches back and ahead, metres.
-    """
-
-    site: Site
-    depth: float
-    storeys: int
-    legs: Points
+    site: Site  # the block
+    depth: float  # of its houses, metres
+    storeys: int  # usual number of storeys
+    legs: Points  # (N, 2) how far each corner house reaches back and ahead, metres
 
     def add_corner_houses(self) -> None:
         """Adds a house with two wings at every corner."""

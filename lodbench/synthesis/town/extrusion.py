@@ -19,17 +19,11 @@ from lodbench.synthesis.town.solid import SolidBuilder
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strip:
-    """The plan of an extruded building, counter-clockwise around its outer line.
+    """The plan of an extruded building, counter-clockwise around its outer line."""
 
-    Attributes:
-        outer: (K, 2) local metres; the building lies to its left.
-        inner: (K, 2), the other side.
-        closed: Whether it runs around a courtyard.
-    """
-
-    outer: Points
-    inner: Points
-    closed: bool = False
+    outer: Points  # (K, 2) local metres; the building lies to its left
+    inner: Points  # (K, 2), the other side
+    closed: bool = False  # whether it runs around a courtyard
 
     @classmethod
     def bent(cls, outer: Points, depths: list[float], *, closed: bool = False) -> Strip:
@@ -79,23 +73,14 @@ class Strip:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wall:
-    """A wall as seen from outside.
+    """A wall as seen from outside."""
 
-    Attributes:
-        face: Its number in the builder.
-        feet: Its lower left and lower right point in the builder.
-        left: (2,) its lower left corner.
-        along: (2,) unit direction to the right.
-        length: Metres.
-        top_m: Height up to which it is a rectangle.
-    """
-
-    face: int
-    feet: tuple[int, int]
-    left: Points
-    along: Points
-    length: float
-    top_m: float
+    face: int  # its number in the builder
+    feet: tuple[int, int]  # its lower left and lower right point in the builder
+    left: Points  # (2,) its lower left corner
+    along: Points  # (2,) unit direction to the right
+    length: float  # metres
+    top_m: float  # height up to which it is a rectangle
 
 
 class Body:

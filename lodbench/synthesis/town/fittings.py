@@ -23,23 +23,14 @@ _MARGIN_M = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Annex:
-    """A flat-roofed extension before a wall, lower than its eaves.
+    """A flat-roofed extension before a wall, lower than its eaves."""
 
-    Attributes:
-        side: ``outer``, ``inner``, ``first`` or ``last``.
-        wing: The wing the wall belongs to.
-        start_m: Distance of its left edge from the wall's left end, seen from outside.
-        length_m: Its length along the wall.
-        depth_m: How far it stands out.
-        height_m: Height above the base.
-    """
-
-    side: str
-    wing: int
-    start_m: float
-    length_m: float
-    depth_m: float
-    height_m: float
+    side: str  # ``outer``, ``inner``, ``first`` or ``last``
+    wing: int  # the wing the wall belongs to
+    start_m: float  # distance of its left edge from the wall's left end, seen from outside
+    length_m: float  # its length along the wall
+    depth_m: float  # how far it stands out
+    height_m: float  # height above the base
 
     def plan(self, body: Body) -> Points:
         """Returns its plan, (4, 2), counter-clockwise, the wall's edge first, from right to left."""
@@ -63,24 +54,15 @@ class Annex:
 
 @dataclass(frozen=True, slots=True)
 class RoofBox:
-    """A box that rises out of a roof face: a dormer on a slope, a lift house on a flat roof.
+    """A box that rises out of a roof face: a dormer on a slope, a lift house on a flat roof."""
 
-    Attributes:
-        wing: The wing of the roof face.
-        slope: Which face across the profile, counted from the outer side.
-        start_m: Distance from the left end of the face's lower edge.
-        width_m: Size along the lower edge.
-        up_m: Plan distance of its front from the lower edge.
-        depth_m: Plan size away from the lower edge.
-        rise_m: Height over the roof at its back: 0 for a dormer whose roof runs level into the slope.
-    """
-
-    wing: int
-    slope: int
-    start_m: float
-    width_m: float
-    up_m: float
-    depth_m: float
+    wing: int  # the wing of the roof face
+    slope: int  # which face across the profile, counted from the outer side
+    start_m: float  # distance from the left end of the face's lower edge
+    width_m: float  # size along the lower edge
+    up_m: float  # plan distance of its front from the lower edge
+    depth_m: float  # plan size away from the lower edge
+    # Height over the roof at its back: 0 for a dormer whose roof runs level into the slope.
     rise_m: float = 0.0
 
     @property

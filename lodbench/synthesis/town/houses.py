@@ -15,23 +15,14 @@ from lodbench.synthesis.town.site import Site
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """How a street of houses is built up.
+    """How a street of houses is built up."""
 
-    Attributes:
-        grow: Size of the houses against small ones.
-        storeys: Least and greatest number of storeys.
-        gap_m: Least and greatest distance between houses along the street.
-        setback_m: Greatest depth of the front garden.
-        rows: Share of terraces among what is built.
-        garages: Share of houses with a garage.
-    """
-
-    grow: float
-    storeys: tuple[int, int]
-    gap_m: tuple[float, float]
-    setback_m: float
-    rows: float
-    garages: float
+    grow: float  # size of the houses against small ones
+    storeys: tuple[int, int]  # least and greatest number of storeys
+    gap_m: tuple[float, float]  # least and greatest distance between houses along the street
+    setback_m: float  # greatest depth of the front garden
+    rows: float  # share of terraces among what is built
+    garages: float  # share of houses with a garage
 
 
 SUBURB = Style(1.05, (1, 2), (6.0, 14.0), 4.5, 0.2, 0.22)

@@ -15,34 +15,22 @@ from lodbench.synthesis.town.shapes import Points
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TownLook:
-    """What two towns differ in besides chance.
+    """What two towns differ in besides chance."""
 
-    Attributes:
-        name: ``test`` or ``train``.
-        rings: How strongly streets lean towards rings and spokes around the market: 0 to 1.
-        relief: Height of the hills against usual ones.
-        half_hipped, shed: Shares of plain gabled houses that get such a roof instead.
-        trees: Density of trees against usual.
-        broadleaf: Share of trees that are no conifers.
-        walls, tiles, flat_roofs, grass: Colours to draw from, (N, 3) RGB in white light.
-        road, water: Colours, (1, 3), likewise.
-        days: Sun, air and season of the flights over it.
-    """
-
-    name: str
-    rings: float
-    relief: float
-    half_hipped: float
-    shed: float
-    trees: float
-    broadleaf: float
-    walls: Points
+    name: str  # ``test`` or ``train``
+    rings: float  # how strongly streets lean towards rings and spokes around the market: 0 to 1
+    relief: float  # height of the hills against usual ones
+    half_hipped: float  # share of plain gabled houses that get such a roof instead
+    shed: float  # likewise
+    trees: float  # density of trees against usual
+    broadleaf: float  # share of trees that are no conifers
+    walls: Points  # colours to draw from, (N, 3) RGB in white light, as the next three
     tiles: Points
     flat_roofs: Points
     grass: Points
-    road: Points
-    water: Points
-    days: LookRanges
+    road: Points  # colour, (1, 3)
+    water: Points  # likewise
+    days: LookRanges  # sun, air and season of the flights over it
 
 
 TEST = TownLook(

@@ -25,38 +25,23 @@ _LOOK_OUT_M = 0.9
 
 @dataclass(frozen=True, slots=True)
 class WindowStyle:
-    """The windows of one building, metres.
+    """The windows of one building, metres."""
 
-    Attributes:
-        width: Of a window.
-        height: Of a window.
-        sill: Above the floor.
-        spacing: From window to window.
-        storey: From floor to floor.
-    """
-
-    width: float
-    height: float
-    sill: float
-    spacing: float
-    storey: float
+    width: float  # of a window
+    height: float  # of a window
+    sill: float  # above the floor
+    spacing: float  # from window to window
+    storey: float  # from floor to floor
 
 
 @dataclass(frozen=True, slots=True)
 class Neighbourhood:
-    """What decides where a building can have windows.
+    """What decides where a building can have windows."""
 
-    Attributes:
-        number: The building's in ``occupancy``.
-        occupancy: Who stands where.
-        terrain: The ground.
-        annex_m: Height up to which its own annexes stand before its walls.
-    """
-
-    number: int
-    occupancy: Occupancy
-    terrain: Terrain
-    annex_m: float
+    number: int  # the building's in ``occupancy``
+    occupancy: Occupancy  # who stands where
+    terrain: Terrain  # the ground
+    annex_m: float  # height up to which its own annexes stand before its walls
 
 
 def window_style(function: str, generator: np.random.Generator) -> WindowStyle | None:

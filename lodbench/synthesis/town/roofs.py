@@ -14,17 +14,11 @@ import numpy as np
 
 
 class RoofShape(NamedTuple):
-    """What all roofs of a shape have in common.
+    """What all roofs of a shape have in common."""
 
-    Attributes:
-        code: Of bldg:roofType in the LoD2 profile of the German surveying authorities.
-        has_chimneys: Whether chimneys stand on it.
-        has_dormers: Whether its slopes are steep and wide enough for dormers.
-    """
-
-    code: str
-    has_chimneys: bool
-    has_dormers: bool
+    code: str  # of bldg:roofType in the LoD2 profile of the German surveying authorities
+    has_chimneys: bool  # whether chimneys stand on it
+    has_dormers: bool  # whether its slopes are steep and wide enough for dormers
 
 
 ROOF_SHAPES = {
@@ -42,18 +36,14 @@ _HALF_HIP_FROM = 0.55  # share of the rise below half hips
 
 @dataclass(frozen=True, slots=True)
 class Roof:
-    """The cross-section of a roof, and how its ends are closed.
+    """The cross-section of a roof, and how its ends are closed."""
 
-    Attributes:
-        name: Of its shape, one of ``ROOF_SHAPES``.
-        profile: (share of the way across, height above the base in metres) from eave to eave.
-        hips_m: How far the ridge stops short of the first and last end; 0 is a gable.
-        hip_from: At which share of the rise hips begin: 0 at the eaves, above that below them is a gable.
-    """
-
-    name: str
+    name: str  # of its shape, one of ``ROOF_SHAPES``
+    # (share of the way across, height above the base in metres) from eave to eave.
     profile: tuple[tuple[float, float], ...]
+    # How far the ridge stops short of the first and last end; 0 is a gable.
     hips_m: tuple[float, float] = (0.0, 0.0)
+    # At which share of the rise hips begin: 0 at the eaves, above that below them is a gable.
     hip_from: float = 0.0
 
     @property

@@ -18,31 +18,20 @@ class Face:
     """A planar polygon: rings of point indices, the outline first, then holes.
 
     Seen from outside the solid the outline runs counter-clockwise and holes clockwise.
-
-    Attributes:
-        kind: What it is part of.
-        rings: Its rings.
-        host: Of an opening, the number of the face whose hole it fills.
-        is_door: Whether an opening is a door, not a window.
     """
 
-    kind: SurfaceKind
-    rings: tuple[Ring, ...]
-    host: int | None = None
-    is_door: bool = False
+    kind: SurfaceKind  # what it is part of
+    rings: tuple[Ring, ...]  # its rings
+    host: int | None = None  # of an opening, the number of the face whose hole it fills
+    is_door: bool = False  # whether an opening is a door, not a window
 
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A body bounded by faces.
+    """A body bounded by faces."""
 
-    Attributes:
-        points: (P, 3) float64 local metres, rounded to millimetres or tenths of them.
-        faces: Its faces, normals outward.
-    """
-
-    points: Points
-    faces: tuple[Face, ...]
+    points: Points  # (P, 3) float64 local metres, rounded to millimetres or tenths of them
+    faces: tuple[Face, ...]  # its faces, normals outward
 
     @property
     def height_m(self) -> float:
@@ -60,13 +49,10 @@ class Solid:
 
 @dataclass(slots=True)
 class SolidBuilder:
-    """Collects points and faces; equal points, to the millimetre, are one.
+    """Collects points and faces; equal points, to the millimetre, are one."""
 
-    Attributes:
-        per_metre: Steps that coordinates are rounded to. Walls with many windows need finer ones: where
-            the edges of windows line up their triangles are slivers, whose area a millimetre changes.
-    """
-
+    # Steps that coordinates are rounded to. Walls with many windows need finer ones: where the edges of
+    # windows line up their triangles are slivers, whose area a millimetre changes.
     per_metre: int = 1000
     _index: dict[tuple[int, int, int], int] = field(default_factory=dict)
     _points: list[tuple[int, int, int]] = field(default_factory=list)

@@ -28,15 +28,10 @@ _BEND_LEAST_M = 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """LandCover between streets.
+    """Land between streets."""
 
-    Attributes:
-        ring: Its edge along the kerbs, (N, 2) local metres, counter-clockwise, nearly convex.
-        beyond_river: Whether it lies on the far bank.
-    """
-
-    ring: Points
-    beyond_river: bool
+    ring: Points  # its edge along the kerbs, (N, 2) local metres, counter-clockwise, nearly convex
+    beyond_river: bool  # whether it lies on the far bank
 
     @property
     def center(self) -> Points:
@@ -46,34 +41,22 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Street:
-    """A street between two crossings, or to the edge of town.
+    """A street between two crossings, or to the edge of town."""
 
-    Attributes:
-        line: (K, 2) its middle, local metres.
-        width_m: From kerb to kerb.
-    """
-
-    line: Points
-    width_m: float
+    line: Points  # (K, 2) its middle, local metres
+    width_m: float  # from kerb to kerb
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreetPlan:
-    """The blocks of a town, the streets between them, and its river.
+    """The blocks of a town, the streets between them, and its river."""
 
-    Attributes:
-        blocks: All blocks; the first is the market square.
-        to_river: (2,) unit direction from the middle of town to the river.
-        banks: The built-up land on either side of the river, (N, 2) rings: blocks and streets.
-        streets: All streets, wide ones first.
-        river: (K, 2) the middle line of the river, far beyond the town at both ends.
-    """
-
-    blocks: tuple[Block, ...]
-    to_river: Points
+    blocks: tuple[Block, ...]  # all blocks; the first is the market square
+    to_river: Points  # (2,) unit direction from the middle of town to the river
+    # The built-up land on either side of the river, (N, 2) rings: blocks and streets.
     banks: tuple[Points, Points]
-    streets: tuple[Street, ...]
-    river: Points
+    streets: tuple[Street, ...]  # all streets, wide ones first
+    river: Points  # (K, 2) the middle line of the river, far beyond the town at both ends
 
 
 def draw_streets(generator: np.random.Generator, rings: float) -> StreetPlan:
@@ -157,12 +140,9 @@ def _block_area(middle: Points) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Warp:
-    """A smooth displacement of the plan: waves much longer than a block.
+    """A smooth displacement of the plan: waves much longer than a block."""
 
-    Attributes:
-        waves: (N, 5) rows of wave vector x, y (radians per metre), phase (radians), displacement x, y (m).
-    """
-
+    # (N, 5) rows of wave vector x, y (radians per metre), phase (radians), displacement x, y (m).
     waves: Points
 
     @classmethod

@@ -18,21 +18,13 @@ _WATER_DEPTH_M = 1.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terrain:
-    """Ground heights: a slope up from the river and a few long waves, sunk into a valley along it.
+    """Ground heights: a slope up from the river and a few long waves, sunk into a valley along it."""
 
-    Attributes:
-        base_m: Height at the river before the waves, metres above sea level.
-        rise: Metres of rise per metre away from the river.
-        waves: (N, 4) rows of wave vector x, y (radians per metre), phase (radians), amplitude (m).
-        river: (K, 2) its middle line, local metres.
-        water_m: Height of the water.
-    """
-
-    base_m: float
-    rise: float
-    waves: Points
-    river: Points
-    water_m: float
+    base_m: float  # height at the river before the waves, metres above sea level
+    rise: float  # metres of rise per metre away from the river
+    waves: Points  # (N, 4) rows of wave vector x, y (radians per metre), phase (radians), amplitude (m)
+    river: Points  # (K, 2) its middle line, local metres
+    water_m: float  # height of the water
 
     @classmethod
     def draw(cls, generator: np.random.Generator, river: Points, relief: float) -> Terrain:

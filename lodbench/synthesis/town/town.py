@@ -44,18 +44,14 @@ _PARK_EVERY, _PARK_FIRST = 17, 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Town:
-    """A town in local metres, x east, y north, its middle at the origin; heights above sea level.
-
-    Attributes:
-        buildings: Block by block from the middle outward, those pulled down before the photos included.
-        districts: District of each block of ``streets``.
-    """
+    """A town in local metres, x east, y north, its middle at the origin; heights above sea level."""
 
     seed: int
     look: TownLook
+    # Block by block from the middle outward, those pulled down before the photos included.
     buildings: tuple[Building, ...]
     streets: StreetPlan
-    districts: tuple[str, ...]
+    districts: tuple[str, ...]  # district of each block of ``streets``
     terrain: Terrain
     occupancy: Occupancy
 

@@ -30,17 +30,11 @@ BELOW_GROUND, TWO_REGIONS = "below the ground", "two regions in view"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedView:
-    """One view to write.
+    """One view to write."""
 
-    Attributes:
-        split: ``train``, ``val`` or ``test``.
-        name: Of its files, without ending.
-        pose: In the scene's frame.
-    """
-
-    split: str
-    name: str
-    pose: Pose
+    split: str  # ``train``, ``val`` or ``test``
+    name: str  # of its files, without ending
+    pose: Pose  # in the scene's frame
 
     @property
     def key(self) -> str:

@@ -28,20 +28,13 @@ MOST_LABELS = _MOST
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureParts:
-    """What a worker draws from.
+    """What a worker draws from."""
 
-    Attributes:
-        scene: The city of the masks.
-        picture_scene: The city as pictures show it, in the same frame.
-        props: Its surroundings.
-        cover: Its land cover, or None where props say all.
-        texture_offset: (3,) what brings the textured mesh into the scene's frame, or None without one.
-    """
-
-    scene: Scene
-    picture_scene: Scene
-    props: SceneProps | None
-    cover: LandCover | None
+    scene: Scene  # the city of the masks
+    picture_scene: Scene  # the city as pictures show it, in the same frame
+    props: SceneProps | None  # its surroundings
+    cover: LandCover | None  # its land cover, or None where props say all
+    # (3,) what brings the textured mesh into the scene's frame, or None without one.
     texture_offset: NDArray[np.float64] | None = None
 
     def digest(self) -> str:
