@@ -116,18 +116,16 @@ def world_parts(
         LodbenchError: The terrain, the props or the textured mesh cannot be read or lies elsewhere.
     """
     props, land = make_surroundings(picture, params.seed, params.terrain)
-    parts = PictureParts(city, picture, props, land.cover)
-    notes: tuple[str, ...] = ()
     if params.texture_model is not None:
         model = Path(params.texture_model).expanduser()
         mesh = read_textured(model, params.texture_up)
         offset, note = offset_to_city(
             mesh, city, model.name, "If it lies on its side, set texture_up=y or z."
         )
-        parts, notes = PictureParts(city, picture, None, None, offset), (note,)
-    elif params.props is not None:
-        parts = PictureParts(city, picture, read_props(Path(params.props).expanduser()), None)
-    return parts, land, notes
+        return PictureParts(city, picture, None, None, offset), land, (note,)
+    if params.props is not None:
+        return PictureParts(city, picture, read_props(Path(params.props).expanduser()), None), land, ()
+    return PictureParts(city, picture, props, land.cover), land, ()
 
 
 def open_cities(params: GenerateParams, options: ReadOptions) -> tuple[Scene, Scene]:

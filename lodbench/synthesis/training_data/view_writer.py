@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.texture_files import read_textured
+from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pictures import encoded, encoded_mask
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
@@ -51,32 +53,17 @@ class PictureParts:
 
 
 class ViewWriter:
-    """Draws and writes the files of views.
-
-    Raises:
-        DatasetError: The textured mesh cannot be read.
-    """
+    """Draws and writes the files of views; a renderer is made when the first file needs it."""
 
     def __init__(self, params: GenerateParams, parts: PictureParts) -> None:
-        self._params, self._camera = params, params.camera
+        self._params, self._parts, self._camera = params, parts, params.camera
         self._silhouette = SilhouetteRenderer(parts.scene, threads=1)
-        self._raster = RasterRenderer(parts.scene, threads=1) if params.labels else None
-        self._photos: PhotoRenderer | None = None
-        self._painter: PhotoRenderer | PyrenderPhotos | None = None
-        if params.images or params.depth or params.occluders_in_mask:
-            mesh = None
-            if params.texture_model is not None and parts.texture_offset is not None:
-                mesh = read_textured(Path(params.texture_model).expanduser(), params.texture_up)
-                mesh = mesh.shifted(parts.texture_offset)
-            self._photos = PhotoRenderer(parts.picture_scene, parts.props, parts.cover, 1, mesh)
-            self._painter = self._photos
-            if params.renderer == "pyrender" and mesh is not None:
-                self._painter = PyrenderPhotos(mesh)
 
     def write(self, view: PlannedView, folder: Path) -> None:
         """Writes the files of a view that are not there yet, each whole or not at all.
 
         Raises:
+            DatasetError: The textured mesh cannot be read.
             OSError: The disk is full, or the folder cannot be written.
         """
         for path in files_of(self._params, view, folder):
@@ -89,28 +76,43 @@ class ViewWriter:
         # The seed and the name decide the look, nothing else.
         stream = random_stream(self._params.seed, "training", "look", view.key)
         look, response = draw_look(self._params.look, stream)
-        assert self._painter is not None  # noqa: S101
         picture = self._painter.photo(self._camera, view.pose, look, response)
         return photo_file(picture, f".{self._params.format}", response)
 
     def _masks(self, view: PlannedView) -> bytes:
         mask = self._silhouette.render(self._camera, view.pose)
         if self._params.occluders_in_mask:
-            mask &= ~self._photo_renderer.occluders(self._camera, view.pose)
+            mask &= ~self._photos.occluders(self._camera, view.pose)
         return encoded_mask(mask, bilevel=True)
 
     def _labels(self, view: PlannedView) -> bytes:
-        assert self._raster is not None  # noqa: S101
         building = self._raster.draw(self._camera, view.pose).building
         return encoded((building + 1).astype(np.uint16), ".png")
 
     def _depth(self, view: PlannedView) -> bytes:
-        depth = self._photo_renderer.depth(self._camera, view.pose).astype(np.float64)
+        depth = self._photos.depth(self._camera, view.pose).astype(np.float64)
         return encoded(np.rint(np.minimum(depth * 100.0, _MOST)).astype(np.uint16), ".png")
 
-    @property
-    def _photo_renderer(self) -> PhotoRenderer:
-        assert self._photos is not None  # noqa: S101
+    @cached_property
+    def _raster(self) -> RasterRenderer:
+        return RasterRenderer(self._parts.scene, threads=1)
+
+    @cached_property
+    def _mesh(self) -> TexturedMesh | None:
+        model, offset = self._params.texture_model, self._parts.texture_offset
+        if model is None or offset is None:
+            return None
+        return read_textured(Path(model).expanduser(), self._params.texture_up).shifted(offset)
+
+    @cached_property
+    def _photos(self) -> PhotoRenderer:
+        parts = self._parts
+        return PhotoRenderer(parts.picture_scene, parts.props, parts.cover, 1, self._mesh)
+
+    @cached_property
+    def _painter(self) -> PhotoRenderer | PyrenderPhotos:
+        if self._params.renderer == "pyrender" and self._mesh is not None:
+            return PyrenderPhotos(self._mesh)
         return self._photos
 
 
