@@ -18,9 +18,10 @@ from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.storage import make_folder, new_folder, random_stream, write_bytes
+from lodbench.storage import make_folder, random_stream, write_bytes
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
+from lodbench.synthesis.queries import written_once
 from lodbench.synthesis.survey.textured_map import write_textured_map
 from lodbench.synthesis.town.build import CITY_FILE, DEMO_CODE, FINE_CITY_FILE, build_demo, code_digest
 from lodbench.synthesis.town.looks import look_named
@@ -119,8 +120,7 @@ def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
             truth = demo.truth[entry.key].shifted(-scene.origin)
             (seen,) = raster.buildings(entry.camera, truth.rotation[None], truth.center[None])
             labels = degraded_instances(seen, mask > 0, random_stream(seed, "demo", entry.name, "instances"))
-            file = folder / entry.split / f"{Path(entry.name).stem}.png"
-            make_folder(file.parent)
+            file = make_folder(folder / entry.split) / f"{Path(entry.name).stem}.png"
             write_bytes(file, encoded_labels(labels), False)
 
     return _kept_beside(demo.root, "instances", LABEL_CODE, write)
@@ -128,10 +128,4 @@ def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
 
 def _kept_beside(root: Path, kind: str, code: tuple[str, ...], write: Callable[[Path], None]) -> Path:
     """Returns a folder beside a demo's, written first if it is not there; its name holds a digest of code."""
-    folder = root.with_name(f"{root.name}-{kind}-{code_digest(*code)}")
-    if not folder.is_dir():
-        make_folder(folder.parent)
-        # Another process that is as quick leaves a folder of the same bytes.
-        with new_folder(folder) as building:
-            write(building)
-    return folder
+    return written_once(root.with_name(f"{root.name}-{kind}-{code_digest(*code)}"), write)

@@ -1,8 +1,8 @@
-"""Made-up queries, and the one way they become a folder that ``dataset=folder`` reads."""
+"""Made-up queries, and the one way they become a folder that ``dataset=folder`` reads, written once."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from lodbench.datasets.folder import write_poses
 from lodbench.datasets.instance_labels import INSTANCES_FOLDER, encoded_labels
 from lodbench.datasets.pictures import encoded_mask
 from lodbench.geometry import Camera, Pose
-from lodbench.storage import make_folder, write_bytes
+from lodbench.storage import make_folder, new_folder, write_bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +32,16 @@ class SyntheticQuery:
     def file_name(self) -> str:
         """Returns the name of its image in a folder."""
         return self.name if self.photo is not None else f"{self.name}.png"
+
+
+def written_once(folder: Path, write: Callable[[Path], None]) -> Path:
+    """Returns a folder that is filled first if it is not there; it appears whole or not at all."""
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        # Another process that is as quick leaves a folder of the same bytes.
+        with new_folder(folder) as building:
+            write(building)
+    return folder
 
 
 def write_queries(
@@ -53,20 +63,13 @@ def write_queries(
     make_folder(folder / "masks")
     truth = {query.file_name: query.truth.shifted(origin) for query in queries}
     priors = {query.file_name: query.prior.shifted(origin) for query in queries}
-    write_poses(
-        folder,
-        {query.file_name: camera for query in queries},
-        truth,
-        priors,
-        decimals=decimals,
-        survives_power_cut=False,
-    )
+    cameras = dict.fromkeys(truth, camera)
+    write_poses(folder, cameras, truth, priors, decimals=decimals, survives_power_cut=False)
     for query in queries:
-        write_bytes((folder / "masks" / query.file_name).with_suffix(".png"), encoded_mask(query.mask), False)
+        name = f"{Path(query.file_name).stem}.png"
+        write_bytes(folder / "masks" / name, encoded_mask(query.mask), False)
         if query.instances is not None:
-            make_folder(folder / INSTANCES_FOLDER)
-            file = (folder / INSTANCES_FOLDER / query.file_name).with_suffix(".png")
+            file = make_folder(folder / INSTANCES_FOLDER) / name
             write_bytes(file, encoded_labels(query.instances), False)
         if query.photo is not None:
-            make_folder(folder / "Query_image")
-            write_bytes(folder / "Query_image" / query.name, query.photo, False)
+            write_bytes(make_folder(folder / "Query_image") / query.name, query.photo, False)

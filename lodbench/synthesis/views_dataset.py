@@ -25,12 +25,12 @@ from lodbench.errors import ConfigError, DatasetError, nearest_names, require_nu
 from lodbench.geometry import Camera
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
+from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
 from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.mask_degradation import mask_iou as iou_of
-from lodbench.synthesis.queries import SyntheticQuery, write_queries
+from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
 from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
@@ -60,9 +60,8 @@ class World:
     tilt: float = 1.0  # pitch and roll of the priors err so many times as far as told
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _WORLD_LIMITS.items():
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError(f"world.{name} lies within {low} and {high}, not {getattr(self, name)}.")
+        for name, bounds in _WORLD_LIMITS.items():
+            require_within(f"world.{name}", getattr(self, name), *bounds)
 
     @classmethod
     def parse(cls, text: str) -> World:
@@ -88,8 +87,7 @@ class World:
 
     def describe(self) -> str:
         """Returns in words what is wrong, or "" where nothing is."""
-        plain = World()
-        wrong = [f for f in fields(self) if getattr(self, f.name) != getattr(plain, f.name)]
+        wrong = [f for f in fields(self) if getattr(self, f.name) != f.default]
         return ", ".join(f"{f.name}={getattr(self, f.name):g}" for f in wrong)
 
     def seen(self, scene: Scene) -> Scene:
@@ -201,18 +199,17 @@ def open_views(params: ViewsParams) -> Dataset:
     of_the_scene = ("city_model", "lod", "crs", "name", "layers")  # its digest says it
     drawn = {key: value for key, value in asdict(params).items() if key not in of_the_scene}
     key = digest_of([VIEWS_VERSION, "instances", drawn, scene.digest(), scene.origin.tolist()])
-    root = cache_root() / "views" / key
-    if not root.is_dir():
-        make_folder(root.parent)
-        renderer = make_renderer("silhouette", scene, None)
-        queries, rejections = draw_queries(scene, renderer, params)
+
+    def write(folder: Path) -> None:
+        queries, rejections = draw_queries(scene, make_renderer("silhouette", scene, None), params)
         camera = RGB_CAMERA
         if params.look is not None:
             camera = RGB_CAMERA.scaled(*PHOTO_SIZE)
             queries = Photographer(scene, params.look, params.views_seed).views(queries, camera)
-        with new_folder(root) as building:
-            write_queries(building / SPLIT, queries, camera, scene.origin)
-            write_text(building / _FACTS_FILE, json.dumps({"rejections": rejections, "mask_lod": scene.lod}))
+        write_queries(folder / SPLIT, queries, camera, scene.origin)
+        write_text(folder / _FACTS_FILE, json.dumps({"rejections": rejections, "mask_lod": scene.lod}))
+
+    root = written_once(cache_root() / "views" / key, write)
     same = {key: getattr(params, key) for key in ("lod", "crs", "roof_height", "name", "layers")}
     folder = open_folder(FolderParams(str(root), str(city), **same))
     look = "" if params.look is None else f", look {params.look}"

@@ -20,9 +20,9 @@ from lodbench.storage import random_stream, write_bytes
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.photo import CameraResponse, Look, LookRanges, draw_look
-from lodbench.synthesis.photo.camera_response import apply_camera_response
 from lodbench.synthesis.photo.kernel import Shading, plain_shading
 from lodbench.synthesis.photo.render_scene import ON_GROUND, make_render_scene, make_skin
+from lodbench.synthesis.photo.renderer import apply_camera_response
 from lodbench.synthesis.photo.sunlight import draw_sun_map
 from lodbench.synthesis.survey.baking import baked, corner_light, lay_out_faces, lay_out_ground
 from lodbench.synthesis.town.building import Age

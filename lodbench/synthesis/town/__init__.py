@@ -3,7 +3,7 @@
 From the ground up:
 
 - the land: ``terrain`` (hills and a valley), ``streets`` (blocks and streets), ``shapes`` (plane geometry);
-- what is built on a block: ``closed_blocks``, ``houses``, ``landmarks``
+- what is built on a block: ``houses``, ``landmarks``
   (also flats and works), ``site`` (whether one more plan fits), ``occupancy`` (who stands where);
 - a building: ``extrusion`` (a roof's cross-section along a path), ``roofs`` (the shapes), ``fittings``
   (annexes, dormers, chimneys), ``openings``, ``solid`` (closed bodies), and ``building``, which

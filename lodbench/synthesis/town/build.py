@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from lodbench.citymodel import open_scene
 from lodbench.errors import DatasetError
-from lodbench.storage import digest_of, file_digest, make_folder, new_folder, write_text
+from lodbench.storage import digest_of, file_digest, write_text
 from lodbench.storage.json_text import parse_json
 from lodbench.synthesis.objects.scene_props import write_props
-from lodbench.synthesis.queries import write_queries
+from lodbench.synthesis.queries import write_queries, written_once
 from lodbench.synthesis.town.citygml_writer import (
     CRS_NAME,
     ascii_grid_text,
@@ -73,11 +73,7 @@ def build_demo(root: Path, *, num_queries: int = 40, seed: int = 0, look: str = 
     }
     if root.exists() and _is_same_demo(root, asked):
         return root
-    make_folder(root.parent)
-    # Another process that is as quick leaves a demo of the same bytes.
-    with new_folder(root) as building:
-        _write_demo(building, asked)
-    return root
+    return written_once(root, partial(_write_demo, asked))
 
 
 @cache
@@ -108,7 +104,7 @@ def _is_same_demo(root: Path, asked: dict[str, Any]) -> bool:
     return True
 
 
-def _write_demo(folder: Path, asked: dict[str, Any]) -> None:
+def _write_demo(asked: dict[str, Any], folder: Path) -> None:
     town = grow_town(asked["seed"], look_named(asked["look"]))
     props = demo_props(town)
     texts = {

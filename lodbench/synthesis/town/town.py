@@ -13,9 +13,8 @@ import numpy as np
 from lodbench.storage import random_stream
 from lodbench.synthesis.town import landmarks
 from lodbench.synthesis.town.building import Age, Building, Plan, construct_all
-from lodbench.synthesis.town.closed_blocks import add_closed_block
 from lodbench.synthesis.town.fittings import chance
-from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, add_houses
+from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, add_closed_block, add_houses
 from lodbench.synthesis.town.looks import TEST, TownLook
 from lodbench.synthesis.town.occupancy import Occupancy
 from lodbench.synthesis.town.shapes import Points, area, inset
