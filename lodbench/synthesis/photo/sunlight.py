@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.compiled import per_pixel
 from lodbench.rendering.raster import RasterRenderer
+from lodbench.synthesis.photo.noise import dot, plus
 
 Floats = NDArray[np.float64]
 
@@ -97,16 +98,12 @@ def sun_share(point, normal, facing, sun_map):  # type: ignore[no-untyped-def]  
     # Off the surface by a map pixel and more where light grazes it: it must not shade itself.
     push = sun_map.texel_m * (0.6 + 0.8 * (1.0 - facing))
     c, r = sun_map.center, sun_map.rotation
-    dx, dy, dz = (
-        point[0] + push * normal[0] - c[0],
-        point[1] + push * normal[1] - c[1],
-        point[2] + push * normal[2] - c[2],
-    )
-    depth = r[2][0] * dx + r[2][1] * dy + r[2][2] * dz
+    way = plus(plus(point, normal, push), c, -1.0)
+    depth = dot(r[2], way)
     size = sun_map.depth.shape[0]
     scale = sun_map.focal / depth
-    u = (r[0][0] * dx + r[0][1] * dy + r[0][2] * dz) * scale + 0.5 * size - 0.5
-    v = (r[1][0] * dx + r[1][1] * dy + r[1][2] * dz) * scale + 0.5 * size - 0.5
+    u = dot(r[0], way) * scale + 0.5 * size - 0.5
+    v = dot(r[1], way) * scale + 0.5 * size - 0.5
     i, j = np.int64(np.floor(u)), np.int64(np.floor(v))
     if i < 0 or j < 0 or i >= size - 1 or j >= size - 1:
         return 1.0

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.rendering.compiled import per_pixel, pixel_loop
 from lodbench.synthesis.photo.kernel import Shading, flat_normal, out_of_crown, surface_light
+from lodbench.synthesis.photo.noise import scaled
 from lodbench.synthesis.photo.surfaces import surface_colour
 
 Floats = NDArray[np.float64]
@@ -137,7 +138,7 @@ def _surface_light(triangle, point, pixel_m, shading):  # type: ignore[no-untype
         normal = out_of_crown(skin, triangle, point)
     albedo, _ = surface_colour(triangle, point, normal, pixel_m, shading)
     # What mirrors the sky looks different from everywhere: a map shows it dull.
-    return surface_light(albedo, 0.0, point, normal, (-normal[0], -normal[1], -normal[2]), shading)
+    return surface_light(albedo, 0.0, point, normal, scaled(normal, -1.0), shading)
 
 
 @pixel_loop
