@@ -1,18 +1,13 @@
 """What stands in a picture besides the plain city model: ground, roads, trees, cars, detailed buildings.
 
 A city file of LoD1 or LoD2 gives masks; a photo of the place shows more. ``SceneProps`` is that more:
-triangles with the class of their surface and a base colour, to be drawn by a colour renderer. It is
-made in two ways, and a renderer takes either:
+triangles with the class of their surface and a base colour. ``town.props`` makes the demo town's, at level of
+detail 3, in the town's own look; ``surroundings`` those of any city from footprints and building bases.
 
-- ``lodbench.synthesis.town.props`` makes the demo town's, at level of detail 3, in the town's own look;
-- ``lodbench.synthesis.surroundings`` makes those of any city from footprints and building bases.
-
-What a renderer does with them: it draws the triangles of ``SceneProps`` and, where they hold no
-building surfaces (``has_buildings`` is false), those of the city's ``Scene`` too. Where they do, the
-buildings are complete, windows included: the scene's are not drawn, and no facade is painted on.
-Occluders (trees, cars and fences) hide what is behind them in the picture; whether they do in a mask is up to
-the caller. Ground surfaces need no depth bias: what lies on the ground is cut out of it or
-stands at least 3 cm above.
+A renderer draws them and, where they hold no building surfaces (``has_buildings`` is false), the triangles of
+the city's ``Scene`` too. Where they do, the buildings are complete, windows included: no facade is painted
+on. Occluders (trees, cars, fences) hide what is behind them in the picture; whether they do in a mask is up
+to the caller. Ground needs no depth bias: what lies on it is cut out of it or stands at least 3 cm above.
 """
 
 from __future__ import annotations
@@ -61,11 +56,6 @@ class SurfaceClass(IntEnum):
     def is_ground(self) -> bool:
         """Whether it lies on the ground or is the ground."""
         return self < SurfaceClass.WALL
-
-    @property
-    def is_occluder(self) -> bool:
-        """Whether it stands before buildings without being one."""
-        return self >= SurfaceClass.TRUNK
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,10 +39,8 @@ def lay_out_ground(
 ) -> Layout:
     """Returns ground triangles seen from above; those that reach out of the picture are left out.
 
-    Args:
-        corners: (T, 3, 3) of all triangles, metres.
-        triangle: (N,) numbers of those of the ground in a square.
-        square: West and south edges of the picture, and its side, metres.
+    They are those with some numbers, (N,), of all corners, (T, 3, 3) metres. The picture's square is its west
+    and south edges and its side, metres.
     """
     west, south, side = square
     texels = (corners[triangle, :, :2] - (west, south)) / _GROUND_TEXEL_M
@@ -55,10 +53,8 @@ def lay_out_ground(
 def lay_out_faces(corners: Floats, triangle: NDArray[np.int64], polygon: NDArray[np.int64]) -> Layout:
     """Returns the triangles of planar polygons, each polygon on a rectangle, packed in rows.
 
-    Args:
-        corners: (T, 3, 3) of all triangles, metres.
-        triangle: (N,) numbers of those to lay out, those of one polygon in a row.
-        polygon: (T,) polygon of each triangle; small ones are left out.
+    They are those with some numbers, (N,), of all corners, (T, 3, 3) metres; those of one polygon, of which
+    ``polygon``, (T,), tells, lie in a row. Small polygons are left out.
     """
     starts = np.flatnonzero(np.diff(polygon[triangle], prepend=-1))
     own = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(triangle))))
@@ -108,11 +104,7 @@ def baked(layout: Layout, corners: Floats, shading: Shading) -> NDArray[np.float
     """Returns the (H, W, 3) linear RGB of a layout's picture; 0 where no triangle lies.
 
     Later triangles lie on earlier ones. Each is painted a texel further than it reaches, below all others.
-
-    Args:
-        layout: Triangles on the picture.
-        corners: (T, 3, 3) of all triangles, metres.
-        shading: Of all triangles.
+    Corners, (T, 3, 3) metres, and shading are of all triangles.
     """
     width, height = layout.size
     light = np.zeros((height, width, 3), dtype=np.float32)

@@ -5,7 +5,7 @@ What stood then, in the colours it had, in another season.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,10 +26,9 @@ from lodbench.synthesis.photo.renderer import apply_camera_response
 from lodbench.synthesis.photo.sunlight import draw_sun_map
 from lodbench.synthesis.survey.baking import baked, corner_light, lay_out_faces, lay_out_ground
 from lodbench.synthesis.town.building import Age
-from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.props import add_buildings, building_colours, fine_bodies
-from lodbench.synthesis.town.town import Town
+from lodbench.synthesis.town.town import ORIGIN_M, Town
 from lodbench.synthesis.town.trees_and_cars import add_greenery
 
 Floats = NDArray[np.float64]
@@ -71,15 +70,9 @@ def write_textured_map(path: Path, town: Town, scene: Scene) -> None:
 
     It is in the local frame of the scene, which is the town's at any level of detail.
     """
-    write_bytes(path, _glb(map_patches(town, scene)), survives_power_cut=False)
-
-
-def map_patches(town: Town, scene: Scene) -> Iterator[Patch]:
-    """Yields the map's triangles with their pictures, tile by tile, then what has colours only."""
     painter = _Painter(town, scene)
-    for cell in np.ndindex(_TILES, _TILES):
-        yield from painter.tile(np.array(cell))
-    yield painter.around()
+    tiles = [patch for cell in np.ndindex(_TILES, _TILES) for patch in painter.tile(np.array(cell))]
+    write_bytes(path, _glb([*tiles, painter.around()]), survives_power_cut=False)
 
 
 class _Painter:
@@ -133,7 +126,7 @@ class _Painter:
         return Patch(name, self.corners[triangle], None, apply_camera_response(light, sharp))
 
 
-def _glb(patches: Iterator[Patch]) -> bytes:
+def _glb(patches: Sequence[Patch]) -> bytes:
     """Returns patches as a binary glTF file, y up, pictures as JPEG."""
     from PIL import Image
 
@@ -173,14 +166,18 @@ def town_then(town: Town) -> tuple[SceneProps, NDArray[np.int64]]:
     add_ground(builder, town)
     add_greenery(builder, town)
     land = builder.build(ORIGIN_M)
-    land = land.part(~_is_young(land, town.seed))
+    draws = random_stream(town.seed, "demo", "survey", "trees").random(int(land.objects.max()) + 1)
+    is_tree = np.isin(land.surface, (SurfaceClass.FOLIAGE, SurfaceClass.TRUNK))
+    # Some trees were planted since.
+    land = land.part(~(is_tree & (draws[land.objects] < YOUNG_TREES)))
     gone = builder.new_objects(len(town.mapped))
     numbers = np.array([now.get(b.identifier, gone[k]) for k, b in enumerate(town.mapped)], dtype=np.int64)
     colours = np.stack([_colours_then(town, building.identifier) for building in town.mapped])
     then = MeshBuilder(len(now))
     bodies = [[(b.lod2, None)] if b.age is Age.RAISED else fine_bodies(b) for b in town.mapped]
     polygon = add_buildings(then, bodies, colours, numbers)
-    then.add_props(land)
+    points, triangles = land.vertices.astype(np.float64), land.triangles.astype(np.int64)
+    then.add(land.surface, points, triangles, land.tint.astype(float), land.objects.astype(np.int64))
     return then.build(ORIGIN_M), np.concatenate([polygon, np.full(len(land), -1)])
 
 
@@ -201,10 +198,3 @@ def _colours_then(town: Town, name: str) -> NDArray[np.float64]:
     if draws[1] < REROOFED:
         colours[1:3] = other[1:3]
     return colours
-
-
-def _is_young(props: SceneProps, seed: int) -> NDArray[np.bool_]:
-    """Tells which triangles are of trees that were planted since."""
-    draws = random_stream(seed, "demo", "survey", "trees").random(int(props.objects.max()) + 1)
-    is_tree = np.isin(props.surface, (SurfaceClass.FOLIAGE, SurfaceClass.TRUNK))
-    return np.asarray(is_tree & (draws[props.objects] < YOUNG_TREES))

@@ -7,7 +7,7 @@ faces are planar, and ridges of wings meet.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from lodbench.synthesis.town.shapes import Points, edge_directions, left_of, par
 from lodbench.synthesis.town.solid import SolidBuilder
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Strip:
+class Strip(NamedTuple):
     """The plan of an extruded building, counter-clockwise around its outer line."""
 
     outer: Points  # (K, 2) local metres; the building lies to its left
@@ -71,8 +70,7 @@ class Strip:
         return np.asarray(self.outer + share * (self.inner - self.outer))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Wall:
+class Wall(NamedTuple):
     """A wall as seen from outside."""
 
     face: int  # its number in the builder
@@ -86,18 +84,7 @@ class Wall:
 class Body:
     """An extruded building while it is built: its faces by place, so that details can cut into them.
 
-    Args:
-        strip: Its plan.
-        roof: Its roof.
-        base_m: Height it stands on.
-        overhang_m: How far a roof without hips stands out over the walls below its eaves.
-        per_metre: Precision of its points.
-
-    Attributes:
-        ground: Its lowest face.
-        walls: By side (``outer``, ``inner``, ``first``, ``last``) and wing.
-        slopes: Roof faces by wing and place in the roof's profile.
-        dormers: Front faces of what was built into slopes.
+    It stands on ``base_m``; a roof without hips stands out over the walls by ``overhang_m`` below its eaves.
     """
 
     def __init__(
@@ -105,9 +92,10 @@ class Body:
     ) -> None:
         self.strip, self.roof, self.base_m = strip, roof, base_m
         self.builder = SolidBuilder(per_metre)
+        # By side (``outer``, ``inner``, ``first``, ``last``) and wing.
         self.walls: dict[tuple[str, int], Wall] = {}
-        self.slopes: dict[tuple[int, int], int] = {}
-        self.dormers: list[int] = []
+        self.slopes: dict[tuple[int, int], int] = {}  # roof faces by wing and place in the roof's profile
+        self.dormers: list[int] = []  # front faces of what was built into slopes
         self._low = outer, inner = [self.builder.points(line, base_m) for line in (strip.outer, strip.inner)]
         profile, self._num_soffits = _with_overhang(roof, strip, overhang_m)
         self._sections = [self.builder.points(strip.across(t), base_m + height) for t, height in profile]

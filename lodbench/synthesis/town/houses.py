@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from lodbench.synthesis.town.shapes import (
 from lodbench.synthesis.town.site import Site
 
 
-@dataclass(frozen=True, slots=True)
-class Style:
+class Style(NamedTuple):
     """How a street of houses is built up."""
 
     grow: float  # size of the houses against small ones
@@ -41,9 +40,8 @@ OLD_LANES = Style(1.15, (2, 3), (0.8, 3.5), 1.2, 0.7, 0.1)
 
 def add_houses(site: Site, style: Style) -> None:
     """Adds houses on every side of a block."""
-    for along, start, length in zip(
-        edge_directions(site.ring), site.ring, edge_lengths(site.ring).tolist(), strict=True
-    ):
+    ring = site.ring
+    for start, along, length in zip(ring, edge_directions(ring), edge_lengths(ring).tolist(), strict=True):
         _add_street(site, style, start, along, length)
 
 
@@ -161,8 +159,7 @@ def _corner_legs(ring: Points, depth: float, generator: np.random.Generator) -> 
     return legs
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ClosedBlock:
+class _ClosedBlock(NamedTuple):
     """A block while its houses are placed."""
 
     site: Site  # the block

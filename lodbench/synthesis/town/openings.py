@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.synthesis.town.extrusion import Body, Wall
 from lodbench.synthesis.town.fittings import STOREY_M, chance
-from lodbench.synthesis.town.occupancy import NOBODY, Occupancy
 from lodbench.synthesis.town.shapes import Points, left_of
-from lodbench.synthesis.town.terrain import Terrain
+from lodbench.synthesis.town.terrain import NOBODY, Occupancy, Terrain
 
 # Openings keep this far from corners, eaves and the ground.
 _MARGIN_M = 0.45
@@ -23,8 +22,7 @@ _GATE_M = (2.5, 2.1)
 _LOOK_OUT_M = 0.9
 
 
-@dataclass(frozen=True, slots=True)
-class WindowStyle:
+class WindowStyle(NamedTuple):
     """The windows of one building, metres."""
 
     width: float  # of a window
@@ -34,8 +32,7 @@ class WindowStyle:
     storey: float  # from floor to floor
 
 
-@dataclass(frozen=True, slots=True)
-class Neighbourhood:
+class Neighbourhood(NamedTuple):
     """What decides where a building can have windows."""
 
     number: int  # the building's in ``occupancy``
@@ -79,7 +76,10 @@ def add_openings(
         if style is not None:
             windows += _add_windows(body, wall, style, place, door)
     for front in body.dormers:
-        _add_dormer_window(body, front)
+        corners = body.builder.corners(front)
+        middle = corners.mean(axis=0)
+        if np.ptp(corners[:, 2]) > 0.7 and len(corners) == 4:
+            body.builder.add_opening(front, middle + 0.66 * (corners - middle))
     return windows
 
 
@@ -145,14 +145,6 @@ def _cut(
     corners = np.array([(*left, low), (*right, low), (*right, low + height), (*left, low + height)])
     body.builder.add_opening(wall.face, corners, is_door=is_door)
     return corners
-
-
-def _add_dormer_window(body: Body, front: int) -> None:
-    """Cuts a window into the front of a dormer where it is high enough."""
-    corners = body.builder.corners(front)
-    middle = corners.mean(axis=0)
-    if np.ptp(corners[:, 2]) > 0.7 and len(corners) == 4:
-        body.builder.add_opening(front, middle + 0.66 * (corners - middle))
 
 
 def has_balconies(eave_m: float, function: str, district: str, generator: np.random.Generator) -> bool:

@@ -7,7 +7,6 @@ common, and a place that builds it: ``fittings`` or ``landmarks``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,8 +33,7 @@ ROOF_SHAPES = {
 _HALF_HIP_FROM = 0.55  # share of the rise below half hips
 
 
-@dataclass(frozen=True, slots=True)
-class Roof:
+class Roof(NamedTuple):
     """The cross-section of a roof, and how its ends are closed."""
 
     name: str  # of its shape, one of ``ROOF_SHAPES``
@@ -63,7 +61,7 @@ class Roof:
 
     def lowered(self, by_m: float) -> Roof:
         """Returns the same roof over lower walls."""
-        return replace(self, profile=tuple((share, height - by_m) for share, height in self.profile))
+        return self._replace(profile=tuple((share, height - by_m) for share, height in self.profile))
 
     @property
     def ridge_m(self) -> float:

@@ -7,7 +7,7 @@ streets, so that no two blocks are alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,14 +20,15 @@ _RIVER_AT_M = 225.0
 _RIVER_REACH_M = 2400.0
 # Street widths by the generation of the cut: avenues, streets, lanes.
 _STREET_WIDTHS_M = (22.0, 17.0, 14.0, 12.0, 10.5)
+# Distances from the middle of town, metres, and the usual area of blocks there.
+_BLOCK_M2 = (0.0, 180.0, 320.0, 520.0), (6200.0, 8600.0, 10500.0, 14000.0)
 # Edges longer than this may bend when they are warped.
 _BEND_EVERY_M = 60.0
 # A corner nearer to a straight line than this is no corner.
 _BEND_LEAST_M = 0.9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
+class Block(NamedTuple):
     """Land between streets."""
 
     ring: Points  # its edge along the kerbs, (N, 2) local metres, counter-clockwise, nearly convex
@@ -39,16 +40,14 @@ class Block:
         return np.asarray(self.ring.mean(axis=0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Street:
+class Street(NamedTuple):
     """A street between two crossings, or to the edge of town."""
 
     line: Points  # (K, 2) its middle, local metres
     width_m: float  # from kerb to kerb
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StreetPlan:
+class StreetPlan(NamedTuple):
     """The blocks of a town, the streets between them, and its river."""
 
     blocks: tuple[Block, ...]  # all blocks; the first is the market square
@@ -95,7 +94,9 @@ class _Divider:
         """Returns the blocks that land falls into, each cut by a street narrower than the last."""
         along, length, _ = box_of(ring)
         middle = ring.mean(axis=0)
-        if area(ring) < _block_area(middle) * self._generator.uniform(0.75, 1.3):
+        # Blocks are small and dense in the old town.
+        usual = float(np.interp(np.hypot(*middle), *_BLOCK_M2))
+        if area(ring) < usual * self._generator.uniform(0.75, 1.3):
             return [ring]
         through = middle + along * length * self._generator.uniform(-0.09, 0.09)
         across = self._street_normal(along, through)
@@ -133,13 +134,7 @@ def _clipped(line: Points, ring: Points) -> Points:
     return np.stack([line[0] + first * way, line[0] + last * way])
 
 
-def _block_area(middle: Points) -> float:
-    """Returns the usual block area, square metres: small and dense in the old town."""
-    return float(np.interp(np.hypot(*middle), [0.0, 180.0, 320.0, 520.0], [6200.0, 8600.0, 10500.0, 14000.0]))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Warp:
+class _Warp(NamedTuple):
     """A smooth displacement of the plan: waves much longer than a block."""
 
     # (N, 5) rows of wave vector x, y (radians per metre), phase (radians), displacement x, y (m).
