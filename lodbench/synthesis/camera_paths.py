@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from lodbench.synthesis.training_data.params import GenerateParams
 
 Floats = NDArray[np.float64]
+Pair = tuple[float, float]
 
 
 class Place(NamedTuple):
@@ -158,12 +159,12 @@ def _orbit(target: Floats, generator: np.random.Generator, count: int) -> Iterat
 
 def _facade(target: Floats, generator: np.random.Generator, count: int) -> Iterator[Pose]:
     """Yields poses of a strip past a row of buildings, which look at them from the side."""
-    return _straight(target, generator, count, (45.0, 80.0), (55.0, 70.0), ahead=0.0, aside=0.1)
+    return _straight(target, generator, count, (45.0, 80.0), (55.0, 70.0), (0.0, 0.1))
 
 
 def _corridor(target: Floats, generator: np.random.Generator, count: int) -> Iterator[Pose]:
     """Yields poses along a straight line, the camera looking ahead and down."""
-    return _straight(target, generator, count, (70.0, 120.0), (40.0, 60.0), ahead=0.15, aside=0.0)
+    return _straight(target, generator, count, (70.0, 120.0), (40.0, 60.0), (0.15, 0.0))
 
 
 # Each yields poses around a target, (3,) metres, given how many are wanted.
@@ -176,21 +177,14 @@ FLIGHT_PATHS: dict[str, Callable[[Floats, np.random.Generator, int], Iterator[Po
 
 
 def _straight(
-    target: Floats,
-    generator: np.random.Generator,
-    count: int,
-    height_m: tuple[float, float],
-    pitch_deg: tuple[float, float],
-    *,
-    ahead: float,
-    aside: float,
+    target: Floats, generator: np.random.Generator, count: int, height_m: Pair, pitch_deg: Pair, step: Pair
 ) -> Iterator[Pose]:
     """Yields poses over a place on a line, each so many heights ahead of the last and to its right."""
     height, pitch = generator.uniform(*height_m), generator.uniform(*pitch_deg)
     heading = generator.uniform(-180.0, 180.0)
     for k in range(2 * count):
-        step = k - 0.5 * (2 * count - 1)
-        spot = target + _turned(step * ahead * height, step * aside * height, heading)
+        ahead, aside = ((k - 0.5 * (2 * count - 1)) * share * height for share in step)
+        spot = target + _turned(ahead, aside, heading)
         yield _drifting(spot, height, pitch, heading, generator)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,11 @@ from lodbench.datasets.pictures import encoded_mask
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import make_folder, new_folder, write_bytes
 
+Floats = NDArray[np.float64]
+Decimals = tuple[int, int] | None  # of quaternions and of metres
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SyntheticQuery:
+
+class SyntheticQuery(NamedTuple):
     """What is made up for one view, in the scene's local frame."""
 
     name: str  # of the view; its random streams follow from it
@@ -45,20 +47,12 @@ def written_once(folder: Path, write: Callable[[Path], None]) -> Path:
 
 
 def write_queries(
-    folder: Path,
-    queries: Sequence[SyntheticQuery],
-    camera: Camera,
-    origin: NDArray[np.float64],
-    decimals: tuple[int, int] | None = None,
+    folder: Path, queries: Sequence[SyntheticQuery], camera: Camera, origin: Floats, decimals: Decimals = None
 ) -> None:
-    """Writes all of one split, in a folder that becomes one once it is full.
+    """Writes all of one split, taken by one camera, in a folder that becomes one once it is full.
 
-    Args:
-        folder: The split's, which is made.
-        queries: Its queries.
-        camera: Of all of them.
-        origin: (3,) of the scene's frame, coordinates of the city's CRS.
-        decimals: Of the poses; None for as many as restore them.
+    ``origin``, (3,), is that of the scene's frame in the city's CRS. Without ``decimals`` poses have as many
+    as restore them.
     """
     make_folder(folder / "masks")
     truth = {query.file_name: query.truth.shifted(origin) for query in queries}

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 from lodbench.citymodel.scene import Scene
@@ -21,12 +20,7 @@ PHOTO_SIZE = (1204, 902)
 
 
 class Photographer:
-    """Draws photos of one city, whose surroundings stay the same; a photo depends on seed and names only.
-
-    Args:
-        scene: The city as photos show it.
-        look: A name of ``conf/training``.
-        seed: Of surroundings and looks.
+    """Draws photos of one city in a look of ``conf/training``; a photo depends on seed and names only.
 
     Raises:
         ConfigError: There is no such look.
@@ -39,27 +33,21 @@ class Photographer:
 
     def views(self, queries: Sequence[SyntheticQuery], camera: Camera) -> list[SyntheticQuery]:
         """Returns queries (scene frame) with photos, each in its own light; names become those of JPEGs."""
-        return self._taken(queries, camera, lambda name: self._look("views", "look", name))
+        return [self._taken(query, camera, *self._look("views", "look", query.name)) for query in queries]
 
     def flight(self, queries: Sequence[SyntheticQuery], camera: Camera, number: int) -> list[SyntheticQuery]:
         """Returns a flight's queries with photos: one sun, exposures apart; else as ``views``."""
-        light = self._look("flight", number, "look")[0]
-        return self._taken(queries, camera, lambda name: (light, self._look("look", name)[1]))
+        light, _ = self._look("flight", number, "look")
+        return [self._taken(query, camera, light, self._look("look", query.name)[1]) for query in queries]
 
     def _look(self, *stream: str | int) -> tuple[Look, CameraResponse]:
         return draw_look(self._ranges, random_stream(self._seed, *stream))
 
     def _taken(
-        self,
-        queries: Sequence[SyntheticQuery],
-        camera: Camera,
-        look_of: Callable[[str], tuple[Look, CameraResponse]],
-    ) -> list[SyntheticQuery]:
-        photos = (self._renderer.jpeg(camera, query.truth, *look_of(query.name)) for query in queries)
-        return [
-            replace(query, name=f"{query.name}.jpg", photo=photo)
-            for query, photo in zip(queries, photos, strict=True)
-        ]
+        self, query: SyntheticQuery, camera: Camera, look: Look, response: CameraResponse
+    ) -> SyntheticQuery:
+        photo = self._renderer.jpeg(camera, query.truth, look, response)
+        return query._replace(name=f"{query.name}.jpg", photo=photo)
 
 
 def reconstruct(queries: Sequence[SyntheticQuery], camera: Camera, folder: Path) -> None:

@@ -21,15 +21,15 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, DatasetError, nearest_names, require_numbers, require_within
+from lodbench.errors import ConfigError, DatasetError, require_numbers, require_within
 from lodbench.geometry import Camera
+from lodbench.params import to_params
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
-from lodbench.synthesis.mask_degradation import degrade_mask
-from lodbench.synthesis.mask_degradation import mask_iou as iou_of
+from lodbench.synthesis.mask_degradation import degrade_mask, mask_iou
 from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
 from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
@@ -71,19 +71,9 @@ class World:
             ConfigError: A name is not known or a value is no number.
         """
         known = {field.name.removesuffix("_m"): field.name for field in fields(cls)}
-        values = {}
-        for part in filter(None, text.split(",")):
-            name, _, value = part.partition("=")
-            name = name.strip().removesuffix("_m")
-            if name not in known:
-                raise ConfigError(f"A world has no {name!r}.", nearest_names(name, known))
-            try:
-                values[known[name]] = float(value)
-            except ValueError as error:
-                raise ConfigError(
-                    f"{name}={value} is no number.", "Write --world shared_roofs=1.5,focal=0.01"
-                ) from error
-        return cls(**values)
+        parts = [part.partition("=") for part in text.split(",") if part]
+        values = {known.get(name.strip(), name.strip()): value for name, _, value in parts}
+        return to_params(values, cls, "world")
 
     def describe(self) -> str:
         """Returns in words what is wrong, or "" where nothing is."""
@@ -101,9 +91,8 @@ class World:
                 continue
             floor, rise = heights.min(), heights.max() - heights.min()
             stretch = max(rise + self.shared_roofs_m, min(rise, _LEAST_RISE_M)) / rise
-            vertices[first:last, 2] = np.maximum(
-                floor + stretch * (heights - floor), floor + self.hidden_feet_m
-            )
+            raised = floor + stretch * (heights - floor)
+            vertices[first:last, 2] = np.maximum(raised, floor + self.hidden_feet_m)
         return replace(scene, vertices=vertices, stored_digest="")
 
     def lens(self, camera: Camera, view: int) -> Camera:
@@ -180,7 +169,7 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
         start = prior.draw(truth, random_stream(seed, "accuracy", name, "prior"))
         (buildings,) = raster.buildings(lens, truth.rotation[None], truth.center[None])
         instances = degraded_instances(buildings, rough, random_stream(seed, "accuracy", name, "instances"))
-        queries.append(SyntheticQuery(name, truth, start, rough, iou_of(rough, clean), instances=instances))
+        queries.append(SyntheticQuery(name, truth, start, rough, mask_iou(rough, clean), instances=instances))
     return queries, views.rejections
 
 

@@ -10,6 +10,7 @@ import json
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -79,20 +80,15 @@ class FlightsParams:
             raise ConfigError(
                 f"dataset.path={self.path} is not known.", nearest_names(self.path, FLIGHT_PATHS)
             )
-        if not 0 < self.mask_iou <= 1:
-            raise ConfigError(f"dataset.mask_iou lies in (0, 1], not {self.mask_iou}.")
-        if not (0 <= self.focal <= 0.2 and -0.3 <= self.distortion <= 0.3):
-            raise ConfigError("dataset.focal lies within 0 and 0.2, dataset.distortion within -0.3 and 0.3.")
+        require_within("dataset.mask_iou", self.mask_iou, 0, 1, "(]")
+        require_within("dataset.focal", self.focal, 0, 0.2)
+        require_within("dataset.distortion", self.distortion, -0.3, 0.3)
         if self.reconstruct and self.look is None:
             raise ConfigError("dataset.reconstruct=true needs photos.", "Set dataset.look=plain.")
         require_within("dataset.photo_width", self.photo_width, FINE_SIZE[0], RGB_CAMERA.width, "[]")
         if self.look is not None and self.distortion != 0:
             raise ConfigError("dataset.look draws photos without distortion.", "Set dataset.distortion=0.")
         self.shared(), self.own(), self.map_errors()
-
-    def photo_size(self) -> tuple[int, int]:
-        """Returns width and height of drawn photos, pixels."""
-        return self.photo_width, round(self.photo_width * PHOTO_SIZE[1] / PHOTO_SIZE[0])
 
     def shared(self) -> SensorErrors:
         """Returns what all photos of a flight are wrong about."""
@@ -150,7 +146,8 @@ def _opened(params: FlightsParams, root: Path) -> Dataset:
 def _draw(params: FlightsParams, world: Scene, folder: Path) -> None:
     """Writes all flights as one split of a folder."""
     renderer = make_renderer("silhouette", world, None)
-    told = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(*params.photo_size())
+    width, height = params.photo_width, round(params.photo_width * PHOTO_SIZE[1] / PHOTO_SIZE[0])
+    told = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(width, height)
     photographer = None if params.look is None else Photographer(world, params.look, params.flights_seed)
     queries, sequences = [], {}
     for flight in range(params.num_flights):
@@ -185,8 +182,7 @@ def draw_flight(params: FlightsParams, world: Scene, renderer: Renderer, flight:
     return queries
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DroneErrors:
+class DroneErrors(NamedTuple):
     """What a flight's drone is wrong about in all photos."""
 
     sensors: NDArray[np.float64]  # (6,) by which priors are off, metres and degrees
@@ -210,18 +206,17 @@ def _poses(
     params: FlightsParams, world: Scene, renderer: Renderer, camera: Camera, flight: int
 ) -> list[Pose]:
     kind = params.path or list(FLIGHT_PATHS)[flight % len(FLIGHT_PATHS)]
+    fly, wanted = FLIGHT_PATHS[kind], params.num_photos
     check = ViewCheck(world, renderer, camera, _BUILDING_SHARE)
     generator = random_stream(params.flights_seed, "flight", flight, "path")
     for _ in range(_MOST_TRIES):
-        target = target_near(check.ground, generator)
-        seen = [
-            pose for pose in FLIGHT_PATHS[kind](target, generator, params.num_photos) if check.accepts(pose)
-        ]
-        if len(seen) >= params.num_photos:
-            first = (len(seen) - params.num_photos) // 2
-            return seen[first : first + params.num_photos]
+        target = target_near(check.boxes.bases, generator)
+        seen = [pose for pose in fly(target, generator, wanted) if check.accepts(pose)]
+        if len(seen) >= wanted:
+            first = (len(seen) - wanted) // 2
+            return seen[first : first + wanted]
     raise DatasetError(
-        f"No {kind} flight of {params.num_photos} photos that all show buildings was found.",
+        f"No {kind} flight of {wanted} photos that all show buildings was found.",
         "Set dataset.path=orbit, or fewer dataset.num_photos.",
     )
 

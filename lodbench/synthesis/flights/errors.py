@@ -128,17 +128,15 @@ def _free_place(
 def _assembled(
     scene: Scene, vertices: NDArray[np.float64], parts: list[tuple[str, int, NDArray[np.float64]]]
 ) -> Scene:
-    points, triangles, owners, start = [], [], [], 0
+    corners, owners = [], []
     for number, (_, building, shift) in enumerate(parts):
-        first, last = scene.vertex_starts[building], scene.vertex_starts[building + 1]
         faces = scene.triangles[scene.triangle_starts[building] : scene.triangle_starts[building + 1]]
-        points.append(vertices[first:last] + shift)
-        triangles.append(faces.astype(np.int64) - first + start)
+        corners.append(vertices[faces].reshape(-1, 3) + shift)
         owners.append(np.full(len(faces), number))
-        start += last - first
+    points = np.concatenate(corners)
     return build_scene(
-        np.concatenate(points),
-        np.concatenate(triangles),
+        points,
+        np.arange(len(points)).reshape(-1, 3),
         np.concatenate(owners),
         tuple(name for name, _, _ in parts),
         lod=scene.lod,

@@ -80,15 +80,10 @@ def _shading_normal(skin, triangle, point, back):  # type: ignore[no-untyped-def
 
 @per_pixel
 def surface_light(albedo, mirrored, point, normal, ray, shading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the light a surface sends to the camera.
+    """Returns the light that a surface of a linear albedo sends to the camera from a point, (3,) metres.
 
-    Args:
-        albedo: (3,) linear.
-        mirrored: Share of sky it mirrors, looked at straight; more when grazed.
-        point: (3,) local metres.
-        normal: (3,) unit.
-        ray: (3,) unit, from the camera to the point.
-        shading: Of the picture.
+    ``mirrored`` is the share of sky it mirrors, looked at straight; more when grazed. Normal and ray, from
+    the camera to the point, are unit.
     """
     look = shading.look
     facing = dot(normal, look.sun)
@@ -140,17 +135,10 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, shading):  # typ
 
 @pixel_loop
 def resolve_photo(band, buffer, rotation, center, shading, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Writes the linear RGB of a band's pixels, each the mean of two by two samples.
+    """Writes the linear RGB of a band's pixels, each the mean of two by two samples, into ``out``, (H, W, 3).
 
-    A triangle is shaded once per pixel, in the middle of its samples.
-
-    Args:
-        band: Band of the view at twice the picture's size; its first column is even.
-        buffer: Its z-buffer.
-        rotation: (3, 3) cam_from_world.
-        center: (3,) of the camera.
-        shading: Of the picture.
-        out: (H, W, 3) float32.
+    A triangle is shaded once per pixel, in the middle of its samples. The band is of the view at twice the
+    picture's size; its first column is even. The pose is (3, 3) cam_from_world and the camera's centre, (3,).
     """
     # Columns lie along memory in the buffer, as for the raster.
     for column in range(band.first // 2, band.stop // 2):

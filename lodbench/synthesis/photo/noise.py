@@ -1,7 +1,4 @@
-"""What kernels count with: noise from integer hashes, and triples, which are colours or vectors.
-
-The same pattern is at a place whatever drew it, and in whichever order.
-"""
+"""What kernels count with: triples, and noise from integer hashes: at a place the same in whichever order."""
 
 from __future__ import annotations
 

@@ -64,15 +64,10 @@ class _Loose(NamedTuple):
 def make_render_scene(
     scene: Scene, props: SceneProps | None, textured: TexturedMesh | None = None
 ) -> RenderScene:
-    """Returns the render scene of a city and what stands around it.
+    """Returns the render scene of a city and what stands around it, in any frame.
 
-    Where the props hold the buildings themselves, or there is a textured mesh, those of the scene are
-    left out.
-
-    Args:
-        scene: The city, as the picture shows it.
-        props: Its surroundings, in any frame; None for nothing.
-        textured: A mesh of the place, in the scene's frame; or None.
+    Where the props hold the buildings themselves, or there is a textured mesh (in the scene's frame), those
+    of the scene are left out.
     """
     parts = []
     if textured is None and (props is None or not props.has_buildings):
@@ -124,9 +119,8 @@ def _of_scene(scene: Scene) -> _Loose:
     has_slope = np.zeros(scene.num_buildings, dtype=bool)
     has_slope[building[(up > _WALL_UP) & (up < _FLAT_UP)]] = True
     flat = np.where(has_slope[building], SurfaceClass.ROOF_FLAT, flat)
-    surface = np.where(
-        up < _WALL_UP, SurfaceClass.WALL, np.where(up < _FLAT_UP, SurfaceClass.ROOF_TILE, flat)
-    )
+    roof = np.where(up < _FLAT_UP, SurfaceClass.ROOF_TILE, flat)
+    surface = np.where(up < _WALL_UP, SurfaceClass.WALL, roof)
     tint = np.full((len(corners), 3), -1.0, dtype=np.float32)
     plain = np.zeros(len(corners), dtype=bool)
     return _Loose(corners, surface.astype(np.uint8), building.astype(np.int32), tint, plain)
@@ -143,13 +137,8 @@ def _of_props(props: SceneProps) -> _Loose:
 
 def _of_textured(mesh: TexturedMesh) -> _Loose:
     count = len(mesh.corners)
-    return _Loose(
-        mesh.corners,
-        np.full(count, TEXTURED, dtype=np.uint8),
-        np.arange(count, dtype=np.int32),
-        np.zeros((count, 3), dtype=np.float32),
-        np.ones(count, dtype=bool),
-    )
+    kinds, numbers = np.full(count, TEXTURED, np.uint8), np.arange(count, dtype=np.int32)
+    return _Loose(mesh.corners, kinds, numbers, np.zeros((count, 3), np.float32), np.ones(count, bool))
 
 
 def _normals(corners: Floats) -> Floats:

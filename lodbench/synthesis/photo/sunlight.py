@@ -54,13 +54,10 @@ def ground_in_view(camera: Camera, pose: Pose, low_m: float, high_m: float) -> F
 
 
 def draw_sun_map(raster: RasterRenderer, sun: Floats, seen: Floats, size: int) -> SunMap:
-    """Returns the depth map of the part of a scene that can be seen.
+    """Returns the depth map, so many pixels wide, of the part of a scene that can be seen.
 
-    Args:
-        raster: Draws what casts shadows.
-        sun: (3,) unit vector towards the sun.
-        seen: (N, 3) points that a picture shows, local metres.
-        size: Side of the map, pixels.
+    The raster draws what casts shadows; ``sun``, (3,), leads towards the sun; ``seen``, (N, 3) local metres,
+    are points that a picture shows.
     """
     rotation = _looking_along(-sun)
     middle = np.median(seen, axis=0)
@@ -87,13 +84,9 @@ def _looking_along(axis: Floats) -> Floats:
 
 @per_pixel
 def sun_share(point, normal, facing, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns how much of the sun reaches a point, 0 to 1: four map pixels, weighted.
+    """Returns how much of the sun reaches a point, (3,) local metres, 0 to 1: four map pixels, weighted.
 
-    Args:
-        point: (3,) local metres.
-        normal: (3,) unit, on the camera's side.
-        facing: Cosine of the angle between normal and sun, above 0.
-        sun_map: SunMap.
+    The normal, (3,), is on the camera's side; ``facing`` is the cosine between it and the sun, above 0.
     """
     # Off the surface by a map pixel and more where light grazes it: it must not shade itself.
     push = sun_map.texel_m * (0.6 + 0.8 * (1.0 - facing))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +43,7 @@ class PlannedView:
         return f"{self.split}/{self.name}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ViewPlan:
+class ViewPlan(NamedTuple):
     """What will be written."""
 
     views: tuple[PlannedView, ...]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xxhash
@@ -14,12 +15,14 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.texture_files import read_textured
 from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pictures import encoded, encoded_mask
+from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, random_stream, write_bytes
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import LandCover, PhotoRenderer, draw_look
-from lodbench.synthesis.photo.renderer import PyrenderPhotos, photo_file
+from lodbench.synthesis.photo.renderer import apply_camera_response, photo_file
+from lodbench.synthesis.photo.surfaces import linear
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView
 
@@ -28,8 +31,7 @@ _MOST = 65535
 MOST_LABELS = _MOST
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PictureParts:
+class PictureParts(NamedTuple):
     """What a worker draws from."""
 
     scene: Scene  # the city of the masks
@@ -47,8 +49,7 @@ class PictureParts:
             for name, value in (part or {}).items():
                 array = np.ascontiguousarray(value)
                 state.update(f"{name}{array.dtype}{array.shape}".encode() + array.tobytes())
-        offset = self.texture_offset
-        state.update(b"" if offset is None else offset.tobytes())
+        state.update(b"" if self.texture_offset is None else self.texture_offset.tobytes())
         return state.hexdigest()
 
 
@@ -76,7 +77,13 @@ class ViewWriter:
         # The seed and the name decide the look, nothing else.
         stream = random_stream(self._params.seed, "training", "look", view.key)
         look, response = draw_look(self._params.look, stream)
-        picture = self._painter.photo(self._camera, view.pose, look, response)
+        if self._params.renderer == "pyrender" and self._mesh is not None:
+            # No sun and no haze, which textures have already.
+            sky = np.sqrt(np.clip(look.haze_rgb, 0.0, 1.0))
+            drawn = self._by_opengl.picture(self._camera, view.pose, sky)
+            picture = apply_camera_response(linear(drawn).astype(np.float32), response)
+        else:
+            picture = self._photos.photo(self._camera, view.pose, look, response)
         return photo_file(picture, f".{self._params.format}", response)
 
     def _masks(self, view: PlannedView) -> bytes:
@@ -110,10 +117,9 @@ class ViewWriter:
         return PhotoRenderer(parts.picture_scene, parts.props, parts.cover, 1, self._mesh)
 
     @cached_property
-    def _painter(self) -> PhotoRenderer | PyrenderPhotos:
-        if self._params.renderer == "pyrender" and self._mesh is not None:
-            return PyrenderPhotos(self._mesh)
-        return self._photos
+    def _by_opengl(self) -> PyrenderTextured:
+        assert self._mesh is not None  # noqa: S101
+        return PyrenderTextured(self._mesh)
 
 
 def is_written(path: Path) -> bool:
