@@ -29,7 +29,7 @@ BOXES = [
 @cache
 def town_gml() -> str:
     """Returns the demo's town as CityGML with LoD1 and LoD2, made once per process."""
-    from lodbench.synthesis.town.citygml_writer import citygml_text
+    from lodbench.synthesis.town.build import citygml_text
     from lodbench.synthesis.town.town import grow_town
 
     return citygml_text(grow_town(0))

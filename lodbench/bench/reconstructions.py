@@ -24,8 +24,8 @@ from lodbench.harness.georeference.request import GeoreferenceRequest
 from lodbench.methods.registry import make_method
 from lodbench.reporting.aligned_text import format_columns
 from lodbench.storage import random_stream
+from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
-from lodbench.synthesis.flights.paths import PATHS
 
 # A reconstruction's own units per metre; any will do.
 _SCALE = 0.037
@@ -59,7 +59,7 @@ def measure_reconstructions(
         LodbenchError: The city cannot be read, or a flight cannot be drawn.
     """
     rows = [["path", "seed", "median m", "median deg", "worst m", "off m", "sigma m", "start m"]]
-    paths = list(PATHS) if flights.path is None else [flights.path]
+    paths = list(FLIGHT_PATHS) if flights.path is None else [flights.path]
     medians, count = [], len(seeds) * len(paths)
     for number, (seed, path) in enumerate((seed, path) for seed in seeds for path in paths):
         drawn = replace(flights, num_flights=1, path=path, flights_seed=seed)

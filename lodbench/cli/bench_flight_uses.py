@@ -13,8 +13,8 @@ from lodbench.bench.tracking import TrackingOptions, measure_tracking
 from lodbench.cli.bench_views import seeds
 from lodbench.cli.segmenters import segmenter_of
 from lodbench.execution import ProgressCallback
+from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights.dataset import FlightsParams
-from lodbench.synthesis.flights.paths import PATHS
 
 
 def add_uses(actions: Any) -> None:
@@ -24,7 +24,7 @@ def add_uses(actions: Any) -> None:
     placed.add_argument("--mask-iou", type=float, default=0.88, help="of the degraded masks (0.88)")
     placed.add_argument("--noise-m", type=float, default=0.1, help="of a reconstruction's places (0.1)")
     placed.add_argument("--noise-deg", type=float, default=0.05, help="of its directions (0.05)")
-    placed.add_argument("--path", choices=tuple(PATHS), help="how they fly (each kind)")
+    placed.add_argument("--path", choices=tuple(FLIGHT_PATHS), help="how they fly (each kind)")
     placed.add_argument("--map-lod", help="level of detail to place it in (the lowest)")
     placed.add_argument("--mask-lod", help="that masks are drawn from, or finest (the map's)")
     tracked = actions.add_parser("tracking", help="drawn frames from pixels to poses, and how many a second")

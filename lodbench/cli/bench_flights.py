@@ -15,8 +15,8 @@ from lodbench.errors import ConfigError, DatasetError, require_within
 from lodbench.execution import ProgressCallback
 from lodbench.methods.flight import FlightMethod, Params
 from lodbench.methods.flight.params import RELATIVE_POSES
+from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights.dataset import FlightsParams
-from lodbench.synthesis.flights.paths import PATHS
 from lodbench.synthesis.view_photos import PHOTO_SIZE
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 
@@ -32,7 +32,7 @@ def add_flights(actions: Any) -> argparse.ArgumentParser:
     add("--seeds", type=seeds, default="0", help="comma-separated, each with flights of its own (0)")
     add("--flights", type=int, default=2, help="of each seed (2)")
     add("--photos", type=int, default=20, help="of each flight (20)")
-    add("--path", choices=tuple(PATHS), help="how they fly (all of them in turn)")
+    add("--path", choices=tuple(FLIGHT_PATHS), help="how they fly (all of them in turn)")
     add("--map-lod", help="level of detail that is searched (the lowest)")
     add("--mask-lod", help="level of detail that photos show, or finest (the map's)")
     add("--look", help="draw photos in this look: plain, varied or hard (none)")

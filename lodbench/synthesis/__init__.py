@@ -9,7 +9,7 @@ room                   what it makes
 ``objects``            what stands in pictures: classes of surfaces, mesh builder, trees, cars
 ``photo``              pictures of all that: looks, surfaces, sun, camera response, render scene
 ``view_sampling``      seeded drone views that show enough buildings; the check that judges them
-``camera_paths``       where cameras of training pictures are put
+``camera_paths``       where cameras of training pictures and of flights are put
 ``flights``            ``dataset=flights``: flights over any city, with errors of drone and map
 ``mask_degradation``   masks as wrong as a network's, by ``mask_error_fields``; of single buildings:
                        ``instance_degradation``
@@ -26,10 +26,10 @@ Where something new goes:
   ``town/fittings.py``, all that stands alone in ``town/landmarks.py``;
 - a kind of block or landmark: a function in ``town/landmarks.py``, chosen in ``town/town.py``;
 - a camera path: a function and a line in ``CAMERA_PATHS`` of ``camera_paths.py`` (training pictures) or in
-  ``PATHS`` of ``flights/paths.py`` (flights); settings of its own in ``training_data/params.py`` and
+  ``FLIGHT_PATHS`` beside it (flights); settings of its own in ``training_data/params.py`` and
   ``conf/generate-training-data.yaml``;
 - a look of pictures (sun, air, season, sensor): a file in ``conf/training``; a new kind of change is a
-  field of ``LookRanges`` in ``photo/look.py``, used in ``photo/camera_response.py`` if the sensor makes
+  field of ``LookRanges`` in ``photo/look.py``, used in ``photo/renderer.py`` if the sensor makes
   it and in ``photo/surfaces.py`` or ``photo/ground.py`` if the place does;
 - a thing that stands around: its shape in ``objects``, its places in ``surroundings/surroundings.py``
   or ``town/trees_and_cars.py``;

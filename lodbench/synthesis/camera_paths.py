@@ -1,4 +1,8 @@
-"""Where the cameras of training pictures are put: one function and one line in ``CAMERA_PATHS`` per path."""
+"""Where cameras are put: one function per path, and one line in a table.
+
+``CAMERA_PATHS`` are those of training pictures. ``FLIGHT_PATHS`` are those of flights: poses in the order
+they are flown, more than are wanted, for what shows too few buildings, or stands among them, is passed over.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +18,7 @@ from lodbench.datasets.pose_text import read_poses
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import DatasetError
 from lodbench.geometry import EulerAngles, Pose
+from lodbench.geometry.angles import rotation_from_euler
 from lodbench.storage import random_stream
 from lodbench.synthesis.surroundings.ground import Ground
 from lodbench.synthesis.view_sampling import target_near, view_of
@@ -22,28 +27,21 @@ if TYPE_CHECKING:
     from lodbench.synthesis.training_data.params import GenerateParams
 
 Floats = NDArray[np.float64]
-
-_YAWS_DEG = tuple(range(0, 360, 45))
+Pair = tuple[float, float]
 
 
 class Place(NamedTuple):
-    """What a path is laid out over, in the frame of a scene.
+    """What a path is laid out over, in the frame of a scene."""
 
-    Attributes:
-        bases: (B, 3) middle of each building's base, local metres.
-        ground: Ground heights.
-        origin: (3,) of the frame, coordinates of the city's CRS.
-    """
-
-    bases: Floats
-    ground: Ground
-    origin: Floats
+    bases: Floats  # (B, 3) middle of each building's base, local metres
+    ground: Ground  # ground heights
+    origin: Floats  # (3,) of the frame, coordinates of the city's CRS
 
 
 def _on_grid(params: GenerateParams, place: Place) -> Iterator[Pose]:
     """Yields the poses of a grid over the buildings, its spacing half the height, as UAVD4L has it."""
     low, high = place.bases[:, :2].min(axis=0), place.bases[:, :2].max(axis=0)
-    yaws = params.yaw if params.yaw is not None else _YAWS_DEG
+    yaws = params.yaw if params.yaw is not None else range(0, 360, 45)
     for height in params.height:
         spacing = params.spacing_m or max(1.0, height // 2)
         axes = [_steps(low[k], high[k], spacing) for k in (0, 1)]
@@ -129,3 +127,81 @@ CAMERA_PATHS: dict[str, Callable[[GenerateParams, Place], Iterator[Pose]]] = {
     "trajectory": _along_trajectory,
     "priors": _around_priors,
 }
+
+# How far a pilot or a gust moves the drone off its path (m), and turns it (deg), standard deviations.
+_DRIFT_M, _DRIFT_YAW_DEG, _DRIFT_TILT_DEG = 1.0, 1.5, 0.3
+
+
+def _grid_flight(target: Floats, generator: np.random.Generator, count: int) -> Iterator[Pose]:
+    """Yields poses of parallel lines there and back, the camera looking ahead and down."""
+    height_m, pitch_deg = generator.uniform(100.0, 160.0), generator.uniform(20.0, 45.0)
+    heading_deg = generator.uniform(-180.0, 180.0)
+    lines = max(2, round(math.sqrt(count)))
+    steps = 2 * math.ceil(count / lines)
+    for line in range(2 * lines):
+        turned, back = (180.0, -1) if line % 2 else (0.0, 1)
+        for step in range(steps)[::back]:
+            ahead = (step - 0.5 * (steps - 1)) * 0.2 * height_m
+            aside = (line - (lines - 0.5)) * 0.3 * height_m
+            spot = target + _turned(ahead, aside, heading_deg)
+            yield _drifting(spot, height_m, pitch_deg, heading_deg + turned, generator)
+
+
+def _orbit(target: Floats, generator: np.random.Generator, count: int) -> Iterator[Pose]:
+    """Yields poses of two circles around a place, which all look at it."""
+    height_m, pitch_deg = generator.uniform(100.0, 160.0), generator.uniform(30.0, 60.0)
+    first_deg = generator.uniform(-180.0, 180.0)
+    for k in range(2 * count):
+        yield _drifting(target, height_m, pitch_deg, first_deg + 360.0 * k / count, generator)
+        if k == count - 1:
+            height_m *= 1.2
+
+
+def _facade(target: Floats, generator: np.random.Generator, count: int) -> Iterator[Pose]:
+    """Yields poses of a strip past a row of buildings, which look at them from the side."""
+    return _straight(target, generator, count, (45.0, 80.0), (55.0, 70.0), (0.0, 0.1))
+
+
+def _corridor(target: Floats, generator: np.random.Generator, count: int) -> Iterator[Pose]:
+    """Yields poses along a straight line, the camera looking ahead and down."""
+    return _straight(target, generator, count, (70.0, 120.0), (40.0, 60.0), (0.15, 0.0))
+
+
+# Each yields poses around a target, (3,) metres, given how many are wanted.
+FLIGHT_PATHS: dict[str, Callable[[Floats, np.random.Generator, int], Iterator[Pose]]] = {
+    "grid": _grid_flight,
+    "orbit": _orbit,
+    "facade": _facade,
+    "corridor": _corridor,
+}
+
+
+def _straight(
+    target: Floats, generator: np.random.Generator, count: int, height_m: Pair, pitch_deg: Pair, step: Pair
+) -> Iterator[Pose]:
+    """Yields poses over a place on a line, each so many heights ahead of the last and to its right."""
+    height, pitch = generator.uniform(*height_m), generator.uniform(*pitch_deg)
+    heading = generator.uniform(-180.0, 180.0)
+    for k in range(2 * count):
+        ahead, aside = ((k - 0.5 * (2 * count - 1)) * share * height for share in step)
+        spot = target + _turned(ahead, aside, heading)
+        yield _drifting(spot, height, pitch, heading, generator)
+
+
+def _turned(ahead_m: float, aside_m: float, heading_deg: float) -> Floats:
+    """Returns (3,) metres east, north and up of a place ahead and to the right of a heading."""
+    # The heading counts from north, counter-clockwise, as yaw does.
+    turn = math.radians(heading_deg)
+    ahead = np.array([-math.sin(turn), math.cos(turn), 0.0])
+    return np.asarray(ahead_m * ahead + aside_m * np.array([ahead[1], -ahead[0], 0.0]))
+
+
+def _drifting(
+    target: Floats, height_m: float, pitch_deg: float, yaw_deg: float, generator: np.random.Generator
+) -> Pose:
+    """Returns the pose that looks at a place from a height above it, but for what a pilot or a gust does."""
+    aimed = view_of(target, height_m, EulerAngles(pitch_deg, 0.0, yaw_deg))
+    angles = np.array([pitch_deg, 0.0, yaw_deg])
+    angles += generator.normal(0.0, [_DRIFT_TILT_DEG, _DRIFT_TILT_DEG, _DRIFT_YAW_DEG])
+    center = aimed.center + generator.normal(0.0, _DRIFT_M, size=3)
+    return Pose.from_center(rotation_from_euler(EulerAngles(*map(float, angles))), center)

@@ -18,12 +18,12 @@ from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.storage import make_folder, new_folder, random_stream, write_bytes
+from lodbench.storage import make_folder, random_stream, write_bytes
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
+from lodbench.synthesis.queries import written_once
 from lodbench.synthesis.survey.textured_map import write_textured_map
 from lodbench.synthesis.town.build import CITY_FILE, DEMO_CODE, FINE_CITY_FILE, build_demo, code_digest
-from lodbench.synthesis.town.looks import look_named
 from lodbench.synthesis.town.town import TOWN_VERSION, grow_town
 
 MAP_FILE = "textured_map.glb"
@@ -94,9 +94,9 @@ def textured_map_of_demo(root: Path, seed: int, look: str) -> Path:
 
     def write(folder: Path) -> None:
         scene = open_scene(root / CITY_FILE, lod="1")
-        write_textured_map(folder / MAP_FILE, grow_town(seed, look_named(look)), scene)
+        write_textured_map(folder / MAP_FILE, grow_town(seed, look), scene)
 
-    return _kept_beside(root, "survey", MAP_CODE, write) / MAP_FILE
+    return written_once(_beside(root, "survey", MAP_CODE), write) / MAP_FILE
 
 
 def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
@@ -119,19 +119,12 @@ def instances_of_demo(demo: Dataset, city: Path, seed: int) -> Path:
             truth = demo.truth[entry.key].shifted(-scene.origin)
             (seen,) = raster.buildings(entry.camera, truth.rotation[None], truth.center[None])
             labels = degraded_instances(seen, mask > 0, random_stream(seed, "demo", entry.name, "instances"))
-            file = folder / entry.split / f"{Path(entry.name).stem}.png"
-            make_folder(file.parent)
+            file = make_folder(folder / entry.split) / f"{Path(entry.name).stem}.png"
             write_bytes(file, encoded_labels(labels), False)
 
-    return _kept_beside(demo.root, "instances", LABEL_CODE, write)
+    return written_once(_beside(demo.root, "instances", LABEL_CODE), write)
 
 
-def _kept_beside(root: Path, kind: str, code: tuple[str, ...], write: Callable[[Path], None]) -> Path:
-    """Returns a folder beside a demo's, written first if it is not there; its name holds a digest of code."""
-    folder = root.with_name(f"{root.name}-{kind}-{code_digest(*code)}")
-    if not folder.is_dir():
-        make_folder(folder.parent)
-        # Another process that is as quick leaves a folder of the same bytes.
-        with new_folder(folder) as building:
-            write(building)
-    return folder
+def _beside(root: Path, kind: str, code: tuple[str, ...]) -> Path:
+    """Returns a folder beside a demo's; its name holds a digest of code."""
+    return root.with_name(f"{root.name}-{kind}-{code_digest(*code)}")

@@ -29,16 +29,15 @@ def degraded_instances(
 ) -> NDArray[np.uint16]:
     """Returns labels of buildings, 0 for none, with the errors of a network: they fill a given mask.
 
+    Labels, (H, W) uint16, are 1, 2, ... where the mask is set; parts of it that hold no building of the truth
+    have labels of their own.
+
     Args:
         buildings: (H, W) int32, which building is seen in truth, -1 for none.
         mask: (H, W) bool, where the network says building.
         generator: The only source of randomness.
         merged: Share of buildings that are taken for one with the neighbour they share most pixels with.
         split: Share of what is then left that is cut in two.
-
-    Returns:
-        (H, W) uint16 labels 1, 2, ..., above 0 where the mask is set. Parts of the mask that hold no
-        building of the truth have labels of their own.
     """
     joined = _merged(_wobbled(buildings, generator), merged, generator)
     return filled(_split(joined, split, generator), mask)
@@ -53,14 +52,9 @@ def _wobbled(buildings: Labels, generator: np.random.Generator) -> Labels:
             step += smooth_noise(buildings.shape, wavelength_m * pixels_per_m, generator)
         step *= np.float32(_BORDER_M * pixels_per_m / len(_BORDER_BANDS_M) ** 0.5)
     rows, columns = np.indices(buildings.shape, dtype=np.float32)
-    return cv2.remap(
-        # Exact in float32: no scene has 2**24 buildings in view.
-        buildings.astype(np.float32),
-        columns + steps[0],
-        rows + steps[1],
-        cv2.INTER_NEAREST,
-        borderMode=cv2.BORDER_REPLICATE,
-    ).astype(np.int32)
+    # Exact in float32: no scene has 2**24 buildings in view.
+    numbers, places = buildings.astype(np.float32), (columns + steps[0], rows + steps[1])
+    return cv2.remap(numbers, *places, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE).astype(np.int32)
 
 
 def _merged(labels: Labels, share: float, generator: np.random.Generator) -> Labels:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
 Labels = NDArray[np.int32]
+Pair = tuple[float, float]
 
 # Wobble at strength 1, metres.
 _WOBBLE_M = 0.4
@@ -28,12 +29,9 @@ _FAR_PX = 50.0
 def signed_distance(mask: Mask) -> tuple[Field, Labels]:
     """Returns the signed distance to the outline, and which building each pixel is nearest to.
 
-    Args:
-        mask: (H, W) bool with at least one building pixel.
-
-    Returns:
-        Distances of pixel centres, (H, W) float32 pixels, positive inside (infinite where there is
-        no background), and labels 1, 2, ... of the nearest connected building, (H, W) int32.
+    Of a (H, W) mask with a building pixel: distances of pixel centres, (H, W) float32 pixels, positive inside
+    (infinite where there is no background), and labels 1, 2, ... of the nearest connected building, (H, W)
+    int32.
     """
     outside, labels = cv2.distanceTransformWithLabels(
         (~mask).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_CCOMP
@@ -48,12 +46,9 @@ def signed_distance(mask: Mask) -> tuple[Field, Labels]:
 
 
 def smooth_noise(shape: tuple[int, ...], wavelength: float, generator: np.random.Generator) -> Field:
-    """Returns band-limited noise of unit variance: a cubic B-spline surface over random knots.
+    """Returns band-limited noise of unit variance, (H, W): a cubic B-spline surface over random knots.
 
-    Args:
-        shape: (H, W).
-        wavelength: Pixels between crests, twice the spacing of the knots.
-        generator: Draws one normal number per knot.
+    The wavelength is the pixels between crests, twice the spacing of the knots; each knot is one normal draw.
     """
     spacing = max(wavelength / 2, 1.0)
     counts = [math.ceil(size / spacing) + 4 for size in shape]
@@ -64,9 +59,8 @@ def smooth_noise(shape: tuple[int, ...], wavelength: float, generator: np.random
         position = np.arange(size, dtype=np.float64) / spacing
         knot = position.astype(np.int64)
         t = position - knot
-        weights = (
-            np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
-        )
+        inner = 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1
+        weights = np.stack([(1 - t) ** 3, *inner, t**3]) / 6
         # Unit variance at every pixel, between the knots as on them.
         weights /= np.sqrt((weights**2).sum(axis=0))
         columns = [-1, 1] if axis == 0 else [1, -1]
@@ -152,14 +146,7 @@ def added_blobs(mask: Mask, generator: np.random.Generator, pixels_per_m: float)
     return strength
 
 
-def _stamp(
-    strength: Field,
-    ragged: Field,
-    center: tuple[float, float],
-    radii: tuple[float, float],
-    turn: float,
-    birth: float,
-) -> None:
+def _stamp(strength: Field, ragged: Field, center: Pair, radii: Pair, turn: float, birth: float) -> None:
     """Lowers the strength inside one ellipse with a ragged edge: to ``birth`` at its middle.
 
     It grows to full size over half a unit of strength, so that the IoU has no jump.

@@ -1,10 +1,10 @@
-"""Made-up queries, and the one way they become a folder that ``dataset=folder`` reads."""
+"""Made-up queries, and the one way they become a folder that ``dataset=folder`` reads, written once."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,30 +13,22 @@ from lodbench.datasets.folder import write_poses
 from lodbench.datasets.instance_labels import INSTANCES_FOLDER, encoded_labels
 from lodbench.datasets.pictures import encoded_mask
 from lodbench.geometry import Camera, Pose
-from lodbench.storage import make_folder, write_bytes
+from lodbench.storage import make_folder, new_folder, write_bytes
+
+Floats = NDArray[np.float64]
+Decimals = tuple[int, int] | None  # of quaternions and of metres
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SyntheticQuery:
-    """What is made up for one view, in the scene's local frame.
+class SyntheticQuery(NamedTuple):
+    """What is made up for one view, in the scene's local frame."""
 
-    Attributes:
-        name: Of the view; its random streams follow from it.
-        truth: Where the view was drawn from.
-        prior: The rough pose.
-        mask: (H, W) query mask, as wrong as a network's.
-        achieved_iou: Its IoU with the silhouette at the truth.
-        photo: JPEG file of the view, or None.
-        instances: (H, W) labels of buildings that fill the mask, or None.
-    """
-
-    name: str
-    truth: Pose
-    prior: Pose
-    mask: NDArray[np.bool_]
-    achieved_iou: float
-    photo: bytes | None = None
-    instances: NDArray[np.uint16] | None = None
+    name: str  # of the view; its random streams follow from it
+    truth: Pose  # where the view was drawn from
+    prior: Pose  # the rough pose
+    mask: NDArray[np.bool_]  # (H, W) query mask, as wrong as a network's
+    achieved_iou: float  # its IoU with the silhouette at the truth
+    photo: bytes | None = None  # JPEG file of the view, or None
+    instances: NDArray[np.uint16] | None = None  # (H, W) labels of buildings that fill the mask, or None
 
     @property
     def file_name(self) -> str:
@@ -44,39 +36,34 @@ class SyntheticQuery:
         return self.name if self.photo is not None else f"{self.name}.png"
 
 
-def write_queries(
-    folder: Path,
-    queries: Sequence[SyntheticQuery],
-    camera: Camera,
-    origin: NDArray[np.float64],
-    decimals: tuple[int, int] | None = None,
-) -> None:
-    """Writes all of one split, in a folder that becomes one once it is full.
+def written_once(folder: Path, write: Callable[[Path], None]) -> Path:
+    """Returns a folder that is filled first if it is not there; it appears whole or not at all."""
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        # Another process that is as quick leaves a folder of the same bytes.
+        with new_folder(folder) as building:
+            write(building)
+    return folder
 
-    Args:
-        folder: The split's, which is made.
-        queries: Its queries.
-        camera: Of all of them.
-        origin: (3,) of the scene's frame, coordinates of the city's CRS.
-        decimals: Of the poses; None for as many as restore them.
+
+def write_queries(
+    folder: Path, queries: Sequence[SyntheticQuery], camera: Camera, origin: Floats, decimals: Decimals = None
+) -> None:
+    """Writes all of one split, taken by one camera, in a folder that becomes one once it is full.
+
+    ``origin``, (3,), is that of the scene's frame in the city's CRS. Without ``decimals`` poses have as many
+    as restore them.
     """
     make_folder(folder / "masks")
     truth = {query.file_name: query.truth.shifted(origin) for query in queries}
     priors = {query.file_name: query.prior.shifted(origin) for query in queries}
-    write_poses(
-        folder,
-        {query.file_name: camera for query in queries},
-        truth,
-        priors,
-        decimals=decimals,
-        survives_power_cut=False,
-    )
+    cameras = dict.fromkeys(truth, camera)
+    write_poses(folder, cameras, truth, priors, decimals=decimals, survives_power_cut=False)
     for query in queries:
-        write_bytes((folder / "masks" / query.file_name).with_suffix(".png"), encoded_mask(query.mask), False)
+        name = f"{Path(query.file_name).stem}.png"
+        write_bytes(folder / "masks" / name, encoded_mask(query.mask), False)
         if query.instances is not None:
-            make_folder(folder / INSTANCES_FOLDER)
-            file = (folder / INSTANCES_FOLDER / query.file_name).with_suffix(".png")
+            file = make_folder(folder / INSTANCES_FOLDER) / name
             write_bytes(file, encoded_labels(query.instances), False)
         if query.photo is not None:
-            make_folder(folder / "Query_image")
-            write_bytes(folder / "Query_image" / query.name, query.photo, False)
+            write_bytes(make_folder(folder / "Query_image") / query.name, query.photo, False)

@@ -1,13 +1,16 @@
-"""Drawn photos of seeded views and flights: a city among made-up ground, trees and cars, in a named look."""
+"""Drawn photos of seeded views and flights, in a named look, and COLMAP's reconstruction of a flight's."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
 
 from lodbench.citymodel.scene import Scene
+from lodbench.errors import DatasetError
+from lodbench.extras import require
 from lodbench.geometry import Camera
-from lodbench.storage import random_stream
+from lodbench.storage import make_folder, random_stream
 from lodbench.synthesis.photo import CameraResponse, Look, PhotoRenderer, draw_look, look_ranges
 from lodbench.synthesis.queries import SyntheticQuery
 from lodbench.synthesis.surroundings.surroundings import make_surroundings
@@ -17,12 +20,7 @@ PHOTO_SIZE = (1204, 902)
 
 
 class Photographer:
-    """Draws photos of one city, whose surroundings stay the same; a photo depends on seed and names only.
-
-    Args:
-        scene: The city as photos show it.
-        look: A name of ``conf/training``.
-        seed: Of surroundings and looks.
+    """Draws photos of one city in a look of ``conf/training``; a photo depends on seed and names only.
 
     Raises:
         ConfigError: There is no such look.
@@ -35,24 +33,50 @@ class Photographer:
 
     def views(self, queries: Sequence[SyntheticQuery], camera: Camera) -> list[SyntheticQuery]:
         """Returns queries (scene frame) with photos, each in its own light; names become those of JPEGs."""
-        return self._taken(queries, camera, lambda name: self._look("views", "look", name))
+        return [self._taken(query, camera, *self._look("views", "look", query.name)) for query in queries]
 
     def flight(self, queries: Sequence[SyntheticQuery], camera: Camera, number: int) -> list[SyntheticQuery]:
         """Returns a flight's queries with photos: one sun, exposures apart; else as ``views``."""
-        light = self._look("flight", number, "look")[0]
-        return self._taken(queries, camera, lambda name: (light, self._look("look", name)[1]))
+        light, _ = self._look("flight", number, "look")
+        return [self._taken(query, camera, light, self._look("look", query.name)[1]) for query in queries]
 
     def _look(self, *stream: str | int) -> tuple[Look, CameraResponse]:
         return draw_look(self._ranges, random_stream(self._seed, *stream))
 
     def _taken(
-        self,
-        queries: Sequence[SyntheticQuery],
-        camera: Camera,
-        look_of: Callable[[str], tuple[Look, CameraResponse]],
-    ) -> list[SyntheticQuery]:
-        photos = (self._renderer.jpeg(camera, query.truth, *look_of(query.name)) for query in queries)
-        return [
-            replace(query, name=f"{query.name}.jpg", photo=photo)
-            for query, photo in zip(queries, photos, strict=True)
-        ]
+        self, query: SyntheticQuery, camera: Camera, look: Look, response: CameraResponse
+    ) -> SyntheticQuery:
+        photo = self._renderer.jpeg(camera, query.truth, look, response)
+        return query._replace(name=f"{query.name}.jpg", photo=photo)
+
+
+def reconstruct(queries: Sequence[SyntheticQuery], camera: Camera, folder: Path) -> None:
+    """Writes COLMAP's reconstruction of a flight's photos, its own frame and focal length.
+
+    Photos that COLMAP does not register are not in it.
+
+    Raises:
+        ConfigError: pycolmap is not installed.
+        DatasetError: COLMAP finds no model.
+    """
+    pycolmap = require("pycolmap", "pnp", "dataset.reconstruct=true")
+    pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
+    with tempfile.TemporaryDirectory() as made:
+        photos, database = make_folder(Path(made) / "photos"), Path(made) / "database.db"
+        for query in queries:
+            (photos / query.name).write_bytes(query.photo or b"")
+        reader = pycolmap.ImageReaderOptions(
+            camera_model="PINHOLE",
+            camera_params=",".join(map(str, (camera.fx, camera.fy, camera.cx, camera.cy))),
+        )
+        pycolmap.set_random_seed(0)
+        pycolmap.extract_features(
+            database, photos, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=reader
+        )
+        pycolmap.match_exhaustive(database)
+        models = pycolmap.incremental_mapping(database, photos, made)
+        if not models:
+            raise DatasetError(f"COLMAP finds no model of {queries[0].name} and the photos with it.")
+        largest = max(models.values(), key=lambda model: model.num_reg_images())
+        make_folder(folder)
+        largest.write_text(folder)

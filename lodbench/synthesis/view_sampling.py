@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,23 +38,17 @@ _MAX_DRAWS_PER_VIEW = 200
 class ViewSampling:
     """Which views to draw, from any side and almost level; every range is uniform, ends included.
 
-    Attributes:
-        height_m: Camera height above the ground at the view's centre, metres.
-        pitch_deg: From nadir, degrees: 0 looks straight down.
-        building_share: Accepted share of building pixels in the picture.
-        area_m: West, south, east and north bounds of the view centres, local metres, or None for
-            the whole city.
-        seed: Seed of the random streams.
-
     Raises:
         ConfigError: A range is empty, not finite, or beyond what a view can have.
     """
 
+    # Camera height above the ground at the view's centre, metres.
     height_m: tuple[float, float] = (100.0, 160.0)
-    pitch_deg: tuple[float, float] = (20.0, 60.0)
-    building_share: tuple[float, float] = (0.10, 0.80)
+    pitch_deg: tuple[float, float] = (20.0, 60.0)  # from nadir, degrees: 0 looks straight down
+    building_share: tuple[float, float] = (0.10, 0.80)  # accepted share of building pixels in the picture
+    # West, south, east and north bounds of the view centres, local metres, or None for the whole city.
     area_m: tuple[float, float, float, float] | None = None
-    seed: int = 0
+    seed: int = 0  # seed of the random streams
 
     def __post_init__(self) -> None:
         for name, (least, most) in _LIMITS.items():
@@ -65,17 +60,11 @@ class ViewSampling:
                 )
 
 
-@dataclass(frozen=True, slots=True)
-class SampledViews:
-    """Views drawn over a city.
+class SampledViews(NamedTuple):
+    """Views drawn over a city."""
 
-    Attributes:
-        poses: The accepted views, in order.
-        rejections: How many draws were thrown away on the way.
-    """
-
-    poses: tuple[Pose, ...]
-    rejections: int
+    poses: tuple[Pose, ...]  # the accepted views, in order
+    rejections: int  # how many draws were thrown away on the way
 
 
 def sample_views(
@@ -99,7 +88,9 @@ def sample_views(
     rejections = 0
     for index in range(count):
         generator = random_stream(sampling.seed, *names, "views", index)
-        draws = (_draw_view(sampling, check.ground[targets], generator) for _ in range(_MAX_DRAWS_PER_VIEW))
+        draws = (
+            _draw_view(sampling, check.boxes.bases[targets], generator) for _ in range(_MAX_DRAWS_PER_VIEW)
+        )
         pose, rejected = first_accepted(draws, check)
         rejections += rejected
         if pose is None:
@@ -147,24 +138,19 @@ class ViewCheck:
         height = max(1, round(_PREVIEW_WIDTH * camera.height / camera.width))
         self._preview = camera.scaled(_PREVIEW_WIDTH, height)
         self._share = building_share
-        self._boxes = building_boxes(scene)
-
-    @property
-    def ground(self) -> NDArray[np.float64]:
-        """Returns the middle of each building's base, (B, 3) local metres."""
-        return self._boxes.bases
+        self.boxes = building_boxes(scene)
 
     def buildings_in(self, area_m: tuple[float, float, float, float] | None) -> NDArray[np.int64]:
-        """Returns the rows of ``ground`` within (west, south, east, north), or all of them."""
+        """Returns the rows of ``boxes`` with bases within (west, south, east, north), or all of them."""
+        x, y, _ = self.boxes.bases.T
         if area_m is None:
-            return np.arange(len(self.ground))
-        x, y = self.ground[:, 0], self.ground[:, 1]
+            return np.arange(len(x))
         west, south, east, north = area_m
         return np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north))
 
     def accepts(self, pose: Pose) -> bool:
         """Returns whether a view is clear of buildings and shows the share of them that is asked for."""
-        if not self._boxes.are_clear_of(pose.center, _CLEARANCE_M):
+        if not self.boxes.are_clear_of(pose.center, _CLEARANCE_M):
             return False
         low, high = self._share
         return bool(low <= self._renderer.render(self._preview, pose).mean() <= high)

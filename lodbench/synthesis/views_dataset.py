@@ -21,16 +21,16 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, DatasetError, nearest_names, require_numbers, require_within
+from lodbench.errors import ConfigError, DatasetError, require_numbers, require_within
 from lodbench.geometry import Camera
+from lodbench.params import to_params
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.rendering.raster import RasterRenderer
-from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
+from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
-from lodbench.synthesis.mask_degradation import degrade_mask
-from lodbench.synthesis.mask_degradation import mask_iou as iou_of
-from lodbench.synthesis.queries import SyntheticQuery, write_queries
+from lodbench.synthesis.mask_degradation import degrade_mask, mask_iou
+from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
 from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
 
@@ -49,25 +49,19 @@ _WORLD_LIMITS = {"shared_roofs_m": (-50, 50), "hidden_feet_m": (0, 50), "focal":
 class World:
     """How what is seen differs from the map that is searched and from what is told, in all views alike.
 
-    Attributes:
-        shared_roofs_m: Every building reaches so much higher than in the map; below 0 less high.
-        hidden_feet_m: So much of the lowest part of every wall is hidden, by hedges or cars.
-        focal: The lens is longer than told by this share of its focal length, in every second view shorter.
-        tilt: Pitch and roll of the priors err so many times as far as told.
-
     Raises:
         ConfigError: A value is not finite or beyond what there is.
     """
 
-    shared_roofs_m: float = 0.0
-    hidden_feet_m: float = 0.0
+    shared_roofs_m: float = 0.0  # every building reaches so much higher than in the map; below 0 less high
+    hidden_feet_m: float = 0.0  # so much of the lowest part of every wall is hidden, by hedges or cars
+    # The lens is longer than told by this share of its focal length, in every second view shorter.
     focal: float = 0.0
-    tilt: float = 1.0
+    tilt: float = 1.0  # pitch and roll of the priors err so many times as far as told
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _WORLD_LIMITS.items():
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError(f"world.{name} lies within {low} and {high}, not {getattr(self, name)}.")
+        for name, bounds in _WORLD_LIMITS.items():
+            require_within(f"world.{name}", getattr(self, name), *bounds)
 
     @classmethod
     def parse(cls, text: str) -> World:
@@ -77,24 +71,13 @@ class World:
             ConfigError: A name is not known or a value is no number.
         """
         known = {field.name.removesuffix("_m"): field.name for field in fields(cls)}
-        values = {}
-        for part in filter(None, text.split(",")):
-            name, _, value = part.partition("=")
-            name = name.strip().removesuffix("_m")
-            if name not in known:
-                raise ConfigError(f"A world has no {name!r}.", nearest_names(name, known))
-            try:
-                values[known[name]] = float(value)
-            except ValueError as error:
-                raise ConfigError(
-                    f"{name}={value} is no number.", "Write --world shared_roofs=1.5,focal=0.01"
-                ) from error
-        return cls(**values)
+        parts = [part.partition("=") for part in text.split(",") if part]
+        values = {known.get(name.strip(), name.strip()): value for name, _, value in parts}
+        return to_params(values, cls, "world")
 
     def describe(self) -> str:
         """Returns in words what is wrong, or "" where nothing is."""
-        plain = World()
-        wrong = [f for f in fields(self) if getattr(self, f.name) != getattr(plain, f.name)]
+        wrong = [f for f in fields(self) if getattr(self, f.name) != f.default]
         return ", ".join(f"{f.name}={getattr(self, f.name):g}" for f in wrong)
 
     def seen(self, scene: Scene) -> Scene:
@@ -108,9 +91,8 @@ class World:
                 continue
             floor, rise = heights.min(), heights.max() - heights.min()
             stretch = max(rise + self.shared_roofs_m, min(rise, _LEAST_RISE_M)) / rise
-            vertices[first:last, 2] = np.maximum(
-                floor + stretch * (heights - floor), floor + self.hidden_feet_m
-            )
+            raised = floor + stretch * (heights - floor)
+            vertices[first:last, 2] = np.maximum(raised, floor + self.hidden_feet_m)
         return replace(scene, vertices=vertices, stored_digest="")
 
     def lens(self, camera: Camera, view: int) -> Camera:
@@ -187,7 +169,7 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
         start = prior.draw(truth, random_stream(seed, "accuracy", name, "prior"))
         (buildings,) = raster.buildings(lens, truth.rotation[None], truth.center[None])
         instances = degraded_instances(buildings, rough, random_stream(seed, "accuracy", name, "instances"))
-        queries.append(SyntheticQuery(name, truth, start, rough, iou_of(rough, clean), instances=instances))
+        queries.append(SyntheticQuery(name, truth, start, rough, mask_iou(rough, clean), instances=instances))
     return queries, views.rejections
 
 
@@ -206,18 +188,17 @@ def open_views(params: ViewsParams) -> Dataset:
     of_the_scene = ("city_model", "lod", "crs", "name", "layers")  # its digest says it
     drawn = {key: value for key, value in asdict(params).items() if key not in of_the_scene}
     key = digest_of([VIEWS_VERSION, "instances", drawn, scene.digest(), scene.origin.tolist()])
-    root = cache_root() / "views" / key
-    if not root.is_dir():
-        make_folder(root.parent)
-        renderer = make_renderer("silhouette", scene, None)
-        queries, rejections = draw_queries(scene, renderer, params)
+
+    def write(folder: Path) -> None:
+        queries, rejections = draw_queries(scene, make_renderer("silhouette", scene, None), params)
         camera = RGB_CAMERA
         if params.look is not None:
             camera = RGB_CAMERA.scaled(*PHOTO_SIZE)
             queries = Photographer(scene, params.look, params.views_seed).views(queries, camera)
-        with new_folder(root) as building:
-            write_queries(building / SPLIT, queries, camera, scene.origin)
-            write_text(building / _FACTS_FILE, json.dumps({"rejections": rejections, "mask_lod": scene.lod}))
+        write_queries(folder / SPLIT, queries, camera, scene.origin)
+        write_text(folder / _FACTS_FILE, json.dumps({"rejections": rejections, "mask_lod": scene.lod}))
+
+    root = written_once(cache_root() / "views" / key, write)
     same = {key: getattr(params, key) for key in ("lod", "crs", "roof_height", "name", "layers")}
     folder = open_folder(FolderParams(str(root), str(city), **same))
     look = "" if params.look is None else f", look {params.look}"

@@ -15,9 +15,8 @@ from lodbench.datasets.croissant import card_croissant, croissant_text
 from lodbench.datasets.published.catalogue import SPECS
 from lodbench.errors import ConfigError
 from lodbench.synthesis.demo import DemoParams
-from lodbench.synthesis.town.citygml_writer import CRS_NAME
 from lodbench.synthesis.town.queries import PRIORS, QUERY_CAMERA, TARGET_IOU
-from lodbench.synthesis.town.town import TOWN_VERSION
+from lodbench.synthesis.town.town import CRS_NAME, TOWN_VERSION
 from tests.data.published_layouts import write_uavd4l
 
 _FOLDER = Path(__file__).resolve().parents[2] / "data_cards"

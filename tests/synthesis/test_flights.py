@@ -28,6 +28,7 @@ from lodbench.methods.flight.reconstruction import placed
 from lodbench.methods.flight.tracks import relative_poses
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.segmentation.masks import read_mask
+from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights.dataset import (
     MAP_TRUTH_FILE,
     FlightsParams,
@@ -35,9 +36,7 @@ from lodbench.synthesis.flights.dataset import (
     drone_errors,
     open_flights,
 )
-from lodbench.synthesis.flights.errors import SensorErrors
-from lodbench.synthesis.flights.map_changes import MapErrors, change_map
-from lodbench.synthesis.flights.paths import PATHS
+from lodbench.synthesis.flights.errors import MapErrors, SensorErrors, change_map
 from lodbench.synthesis.mask_degradation import mask_iou
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA
 from tests.town import box_obj
@@ -90,10 +89,10 @@ def test_more_flights_keep_the_first_ones(city):
         np.testing.assert_array_equal(read_mask(one.mask), read_mask(same.mask))
 
 
-@pytest.mark.parametrize("path", sorted(PATHS))
+@pytest.mark.parametrize("path", sorted(FLIGHT_PATHS))
 def test_paths_go_on_and_look_at_the_place(path):
     target = np.array([10.0, -5.0, 2.0])
-    poses = list(PATHS[path](target, np.random.default_rng(0), 20))
+    poses = list(FLIGHT_PATHS[path](target, np.random.default_rng(0), 20))
     assert len(poses) >= 40
     middle = poses[len(poses) // 2 - 10 : len(poses) // 2 + 10]
     steps = np.linalg.norm(np.diff([pose.center for pose in middle], axis=0), axis=1)
@@ -147,7 +146,7 @@ def test_a_distorted_silhouette_is_what_opencv_draws(city):
     scene = open_scene(city)
     renderer = SilhouetteRenderer(scene)
     camera = RGB_CAMERA.scaled(301, 224)
-    pose = next(iter(PATHS["orbit"](np.zeros(3), np.random.default_rng(1), 4)))
+    pose = next(iter(FLIGHT_PATHS["orbit"](np.zeros(3), np.random.default_rng(1), 4)))
     bent = _silhouette(renderer, camera, pose, -0.25)
     # Points of roofs, projected by OpenCV with the same lens, are building wherever they are seen.
     row = scene.vertices[scene.vertices[:, 2] > 5.0].astype(np.float64)

@@ -57,7 +57,7 @@ def test_a_world_is_told_in_short():
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("roofs=1", "roofs"), ("focal=long", "number"), ("focal=2", "within"), ("tilt=nan", "within")],
+    [("roofs=1", "roofs"), ("focal=long", "world.focal"), ("focal=2", "within"), ("tilt=nan", "within")],
 )
 def test_what_is_no_world(text, words):
     with pytest.raises(ConfigError, match=words):

@@ -22,15 +22,12 @@ def props_of(surfaces, origin=(0.0, 0.0, 0.0)):
     )
 
 
-def test_each_class_is_ground_building_or_occluder():
-    for kind in SurfaceClass:
-        assert not (kind.is_ground and kind.is_occluder)
+def test_ground_comes_first_then_buildings_then_what_stands_before_them():
     assert SurfaceClass.WATER.is_ground
     assert not SurfaceClass.WINDOW.is_ground
-    assert not SurfaceClass.CHIMNEY.is_occluder
-    assert SurfaceClass.FOLIAGE.is_occluder
-    assert SurfaceClass.CAR_BODY.is_occluder
-    assert not SurfaceClass.WATER.is_occluder
+    of_buildings = [kind for kind in SurfaceClass if SurfaceClass.WALL <= kind < SurfaceClass.TRUNK]
+    assert SurfaceClass.CHIMNEY in of_buildings
+    assert not {SurfaceClass.FOLIAGE, SurfaceClass.CAR_BODY, SurfaceClass.WATER} & set(of_buildings)
 
 
 def test_a_part_keeps_only_the_vertices_it_uses():

@@ -41,7 +41,7 @@ def test_views_look_at_built_up_ground(city, renderer):
     for pose in sample_views(city, renderer, CAMERA, ViewSampling(), 8, "aim").poses:
         axis = pose.rotation[2]
         hit = pose.center + axis * ((20.0 - pose.center[2]) / axis[2])
-        assert np.linalg.norm(check.ground[:, :2] - hit[:2], axis=1).min() < 90
+        assert np.linalg.norm(check.boxes.bases[:, :2] - hit[:2], axis=1).min() < 90
 
 
 def test_more_views_keep_the_first_ones(city, renderer):

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -22,15 +24,13 @@ from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import Renderer, make_renderer
-from lodbench.storage import digest_of, make_folder, new_folder, random_stream, write_text
+from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
-from lodbench.synthesis.flights.errors import SensorErrors, moved
-from lodbench.synthesis.flights.map_changes import MapErrors, change_map
-from lodbench.synthesis.flights.paths import PATHS
-from lodbench.synthesis.flights.reconstruction import reconstruct
+from lodbench.synthesis.camera_paths import FLIGHT_PATHS
+from lodbench.synthesis.flights.errors import MapErrors, SensorErrors, change_map, moved
 from lodbench.synthesis.mask_degradation import degrade_mask, mask_iou
-from lodbench.synthesis.queries import SyntheticQuery, write_queries
-from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer
+from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
+from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer, reconstruct
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewCheck, target_near
 
 # Raised whenever the same settings would draw something else.
@@ -76,22 +76,19 @@ class FlightsParams:
     def __post_init__(self) -> None:
         if self.num_flights < 1 or self.num_photos < 1:
             raise ConfigError("dataset.num_flights and dataset.num_photos are at least 1.")
-        if self.path is not None and self.path not in PATHS:
-            raise ConfigError(f"dataset.path={self.path} is not known.", nearest_names(self.path, PATHS))
-        if not 0 < self.mask_iou <= 1:
-            raise ConfigError(f"dataset.mask_iou lies in (0, 1], not {self.mask_iou}.")
-        if not (0 <= self.focal <= 0.2 and -0.3 <= self.distortion <= 0.3):
-            raise ConfigError("dataset.focal lies within 0 and 0.2, dataset.distortion within -0.3 and 0.3.")
+        if self.path is not None and self.path not in FLIGHT_PATHS:
+            raise ConfigError(
+                f"dataset.path={self.path} is not known.", nearest_names(self.path, FLIGHT_PATHS)
+            )
+        require_within("dataset.mask_iou", self.mask_iou, 0, 1, "(]")
+        require_within("dataset.focal", self.focal, 0, 0.2)
+        require_within("dataset.distortion", self.distortion, -0.3, 0.3)
         if self.reconstruct and self.look is None:
             raise ConfigError("dataset.reconstruct=true needs photos.", "Set dataset.look=plain.")
         require_within("dataset.photo_width", self.photo_width, FINE_SIZE[0], RGB_CAMERA.width, "[]")
         if self.look is not None and self.distortion != 0:
             raise ConfigError("dataset.look draws photos without distortion.", "Set dataset.distortion=0.")
         self.shared(), self.own(), self.map_errors()
-
-    def photo_size(self) -> tuple[int, int]:
-        """Returns width and height of drawn photos, pixels."""
-        return self.photo_width, round(self.photo_width * PHOTO_SIZE[1] / PHOTO_SIZE[0])
 
     def shared(self) -> SensorErrors:
         """Returns what all photos of a flight are wrong about."""
@@ -119,27 +116,24 @@ def open_flights(params: FlightsParams) -> Dataset:
         # A run that is opened again names the wrong map it was given: its flights lie around it.
         return _opened(params, city.parent)
     options = ReadOptions(crs=params.crs)
-    world = open_cached_city(
-        city, lod=params.mask_lod or params.lod, options=options, roof_height=params.roof_height
-    ).scene
+    opened = partial(open_cached_city, city, options=options, roof_height=params.roof_height)
+    world = opened(lod=params.mask_lod or params.lod).scene
     left_out = {"city_model", "crs", "name"}
     if not params.map_errors():
         left_out.add("lod")
     if params.look is None:
         left_out.add("photo_width")
     drawn = {key: value for key, value in asdict(params).items() if key not in left_out}
-    root = (
-        cache_root() / "flights" / digest_of([FLIGHTS_VERSION, drawn, world.digest(), world.origin.tolist()])
-    )
-    if not root.is_dir():
+    key = digest_of([FLIGHTS_VERSION, drawn, world.digest(), world.origin.tolist()])
+
+    def write(folder: Path) -> None:
         # A level that the file lacks is said before photos are drawn, not after.
-        level = open_cached_city(city, lod=params.lod, options=options, roof_height=params.roof_height)
-        make_folder(root.parent)
-        with new_folder(root) as building:
-            _draw(params, world, building)
-            if params.map_errors():
-                _write_map(params, level, building)
-    return _opened(params, root)
+        level = opened(lod=params.lod)
+        _draw(params, world, folder)
+        if params.map_errors():
+            _write_map(params, level, folder)
+
+    return _opened(params, written_once(cache_root() / "flights" / key, write))
 
 
 def _opened(params: FlightsParams, root: Path) -> Dataset:
@@ -152,7 +146,8 @@ def _opened(params: FlightsParams, root: Path) -> Dataset:
 def _draw(params: FlightsParams, world: Scene, folder: Path) -> None:
     """Writes all flights as one split of a folder."""
     renderer = make_renderer("silhouette", world, None)
-    told = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(*params.photo_size())
+    width, height = params.photo_width, round(params.photo_width * PHOTO_SIZE[1] / PHOTO_SIZE[0])
+    told = RGB_CAMERA if params.look is None else RGB_CAMERA.scaled(width, height)
     photographer = None if params.look is None else Photographer(world, params.look, params.flights_seed)
     queries, sequences = [], {}
     for flight in range(params.num_flights):
@@ -187,19 +182,12 @@ def draw_flight(params: FlightsParams, world: Scene, renderer: Renderer, flight:
     return queries
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DroneErrors:
-    """What a flight's drone is wrong about in all photos.
+class DroneErrors(NamedTuple):
+    """What a flight's drone is wrong about in all photos."""
 
-    Attributes:
-        sensors: (6,) by which priors are off, metres and degrees.
-        focal: The focal length over what is told of it.
-        distortion: Radial distortion k1.
-    """
-
-    sensors: NDArray[np.float64]
-    focal: float
-    distortion: float
+    sensors: NDArray[np.float64]  # (6,) by which priors are off, metres and degrees
+    focal: float  # the focal length over what is told of it
+    distortion: float  # radial distortion k1
 
     def camera(self, told: Camera) -> Camera:
         """Returns the pinhole that photos are taken with, of the size of the one that is told."""
@@ -217,17 +205,18 @@ def drone_errors(params: FlightsParams, flight: int) -> DroneErrors:
 def _poses(
     params: FlightsParams, world: Scene, renderer: Renderer, camera: Camera, flight: int
 ) -> list[Pose]:
-    kind = params.path or list(PATHS)[flight % len(PATHS)]
+    kind = params.path or list(FLIGHT_PATHS)[flight % len(FLIGHT_PATHS)]
+    fly, wanted = FLIGHT_PATHS[kind], params.num_photos
     check = ViewCheck(world, renderer, camera, _BUILDING_SHARE)
     generator = random_stream(params.flights_seed, "flight", flight, "path")
     for _ in range(_MOST_TRIES):
-        target = target_near(check.ground, generator)
-        seen = [pose for pose in PATHS[kind](target, generator, params.num_photos) if check.accepts(pose)]
-        if len(seen) >= params.num_photos:
-            first = (len(seen) - params.num_photos) // 2
-            return seen[first : first + params.num_photos]
+        target = target_near(check.boxes.bases, generator)
+        seen = [pose for pose in fly(target, generator, wanted) if check.accepts(pose)]
+        if len(seen) >= wanted:
+            first = (len(seen) - wanted) // 2
+            return seen[first : first + wanted]
     raise DatasetError(
-        f"No {kind} flight of {params.num_photos} photos that all show buildings was found.",
+        f"No {kind} flight of {wanted} photos that all show buildings was found.",
         "Set dataset.path=orbit, or fewer dataset.num_photos.",
     )
 
@@ -237,19 +226,12 @@ def _silhouette(renderer: Renderer, camera: Camera, pose: Pose, distortion: floa
     if distortion == 0.0:
         return renderer.render(camera, pose)
     margin = round(0.15 * camera.width)
-    wide = replace(
-        camera,
-        width=camera.width + 2 * margin,
-        height=camera.height + 2 * margin,
-        cx=camera.cx + margin,
-        cy=camera.cy + margin,
-    )
+    width, height = camera.width + 2 * margin, camera.height + 2 * margin
+    wide = replace(camera, width=width, height=height, cx=camera.cx + margin, cy=camera.cy + margin)
     clean = renderer.render(wide, pose)
     u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
-    seen = np.stack([u.ravel(), v.ravel()], axis=1)
-    lens = np.array([distortion, 0.0, 0.0, 0.0])
-    straight = cv2.undistortPoints(seen[:, None], matrix, lens, P=matrix)[:, 0]
+    seen, lens = np.stack([u.ravel(), v.ravel()], axis=1), np.array([distortion, 0.0, 0.0, 0.0])
+    straight = cv2.undistortPoints(seen[:, None], camera.matrix, lens, P=camera.matrix)[:, 0]
     columns = np.clip(np.floor(straight[:, 0]).astype(int) + margin, 0, wide.width - 1)
     rows = np.clip(np.floor(straight[:, 1]).astype(int) + margin, 0, wide.height - 1)
     return np.asarray(clean[rows, columns].reshape(camera.height, camera.width))

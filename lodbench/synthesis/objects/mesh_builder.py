@@ -9,7 +9,9 @@ from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 
 Points = NDArray[np.float64]
 Triangles = NDArray[np.int64]
+Numbers = NDArray[np.int64]
 Tint = NDArray[np.float64] | tuple[float, float, float]
+Classes = SurfaceClass | NDArray[np.uint8]
 
 
 def palette(codes: str) -> Points:
@@ -38,51 +40,33 @@ class MeshBuilder:
 
     def add(
         self,
-        surface: SurfaceClass | NDArray[np.uint8],
+        surface: Classes,
         points: Points,
         triangles: Triangles,
         tint: Tint,
-        objects: NDArray[np.int64] | int | None = None,
+        objects: Numbers | int | None = None,
     ) -> None:
-        """Adds triangles.
+        """Adds triangles, (T, 3) indices into points, (P, 3) local metres.
 
-        Args:
-            surface: Class of all, or (T,) of each.
-            points: (P, 3) local metres.
-            triangles: (T, 3) indices into ``points``.
-            tint: RGB of all, or (T, 3) of each.
-            objects: Object of all, or (T,) of each; None for a new one.
+        Class, RGB and object are of all, or (T,), (T, 3) and (T,) of each; without ``objects`` they are a new
+        one.
         """
         count = len(triangles)
         if objects is None:
             objects = self.new_objects(1)[0]
-        self._parts.append(
-            (
-                points,
-                triangles + self._num_points,
-                np.broadcast_to(np.asarray(surface, np.uint8), count),
-                np.broadcast_to(np.asarray(objects, np.int64), count),
-                np.broadcast_to(np.asarray(tint, np.float64), (count, 3)),
-            )
-        )
+        kinds = np.broadcast_to(np.asarray(surface, np.uint8), count)
+        owners = np.broadcast_to(np.asarray(objects, np.int64), count)
+        tints = np.broadcast_to(np.asarray(tint, np.float64), (count, 3))
+        self._parts.append((points, triangles + self._num_points, kinds, owners, tints))
         self._num_points += len(points)
 
     def add_copies(
-        self,
-        surface: SurfaceClass | NDArray[np.uint8],
-        points: Points,
-        faces: Triangles,
-        tint: Tint,
-        objects: NDArray[np.int64] | None = None,
-    ) -> NDArray[np.int64]:
+        self, surface: Classes, points: Points, faces: Triangles, tint: Tint, objects: Numbers | None = None
+    ) -> Numbers:
         """Adds many objects of the same triangles, each with points of its own; returns their numbers, (N,).
 
-        Args:
-            surface: Class of all, or (F,) of each triangle.
-            points: (N, P, 3) local metres.
-            faces: (F, 3) indices into the P points of one object.
-            tint: RGB of all, or (N, F, 3) of each triangle.
-            objects: (N,) numbers; None for new ones.
+        Points are (N, P, 3) local metres, faces (F, 3) indices into the P of one object, a class of all or
+        (F,), RGB of all or (N, F, 3); without ``objects``, (N,), the numbers are new.
         """
         count, size, _ = points.shape
         numbers = self.new_objects(count) if objects is None else objects
@@ -91,11 +75,6 @@ class MeshBuilder:
         kinds = np.tile(np.broadcast_to(np.asarray(surface, np.uint8), len(faces)), count)
         self.add(kinds, points.reshape(-1, 3), triangles, colours, np.repeat(numbers, len(faces)))
         return numbers
-
-    def add_props(self, props: SceneProps) -> None:
-        """Adds the triangles of props, which are in the same frame, under the numbers that they have."""
-        points, triangles = props.vertices.astype(np.float64), props.triangles.astype(np.int64)
-        self.add(props.surface, points, triangles, props.tint.astype(float), props.objects.astype(np.int64))
 
     def build(self, origin: Points) -> SceneProps:
         """Returns everything added, in the frame of an origin, (3,)."""

@@ -1,18 +1,13 @@
 """What stands in a picture besides the plain city model: ground, roads, trees, cars, detailed buildings.
 
 A city file of LoD1 or LoD2 gives masks; a photo of the place shows more. ``SceneProps`` is that more:
-triangles with the class of their surface and a base colour, to be drawn by a colour renderer. It is
-made in two ways, and a renderer takes either:
+triangles with the class of their surface and a base colour. ``town.props`` makes the demo town's, at level of
+detail 3, in the town's own look; ``surroundings`` those of any city from footprints and building bases.
 
-- ``lodbench.synthesis.town.props`` makes the demo town's, at level of detail 3, in the town's own look;
-- ``lodbench.synthesis.surroundings`` makes those of any city from footprints and building bases.
-
-What a renderer does with them: it draws the triangles of ``SceneProps`` and, where they hold no
-building surfaces (``has_buildings`` is false), those of the city's ``Scene`` too. Where they do, the
-buildings are complete, windows included: the scene's are not drawn, and no facade is painted on.
-Occluders (trees, cars and fences) hide what is behind them in the picture; whether they do in a mask is up to
-the caller. Ground surfaces need no depth bias: what lies on the ground is cut out of it or
-stands at least 3 cm above.
+A renderer draws them and, where they hold no building surfaces (``has_buildings`` is false), the triangles of
+the city's ``Scene`` too. Where they do, the buildings are complete, windows included: no facade is painted
+on. Occluders (trees, cars, fences) hide what is behind them in the picture; whether they do in a mask is up
+to the caller. Ground needs no depth bias: what lies on it is cut out of it or stands at least 3 cm above.
 """
 
 from __future__ import annotations
@@ -62,35 +57,24 @@ class SurfaceClass(IntEnum):
         """Whether it lies on the ground or is the ground."""
         return self < SurfaceClass.WALL
 
-    @property
-    def is_occluder(self) -> bool:
-        """Whether it stands before buildings without being one."""
-        return self >= SurfaceClass.TRUNK
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneProps:
-    """Triangles to be seen, in the local metric frame of a city's scenes (x east, y north, z up).
+    """Triangles to be seen, in the local metric frame of a city's scenes (x east, y north, z up)."""
 
-    Attributes:
-        vertices: (V, 3) float32, metres; ``vertices + origin`` are coordinates in the city's CRS.
-        triangles: (T, 3) int32 indices into ``vertices``, counter-clockwise seen from outside.
-        surface: (T,) uint8 ``SurfaceClass``.
-        objects: (T,) int32 number of the object a triangle is part of: below ``num_buildings`` the
-            index of the building in the city file's order (``Scene.building_ids``), above one number for
-            each tree, car or street. For instance labels, and for one random tint per object.
-        tint: (T, 3) uint8 RGB, the base colour in white light, before texture, noise and shading.
-        num_buildings: Buildings of the city file.
-        origin: (3,) float64.
-    """
-
+    # (V, 3) float32, metres; ``vertices + origin`` are coordinates in the city's CRS.
     vertices: NDArray[np.float32]
+    # (T, 3) int32 indices into ``vertices``, counter-clockwise seen from outside.
     triangles: NDArray[np.int32]
-    surface: NDArray[np.uint8]
+    surface: NDArray[np.uint8]  # (T,) uint8 ``SurfaceClass``
+    # (T,) int32 number of the object a triangle is part of: below ``num_buildings`` the index of the building
+    # in the city file's order (``Scene.building_ids``), above one number for each tree, car or street. For
+    # instance labels, and for one random tint per object.
     objects: NDArray[np.int32]
+    # (T, 3) uint8 RGB, the base colour in white light, before texture, noise and shading.
     tint: NDArray[np.uint8]
-    num_buildings: int
-    origin: NDArray[np.float64]
+    num_buildings: int  # buildings of the city file
+    origin: NDArray[np.float64]  # (3,) float64
 
     def __len__(self) -> int:
         return len(self.triangles)

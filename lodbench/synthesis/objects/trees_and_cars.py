@@ -13,6 +13,7 @@ _LEAVES = palette("465c2c 546832 3c522a 626e38 4e643e")
 _NEEDLES = palette("30462e 384e34 2a3e2c")
 _PAINTS = palette("e8e8e8 3c3e42 96989c 222428 962824 2e4676 c4beb2")
 _GLASS = palette("343c44")
+_SIZES_M = ((3.8, 4.9), (1.7, 1.9), (1.4, 1.75))  # of cars: length, width and height
 # Rings of four corners, from the ground up: back and front end, half the width, height; of a unit car.
 _RINGS = (
     (-0.5, 0.5, 0.5, 0.14),
@@ -31,23 +32,17 @@ def add_trees(
     *,
     is_far: bool = False,
 ) -> None:
-    """Adds a tree at each place.
+    """Adds a tree at each foot, (N, 3) metres, a share of them broadleaved.
 
-    Args:
-        builder: Takes them.
-        feet: (N, 3) where they stand, metres.
-        chances: Source of chance.
-        broadleaf: Share of trees that are no conifers.
-        room_m: (N,) greatest radius of each crown; None where nothing is near.
-        is_far: Whether they are seen from afar only: of fewer triangles and without trunks.
+    ``room_m``, (N,), is the greatest radius of each crown; None where nothing is near. Trees seen from afar
+    only are of fewer triangles and without trunks.
     """
     count = len(feet)
     is_broad = chances.random(count) < broadleaf
     radius = np.where(is_broad, chances.uniform(1.7, 4.3, count), chances.uniform(1.4, 2.8, count))
     radius = radius if room_m is None else np.minimum(radius, room_m)
-    height = (
-        np.where(is_broad, chances.uniform(2.2, 3.2, count), chances.uniform(3.6, 5.0, count)) * radius + 1.0
-    )
+    slender = np.where(is_broad, chances.uniform(2.2, 3.2, count), chances.uniform(3.6, 5.0, count))
+    height = slender * radius + 1.0
     ball, faces = _ball(0 if is_far else 1)
     crown = ball[None] * (1.0 + chances.normal(0.0, 0.13, (count, len(ball), 1)))
     # A conifer is a cone: the higher, the narrower.
@@ -68,9 +63,8 @@ def add_trees(
 
 
 def _drawn(colours: Points, count: int, chances: np.random.Generator) -> Points:
-    return np.asarray(
-        colours[chances.integers(len(colours), size=count)] * chances.uniform(0.85, 1.15, (count, 1))
-    )
+    picked = colours[chances.integers(len(colours), size=count)]
+    return np.asarray(picked * chances.uniform(0.85, 1.15, (count, 1)))
 
 
 def _post() -> tuple[Points, Triangles]:
@@ -102,19 +96,12 @@ def _ball(halvings: int) -> tuple[Points, Triangles]:
 def add_cars(
     builder: MeshBuilder, feet: Points, ways: Points, slope: Points, chances: np.random.Generator
 ) -> None:
-    """Adds a car at each place.
+    """Adds a car over each foot, (N, 3) metres, that points along a way, (N, 2) unit directions.
 
-    Args:
-        builder: Takes them.
-        feet: (N, 3) the ground under their middles, metres.
-        ways: (N, 2) unit directions they point to.
-        slope: (N,) metres that the ground rises per metre ahead.
-        chances: Source of chance.
+    ``slope``, (N,), is by how much the ground rises per metre ahead.
     """
     count = len(feet)
-    lengths, widths, heights = (
-        chances.uniform(low, high, count) for low, high in ((3.8, 4.9), (1.7, 1.9), (1.4, 1.75))
-    )
+    lengths, widths, heights = (chances.uniform(*bounds, count) for bounds in _SIZES_M)
     shape, faces, is_glass = _unit_car()
     ahead, left, up = np.moveaxis(shape[None] * np.stack([lengths, widths, heights], axis=1)[:, None], 2, 0)
     points = np.empty((count, len(shape), 3))

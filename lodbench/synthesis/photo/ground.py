@@ -31,27 +31,19 @@ _DASH_M = 6.0  # a dash and its gap
 
 
 class LandCover(NamedTuple):
-    """What covers the ground, on a grid.
+    """What covers the ground, on a grid."""
 
-    Attributes:
-        classes: (rows, columns) uint8 ``SurfaceClass``, south to north; roads are in ``road_m2``.
-        road_m2: (rows, columns) float32 square of the distance to the middle of the nearest road.
-        road_rad: (rows, columns) float32 direction of that road, counter-clockwise from east.
-        west: Left edge of the first column, local metres.
-        south: Lower edge of the first row.
-        cell_m: Size of a cell.
-        half_road_m: Half the width of a carriageway.
-        pavement_m: Width of the pavement beside it.
-    """
-
+    # (rows, columns) uint8 ``SurfaceClass``, south to north; roads are in ``road_m2``.
     classes: NDArray[np.uint8]
+    # (rows, columns) float32 square of the distance to the middle of the nearest road.
     road_m2: NDArray[np.float32]
+    # (rows, columns) float32 direction of that road, counter-clockwise from east.
     road_rad: NDArray[np.float32]
-    west: float
-    south: float
-    cell_m: float
-    half_road_m: float
-    pavement_m: float
+    west: float  # left edge of the first column, local metres
+    south: float  # lower edge of the first row
+    cell_m: float  # size of a cell
+    half_road_m: float  # half the width of a carriageway
+    pavement_m: float  # width of the pavement beside it
 
 
 _GRASSLAND = np.full((1, 1), _GRASS, dtype=np.uint8)
@@ -64,14 +56,8 @@ NO_LAND_COVER = LandCover(_GRASSLAND, _FAR, _EAST, 0.0, 0.0, 1.0, 3.0, 1.5)
 def ground_colour(kind, tint, x, y, pixel_m, look, cover):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the linear RGB of a ground surface at a point, and the share of sky it mirrors.
 
-    Args:
-        kind: ``SurfaceClass``, or ``LAND_COVER`` to look it up.
-        tint: (3,) linear base colour; a negative red for the class's own.
-        x: East, local metres.
-        y: North, likewise.
-        pixel_m: Size of a pixel there.
-        look: Of the picture.
-        cover: What covers ground that does not say it.
+    The kind is a ``SurfaceClass``, or ``LAND_COVER`` to look it up in the cover. A tint of negative red
+    stands for the class's own. The point is x and y in local metres, where a pixel has a size of ``pixel_m``.
     """
     if kind > _LAST:
         return _covered_colour(x, y, pixel_m, look, cover)
@@ -90,7 +76,8 @@ def _cover(kind, tint, x, y, pixel_m, look):  # type: ignore[no-untyped-def]  # 
     if kind == _GRASS or kind == _FIELD:
         return _plants(kind, tint, x, y, broad, fine, pixel_m, look), 0.0
     if kind == _ROAD:
-        base = tint if tint[0] >= 0.0 else _asphalt(look)
+        grey = 0.055 + 0.09 * unit_hash(seed, 11, 5)
+        base = tint if tint[0] >= 0.0 else (grey, grey, grey * 1.03)
         worn = 0.10 * fine + 0.16 * look.dirt * broad
         return scaled(base, 1.0 + texture * worn), 0.02
     if kind == _MARKING:
@@ -103,12 +90,6 @@ def _cover(kind, tint, x, y, pixel_m, look):  # type: ignore[no-untyped-def]  # 
         return scaled(base, slabs * (1.0 + texture * (0.06 * fine + 0.14 * look.dirt * broad))), 0.0
     base = tint if tint[0] >= 0.0 else (0.20, 0.155, 0.10)
     return scaled(base, 1.0 + texture * (0.22 * fine + 0.2 * broad)), 0.0
-
-
-@per_pixel
-def _asphalt(look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    grey = 0.055 + 0.09 * unit_hash(look.seed, 11, 5)
-    return grey, grey, grey * 1.03
 
 
 @per_pixel

@@ -11,7 +11,7 @@ from lodbench.rendering.pixel_samples import same_samples
 from lodbench.rendering.texture_charts import Charts, make_charts, texture_light
 from lodbench.synthesis.photo.ground import NO_LAND_COVER, TEXTURED, LandCover
 from lodbench.synthesis.photo.look import Look
-from lodbench.synthesis.photo.noise import mix
+from lodbench.synthesis.photo.noise import dot, mix, plus, scaled
 from lodbench.synthesis.photo.render_scene import Skin
 from lodbench.synthesis.photo.sunlight import NO_SUN_MAP, SunMap, sun_share
 from lodbench.synthesis.photo.surfaces import PALETTES, Palettes, surface_colour
@@ -36,11 +36,11 @@ def plain_shading(skin: Skin, look: Look) -> Shading:
 
 
 @per_pixel
-def sky_colour(up, towards_sun, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the linear RGB of the sky, by sine of elevation and by cosine of the angle to the sun."""
-    height = min(1.0, max(0.0, up)) ** 0.45
+def sky_colour(ray, look):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the linear RGB of the sky along a unit direction."""
+    height = min(1.0, max(0.0, ray[2])) ** 0.45
     colour = mix(look.haze_rgb, look.zenith_rgb, height)
-    glow = max(0.0, towards_sun) ** 24.0
+    glow = max(0.0, dot(ray, look.sun)) ** 24.0
     return colour[0] * (1.0 + 0.5 * glow), colour[1] * (1.0 + 0.45 * glow), colour[2] * (1.0 + 0.35 * glow)
 
 
@@ -55,9 +55,13 @@ def flat_normal(skin, triangle):  # type: ignore[no-untyped-def]  # noqa: ANN001
 def out_of_crown(skin, triangle, point):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Returns the unit direction, (3,), from the middle of a leaf's crown to a point, (3,) local metres."""
     place, (x, y, z) = skin.place, point
-    cx, cy, cz = x - place[triangle, 0], y - place[triangle, 1], z - place[triangle, 2]
-    length = np.sqrt(cx * cx + cy * cy + cz * cz) + 1e-6
-    return cx / length, cy / length, cz / length
+    return _unit((x - place[triangle, 0], y - place[triangle, 1], z - place[triangle, 2]))
+
+
+@per_pixel
+def _unit(way):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    length = np.sqrt(dot(way, way)) + 1e-6
+    return way[0] / length, way[1] / length, way[2] / length
 
 
 @per_pixel
@@ -66,51 +70,38 @@ def _shading_normal(skin, triangle, point, back):  # type: ignore[no-untyped-def
 
     ``back``, (3,), leads from the point to the camera. The normal of leaves is round a crown.
     """
-    nx, ny, nz = flat_normal(skin, triangle)
-    if nx * back[0] + ny * back[1] + nz * back[2] < 0.0:
-        nx, ny, nz = -nx, -ny, -nz
+    normal = flat_normal(skin, triangle)
+    if dot(normal, back) < 0.0:
+        normal = scaled(normal, -1.0)
     if skin.place[triangle, 6] > 0.0:
-        cx, cy, cz = out_of_crown(skin, triangle, point)
-        nx, ny, nz = 0.5 * nx + cx, 0.5 * ny + cy, 0.5 * nz + cz
-        length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-6
-        nx, ny, nz = nx / length, ny / length, nz / length
-    return nx, ny, nz
+        normal = _unit(plus(out_of_crown(skin, triangle, point), normal, 0.5))
+    return normal
 
 
 @per_pixel
 def surface_light(albedo, mirrored, point, normal, ray, shading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the light a surface sends to the camera.
+    """Returns the light that a surface of a linear albedo sends to the camera from a point, (3,) metres.
 
-    Args:
-        albedo: (3,) linear.
-        mirrored: Share of sky it mirrors, looked at straight; more when grazed.
-        point: (3,) local metres.
-        normal: (3,) unit.
-        ray: (3,) unit, from the camera to the point.
-        shading: Of the picture.
+    ``mirrored`` is the share of sky it mirrors, looked at straight; more when grazed. Normal and ray, from
+    the camera to the point, are unit.
     """
     look = shading.look
-    facing = normal[0] * look.sun[0] + normal[1] * look.sun[1] + normal[2] * look.sun[2]
-    sun = 0.0
-    if facing > 0.0:
-        sun = facing * sun_share(point, normal, facing, shading.sun_map)
+    facing = dot(normal, look.sun)
+    sun = facing * sun_share(point, normal, facing, shading.sun_map) if facing > 0.0 else 0.0
     # A surface sees as much sky as it looks up; the rest is ground, lit and grey-green.
     open_sky = 0.5 + 0.5 * normal[2]
     ground = 0.16 * (1.0 - open_sky)
-    red = albedo[0] * (sun * look.sun_rgb[0] + open_sky * look.sky_rgb[0] + ground)
-    green = albedo[1] * (sun * look.sun_rgb[1] + open_sky * look.sky_rgb[1] + ground)
-    blue = albedo[2] * (sun * look.sun_rgb[2] + open_sky * look.sky_rgb[2] + ground)
+    red, green, blue = plus(scaled(look.sun_rgb, sun), look.sky_rgb, open_sky)
+    light = (albedo[0] * (red + ground), albedo[1] * (green + ground), albedo[2] * (blue + ground))
     if mirrored <= 0.0:
-        return red, green, blue
-    cosine = -(ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2])
-    bounce = 2.0 * cosine
-    rx, ry, rz = ray[0] + bounce * normal[0], ray[1] + bounce * normal[1], ray[2] + bounce * normal[2]
+        return light
+    cosine = -dot(ray, normal)
+    bounced = plus(ray, normal, 2.0 * cosine)
     grazing = (1.0 - min(1.0, max(0.0, cosine))) ** 4
     share = mirrored + (1.0 - mirrored) * grazing * min(1.0, 4.0 * mirrored)
-    towards_sun = rx * look.sun[0] + ry * look.sun[1] + rz * look.sun[2]
     # What looks down mirrors the ground.
-    sky = sky_colour(rz, towards_sun, look) if rz > 0.0 else (0.09, 0.09, 0.08)
-    return mix((red, green, blue), sky, min(1.0, share))
+    sky = sky_colour(bounced, look) if bounced[2] > 0.0 else (0.09, 0.09, 0.08)
+    return mix(light, sky, min(1.0, share))
 
 
 @per_pixel
@@ -126,19 +117,17 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, shading):  # typ
     dz = rotation[0, 2] * a + rotation[1, 2] * b + rotation[2, 2]
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     ray = (dx / length, dy / length, dz / length)
-    towards_sun = ray[0] * look.sun[0] + ray[1] * look.sun[1] + ray[2] * look.sun[2]
     if triangle < 0:
-        return sky_colour(ray[2], towards_sun, look)
+        return sky_colour(ray, look)
     depth = 1.0 / inverse
-    point = (center[0] + dx * depth, center[1] + dy * depth, center[2] + dz * depth)
+    point = plus(center, (dx, dy, dz), depth)
     if skin.surface[triangle] == _TEXTURED:
         x, y, z = point
         light = texture_light(np.int64(skin.number[triangle]), x, y, z, 2.0 * depth / f[0], shading.charts)
         return mix(look.haze_rgb, light, np.exp(-depth * length * look.haze_per_m))
-    normal = _shading_normal(skin, triangle, point, (-ray[0], -ray[1], -ray[2]))
+    normal = _shading_normal(skin, triangle, point, scaled(ray, -1.0))
     # Two samples are one pixel; a grazed surface is seen coarser, at most by 4.
-    cosine = abs(ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2])
-    pixel_m = 2.0 * depth / f[0] / max(0.25, np.sqrt(cosine))
+    pixel_m = 2.0 * depth / f[0] / max(0.25, np.sqrt(abs(dot(ray, normal))))
     albedo, mirrored = surface_colour(triangle, point, normal, pixel_m, shading)
     light = surface_light(albedo, mirrored, point, normal, ray, shading)
     return mix(look.haze_rgb, light, np.exp(-depth * length * look.haze_per_m))
@@ -146,17 +135,10 @@ def _pixel(triangle, inverse, column, row, f, rotation, center, shading):  # typ
 
 @pixel_loop
 def resolve_photo(band, buffer, rotation, center, shading, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Writes the linear RGB of a band's pixels, each the mean of two by two samples.
+    """Writes the linear RGB of a band's pixels, each the mean of two by two samples, into ``out``, (H, W, 3).
 
-    A triangle is shaded once per pixel, in the middle of its samples.
-
-    Args:
-        band: Band of the view at twice the picture's size; its first column is even.
-        buffer: Its z-buffer.
-        rotation: (3, 3) cam_from_world.
-        center: (3,) of the camera.
-        shading: Of the picture.
-        out: (H, W, 3) float32.
+    A triangle is shaded once per pixel, in the middle of its samples. The band is of the view at twice the
+    picture's size; its first column is even. The pose is (3, 3) cam_from_world and the camera's centre, (3,).
     """
     # Columns lie along memory in the buffer, as for the raster.
     for column in range(band.first // 2, band.stop // 2):

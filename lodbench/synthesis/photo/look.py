@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib.resources import files
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +17,10 @@ from lodbench.params import read_settings, to_params
 Range = tuple[float, float]
 Triple = tuple[float, float, float]
 
-# What a value of a range may be; others are shares, 0 to 1.
-_LIMITS: dict[str, Range] = {
-    "sun_elevation_deg": (5.0, 90.0),
-    "sun_azimuth_deg": (-360.0, 360.0),
-    "sun_warmth": (-1.0, 1.0),
-    "haze_range_m": (200.0, 1e6),
-    "exposure": (0.2, 4.0),
-    "contrast": (0.3, 3.0),
-    "saturation": (0.0, 3.0),
-    "white_balance": (-0.5, 0.5),
-    "blur_px": (0.0, 10.0),
-    "noise": (0.0, 0.2),
-    "jpeg_quality": (5.0, 100.0),
-    "storey_m": (2.0, 6.0),
-    "window_spacing_m": (1.2, 10.0),
-}
+
+def _drawn(low: float, high: float, within: Range = (0.0, 1.5)) -> Any:
+    """Returns a field: a range, and the bounds of any other; without them shares, and a little more."""
+    return field(default=(low, high), metadata={"within": within})
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,39 +33,38 @@ class LookRanges:
         ConfigError: A range is not ascending, or out of bounds.
     """
 
-    sun_elevation_deg: Range = (20.0, 68.0)
-    sun_azimuth_deg: Range = (-180.0, 180.0)
-    sun_share: Range = (0.25, 0.85)
-    sun_warmth: Range = (-0.1, 0.5)
-    haze_range_m: Range = (1200.0, 9000.0)
-    sky_white: Range = (0.1, 0.9)
-    dryness: Range = (0.0, 0.8)
-    texture: Range = (0.6, 1.3)
-    tint_jitter: Range = (0.02, 0.14)
-    dirt: Range = (0.1, 0.9)
-    windows: Range = (0.7, 1.0)
-    window_light: Range = (0.0, 0.5)
-    storey_m: Range = (2.7, 3.6)
-    window_spacing_m: Range = (2.0, 3.8)
-    skylights: Range = (0.0, 0.14)
-    roof_units: Range = (0.0, 0.3)
-    exposure: Range = (0.75, 1.3)
-    contrast: Range = (0.9, 1.25)
-    saturation: Range = (0.6, 1.2)
-    white_balance: Range = (-0.08, 0.08)
-    vignette: Range = (0.0, 0.25)
-    blur_px: Range = (0.0, 0.9)
-    noise: Range = (0.002, 0.025)
-    jpeg_quality: Range = (78.0, 97.0)
-    repaint: Range = (0.0, 0.0)
+    sun_elevation_deg: tuple[float, float] = _drawn(20.0, 68.0, (5.0, 90.0))
+    sun_azimuth_deg: tuple[float, float] = _drawn(-180.0, 180.0, (-360.0, 360.0))
+    sun_share: tuple[float, float] = _drawn(0.25, 0.85)
+    sun_warmth: tuple[float, float] = _drawn(-0.1, 0.5, (-1.0, 1.0))
+    haze_range_m: tuple[float, float] = _drawn(1200.0, 9000.0, (200.0, 1e6))
+    sky_white: tuple[float, float] = _drawn(0.1, 0.9)
+    dryness: tuple[float, float] = _drawn(0.0, 0.8)
+    texture: tuple[float, float] = _drawn(0.6, 1.3)
+    tint_jitter: tuple[float, float] = _drawn(0.02, 0.14)
+    dirt: tuple[float, float] = _drawn(0.1, 0.9)
+    windows: tuple[float, float] = _drawn(0.7, 1.0)
+    window_light: tuple[float, float] = _drawn(0.0, 0.5)
+    storey_m: tuple[float, float] = _drawn(2.7, 3.6, (2.0, 6.0))
+    window_spacing_m: tuple[float, float] = _drawn(2.0, 3.8, (1.2, 10.0))
+    skylights: tuple[float, float] = _drawn(0.0, 0.14)
+    roof_units: tuple[float, float] = _drawn(0.0, 0.3)
+    exposure: tuple[float, float] = _drawn(0.75, 1.3, (0.2, 4.0))
+    contrast: tuple[float, float] = _drawn(0.9, 1.25, (0.3, 3.0))
+    saturation: tuple[float, float] = _drawn(0.6, 1.2, (0.0, 3.0))
+    white_balance: tuple[float, float] = _drawn(-0.08, 0.08, (-0.5, 0.5))
+    vignette: tuple[float, float] = _drawn(0.0, 0.25)
+    blur_px: tuple[float, float] = _drawn(0.0, 0.9, (0.0, 10.0))
+    noise: tuple[float, float] = _drawn(0.002, 0.025, (0.0, 0.2))
+    jpeg_quality: tuple[float, float] = _drawn(78.0, 97.0, (5.0, 100.0))
+    repaint: tuple[float, float] = _drawn(0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            low, high = getattr(self, field.name)
-            least, most = _LIMITS.get(field.name, (0.0, 1.5))
+        for each in fields(self):
+            (low, high), (least, most) = getattr(self, each.name), each.metadata["within"]
             if not least <= low <= high <= most:
                 raise ConfigError(
-                    f"look.{field.name} is [{low:g}, {high:g}], not an ascending range within "
+                    f"look.{each.name} is [{low:g}, {high:g}], not an ascending range within "
                     f"{least:g} to {most:g}."
                 )
 
@@ -98,24 +85,14 @@ def look_ranges(name: str) -> LookRanges:
 
 
 class Look(NamedTuple):
-    """The look of one picture, for the kernel; see ``LookRanges`` for what is not explained here.
+    """The look of one picture, for the kernel; see ``LookRanges`` for what is not explained here."""
 
-    Attributes:
-        sun: Unit vector towards the sun, world axes.
-        sun_rgb: Its light, linear.
-        sky_rgb: Light of the whole sky on level ground, linear.
-        haze_rgb: Colour of far air, linear.
-        zenith_rgb: Colour of the sky straight up, linear.
-        haze_per_m: Share of contrast lost per metre.
-        seed: Of patterns and of objects' colours.
-    """
-
-    sun: Triple
-    sun_rgb: Triple
-    sky_rgb: Triple
-    haze_rgb: Triple
-    zenith_rgb: Triple
-    haze_per_m: float
+    sun: Triple  # unit vector towards the sun, world axes
+    sun_rgb: Triple  # its light, linear
+    sky_rgb: Triple  # light of the whole sky on level ground, linear
+    haze_rgb: Triple  # colour of far air, linear
+    zenith_rgb: Triple  # colour of the sky straight up, linear
+    haze_per_m: float  # share of contrast lost per metre
     dryness: float
     texture: float
     tint_jitter: float
@@ -127,7 +104,7 @@ class Look(NamedTuple):
     skylights: float
     roof_units: float
     repaint: float
-    seed: int
+    seed: int  # of patterns and of objects' colours
 
 
 class CameraResponse(NamedTuple):
@@ -146,7 +123,7 @@ class CameraResponse(NamedTuple):
 
 def draw_look(ranges: LookRanges, generator: np.random.Generator) -> tuple[Look, CameraResponse]:
     """Returns a look drawn from ranges; always as many draws, so that one range changes nothing else."""
-    names = [field.name for field in fields(ranges) if field.name != "repaint"]
+    names = [each.name for each in fields(ranges) if each.name != "repaint"]
     drawn = {name: float(generator.uniform(*getattr(ranges, name))) for name in names}
     seeds = generator.integers(1 << 30, size=2)
     # Drawn last, as it came last: looks without it stay what they were.
@@ -182,4 +159,5 @@ def _sky(overcast: Triple, clear: Triple, white: float, brightness: float) -> Tr
 
 def _triple(values: NDArray[np.float64]) -> Triple:
     # Not an array: the kernel would count references to it at every pixel.
-    return float(values[0]), float(values[1]), float(values[2])
+    red, green, blue = values.tolist()
+    return red, green, blue

@@ -1,4 +1,4 @@
-"""Noise from integer hashes: the same pattern at a place whatever drew it, and in whichever order."""
+"""What kernels count with: triples, and noise from integer hashes: at a place the same in whichever order."""
 
 from __future__ import annotations
 
@@ -69,5 +69,17 @@ def mix(a, b, share):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
 
 @per_pixel
 def scaled(a, factor):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns a colour times a number."""
+    """Returns a triple times a number."""
     return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@per_pixel
+def plus(a, b, factor):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the triple a and so many times b."""
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@per_pixel
+def dot(a, b):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Returns the scalar product of two triples."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -29,41 +29,26 @@ _NO_CASTERS = np.array([*ON_GROUND, *_ON_WALLS, LAND_COVER, TEXTURED], dtype=np.
 
 
 class Skin(NamedTuple):
-    """What the triangles of a render scene look like, for the kernel.
+    """What the triangles of a render scene look like, for the kernel."""
 
-    Attributes:
-        normal: (T, 3) float32 unit normals, whichever side.
-        surface: (T,) uint8 ``SurfaceClass``, or ``LAND_COVER``.
-        number: (T,) int32 of the object.
-        tint: (T, 3) float32 linear base colour; a negative red one for the palette's.
-        place: (T, 7) float32. Walls: tangent x, y, where the wall begins along it, its width, base and
-            top heights; a width of 0 for no painted windows. Leaves: centre of the crown at 0 to 2, and
-            1 at 6, for light as round a crown.
-    """
-
-    normal: NDArray[np.float32]
-    surface: NDArray[np.uint8]
-    number: NDArray[np.int32]
-    tint: NDArray[np.float32]
+    normal: NDArray[np.float32]  # (T, 3) float32 unit normals, whichever side
+    surface: NDArray[np.uint8]  # (T,) uint8 ``SurfaceClass``, or ``LAND_COVER``
+    number: NDArray[np.int32]  # (T,) int32 of the object
+    tint: NDArray[np.float32]  # (T, 3) float32 linear base colour; a negative red one for the palette's
+    # (T, 7) float32. Walls: tangent x, y, where the wall begins along it, its width, base and top heights; a
+    # width of 0 for no painted windows. Leaves: centre of the crown at 0 to 2, and 1 at 6, for light as round
+    # a crown.
     place: NDArray[np.float32]
 
 
 class RenderScene(NamedTuple):
-    """A city with its surroundings, ready to be pictured.
+    """A city with its surroundings, ready to be pictured."""
 
-    Attributes:
-        mesh: Its triangles as a ``Scene`` whose "buildings" are groups of neighbours.
-        skin: What they look like.
-        is_occluder: (T,) whether a triangle stands before buildings without being one.
-        casters: Those triangles that cast shadows worth drawing, or None if none do.
-        charts: Where on its texture each textured triangle is; its ``Skin.number`` is the row.
-    """
-
-    mesh: Scene
-    skin: Skin
-    is_occluder: NDArray[np.bool_]
-    casters: Scene | None
-    charts: Charts
+    mesh: Scene  # its triangles as a ``Scene`` whose "buildings" are groups of neighbours
+    skin: Skin  # what they look like
+    is_occluder: NDArray[np.bool_]  # (T,) whether a triangle stands before buildings without being one
+    casters: Scene | None  # those triangles that cast shadows worth drawing, or None if none do
+    charts: Charts  # where on its texture each textured triangle is; its ``Skin.number`` is the row
 
 
 class _Loose(NamedTuple):
@@ -79,15 +64,10 @@ class _Loose(NamedTuple):
 def make_render_scene(
     scene: Scene, props: SceneProps | None, textured: TexturedMesh | None = None
 ) -> RenderScene:
-    """Returns the render scene of a city and what stands around it.
+    """Returns the render scene of a city and what stands around it, in any frame.
 
-    Where the props hold the buildings themselves, or there is a textured mesh, those of the scene are
-    left out.
-
-    Args:
-        scene: The city, as the picture shows it.
-        props: Its surroundings, in any frame; None for nothing.
-        textured: A mesh of the place, in the scene's frame; or None.
+    Where the props hold the buildings themselves, or there is a textured mesh (in the scene's frame), those
+    of the scene are left out.
     """
     parts = []
     if textured is None and (props is None or not props.has_buildings):
@@ -139,9 +119,8 @@ def _of_scene(scene: Scene) -> _Loose:
     has_slope = np.zeros(scene.num_buildings, dtype=bool)
     has_slope[building[(up > _WALL_UP) & (up < _FLAT_UP)]] = True
     flat = np.where(has_slope[building], SurfaceClass.ROOF_FLAT, flat)
-    surface = np.where(
-        up < _WALL_UP, SurfaceClass.WALL, np.where(up < _FLAT_UP, SurfaceClass.ROOF_TILE, flat)
-    )
+    roof = np.where(up < _FLAT_UP, SurfaceClass.ROOF_TILE, flat)
+    surface = np.where(up < _WALL_UP, SurfaceClass.WALL, roof)
     tint = np.full((len(corners), 3), -1.0, dtype=np.float32)
     plain = np.zeros(len(corners), dtype=bool)
     return _Loose(corners, surface.astype(np.uint8), building.astype(np.int32), tint, plain)
@@ -158,13 +137,8 @@ def _of_props(props: SceneProps) -> _Loose:
 
 def _of_textured(mesh: TexturedMesh) -> _Loose:
     count = len(mesh.corners)
-    return _Loose(
-        mesh.corners,
-        np.full(count, TEXTURED, dtype=np.uint8),
-        np.arange(count, dtype=np.int32),
-        np.zeros((count, 3), dtype=np.float32),
-        np.ones(count, dtype=bool),
-    )
+    kinds, numbers = np.full(count, TEXTURED, np.uint8), np.arange(count, dtype=np.int32)
+    return _Loose(mesh.corners, kinds, numbers, np.zeros((count, 3), np.float32), np.ones(count, bool))
 
 
 def _normals(corners: Floats) -> Floats:

@@ -1,26 +1,26 @@
-"""Photos of a city: the raster's z-buffer, shaded pixel by pixel; textured meshes by OpenGL, too."""
+"""Photos of a city: a z-buffer, shaded pixel by pixel and seen by a camera."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pictures import encoded
 from lodbench.geometry import Camera, Pose
-from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.raster_kernel import Band, Buffer
 from lodbench.synthesis.objects.scene_props import SceneProps
-from lodbench.synthesis.photo.camera_response import apply_camera_response
 from lodbench.synthesis.photo.ground import NO_LAND_COVER, LandCover
 from lodbench.synthesis.photo.kernel import Shading, resolve_photo
 from lodbench.synthesis.photo.look import CameraResponse, Look
+from lodbench.synthesis.photo.noise import unit_hash
 from lodbench.synthesis.photo.render_scene import make_render_scene
 from lodbench.synthesis.photo.sunlight import NO_SUN_MAP, SunMap, draw_sun_map, ground_in_view
-from lodbench.synthesis.photo.surfaces import PALETTES, linear
+from lodbench.synthesis.photo.surfaces import PALETTES
 
 # Side of the shadow map, pixels: of the largest one each is half a metre where 450 m are in view.
 _LEAST_SUN_MAP, _MOST_SUN_MAP = 512, 1536
@@ -31,12 +31,12 @@ _BAND = 256
 class PhotoRenderer:
     """Renders photos: procedural surfaces, sun with cast shadows, sky, haze, and a camera's faults.
 
-    Deferred: the z-buffer keeps the nearest triangle of two by two samples per pixel, and each
-    triangle in a pixel is shaded once. A photo depends on its arguments only, whatever the threads.
+    Deferred: the z-buffer keeps the nearest triangle of two by two samples per pixel, and each triangle in a
+    pixel is shaded once. A photo depends on its arguments only, whatever the threads.
 
     Args:
         scene: The city as the picture shows it, local metric frame.
-        props: What stands around it, or None; see ``lodbench.synthesis.objects.scene_props``.
+        props: What stands around it; see ``lodbench.synthesis.objects.scene_props``.
         cover: What covers ground of class ``LAND_COVER``.
         threads: Worker threads; None for one per core.
         textured: A textured mesh of the place to picture instead of the city, in the scene's frame.
@@ -103,31 +103,61 @@ class PhotoRenderer:
         return draw_sun_map(self._casters, np.array(look.sun), seen, size)
 
 
-class PyrenderPhotos:
-    """Renders photos of a textured mesh with OpenGL; no sun and no haze, which textures have already.
-
-    Args:
-        mesh: The mesh, local metric frame.
-
-    Raises:
-        RenderingError: pyrender or an EGL driver is absent.
-    """
-
-    def __init__(self, mesh: TexturedMesh) -> None:
-        self._drawn = PyrenderTextured(mesh)
-
-    def photo(self, camera: Camera, pose: Pose, look: Look, response: CameraResponse) -> NDArray[np.uint8]:
-        """Returns the (H, W, 3) RGB photo from a pose in the mesh's frame.
-
-        Raises:
-            RenderingError: The camera has lens distortion or is wider or higher than 8192 pixels.
-        """
-        sky = np.sqrt(np.clip(look.haze_rgb, 0.0, 1.0))
-        picture = self._drawn.picture(camera, pose, sky)
-        return apply_camera_response(linear(picture).astype(np.float32), response)
-
-
 def photo_file(photo: NDArray[np.uint8], suffix: str, response: CameraResponse) -> bytes:
     """Returns a (H, W, 3) RGB photo as a file: ``.jpg`` of the response's quality, or ``.png``."""
     options = [cv2.IMWRITE_JPEG_QUALITY, response.jpeg_quality] if suffix == ".jpg" else []
     return encoded(np.ascontiguousarray(photo[..., ::-1]), suffix, options)
+
+
+_STEPS, _BRIGHTEST = 2048, 4
+_MIDDLE = 0.45  # the grey that contrast leaves as it is
+
+
+def apply_camera_response(light: NDArray[np.float32], how: CameraResponse) -> NDArray[np.uint8]:
+    """Returns the (H, W, 3) 8-bit RGB picture of (H, W, 3) linear RGB light, which may be overwritten.
+
+    A light of 1 is white paper in full light.
+    """
+    import cv2
+
+    if how.blur_px > 0.15:
+        blurred = cv2.GaussianBlur(light, (0, 0), how.blur_px, borderType=cv2.BORDER_REPLICATE)
+        light = np.asarray(blurred, dtype=np.float32)
+    picture = np.empty(light.shape, dtype=np.uint8)
+    _expose(light, how, _tone_curve(how), picture)
+    return picture
+
+
+def _tone_curve(how: CameraResponse) -> NDArray[np.float32]:
+    """Returns the brightness, 0 to 1, of linear light 0, 1 / _STEPS, 2 / _STEPS, ...
+
+    It is the inverse of ``linear``, with a shoulder instead of a hard cut at white, and contrast.
+    """
+    light = np.arange(_STEPS * _BRIGHTEST + 2) / _STEPS
+    value = np.sqrt(1.0 - np.exp(-1.55 * light))
+    dark = _MIDDLE * (np.minimum(value, _MIDDLE) / _MIDDLE) ** how.contrast
+    bright = 1.0 - (1.0 - _MIDDLE) * ((1.0 - np.maximum(value, _MIDDLE)) / (1.0 - _MIDDLE)) ** how.contrast
+    return np.where(value < _MIDDLE, dark, bright).astype(np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _expose(light, how, curve, picture):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    height, width, _ = light.shape
+    balance = (1.0 + how.white_balance, 1.0, 1.0 - how.white_balance)
+    reach = 4.0 / (height * height + width * width)
+    for row in range(height):
+        for column in range(width):
+            dx, dy = column + 0.5 - 0.5 * width, row + 0.5 - 0.5 * height
+            gain = how.exposure * (1.0 - how.vignette * (dx * dx + dy * dy) * reach)
+            grey = 0.3 * light[row, column, 0] + 0.6 * light[row, column, 1] + 0.1 * light[row, column, 2]
+            for c in range(3):
+                value = grey + how.saturation * (light[row, column, c] - grey)
+                place = min(_BRIGHTEST * 1.0, max(0.0, gain * balance[c] * value)) * _STEPS
+                step = np.int64(place)
+                value = curve[step] + (curve[step + 1] - curve[step]) * (place - step)
+                # Photons come by chance: brighter is noisier, by the root, which the curve undoes.
+                # The four bytes of a hash, added up, are near enough normal.
+                bits = np.int64(unit_hash(column, row, how.seed + c) * 4294967296.0)
+                total = (bits & 255) + ((bits >> 8) & 255) + ((bits >> 16) & 255) + ((bits >> 24) & 255)
+                value += how.noise * (0.6 + 0.5 * value) * ((total - 510.0) * (1.0 / 147.8))
+                picture[row, column, c] = np.uint8(min(255.0, max(0.0, 255.0 * value + 0.5)))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering.compiled import per_pixel
 from lodbench.rendering.raster import RasterRenderer
+from lodbench.synthesis.photo.noise import dot, plus
 
 Floats = NDArray[np.float64]
 
@@ -20,21 +21,13 @@ REACH_M = 450.0
 
 
 class SunMap(NamedTuple):
-    """Depth towards the sun, for the kernel.
+    """Depth towards the sun, for the kernel."""
 
-    Attributes:
-        depth: (N, N) float32 metres from the map's camera; 0 where there is nothing.
-        rotation: (3, 3) sun_from_world.
-        center: (3,) of the camera, local metres.
-        focal: Focal length, pixels.
-        texel_m: Size of a map pixel on the scene.
-    """
-
-    depth: NDArray[np.float32]
-    rotation: tuple[tuple[float, float, float], ...]
-    center: tuple[float, float, float]
-    focal: float
-    texel_m: float
+    depth: NDArray[np.float32]  # (N, N) float32 metres from the map's camera; 0 where there is nothing
+    rotation: tuple[tuple[float, float, float], ...]  # (3, 3) sun_from_world
+    center: tuple[float, float, float]  # (3,) of the camera, local metres
+    focal: float  # focal length, pixels
+    texel_m: float  # size of a map pixel on the scene
 
 
 _LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -61,13 +54,10 @@ def ground_in_view(camera: Camera, pose: Pose, low_m: float, high_m: float) -> F
 
 
 def draw_sun_map(raster: RasterRenderer, sun: Floats, seen: Floats, size: int) -> SunMap:
-    """Returns the depth map of the part of a scene that can be seen.
+    """Returns the depth map, so many pixels wide, of the part of a scene that can be seen.
 
-    Args:
-        raster: Draws what casts shadows.
-        sun: (3,) unit vector towards the sun.
-        seen: (N, 3) points that a picture shows, local metres.
-        size: Side of the map, pixels.
+    The raster draws what casts shadows; ``sun``, (3,), leads towards the sun; ``seen``, (N, 3) local metres,
+    are points that a picture shows.
     """
     rotation = _looking_along(-sun)
     middle = np.median(seen, axis=0)
@@ -94,27 +84,19 @@ def _looking_along(axis: Floats) -> Floats:
 
 @per_pixel
 def sun_share(point, normal, facing, sun_map):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns how much of the sun reaches a point, 0 to 1: four map pixels, weighted.
+    """Returns how much of the sun reaches a point, (3,) local metres, 0 to 1: four map pixels, weighted.
 
-    Args:
-        point: (3,) local metres.
-        normal: (3,) unit, on the camera's side.
-        facing: Cosine of the angle between normal and sun, above 0.
-        sun_map: SunMap.
+    The normal, (3,), is on the camera's side; ``facing`` is the cosine between it and the sun, above 0.
     """
     # Off the surface by a map pixel and more where light grazes it: it must not shade itself.
     push = sun_map.texel_m * (0.6 + 0.8 * (1.0 - facing))
     c, r = sun_map.center, sun_map.rotation
-    dx, dy, dz = (
-        point[0] + push * normal[0] - c[0],
-        point[1] + push * normal[1] - c[1],
-        point[2] + push * normal[2] - c[2],
-    )
-    depth = r[2][0] * dx + r[2][1] * dy + r[2][2] * dz
+    way = plus(plus(point, normal, push), c, -1.0)
+    depth = dot(r[2], way)
     size = sun_map.depth.shape[0]
     scale = sun_map.focal / depth
-    u = (r[0][0] * dx + r[0][1] * dy + r[0][2] * dz) * scale + 0.5 * size - 0.5
-    v = (r[1][0] * dx + r[1][1] * dy + r[1][2] * dz) * scale + 0.5 * size - 0.5
+    u = dot(r[0], way) * scale + 0.5 * size - 0.5
+    v = dot(r[1], way) * scale + 0.5 * size - 0.5
     i, j = np.int64(np.floor(u)), np.int64(np.floor(v))
     if i < 0 or j < 0 or i >= size - 1 or j >= size - 1:
         return 1.0

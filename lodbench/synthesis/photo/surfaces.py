@@ -180,14 +180,9 @@ def _leaves(tint, number, point, pixel_m, look):  # type: ignore[no-untyped-def]
 
 @per_pixel
 def surface_colour(triangle, point, normal, pixel_m, shading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Returns the linear RGB of a surface at a point, and the share of sky it mirrors.
+    """Returns the linear RGB of a triangle at a point, (3,) local metres, and the share of sky it mirrors.
 
-    Args:
-        triangle: Its number.
-        point: (3,) local metres.
-        normal: (3,) unit.
-        pixel_m: Size of a pixel there.
-        shading: Of the picture.
+    The normal is unit, ``pixel_m`` the size of a pixel there.
     """
     skin, look, tables, (x, y, z) = shading.skin, shading.look, shading.palettes, point
     kind, number = np.int64(skin.surface[triangle]), np.int64(skin.number[triangle])

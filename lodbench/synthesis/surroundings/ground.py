@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,21 +26,13 @@ _HORIZON_M = 9000.0
 _BELOW_M = 0.05
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ground:
-    """Ground heights on a grid of points, from the south-west.
+class Ground(NamedTuple):
+    """Ground heights on a grid of points, from the south-west."""
 
-    Attributes:
-        west: x of the first column, local metres.
-        south: y of the first row.
-        cell_m: Distance of points.
-        heights_m: (rows, columns).
-    """
-
-    west: float
-    south: float
-    cell_m: float
-    heights_m: Floats
+    west: float  # x of the first column, local metres
+    south: float  # y of the first row
+    cell_m: float  # distance of points
+    heights_m: Floats  # (rows, columns)
 
     @property
     def places(self) -> Floats:
@@ -96,7 +87,7 @@ def ground_from_bases(view: TopView) -> Ground:
     _, nearest = cKDTree(view.bases[:, :2]).query(level.places)
     heights = view.bases[nearest, 2].reshape(level.heights_m.shape)
     smooth = gaussian_filter(heights, _SMOOTH_M / cell, mode="nearest")
-    return replace(level, heights_m=smooth - _BELOW_M)
+    return level._replace(heights_m=smooth - _BELOW_M)
 
 
 def ground_from_raster(view: TopView, scene: Scene, raster: str) -> Ground:
@@ -112,4 +103,4 @@ def ground_from_raster(view: TopView, scene: Scene, raster: str) -> Ground:
     if not np.isfinite(found).any():
         raise DatasetError(f"The terrain {raster} covers no part of the city.", "Check its reference system.")
     heights = np.where(np.isfinite(found), found, fallback.heights_m.ravel())
-    return replace(fallback, heights_m=heights.reshape(fallback.heights_m.shape))
+    return fallback._replace(heights_m=heights.reshape(fallback.heights_m.shape))

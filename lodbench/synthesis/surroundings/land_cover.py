@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -32,23 +31,14 @@ _SMOOTH_M = 2.0  # roads are smoothed by this much
 _ROUND_M = 2.5  # corners of what covers the ground are rounded by this much
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TopView:
-    """A city seen from above, on a grid from the south-west; its margin included.
+class TopView(NamedTuple):
+    """A city seen from above, on a grid from the south-west; its margin included."""
 
-    Attributes:
-        west: Left edge, local metres.
-        south: Lower edge.
-        cell_m: Size of a cell.
-        tops_m: (rows, columns) height of the highest surface, NaN where there is no building.
-        bases: (B, 3) middle of each building's lowest points, local metres; empty ones are left out.
-    """
-
-    west: float
-    south: float
-    cell_m: float
-    tops_m: Grid
-    bases: Floats
+    west: float  # left edge, local metres
+    south: float  # lower edge
+    cell_m: float  # size of a cell
+    tops_m: Grid  # (rows, columns) height of the highest surface, NaN where there is no building
+    bases: Floats  # (B, 3) middle of each building's lowest points, local metres; empty ones are left out
 
     @property
     def is_built(self) -> NDArray[np.bool_]:
@@ -87,13 +77,10 @@ def look_down(scene: Scene) -> TopView:
     middle = np.array([west + 0.5 * columns * cell, south + 0.5 * rows * cell, _ABOVE_M])
     focal = (_ABOVE_M - float(low[2])) / cell
     camera = Camera(columns, rows, focal, focal, 0.5 * columns, 0.5 * rows)
-    depth = RasterRenderer(scene, threads=1).depth(
-        camera, Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), middle)
-    )
-    tops = np.where(depth > 0, _ABOVE_M - depth, np.nan)[::-1]
-    return TopView(
-        west, south, cell, np.ascontiguousarray(tops, dtype=np.float32), building_boxes(scene).bases
-    )
+    pose = Pose.from_euler(EulerAngles(0.0, 0.0, 0.0), middle)
+    depth = RasterRenderer(scene, threads=1).depth(camera, pose)
+    tops = np.ascontiguousarray(np.where(depth > 0, _ABOVE_M - depth, np.nan)[::-1], dtype=np.float32)
+    return TopView(west, south, cell, tops, building_boxes(scene).bases)
 
 
 def draw_land_cover(view: TopView, generator: np.random.Generator) -> LandCover:
@@ -110,19 +97,23 @@ def draw_land_cover(view: TopView, generator: np.random.Generator) -> LandCover:
     lots = generator.random(int(block.max()) + 1)
     paved = (built_share > _DENSE) | (lots < 0.12)
     bare = (lots > 0.93) & ~paved
-    relief = _waves(built.shape, cell, generator)
+    # Smooth noise in about -1 to 1, some 100 m across.
+    coarse = [max(2, int(side * cell / 70.0) + 2) for side in built.shape]
+    noise = generator.uniform(-1.0, 1.0, size=coarse).astype(np.float32)
+    relief = cv2.resize(noise, built.shape[::-1], interpolation=cv2.INTER_CUBIC)
     distance = view.free_m
     ground[paved[block] & (distance < 9.0 + 7.0 * relief)] = SurfaceClass.PAVEMENT
     ground[bare[block] & (distance < 25.0)] = SurfaceClass.GROUND
     near = distance < 2.5 + 2.0 * relief
     ground[near & (lots[block] < 0.6)] = SurfaceClass.PAVEMENT
     ground[distance > _FIELD_M + 25.0 * relief] = SurfaceClass.FIELD
-    ground[_water(relief, distance, road_m2, generator)] = SurfaceClass.WATER
+    # Low places away from buildings and streets, in every second city.
+    low = relief < float(generator.uniform(-1.4, -0.35))
+    ground[low & (distance > 22.0) & (road_m2 > 100.0)] = SurfaceClass.WATER
     # Each place as most around it: blobs keep their shape and lose the corners of cells.
     ground = np.asarray(cv2.medianBlur(ground, 2 * max(1, round(_ROUND_M / cell)) + 1), dtype=np.uint8)
-    return LandCover(
-        ground, road_m2, road_rad, view.west, view.south, cell, half, float(generator.uniform(0.8, 2.2))
-    )
+    pavement = float(generator.uniform(0.8, 2.2))
+    return LandCover(ground, road_m2, road_rad, view.west, view.south, cell, half, pavement)
 
 
 def distance_in(mask: NDArray[np.bool_], cell_m: float) -> Grid:
@@ -167,18 +158,3 @@ def _streets(block: NDArray[np.int32], away_m: Grid, cell_m: float) -> tuple[Gri
     double = cv2.GaussianBlur(np.dstack([gx * gx - gy * gy, 2.0 * gx * gy]), (0, 0), 2.0 * sigma)
     across = 0.5 * np.arctan2(double[:, :, 1], double[:, :, 0])
     return np.minimum(square, 1e6).astype(np.float32), (across + np.pi / 2).astype(np.float32)
-
-
-def _waves(shape: tuple[int, ...], cell_m: float, generator: np.random.Generator) -> Grid:
-    """Returns smooth noise in about -1 to 1, some 100 m across."""
-    coarse = [max(2, int(side * cell_m / 70.0) + 2) for side in shape]
-    noise = generator.uniform(-1.0, 1.0, size=coarse).astype(np.float32)
-    return cast(Grid, cv2.resize(noise, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC))
-
-
-def _water(
-    relief: Grid, distance_m: Grid, road_m2: Grid, generator: np.random.Generator
-) -> NDArray[np.bool_]:
-    """Returns where water is: low places away from buildings and streets; in every second city."""
-    depth = float(generator.uniform(-1.4, -0.35))
-    return np.asarray((relief < depth) & (distance_m > 22.0) & (road_m2 > 100.0))

@@ -30,10 +30,7 @@ _TREE_CHANCE = {
 def make_surroundings(scene: Scene, seed: int, terrain: str | None = None) -> tuple[SceneProps, Land]:
     """Returns ground, roads, trees and cars that fit a city, in its frame; the same for a seed everywhere.
 
-    Args:
-        scene: The city.
-        seed: Seed of all that is made up.
-        terrain: Raster of ground heights; None to take them from the buildings' bases.
+    Ground heights are those of a ``terrain`` raster, or of the buildings' bases.
 
     Raises:
         LodbenchError: The raster cannot be read, or covers no part of the city.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.rendering.compiled import per_pixel, pixel_loop
 from lodbench.synthesis.photo.kernel import Shading, flat_normal, out_of_crown, surface_light
+from lodbench.synthesis.photo.noise import scaled
 from lodbench.synthesis.photo.surfaces import surface_colour
 
 Floats = NDArray[np.float64]
@@ -24,19 +25,13 @@ _ATLAS_WIDTH = 2048
 
 
 class Layout(NamedTuple):
-    """Triangles on one picture.
+    """Triangles on one picture."""
 
-    Attributes:
-        triangle: (N,) their numbers.
-        texels: (N, 3, 2) float64 column and row of the corners, the picture's upper left corner being (0, 0).
-        size: Width and height of the picture.
-        texel_m: Size of a texel.
-    """
-
-    triangle: NDArray[np.int64]
+    triangle: NDArray[np.int64]  # (N,) their numbers
+    # (N, 3, 2) float64 column and row of the corners, the picture's upper left corner being (0, 0).
     texels: Floats
-    size: tuple[int, int]
-    texel_m: float
+    size: tuple[int, int]  # width and height of the picture
+    texel_m: float  # size of a texel
 
 
 def lay_out_ground(
@@ -44,10 +39,8 @@ def lay_out_ground(
 ) -> Layout:
     """Returns ground triangles seen from above; those that reach out of the picture are left out.
 
-    Args:
-        corners: (T, 3, 3) of all triangles, metres.
-        triangle: (N,) numbers of those of the ground in a square.
-        square: West and south edges of the picture, and its side, metres.
+    They are those with some numbers, (N,), of all corners, (T, 3, 3) metres. The picture's square is its west
+    and south edges and its side, metres.
     """
     west, south, side = square
     texels = (corners[triangle, :, :2] - (west, south)) / _GROUND_TEXEL_M
@@ -60,10 +53,8 @@ def lay_out_ground(
 def lay_out_faces(corners: Floats, triangle: NDArray[np.int64], polygon: NDArray[np.int64]) -> Layout:
     """Returns the triangles of planar polygons, each polygon on a rectangle, packed in rows.
 
-    Args:
-        corners: (T, 3, 3) of all triangles, metres.
-        triangle: (N,) numbers of those to lay out, those of one polygon in a row.
-        polygon: (T,) polygon of each triangle; small ones are left out.
+    They are those with some numbers, (N,), of all corners, (T, 3, 3) metres; those of one polygon, of which
+    ``polygon``, (T,), tells, lie in a row. Small polygons are left out.
     """
     starts = np.flatnonzero(np.diff(polygon[triangle], prepend=-1))
     own = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(triangle))))
@@ -113,11 +104,7 @@ def baked(layout: Layout, corners: Floats, shading: Shading) -> NDArray[np.float
     """Returns the (H, W, 3) linear RGB of a layout's picture; 0 where no triangle lies.
 
     Later triangles lie on earlier ones. Each is painted a texel further than it reaches, below all others.
-
-    Args:
-        layout: Triangles on the picture.
-        corners: (T, 3, 3) of all triangles, metres.
-        shading: Of all triangles.
+    Corners, (T, 3, 3) metres, and shading are of all triangles.
     """
     width, height = layout.size
     light = np.zeros((height, width, 3), dtype=np.float32)
@@ -143,7 +130,7 @@ def _surface_light(triangle, point, pixel_m, shading):  # type: ignore[no-untype
         normal = out_of_crown(skin, triangle, point)
     albedo, _ = surface_colour(triangle, point, normal, pixel_m, shading)
     # What mirrors the sky looks different from everywhere: a map shows it dull.
-    return surface_light(albedo, 0.0, point, normal, (-normal[0], -normal[1], -normal[2]), shading)
+    return surface_light(albedo, 0.0, point, normal, scaled(normal, -1.0), shading)
 
 
 @pixel_loop

@@ -5,7 +5,7 @@ What stood then, in the colours it had, in another season.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,16 +20,15 @@ from lodbench.storage import random_stream, write_bytes
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.photo import CameraResponse, Look, LookRanges, draw_look
-from lodbench.synthesis.photo.camera_response import apply_camera_response
 from lodbench.synthesis.photo.kernel import Shading, plain_shading
 from lodbench.synthesis.photo.render_scene import ON_GROUND, make_render_scene, make_skin
+from lodbench.synthesis.photo.renderer import apply_camera_response
 from lodbench.synthesis.photo.sunlight import draw_sun_map
 from lodbench.synthesis.survey.baking import baked, corner_light, lay_out_faces, lay_out_ground
 from lodbench.synthesis.town.building import Age
-from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.props import add_buildings, building_colours, fine_bodies
-from lodbench.synthesis.town.town import Town
+from lodbench.synthesis.town.town import ORIGIN_M, Town
 from lodbench.synthesis.town.trees_and_cars import add_greenery
 
 Floats = NDArray[np.float64]
@@ -58,19 +57,12 @@ _DAY = LookRanges(
 
 
 class Patch(NamedTuple):
-    """Triangles of the map that share a picture, or have colours at their corners.
+    """Triangles of the map that share a picture, or have colours at their corners."""
 
-    Attributes:
-        name: Unique.
-        corners: (N, 3, 3) metres.
-        texels: (N, 3, 2) places on the picture, or None.
-        colours: (H, W, 3) picture, or (N, 3, 3) colours, uint8 RGB.
-    """
-
-    name: str
-    corners: Floats
-    texels: Floats | None
-    colours: NDArray[np.uint8]
+    name: str  # unique
+    corners: Floats  # (N, 3, 3) metres
+    texels: Floats | None  # (N, 3, 2) places on the picture, or None
+    colours: NDArray[np.uint8]  # (H, W, 3) picture, or (N, 3, 3) colours, uint8 RGB
 
 
 def write_textured_map(path: Path, town: Town, scene: Scene) -> None:
@@ -78,15 +70,9 @@ def write_textured_map(path: Path, town: Town, scene: Scene) -> None:
 
     It is in the local frame of the scene, which is the town's at any level of detail.
     """
-    write_bytes(path, _glb(map_patches(town, scene)), survives_power_cut=False)
-
-
-def map_patches(town: Town, scene: Scene) -> Iterator[Patch]:
-    """Yields the map's triangles with their pictures, tile by tile, then what has colours only."""
     painter = _Painter(town, scene)
-    for cell in np.ndindex(_TILES, _TILES):
-        yield from painter.tile(np.array(cell))
-    yield painter.around()
+    tiles = [patch for cell in np.ndindex(_TILES, _TILES) for patch in painter.tile(np.array(cell))]
+    write_bytes(path, _glb([*tiles, painter.around()]), survives_power_cut=False)
 
 
 class _Painter:
@@ -140,7 +126,7 @@ class _Painter:
         return Patch(name, self.corners[triangle], None, apply_camera_response(light, sharp))
 
 
-def _glb(patches: Iterator[Patch]) -> bytes:
+def _glb(patches: Sequence[Patch]) -> bytes:
     """Returns patches as a binary glTF file, y up, pictures as JPEG."""
     from PIL import Image
 
@@ -180,14 +166,18 @@ def town_then(town: Town) -> tuple[SceneProps, NDArray[np.int64]]:
     add_ground(builder, town)
     add_greenery(builder, town)
     land = builder.build(ORIGIN_M)
-    land = land.part(~_is_young(land, town.seed))
+    draws = random_stream(town.seed, "demo", "survey", "trees").random(int(land.objects.max()) + 1)
+    is_tree = np.isin(land.surface, (SurfaceClass.FOLIAGE, SurfaceClass.TRUNK))
+    # Some trees were planted since.
+    land = land.part(~(is_tree & (draws[land.objects] < YOUNG_TREES)))
     gone = builder.new_objects(len(town.mapped))
     numbers = np.array([now.get(b.identifier, gone[k]) for k, b in enumerate(town.mapped)], dtype=np.int64)
     colours = np.stack([_colours_then(town, building.identifier) for building in town.mapped])
     then = MeshBuilder(len(now))
     bodies = [[(b.lod2, None)] if b.age is Age.RAISED else fine_bodies(b) for b in town.mapped]
     polygon = add_buildings(then, bodies, colours, numbers)
-    then.add_props(land)
+    points, triangles = land.vertices.astype(np.float64), land.triangles.astype(np.int64)
+    then.add(land.surface, points, triangles, land.tint.astype(float), land.objects.astype(np.int64))
     return then.build(ORIGIN_M), np.concatenate([polygon, np.full(len(land), -1)])
 
 
@@ -208,10 +198,3 @@ def _colours_then(town: Town, name: str) -> NDArray[np.float64]:
     if draws[1] < REROOFED:
         colours[1:3] = other[1:3]
     return colours
-
-
-def _is_young(props: SceneProps, seed: int) -> NDArray[np.bool_]:
-    """Tells which triangles are of trees that were planted since."""
-    draws = random_stream(seed, "demo", "survey", "trees").random(int(props.objects.max()) + 1)
-    is_tree = np.isin(props.surface, (SurfaceClass.FOLIAGE, SurfaceClass.TRUNK))
-    return np.asarray(is_tree & (draws[props.objects] < YOUNG_TREES))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,12 +12,11 @@ from lodbench.storage import random_stream
 from lodbench.synthesis.town.extrusion import Body, Strip
 from lodbench.synthesis.town.fittings import STOREY_M, Annex, Detail, RoofBox, balconies, chance, chimneys
 from lodbench.synthesis.town.looks import TownLook
-from lodbench.synthesis.town.occupancy import Occupancy
 from lodbench.synthesis.town.openings import Neighbourhood, add_openings, has_balconies
 from lodbench.synthesis.town.roofs import Roof, half_hipped, shed
 from lodbench.synthesis.town.shapes import Points, area
 from lodbench.synthesis.town.solid import Solid, prism
-from lodbench.synthesis.town.terrain import Terrain
+from lodbench.synthesis.town.terrain import Occupancy, Terrain
 
 # LoD1 outlines are generalised: corners snap to this grid, and courtyards below this size are filled.
 LOD1_GRID_M = 0.5
@@ -42,22 +41,14 @@ class Age(Enum):
     RAISED = "raised"  # got storeys since: LoD1 and LoD2 are lower
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """What is decided of a building before it stands.
+class Plan(NamedTuple):
+    """What is decided of a building before it stands."""
 
-    Attributes:
-        strip: Its plan.
-        roof: Its roof, heights above the base.
-        function: ``residential``, ``commercial``, ``public``, ``church``, ``industrial``, ``garage``.
-        district: Where in town it stands.
-        details: Annexes and lift houses, which LoD2 shows, and dormers, which only LoD3 shows.
-    """
-
-    strip: Strip
-    roof: Roof
-    function: str
-    district: str
+    strip: Strip  # its plan
+    roof: Roof  # its roof, heights above the base
+    function: str  # ``residential``, ``commercial``, ``public``, ``church``, ``industrial``, ``garage``
+    district: str  # where in town it stands
+    # Annexes and lift houses, which LoD2 shows, and dormers, which only LoD3 shows.
     details: tuple[Detail, ...] = ()
 
     @property
@@ -72,28 +63,18 @@ class Plan:
         return [*self.strip.pieces, *annexes]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Building:
-    """A building with its solids, local metres.
+class Building(NamedTuple):
+    """A building with its solids, local metres."""
 
-    Attributes:
-        identifier: Unique and stable for a seed.
-        plan: What it was built from.
-        age: Whether the coarse map still tells the truth about it.
-        lod1: A box over the generalised outline, from the ground to between eaves and ridge, its
-            height as wrong as measured ones are.
-        lod2: Walls, roof faces, annexes and lift houses.
-        lod3: The same with eaves that stand out, dormers, windows and doors.
-        installations: Chimneys and balconies of LoD3, each a closed body of its own.
-    """
-
-    identifier: str
-    plan: Plan
-    age: Age
+    identifier: str  # unique and stable for a seed
+    plan: Plan  # what it was built from
+    age: Age  # whether the coarse map still tells the truth about it
+    # A box over the generalised outline, from the ground to between eaves and ridge, its height as wrong as
+    # measured ones are.
     lod1: Solid
-    lod2: Solid
-    lod3: Solid
-    installations: tuple[Solid, ...]
+    lod2: Solid  # walls, roof faces, annexes and lift houses
+    lod3: Solid  # the same with eaves that stand out, dormers, windows and doors
+    installations: tuple[Solid, ...]  # chimneys and balconies of LoD3, each a closed body of its own
 
 
 def construct_all(
@@ -114,9 +95,9 @@ def restyled(name: str, plan: Plan, seed: int, look: TownLook) -> Plan:
     if roof.name != "gabled" or len(strip.wings) > 1 or plan.details:
         return plan
     if draw < look.half_hipped and roof.profile[1][0] == 0.5:
-        return replace(plan, roof=half_hipped(roof, strip.start_depth_m))
+        return plan._replace(roof=half_hipped(roof, strip.start_depth_m))
     if look.half_hipped <= draw < look.half_hipped + look.shed:
-        return replace(plan, roof=shed(roof.eave_m, 14.0, strip.start_depth_m))
+        return plan._replace(roof=shed(roof.eave_m, 14.0, strip.start_depth_m))
     return plan
 
 
@@ -144,7 +125,7 @@ def _as_mapped(name: str, plan: Plan, seed: int) -> tuple[Age, Plan]:
     lower_m = storeys * STOREY_M
     if draw > _NEW + _GONE + _RAISED or plan.roof.eave_m - lower_m < 2.4 or plan.annexes:
         return Age.KNOWN, plan
-    return Age.RAISED, replace(plan, roof=plan.roof.lowered(lower_m))
+    return Age.RAISED, plan._replace(roof=plan.roof.lowered(lower_m))
 
 
 def _fine_body(
@@ -174,7 +155,8 @@ def plain_body(plan: Plan, base_m: float) -> Solid:
     """Returns the LoD2 solid of a plan."""
     body = Body(plan.strip, plan.roof, base_m)
     for detail in plan.details:
-        if not (isinstance(detail, RoofBox) and detail.is_dormer):
+        is_dormer = isinstance(detail, RoofBox) and detail.rise_m == 0.0
+        if not is_dormer:
             detail.add_to(body)
     return body.builder.build()
 

@@ -7,7 +7,7 @@ faces are planar, and ridges of wings meet.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,19 +17,12 @@ from lodbench.synthesis.town.shapes import Points, edge_directions, left_of, par
 from lodbench.synthesis.town.solid import SolidBuilder
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Strip:
-    """The plan of an extruded building, counter-clockwise around its outer line.
+class Strip(NamedTuple):
+    """The plan of an extruded building, counter-clockwise around its outer line."""
 
-    Attributes:
-        outer: (K, 2) local metres; the building lies to its left.
-        inner: (K, 2), the other side.
-        closed: Whether it runs around a courtyard.
-    """
-
-    outer: Points
-    inner: Points
-    closed: bool = False
+    outer: Points  # (K, 2) local metres; the building lies to its left
+    inner: Points  # (K, 2), the other side
+    closed: bool = False  # whether it runs around a courtyard
 
     @classmethod
     def bent(cls, outer: Points, depths: list[float], *, closed: bool = False) -> Strip:
@@ -77,42 +70,21 @@ class Strip:
         return np.asarray(self.outer + share * (self.inner - self.outer))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Wall:
-    """A wall as seen from outside.
+class Wall(NamedTuple):
+    """A wall as seen from outside."""
 
-    Attributes:
-        face: Its number in the builder.
-        feet: Its lower left and lower right point in the builder.
-        left: (2,) its lower left corner.
-        along: (2,) unit direction to the right.
-        length: Metres.
-        top_m: Height up to which it is a rectangle.
-    """
-
-    face: int
-    feet: tuple[int, int]
-    left: Points
-    along: Points
-    length: float
-    top_m: float
+    face: int  # its number in the builder
+    feet: tuple[int, int]  # its lower left and lower right point in the builder
+    left: Points  # (2,) its lower left corner
+    along: Points  # (2,) unit direction to the right
+    length: float  # metres
+    top_m: float  # height up to which it is a rectangle
 
 
 class Body:
     """An extruded building while it is built: its faces by place, so that details can cut into them.
 
-    Args:
-        strip: Its plan.
-        roof: Its roof.
-        base_m: Height it stands on.
-        overhang_m: How far a roof without hips stands out over the walls below its eaves.
-        per_metre: Precision of its points.
-
-    Attributes:
-        ground: Its lowest face.
-        walls: By side (``outer``, ``inner``, ``first``, ``last``) and wing.
-        slopes: Roof faces by wing and place in the roof's profile.
-        dormers: Front faces of what was built into slopes.
+    It stands on ``base_m``; a roof without hips stands out over the walls by ``overhang_m`` below its eaves.
     """
 
     def __init__(
@@ -120,9 +92,10 @@ class Body:
     ) -> None:
         self.strip, self.roof, self.base_m = strip, roof, base_m
         self.builder = SolidBuilder(per_metre)
+        # By side (``outer``, ``inner``, ``first``, ``last``) and wing.
         self.walls: dict[tuple[str, int], Wall] = {}
-        self.slopes: dict[tuple[int, int], int] = {}
-        self.dormers: list[int] = []
+        self.slopes: dict[tuple[int, int], int] = {}  # roof faces by wing and place in the roof's profile
+        self.dormers: list[int] = []  # front faces of what was built into slopes
         self._low = outer, inner = [self.builder.points(line, base_m) for line in (strip.outer, strip.inner)]
         profile, self._num_soffits = _with_overhang(roof, strip, overhang_m)
         self._sections = [self.builder.points(strip.across(t), base_m + height) for t, height in profile]

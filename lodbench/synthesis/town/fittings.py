@@ -5,7 +5,7 @@ Annexes and boxes on roofs cut into one face of a body and close the gap again, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,25 +21,15 @@ _SUNK_M = 0.6  # how deep a chimney reaches into the roof
 _MARGIN_M = 0.4
 
 
-@dataclass(frozen=True, slots=True)
-class Annex:
-    """A flat-roofed extension before a wall, lower than its eaves.
+class Annex(NamedTuple):
+    """A flat-roofed extension before a wall, lower than its eaves."""
 
-    Attributes:
-        side: ``outer``, ``inner``, ``first`` or ``last``.
-        wing: The wing the wall belongs to.
-        start_m: Distance of its left edge from the wall's left end, seen from outside.
-        length_m: Its length along the wall.
-        depth_m: How far it stands out.
-        height_m: Height above the base.
-    """
-
-    side: str
-    wing: int
-    start_m: float
-    length_m: float
-    depth_m: float
-    height_m: float
+    side: str  # ``outer``, ``inner``, ``first`` or ``last``
+    wing: int  # the wing the wall belongs to
+    start_m: float  # distance of its left edge from the wall's left end, seen from outside
+    length_m: float  # its length along the wall
+    depth_m: float  # how far it stands out
+    height_m: float  # height above the base
 
     def plan(self, body: Body) -> Points:
         """Returns its plan, (4, 2), counter-clockwise, the wall's edge first, from right to left."""
@@ -56,37 +46,20 @@ class Annex:
         builder.detour(wall.face, left, right, [low[1], high[1], high[0], low[0]])
         builder.detour(body.ground, right, left, [low[0], low[3], low[2], low[1]])
         builder.face(SurfaceKind.ROOF, high)
-        for k in range(1, 4):
-            m = (k + 1) % 4
-            builder.face(SurfaceKind.WALL, [low[k], low[m], high[m], high[k]])
+        builder.walls([*low[1:], low[0]], [*high[1:], high[0]])
 
 
-@dataclass(frozen=True, slots=True)
-class RoofBox:
-    """A box that rises out of a roof face: a dormer on a slope, a lift house on a flat roof.
+class RoofBox(NamedTuple):
+    """A box that rises out of a roof face: a dormer on a slope, a lift house on a flat roof."""
 
-    Attributes:
-        wing: The wing of the roof face.
-        slope: Which face across the profile, counted from the outer side.
-        start_m: Distance from the left end of the face's lower edge.
-        width_m: Size along the lower edge.
-        up_m: Plan distance of its front from the lower edge.
-        depth_m: Plan size away from the lower edge.
-        rise_m: Height over the roof at its back: 0 for a dormer whose roof runs level into the slope.
-    """
-
-    wing: int
-    slope: int
-    start_m: float
-    width_m: float
-    up_m: float
-    depth_m: float
+    wing: int  # the wing of the roof face
+    slope: int  # which face across the profile, counted from the outer side
+    start_m: float  # distance from the left end of the face's lower edge
+    width_m: float  # size along the lower edge
+    up_m: float  # plan distance of its front from the lower edge
+    depth_m: float  # plan size away from the lower edge
+    # Height over the roof at its back: 0 for a dormer, whose roof runs level into the slope.
     rise_m: float = 0.0
-
-    @property
-    def is_dormer(self) -> bool:
-        """Whether it sits in a slope: only level of detail 3 shows it."""
-        return self.rise_m == 0.0
 
     def fits(self, body: Body) -> bool:
         """Returns whether it lies within its roof face, a margin from every edge."""
@@ -106,12 +79,8 @@ class RoofBox:
         top += foot[2:] if self.rise_m == 0 else [builder.point(x, y, roof_m) for x, y in plan[2:]]
         builder.add_hole(body.slopes[self.wing, self.slope], foot[::-1])
         builder.face(SurfaceKind.ROOF, top)
-        for k in range(4):
-            m = (k + 1) % 4
-            if foot[k] != top[k] or foot[m] != top[m]:
-                wall = builder.face(SurfaceKind.WALL, [foot[k], foot[m], top[m], top[k]])
-                if k == 0:
-                    body.dormers.append(wall)
+        front, *_ = builder.walls([*foot, foot[0]], [*top, top[0]])
+        body.dormers.append(front)
 
     def _corners(self, body: Body) -> Points:
         """Returns the corners of the roof face, (N, 3), the lower edge first."""

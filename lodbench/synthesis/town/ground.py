@@ -168,14 +168,10 @@ def filled(ring: Points) -> tuple[Points, Triangles]:
 def refined(
     points: Points, triangles: Triangles, longest: Callable[[Points], Points]
 ) -> tuple[Points, Triangles]:
-    """Returns a plane mesh whose edges are nowhere longer than wanted, without cracks.
+    """Returns a plane mesh, (P, 2) and (T, 3), whose edges are nowhere longer than wanted, without cracks.
 
-    Edges are halved, both triangles beside them alike, until all are short enough.
-
-    Args:
-        points: (P, 2) metres.
-        triangles: (T, 3).
-        longest: Returns the wanted length, (N,), of edges with middles (N, 2).
+    Edges are halved, both triangles beside them alike, until all are short enough; ``longest`` returns the
+    length wanted, (N,), of those with middles (N, 2).
     """
     while True:
         edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.synthesis.town.closed_blocks import COURTYARD_M
 from lodbench.synthesis.town.extrusion import Strip
 from lodbench.synthesis.town.fittings import chance, dormers, eaves, lift_houses
+from lodbench.synthesis.town.houses import COURTYARD_M
 from lodbench.synthesis.town.roofs import Roof, flat, gabled, hipped, mansard, serrated
 from lodbench.synthesis.town.shapes import box_of, edge_directions, edge_lengths, inset, left_of
 from lodbench.synthesis.town.site import Site

@@ -1,33 +1,20 @@
-"""How a town looks: two made-up places that share no street, no roof mix, no colour range and no weather.
-
-A network trained on one town must not have seen the other. Seeds alone would leave them alike.
-"""
+"""How a town looks: what ``looks.yaml`` says of the two there are."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
 
 from lodbench.errors import DatasetError, nearest_names
+from lodbench.params import read_settings, to_params
 from lodbench.synthesis.objects.mesh_builder import palette
 from lodbench.synthesis.photo import LookRanges
 from lodbench.synthesis.town.shapes import Points
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TownLook:
-    """What two towns differ in besides chance.
-
-    Attributes:
-        name: ``test`` or ``train``.
-        rings: How strongly streets lean towards rings and spokes around the market: 0 to 1.
-        relief: Height of the hills against usual ones.
-        half_hipped, shed: Shares of plain gabled houses that get such a roof instead.
-        trees: Density of trees against usual.
-        broadleaf: Share of trees that are no conifers.
-        walls, tiles, flat_roofs, grass: Colours to draw from, (N, 3) RGB in white light.
-        road, water: Colours, (1, 3), likewise.
-        days: Sun, air and season of the flights over it.
-    """
+class TownLook(NamedTuple):
+    """What two towns differ in besides chance; ``looks.yaml`` says what each is."""
 
     name: str
     rings: float
@@ -36,7 +23,7 @@ class TownLook:
     shed: float
     trees: float
     broadleaf: float
-    walls: Points
+    walls: Points  # colours, (N, 3) RGB from 0 to 255, as the next five
     tiles: Points
     flat_roofs: Points
     grass: Points
@@ -45,57 +32,17 @@ class TownLook:
     days: LookRanges
 
 
-TEST = TownLook(
-    name="test",
-    rings=1.0,
-    relief=1.0,
-    half_hipped=0.14,
-    shed=0.05,
-    trees=1.0,
-    broadleaf=0.85,
-    walls=palette("e2d8c4 ece6da d6be96 cdae8c c4c4be dcc8b2"),
-    tiles=palette("9c523c 8a4a3a ac6246 78463a 605c5e"),
-    flat_roofs=palette("92908a 787672 a8a49c 687064"),
-    grass=palette("60763e 6e7e46 546c3a 7a8050"),
-    road=palette("707072"),
-    water=palette("465c5c"),
-    days=LookRanges(
-        sun_elevation_deg=(30.0, 58.0),
-        sun_share=(0.45, 0.8),
-        haze_range_m=(2500.0, 8000.0),
-        dryness=(0.1, 0.5),
-    ),
-)
-TRAIN = TownLook(
-    name="train",
-    rings=0.15,
-    relief=0.6,
-    half_hipped=0.04,
-    shed=0.16,
-    trees=1.3,
-    broadleaf=0.55,
-    walls=palette("965442 a86650 e8e8e6 bab0a6 7c7068 ceced4"),
-    tiles=palette("54545a 42444a 686260 7a5446 5c4c44"),
-    flat_roofs=palette("5c5e62 babab8 847e76 4a4c4e"),
-    grass=palette("767a42 68703c 868454 5c7446"),
-    road=palette("58585c"),
-    water=palette("546250"),
-    days=LookRanges(
-        sun_elevation_deg=(18.0, 45.0),
-        sun_share=(0.2, 0.7),
-        haze_range_m=(1200.0, 5000.0),
-        dryness=(0.3, 0.8),
-    ),
-)
-_LOOKS = {look.name: look for look in (TEST, TRAIN)}
-
-
+@cache
 def look_named(name: str) -> TownLook:
     """Returns a look.
 
     Raises:
         DatasetError: There is none of that name.
     """
-    if name not in _LOOKS:
-        raise DatasetError(f"The demo town has no look {name!r}.", nearest_names(name, _LOOKS))
-    return _LOOKS[name]
+    looks = read_settings((files("lodbench.synthesis.town") / "looks.yaml").read_text(encoding="utf-8"))
+    if name not in looks:
+        raise DatasetError(f"The demo town has no look {name!r}.", nearest_names(name, looks))
+    told = dict(looks[name])
+    days = to_params(told.pop("days"), LookRanges, "days")
+    colours = {key: palette(value) for key, value in told.items() if isinstance(value, str)}
+    return TownLook(name=name, days=days, **told | colours)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.synthesis.town.extrusion import Body, Wall
 from lodbench.synthesis.town.fittings import STOREY_M, chance
-from lodbench.synthesis.town.occupancy import NOBODY, Occupancy
 from lodbench.synthesis.town.shapes import Points, left_of
-from lodbench.synthesis.town.terrain import Terrain
+from lodbench.synthesis.town.terrain import NOBODY, Occupancy, Terrain
 
 # Openings keep this far from corners, eaves and the ground.
 _MARGIN_M = 0.45
@@ -23,40 +22,23 @@ _GATE_M = (2.5, 2.1)
 _LOOK_OUT_M = 0.9
 
 
-@dataclass(frozen=True, slots=True)
-class WindowStyle:
-    """The windows of one building, metres.
+class WindowStyle(NamedTuple):
+    """The windows of one building, metres."""
 
-    Attributes:
-        width: Of a window.
-        height: Of a window.
-        sill: Above the floor.
-        spacing: From window to window.
-        storey: From floor to floor.
-    """
-
-    width: float
-    height: float
-    sill: float
-    spacing: float
-    storey: float
+    width: float  # of a window
+    height: float  # of a window
+    sill: float  # above the floor
+    spacing: float  # from window to window
+    storey: float  # from floor to floor
 
 
-@dataclass(frozen=True, slots=True)
-class Neighbourhood:
-    """What decides where a building can have windows.
+class Neighbourhood(NamedTuple):
+    """What decides where a building can have windows."""
 
-    Attributes:
-        number: The building's in ``occupancy``.
-        occupancy: Who stands where.
-        terrain: The ground.
-        annex_m: Height up to which its own annexes stand before its walls.
-    """
-
-    number: int
-    occupancy: Occupancy
-    terrain: Terrain
-    annex_m: float
+    number: int  # the building's in ``occupancy``
+    occupancy: Occupancy  # who stands where
+    terrain: Terrain  # the ground
+    annex_m: float  # height up to which its own annexes stand before its walls
 
 
 def window_style(function: str, generator: np.random.Generator) -> WindowStyle | None:
@@ -94,7 +76,10 @@ def add_openings(
         if style is not None:
             windows += _add_windows(body, wall, style, place, door)
     for front in body.dormers:
-        _add_dormer_window(body, front)
+        corners = body.builder.corners(front)
+        middle = corners.mean(axis=0)
+        if np.ptp(corners[:, 2]) > 0.7 and len(corners) == 4:
+            body.builder.add_opening(front, middle + 0.66 * (corners - middle))
     return windows
 
 
@@ -160,14 +145,6 @@ def _cut(
     corners = np.array([(*left, low), (*right, low), (*right, low + height), (*left, low + height)])
     body.builder.add_opening(wall.face, corners, is_door=is_door)
     return corners
-
-
-def _add_dormer_window(body: Body, front: int) -> None:
-    """Cuts a window into the front of a dormer where it is high enough."""
-    corners = body.builder.corners(front)
-    middle = corners.mean(axis=0)
-    if np.ptp(corners[:, 2]) > 0.7 and len(corners) == 4:
-        body.builder.add_opening(front, middle + 0.66 * (corners - middle))
 
 
 def has_balconies(eave_m: float, function: str, district: str, generator: np.random.Generator) -> bool:

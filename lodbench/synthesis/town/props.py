@@ -15,11 +15,10 @@ from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder, palette, pick
 from lodbench.synthesis.objects.scene_props import SceneProps, SurfaceClass
 from lodbench.synthesis.town.building import Building
-from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import add_ground
 from lodbench.synthesis.town.shapes import Points
 from lodbench.synthesis.town.solid import Solid
-from lodbench.synthesis.town.town import Town
+from lodbench.synthesis.town.town import ORIGIN_M, Town
 from lodbench.synthesis.town.trees_and_cars import add_greenery, add_traffic
 
 # A body, and the class of all its surfaces where they have one.
@@ -61,11 +60,7 @@ def add_buildings(
 ) -> NDArray[np.int64]:
     """Adds the surfaces of buildings, each of one or more bodies; returns the polygon of each triangle, (T,).
 
-    Args:
-        builder: Takes them.
-        buildings: Bodies of each.
-        colours: (B, 8, 3) RGB of each by surface class from ``WALL`` on.
-        objects: (B,) their numbers.
+    Colours are (B, 8, 3) RGB by surface class from ``WALL`` on, objects (B,) the buildings' numbers.
     """
     faces = [
         (number, solid.points, face, part or _CLASSES.get(face.kind, _OPENINGS[face.is_door]))
@@ -84,7 +79,10 @@ def add_buildings(
     )
     result = triangulate(polygons, tuple(map(str, objects)), Findings())
     surface, owner = polygons.kind[result.polygon], polygons.building[result.polygon]
-    surface[_is_flat_roof(polygons.points[result.triangles], surface)] = SurfaceClass.ROOF_FLAT
+    a, b, c = polygons.points[result.triangles].swapaxes(0, 1)
+    normal = np.cross(b - a, c - a)
+    is_level = np.abs(normal[:, 2]) > _FLAT_COSINE * np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+    surface[is_level & (surface == SurfaceClass.ROOF_TILE)] = SurfaceClass.ROOF_FLAT
     tint = colours[owner, surface - SurfaceClass.WALL]
     builder.add(surface, polygons.points, result.triangles, tint, objects[owner])
     return result.polygon
@@ -98,12 +96,6 @@ def fine_bodies(building: Building) -> list[Body]:
         for solid in building.installations
     ]
     return [(building.lod3, None), *extra]
-
-
-def _is_flat_roof(corners: Points, surface: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    upright = np.abs(normal[:, 2]) > _FLAT_COSINE * np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
-    return np.asarray(upright & (surface == SurfaceClass.ROOF_TILE))
 
 
 def building_colours(town: Town, name: str) -> Points:

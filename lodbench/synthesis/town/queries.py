@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,9 +19,8 @@ from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import LookRanges, PhotoRenderer, draw_look
 from lodbench.synthesis.queries import SyntheticQuery
-from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.shapes import Points
-from lodbench.synthesis.town.town import OLD_TOWN_RADIUS_M, Town
+from lodbench.synthesis.town.town import OLD_TOWN_RADIUS_M, ORIGIN_M, Town
 from lodbench.synthesis.view_sampling import (
     FINE_SIZE,
     RGB_CAMERA,
@@ -55,8 +55,7 @@ _OF_THE_DAY = ["sun_elevation_deg", "sun_azimuth_deg", "sun_share", "sun_warmth"
 _OF_THE_DAY += ["haze_range_m", "sky_white", "dryness"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DemoSplit:
+class DemoSplit(NamedTuple):
     """The queries of one split, and how many draws of views were rejected for it."""
 
     name: str
@@ -74,12 +73,10 @@ def make_splits(town: Town, scene: Scene, props: SceneProps, count: int) -> list
     offset_m = ORIGIN_M - scene.origin
     check = ViewCheck(scene, camera.renderer, QUERY_CAMERA, _BUILDING_SHARE["in_place"])
     flight, rejections = _fly_over(town, check, offset_m, count - count // 2)
-    sampling = ViewSampling(
-        height_m=_SUBURB_HEIGHTS_M,
-        building_share=_BUILDING_SHARE["out_of_place"],
-        area_m=_suburb(town, offset_m),
-        seed=town.seed,
-    )
+    x, y = -town.streets.to_river * _SUBURB_AT_M + offset_m[:2]
+    area_m = (x - _SUBURB_HALF_M, y - _SUBURB_HALF_M, x + _SUBURB_HALF_M, y + _SUBURB_HALF_M)
+    share = _BUILDING_SHARE["out_of_place"]
+    sampling = ViewSampling(_SUBURB_HEIGHTS_M, building_share=share, area_m=area_m, seed=town.seed)
     views = sample_views(scene, camera.renderer, QUERY_CAMERA, sampling, count // 2, "demo", "out_of_place")
     return [
         DemoSplit("in_place", camera.take("in_place", flight), rejections),
@@ -98,10 +95,12 @@ class _QueryCamera:
     def take(self, split: str, truths: Sequence[Pose]) -> tuple[SyntheticQuery, ...]:
         """Returns a prior, a photo and a mask for each true pose of a split, from streams of their own."""
         targets, day = _target_ious(split, self._town.seed, len(truths)), self._day(split)
-        queries = []
+        queries, lowest_m = [], float(self.renderer.scene.vertices[:, 2].min())
         with Progress(f"demo town, made once: photos {split}", len(truths)) as progress:
             for k, truth in enumerate(truths):
                 name = f"{split}_{k:04d}.jpg"
+                # Where the view's centre meets the lowest ground.
+                drop_m = float(truth.center[2]) - lowest_m
                 clean = self.renderer.render(QUERY_CAMERA, truth)
                 rough, iou = degrade_mask(
                     # A network cannot see through trees; their shapes are those of the photo.
@@ -109,7 +108,7 @@ class _QueryCamera:
                     targets[k],
                     random_stream(self._town.seed, "demo", name, "mask"),
                     trees=False,
-                    pixels_per_m=_pixels_per_m(truth, self.renderer.scene),
+                    pixels_per_m=QUERY_CAMERA.fx * -float(truth.rotation[2, 2]) / drop_m,
                     truth=clean,
                 )
                 prior = PRIORS[split].draw(truth, random_stream(self._town.seed, "demo", name, "prior"))
@@ -134,18 +133,6 @@ def _target_ious(name: str, seed: int, count: int) -> list[float]:
     return [float(iou) for iou in random_stream(seed, "demo", name, "iou").permutation(even)]
 
 
-def _pixels_per_m(pose: Pose, scene: Scene) -> float:
-    """Returns the image scale where the view's centre meets the lowest ground of the scene."""
-    drop = float(pose.center[2]) - float(scene.vertices[:, 2].min())
-    return QUERY_CAMERA.fx * -float(pose.rotation[2, 2]) / drop
-
-
-def _suburb(town: Town, offset_m: Points) -> tuple[float, float, float, float]:
-    """Returns west, south, east and north of the out-of-place district, scene metres."""
-    x, y = -town.streets.to_river * _SUBURB_AT_M + offset_m[:2]
-    return x - _SUBURB_HALF_M, y - _SUBURB_HALF_M, x + _SUBURB_HALF_M, y + _SUBURB_HALF_M
-
-
 def _fly_over(town: Town, check: ViewCheck, offset_m: Points, count: int) -> tuple[list[Pose], int]:
     """Returns views along three parallel flight lines over the old town, to and fro, and the rejections.
 
@@ -157,10 +144,8 @@ def _fly_over(town: Town, check: ViewCheck, offset_m: Points, count: int) -> tup
     for index in range(count):
         line, place = index * 3 // count, (index * 3 % count) / count
         streams = (random_stream(town.seed, "demo", "in_place", index, k) for k in range(_ATTEMPTS))
-        stations = (
-            _station(town, line, place, turn, 1.0 + attempt, stream).shifted(offset_m)
-            for attempt, stream in enumerate(streams)
-        )
+        drawn = (_station(town, line, place, turn, 1.0 + k, stream) for k, stream in enumerate(streams))
+        stations = (pose.shifted(offset_m) for pose in drawn)
         pose, rejected = first_accepted(stations, check)
         rejections += rejected
         if pose is None:

@@ -7,24 +7,17 @@ common, and a place that builds it: ``fittings`` or ``landmarks``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 
 class RoofShape(NamedTuple):
-    """What all roofs of a shape have in common.
+    """What all roofs of a shape have in common."""
 
-    Attributes:
-        code: Of bldg:roofType in the LoD2 profile of the German surveying authorities.
-        has_chimneys: Whether chimneys stand on it.
-        has_dormers: Whether its slopes are steep and wide enough for dormers.
-    """
-
-    code: str
-    has_chimneys: bool
-    has_dormers: bool
+    code: str  # of bldg:roofType in the LoD2 profile of the German surveying authorities
+    has_chimneys: bool  # whether chimneys stand on it
+    has_dormers: bool  # whether its slopes are steep and wide enough for dormers
 
 
 ROOF_SHAPES = {
@@ -40,20 +33,15 @@ ROOF_SHAPES = {
 _HALF_HIP_FROM = 0.55  # share of the rise below half hips
 
 
-@dataclass(frozen=True, slots=True)
-class Roof:
-    """The cross-section of a roof, and how its ends are closed.
+class Roof(NamedTuple):
+    """The cross-section of a roof, and how its ends are closed."""
 
-    Attributes:
-        name: Of its shape, one of ``ROOF_SHAPES``.
-        profile: (share of the way across, height above the base in metres) from eave to eave.
-        hips_m: How far the ridge stops short of the first and last end; 0 is a gable.
-        hip_from: At which share of the rise hips begin: 0 at the eaves, above that below them is a gable.
-    """
-
-    name: str
+    name: str  # of its shape, one of ``ROOF_SHAPES``
+    # (share of the way across, height above the base in metres) from eave to eave.
     profile: tuple[tuple[float, float], ...]
+    # How far the ridge stops short of the first and last end; 0 is a gable.
     hips_m: tuple[float, float] = (0.0, 0.0)
+    # At which share of the rise hips begin: 0 at the eaves, above that below them is a gable.
     hip_from: float = 0.0
 
     @property
@@ -73,7 +61,7 @@ class Roof:
 
     def lowered(self, by_m: float) -> Roof:
         """Returns the same roof over lower walls."""
-        return replace(self, profile=tuple((share, height - by_m) for share, height in self.profile))
+        return self._replace(profile=tuple((share, height - by_m) for share, height in self.profile))
 
     @property
     def ridge_m(self) -> float:

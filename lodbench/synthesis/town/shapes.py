@@ -45,12 +45,9 @@ def cut(ring: Points, point: Points, inward: Points) -> Points:
 
 
 def parallel(line: Points, distances: Points, *, closed: bool) -> Points:
-    """Returns a polyline moved to its left, each segment by its own distance, with mitred corners.
+    """Returns a polyline, (K, 2), moved to its left, each segment by its own distance, with mitred corners.
 
-    Args:
-        line: (K, 2) corners.
-        distances: (K - 1,) distances of the segments, or (K,) of a closed ring.
-        closed: Whether the last corner joins the first.
+    There are K - 1 distances, or K of a closed ring, whose last corner joins the first.
     """
     along = edge_directions(line)
     left = left_of(along)

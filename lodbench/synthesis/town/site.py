@@ -14,22 +14,12 @@ from lodbench.synthesis.town.shapes import Points, box_of, contains, keeps_apart
 
 
 class Site:
-    """The land of one block and the plans placed on it.
-
-    Args:
-        ring: Building line, (N, 2): nothing stands outside.
-        district: Part of town that it lies in.
-        chances: Source of chance for all that is placed.
-
-    Attributes:
-        along: (2,) unit direction of the longer side of the smallest box around it.
-        plans: What was placed, in order.
-    """
+    """The land of one block inside its building line, (N, 2), the plans placed on it, and their chances."""
 
     def __init__(self, ring: Points, district: str, chances: np.random.Generator) -> None:
         self.ring, self.district, self.chances = ring, district, chances
-        self.along, _, _ = box_of(ring)
-        self.plans: list[Plan] = []
+        self.along, _, _ = box_of(ring)  # (2,) unit, along the longer side of the smallest box around it
+        self.plans: list[Plan] = []  # what was placed, in order
         self._pieces = np.empty((0, 4, 2))
 
     def place(
@@ -43,23 +33,16 @@ class Site:
         yard: Points | None = None,
         on_line: bool = False,
     ) -> bool:
-        """Places a building if it lies inside the building line and keeps a gap to all others.
+        """Places a building inside the building line, a gap from all others; returns whether there was room.
 
-        Args:
-            strip: Its plan.
-            roof: Its roof.
-            function: As in ``Plan``.
-            details: Likewise.
-            gap_m: Least distance to what stands; 0 lets walls touch.
-            yard: Part of the block that it must lie inside of, (N, 2); None for all of it.
-            on_line: Whether it is laid out along the building line, so need not be tested against it.
-
-        Returns:
-            Whether it was placed.
+        A gap of 0 lets walls touch. What is laid out along the building line need not be tested against it;
+        with a ``yard``, (N, 2), it must lie inside of that part of the block.
         """
         plan = Plan(strip, roof, function, self.district, tuple(details))
         ring, pieces = self.ring if yard is None else yard, plan.pieces
-        if not on_line and not all(contains(ring, _outline(piece)).all() for piece in pieces):
+        # Corners and edge middles are enough to test against a nearly convex ring.
+        outlines = [np.concatenate([piece, 0.5 * (piece + np.roll(piece, -1, axis=0))]) for piece in pieces]
+        if not on_line and not all(contains(ring, outline).all() for outline in outlines):
             return False
         if not all(self._is_free(piece, gap_m) for piece in pieces):
             return False
@@ -87,8 +70,3 @@ class Site:
         grid = np.stack([axis.ravel() for axis in np.meshgrid(*steps)], axis=1)
         grid += self.chances.uniform(0.0, 4.0, size=grid.shape)
         return list(self.chances.permutation(grid) @ axes)
-
-
-def _outline(piece: Points) -> Points:
-    """Returns corners and edge middles: enough to test against a nearly convex ring."""
-    return np.concatenate([piece, 0.5 * (piece + np.roll(piece, -1, axis=0))])

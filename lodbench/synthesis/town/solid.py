@@ -4,45 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.synthesis.town.shapes import Points
 
-Ring = tuple[int, ...]
 
-
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Face:
     """A planar polygon: rings of point indices, the outline first, then holes.
 
     Seen from outside the solid the outline runs counter-clockwise and holes clockwise.
-
-    Attributes:
-        kind: What it is part of.
-        rings: Its rings.
-        host: Of an opening, the number of the face whose hole it fills.
-        is_door: Whether an opening is a door, not a window.
     """
 
-    kind: SurfaceKind
-    rings: tuple[Ring, ...]
-    host: int | None = None
-    is_door: bool = False
+    kind: SurfaceKind  # what it is part of
+    rings: list[list[int]]
+    host: int | None = None  # of an opening, the number of the face whose hole it fills
+    is_door: bool = False  # whether an opening is a door, not a window
 
 
-@dataclass(frozen=True, slots=True)
-class Solid:
-    """A body bounded by faces.
+class Solid(NamedTuple):
+    """A body bounded by faces."""
 
-    Attributes:
-        points: (P, 3) float64 local metres, rounded to millimetres or tenths of them.
-        faces: Its faces, normals outward.
-    """
-
-    points: Points
-    faces: tuple[Face, ...]
+    points: Points  # (P, 3) float64 local metres, rounded to millimetres or tenths of them
+    faces: tuple[Face, ...]  # its faces, normals outward
 
     @property
     def height_m(self) -> float:
@@ -60,18 +48,14 @@ class Solid:
 
 @dataclass(slots=True)
 class SolidBuilder:
-    """Collects points and faces; equal points, to the millimetre, are one.
+    """Collects points and faces; equal points, to the millimetre, are one."""
 
-    Attributes:
-        per_metre: Steps that coordinates are rounded to. Walls with many windows need finer ones: where
-            the edges of windows line up their triangles are slivers, whose area a millimetre changes.
-    """
-
+    # Steps that coordinates are rounded to. Walls with many windows need finer ones: where the edges of
+    # windows line up their triangles are slivers, whose area a millimetre changes.
     per_metre: int = 1000
     _index: dict[tuple[int, int, int], int] = field(default_factory=dict)
     _points: list[tuple[int, int, int]] = field(default_factory=list)
-    _faces: list[tuple[SurfaceKind, list[list[int]]]] = field(default_factory=list)
-    _openings: dict[int, tuple[int, bool]] = field(default_factory=dict)
+    _faces: list[Face] = field(default_factory=list)
 
     def point(self, x: float, y: float, z: float) -> int:
         """Returns the index of a point in local metres."""
@@ -92,26 +76,36 @@ class SolidBuilder:
 
     def face(self, kind: SurfaceKind, outline: Sequence[int], *holes: Sequence[int]) -> int:
         """Adds a face, leaving out corners that fell together, and returns its number."""
-        self._faces.append((kind, [_without_repeats(ring) for ring in (outline, *holes)]))
+        rings = [
+            [point for k, point in enumerate(ring) if point != ring[k - 1]] for ring in (outline, *holes)
+        ]
+        self._faces.append(Face(kind, rings))
         return len(self._faces) - 1
+
+    def walls(
+        self, low: Sequence[int], high: Sequence[int], kind: SurfaceKind = SurfaceKind.WALL
+    ) -> list[int]:
+        """Adds faces between two lines of points, one above the other; returns their numbers."""
+        edges = zip(pairwise(low), pairwise(high), strict=True)
+        return [self.face(kind, [a, b, d, c]) for (a, b), (c, d) in edges if (a, b) != (c, d)]
 
     def corners(self, face: int) -> Points:
         """Returns the outline of a face, (N, 3) local metres."""
-        return np.array([self._points[point] for point in self._faces[face][1][0]]) / self.per_metre
+        return np.array([self._points[point] for point in self._faces[face].rings[0]]) / self.per_metre
 
     def add_hole(self, face: int, ring: Sequence[int]) -> None:
         """Cuts a hole into a face; the ring runs clockwise seen from outside."""
-        self._faces[face][1].append(list(ring))
+        self._faces[face].rings.append(list(ring))
 
     def add_opening(self, face: int, corners: Points, *, is_door: bool = False) -> None:
         """Cuts a window or a door, (N, 3) counter-clockwise seen from outside, into a face."""
         ring = [self.point(*corner) for corner in corners.tolist()]
         self.add_hole(face, ring[::-1])
-        self._openings[self.face(SurfaceKind.OPENING, ring)] = face, is_door
+        self._faces.append(Face(SurfaceKind.OPENING, [ring], face, is_door))
 
     def detour(self, face: int, start: int, end: int, way: Sequence[int]) -> None:
         """Leads the edge from ``start`` to ``end`` of a face's rings over other points."""
-        for ring in self._faces[face][1]:
+        for ring in self._faces[face].rings:
             for k, point in enumerate(ring):
                 if point == start and ring[(k + 1) % len(ring)] == end:
                     ring[k + 1 : k + 1] = list(way)
@@ -120,26 +114,13 @@ class SolidBuilder:
 
     def build(self) -> Solid:
         """Returns the solid."""
-        points = np.array(self._points, dtype=np.float64) / self.per_metre
-        faces = []
-        for number, (kind, rings) in enumerate(self._faces):
-            host, is_door = self._openings.get(number, (None, False))
-            faces.append(Face(kind, tuple(tuple(ring) for ring in rings), host, is_door))
-        return Solid(points, tuple(faces))
-
-
-def _without_repeats(ring: Sequence[int]) -> list[int]:
-    return [point for k, point in enumerate(ring) if point != ring[k - 1]]
+        return Solid(np.array(self._points, dtype=np.float64) / self.per_metre, tuple(self._faces))
 
 
 def prism(rings: Sequence[Points], base_m: float, top_m: float, kind: SurfaceKind | None = None) -> Solid:
-    """Returns a flat-roofed block.
+    """Returns a flat-roofed block, all its faces of one kind; without one, ground, walls and roof.
 
-    Args:
-        rings: Plan rings, (N, 2): the outline counter-clockwise, then holes clockwise.
-        base_m: Height of the ground face.
-        top_m: Height of the roof face.
-        kind: What all its faces are; None for ground, walls and roof.
+    Of the plan's rings, (N, 2), the outline runs counter-clockwise, then holes clockwise.
     """
     builder = SolidBuilder()
     low = [builder.points(ring, base_m) for ring in rings]
@@ -147,7 +128,5 @@ def prism(rings: Sequence[Points], base_m: float, top_m: float, kind: SurfaceKin
     builder.face(kind or SurfaceKind.GROUND, *[ring[::-1] for ring in low])
     builder.face(kind or SurfaceKind.ROOF, *high)
     for bottom, top in zip(low, high, strict=True):
-        for k in range(len(bottom)):
-            ahead = (k + 1) % len(bottom)
-            builder.face(kind or SurfaceKind.WALL, [bottom[k], bottom[ahead], top[ahead], top[k]])
+        builder.walls([*bottom, bottom[0]], [*top, top[0]], kind or SurfaceKind.WALL)
     return builder.build()

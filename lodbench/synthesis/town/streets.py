@@ -7,7 +7,7 @@ streets, so that no two blocks are alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,23 +20,19 @@ _RIVER_AT_M = 225.0
 _RIVER_REACH_M = 2400.0
 # Street widths by the generation of the cut: avenues, streets, lanes.
 _STREET_WIDTHS_M = (22.0, 17.0, 14.0, 12.0, 10.5)
+# Distances from the middle of town, metres, and the usual area of blocks there.
+_BLOCK_M2 = (0.0, 180.0, 320.0, 520.0), (6200.0, 8600.0, 10500.0, 14000.0)
 # Edges longer than this may bend when they are warped.
 _BEND_EVERY_M = 60.0
 # A corner nearer to a straight line than this is no corner.
 _BEND_LEAST_M = 0.9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
-    """LandCover between streets.
+class Block(NamedTuple):
+    """Land between streets."""
 
-    Attributes:
-        ring: Its edge along the kerbs, (N, 2) local metres, counter-clockwise, nearly convex.
-        beyond_river: Whether it lies on the far bank.
-    """
-
-    ring: Points
-    beyond_river: bool
+    ring: Points  # its edge along the kerbs, (N, 2) local metres, counter-clockwise, nearly convex
+    beyond_river: bool  # whether it lies on the far bank
 
     @property
     def center(self) -> Points:
@@ -44,36 +40,22 @@ class Block:
         return np.asarray(self.ring.mean(axis=0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Street:
-    """A street between two crossings, or to the edge of town.
+class Street(NamedTuple):
+    """A street between two crossings, or to the edge of town."""
 
-    Attributes:
-        line: (K, 2) its middle, local metres.
-        width_m: From kerb to kerb.
-    """
-
-    line: Points
-    width_m: float
+    line: Points  # (K, 2) its middle, local metres
+    width_m: float  # from kerb to kerb
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StreetPlan:
-    """The blocks of a town, the streets between them, and its river.
+class StreetPlan(NamedTuple):
+    """The blocks of a town, the streets between them, and its river."""
 
-    Attributes:
-        blocks: All blocks; the first is the market square.
-        to_river: (2,) unit direction from the middle of town to the river.
-        banks: The built-up land on either side of the river, (N, 2) rings: blocks and streets.
-        streets: All streets, wide ones first.
-        river: (K, 2) the middle line of the river, far beyond the town at both ends.
-    """
-
-    blocks: tuple[Block, ...]
-    to_river: Points
+    blocks: tuple[Block, ...]  # all blocks; the first is the market square
+    to_river: Points  # (2,) unit direction from the middle of town to the river
+    # The built-up land on either side of the river, (N, 2) rings: blocks and streets.
     banks: tuple[Points, Points]
-    streets: tuple[Street, ...]
-    river: Points
+    streets: tuple[Street, ...]  # all streets, wide ones first
+    river: Points  # (K, 2) the middle line of the river, far beyond the town at both ends
 
 
 def draw_streets(generator: np.random.Generator, rings: float) -> StreetPlan:
@@ -112,7 +94,9 @@ class _Divider:
         """Returns the blocks that land falls into, each cut by a street narrower than the last."""
         along, length, _ = box_of(ring)
         middle = ring.mean(axis=0)
-        if area(ring) < _block_area(middle) * self._generator.uniform(0.75, 1.3):
+        # Blocks are small and dense in the old town.
+        usual = float(np.interp(np.hypot(*middle), *_BLOCK_M2))
+        if area(ring) < usual * self._generator.uniform(0.75, 1.3):
             return [ring]
         through = middle + along * length * self._generator.uniform(-0.09, 0.09)
         across = self._street_normal(along, through)
@@ -150,19 +134,10 @@ def _clipped(line: Points, ring: Points) -> Points:
     return np.stack([line[0] + first * way, line[0] + last * way])
 
 
-def _block_area(middle: Points) -> float:
-    """Returns the usual block area, square metres: small and dense in the old town."""
-    return float(np.interp(np.hypot(*middle), [0.0, 180.0, 320.0, 520.0], [6200.0, 8600.0, 10500.0, 14000.0]))
+class _Warp(NamedTuple):
+    """A smooth displacement of the plan: waves much longer than a block."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Warp:
-    """A smooth displacement of the plan: waves much longer than a block.
-
-    Attributes:
-        waves: (N, 5) rows of wave vector x, y (radians per metre), phase (radians), displacement x, y (m).
-    """
-
+    # (N, 5) rows of wave vector x, y (radians per metre), phase (radians), displacement x, y (m).
     waves: Points
 
     @classmethod

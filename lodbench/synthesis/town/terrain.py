@@ -1,10 +1,13 @@
-"""The ground of the town: smooth hills on both sides of a river valley."""
+"""The ground of the town, smooth hills on both sides of a river valley, and who stands where on it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from typing import NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from lodbench.synthesis.town.shapes import Points, left_of
 
@@ -16,23 +19,14 @@ _BANK_HEIGHT_M = 2.6
 _WATER_DEPTH_M = 1.6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Terrain:
-    """Ground heights: a slope up from the river and a few long waves, sunk into a valley along it.
+class Terrain(NamedTuple):
+    """Ground heights: a slope up from the river and a few long waves, sunk into a valley along it."""
 
-    Attributes:
-        base_m: Height at the river before the waves, metres above sea level.
-        rise: Metres of rise per metre away from the river.
-        waves: (N, 4) rows of wave vector x, y (radians per metre), phase (radians), amplitude (m).
-        river: (K, 2) its middle line, local metres.
-        water_m: Height of the water.
-    """
-
-    base_m: float
-    rise: float
-    waves: Points
-    river: Points
-    water_m: float
+    base_m: float  # height at the river before the waves, metres above sea level
+    rise: float  # metres of rise per metre away from the river
+    waves: Points  # (N, 4) rows of wave vector x, y (radians per metre), phase (radians), amplitude (m)
+    river: Points  # (K, 2) its middle line, local metres
+    water_m: float  # height of the water
 
     @classmethod
     def draw(cls, generator: np.random.Generator, river: Points, relief: float) -> Terrain:
@@ -45,7 +39,7 @@ class Terrain:
         rise = relief * float(generator.uniform(0.02, 0.03))
         dry = cls(float(generator.uniform(180.0, 260.0)), rise, np.array(waves), river, -np.inf)
         lowest = float(dry._hills(river, np.zeros(len(river))).min())
-        return replace(dry, water_m=round(lowest - _BANK_HEIGHT_M - 1.0, 2))
+        return dry._replace(water_m=round(lowest - _BANK_HEIGHT_M - 1.0, 2))
 
     def height(self, points: Points) -> Points:
         """Returns the ground height, (N,) metres, at local positions, (N, 2); the river's is its bed's."""
@@ -82,3 +76,44 @@ class Terrain:
         # The slope ends beyond the town: nobody lives on a mountain.
         far = 600.0 * np.tanh(distance / 600.0)
         return np.asarray(self.base_m + self.rise * far + np.sin(phase) @ self.waves[:, 3])
+
+
+NOBODY = 0
+_CELL_M = 0.5
+# Sub-cell precision of the fill, as a power of two.
+_SHIFT = 4
+
+
+class Occupancy:
+    """A grid over a square around the town's middle; cells hold 1 + the number of whoever is there.
+
+    Of each number from 0 the convex pieces of plan, (N, 2) metres, are given; the square reaches half its
+    side.
+    """
+
+    def __init__(self, pieces: Sequence[Sequence[Points]], reach_m: float) -> None:
+        self._reach_m = reach_m
+        count = 2 * round(reach_m / _CELL_M)
+        self._cells = np.zeros((count, count), np.int32)
+        for number, rings in enumerate(pieces):
+            for ring in rings:
+                # Pixel centres have whole numbers in OpenCV.
+                corners = (ring + reach_m) / _CELL_M - 0.5
+                fixed = np.round(corners * (1 << _SHIFT)).astype(np.int32)
+                cv2.fillConvexPoly(self._cells, fixed, number + 1, lineType=cv2.LINE_8, shift=_SHIFT)
+
+    def at(self, points: Points) -> NDArray[np.int32]:
+        """Returns (N,) who is at places, (N, 2) metres: 1 + a number, or `NOBODY`."""
+        cells = np.floor((points + self._reach_m) / _CELL_M).astype(np.int64)
+        inside = ((cells >= 0) & (cells < len(self._cells))).all(axis=1)
+        found = np.full(len(points), NOBODY, np.int32)
+        found[inside] = self._cells[cells[inside, 1], cells[inside, 0]]
+        return found
+
+    def is_free_around(self, points: Points, gap_m: float) -> NDArray[np.bool_]:
+        """Returns (N,) whether nobody is within about a distance of places, (N, 2) metres."""
+        ring = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+        free = self.at(points) == NOBODY
+        for x, y in gap_m * np.stack([np.cos(ring), np.sin(ring)], axis=1):
+            free &= self.at(points + np.array([x, y])) == NOBODY
+        return np.asarray(free)

@@ -6,25 +6,28 @@ built on the terrain beside its neighbours at three levels of detail.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from lodbench.storage import random_stream
 from lodbench.synthesis.town import landmarks
 from lodbench.synthesis.town.building import Age, Building, Plan, construct_all
-from lodbench.synthesis.town.closed_blocks import add_closed_block
 from lodbench.synthesis.town.fittings import chance
-from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, add_houses
-from lodbench.synthesis.town.looks import TEST, TownLook
-from lodbench.synthesis.town.occupancy import Occupancy
+from lodbench.synthesis.town.houses import OLD_LANES, SUBURB, VILLAS, add_closed_block, add_houses
+from lodbench.synthesis.town.looks import TownLook, look_named
 from lodbench.synthesis.town.shapes import Points, area, inset
 from lodbench.synthesis.town.site import Site
 from lodbench.synthesis.town.streets import Block, StreetPlan, draw_streets
-from lodbench.synthesis.town.terrain import Terrain
+from lodbench.synthesis.town.terrain import Occupancy, Terrain
 
 # Raise it whenever a seed gives another town, queries included: results of two versions do not compare.
 TOWN_VERSION = "2"
+CRS_NAME = "urn:ogc:def:crs,crs::EPSG::25832,crs::EPSG::7837"
+# Where the made-up town lies in UTM zone 32: easting, northing and height of its local origin, metres.
+ORIGIN_M = np.array([567_000.0, 5_539_000.0, 0.0])
 
 # The church stands on the first of the middle blocks that has room for it; block 0 is the market.
 _CHURCH_BLOCKS = range(1, 12)
@@ -42,20 +45,15 @@ _LEAST_BLOCK_M2 = 300.0
 _PARK_EVERY, _PARK_FIRST = 17, 5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Town:
-    """A town in local metres, x east, y north, its middle at the origin; heights above sea level.
-
-    Attributes:
-        buildings: Block by block from the middle outward, those pulled down before the photos included.
-        districts: District of each block of ``streets``.
-    """
+class Town(NamedTuple):
+    """A town in local metres, x east, y north, its middle at the origin; heights above sea level."""
 
     seed: int
     look: TownLook
+    # Block by block from the middle outward, those pulled down before the photos included.
     buildings: tuple[Building, ...]
     streets: StreetPlan
-    districts: tuple[str, ...]
+    districts: tuple[str, ...]  # district of each block of ``streets``
     terrain: Terrain
     occupancy: Occupancy
 
@@ -70,8 +68,9 @@ class Town:
         return tuple(building for building in self.buildings if building.age is not Age.NEW)
 
 
-def grow_town(seed: int, look: TownLook = TEST) -> Town:
-    """Returns the town of a seed and a look."""
+def grow_town(seed: int, look_name: str = "test") -> Town:
+    """Returns the town of a seed and a look, ``test`` or ``train``."""
+    look = look_named(look_name)
     streets = draw_streets(random_stream(seed, "demo", "streets"), look.rings)
     ground = random_stream(seed, "demo", "ground")
     terrain = Terrain.draw(ground, streets.river, look.relief)
@@ -81,7 +80,10 @@ def grow_town(seed: int, look: TownLook = TEST) -> Town:
     for number, (block, district) in enumerate(zip(streets.blocks, districts, strict=True)):
         site = _site_of(block, district, random_stream(seed, "demo", "block", number))
         if number not in blocks and site is not None:
-            _build_up(site, number)
+            if district == "inner town" and number % _PARK_EVERY == _PARK_FIRST:
+                landmarks.add_pavilion(site)
+            else:
+                _BUILD_UP[district](site)
             blocks[number] = site.plans
     named = [
         (f"DEMO_{number:03d}_{k:02d}", plan)
@@ -132,20 +134,6 @@ def _site_of(block: Block, district: str, chances: np.random.Generator) -> Site 
     return None if ring is None or area(ring) < _LEAST_BLOCK_M2 else Site(ring, district, chances)
 
 
-def _build_up(site: Site, number: int) -> None:
-    """Adds what stands on a block; blocks are numbered from the middle of town outward."""
-    if site.district == "old town":
-        _build_old_town(site)
-    elif site.district == "inner town":
-        _build_inner_town(site, number)
-    elif site.district == "estate":
-        landmarks.add_flats(site)
-    elif site.district == "works":
-        landmarks.add_works(site)
-    else:
-        add_houses(site, SUBURB)
-
-
 def _build_old_town(site: Site) -> None:
     """Adds a courtyard building, a closed block, or lanes of houses where neither has room."""
     if chance(site.chances, 0.12):
@@ -156,14 +144,21 @@ def _build_old_town(site: Site) -> None:
         add_houses(site, OLD_LANES)
 
 
-def _build_inner_town(site: Site, number: int) -> None:
-    """Adds a park, a school, a closed block or villas."""
-    if number % _PARK_EVERY == _PARK_FIRST:
-        landmarks.add_pavilion(site)
-        return
+def _build_inner_town(site: Site) -> None:
+    """Adds a school, a closed block or villas."""
     if chance(site.chances, 0.16):
         landmarks.add_school(site)
     if not site.plans and chance(site.chances, 0.45):
         add_closed_block(site, storeys=4)
     if not site.plans:
         add_houses(site, VILLAS)
+
+
+# What adds all that stands on a block of a district.
+_BUILD_UP: dict[str, Callable[[Site], None]] = {
+    "old town": _build_old_town,
+    "inner town": _build_inner_town,
+    "estate": landmarks.add_flats,
+    "works": landmarks.add_works,
+    "garden suburb": partial(add_houses, style=SUBURB),
+}

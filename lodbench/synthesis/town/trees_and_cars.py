@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from lodbench.storage import random_stream
@@ -33,9 +35,8 @@ _NUM_WOODS = 14
 def add_greenery(builder: MeshBuilder, town: Town) -> None:
     """Adds trees in streets, yards and parks, along the river and in woods around, and hedges."""
     chances = random_stream(town.seed, "demo", "trees")
-    places = np.concatenate(
-        [_along_streets(town, chances), _in_yards(town, chances), _along_river(town, chances)]
-    )
+    kinds = (_along_streets, _in_yards, _along_river)
+    places = np.concatenate([part for kind in kinds for part in kind(town, chances)])
     places = places[town.occupancy.is_free_around(places, 2.4)]
     # How wide a crown may grow: it may touch a wall.
     room_m = np.full(len(places), 2.6)
@@ -47,9 +48,8 @@ def add_greenery(builder: MeshBuilder, town: Town) -> None:
     _add_hedges(builder, town, chances)
 
 
-def _along_streets(town: Town, chances: np.random.Generator) -> Points:
-    """Returns places of trees on the pavements of wider streets."""
-    places = []
+def _along_streets(town: Town, chances: np.random.Generator) -> Iterator[Points]:
+    """Yields places of trees on the pavements of wider streets."""
     for street in town.streets.streets:
         likely = 0.75 if street.width_m > 15 else 0.35
         for side in (-1.0, 1.0):
@@ -59,13 +59,11 @@ def _along_streets(town: Town, chances: np.random.Generator) -> Points:
             spacing = float(chances.uniform(8.0, 14.0))
             at = np.arange(9.0, length_of(line) - 9.0, spacing)
             at = at[chances.random(len(at)) < 0.85]
-            places.append(along_line(line, at + chances.normal(0.0, 0.6, len(at)))[0])
-    return np.concatenate(places)
+            yield along_line(line, at + chances.normal(0.0, 0.6, len(at)))[0]
 
 
-def _in_yards(town: Town, chances: np.random.Generator) -> Points:
-    """Returns places of trees in gardens, courtyards and parks."""
-    places = []
+def _in_yards(town: Town, chances: np.random.Generator) -> Iterator[Points]:
+    """Yields places of trees in gardens, courtyards and parks."""
     for number, (block, district) in enumerate(zip(town.streets.blocks, town.districts, strict=True)):
         yard = inset(block.ring, 3.5)
         if number == 0 or yard is None:
@@ -77,20 +75,17 @@ def _in_yards(town: Town, chances: np.random.Generator) -> Points:
         per_tree = _PARK_M2 if is_park else _LAND_PER_TREE_M2[district]
         count = round(float(np.prod(high - low)) / per_tree * town.look.trees)
         drawn = chances.uniform(low, high, (count, 2))
-        places.append(drawn[contains(yard, drawn)])
-    return np.concatenate(places)
+        yield drawn[contains(yard, drawn)]
 
 
-def _along_river(town: Town, chances: np.random.Generator) -> Points:
-    """Returns places of trees on both banks, in loose rows."""
+def _along_river(town: Town, chances: np.random.Generator) -> Iterator[Points]:
+    """Yields places of trees on both banks, in loose rows."""
     line = town.streets.river
     half = 0.5 * length_of(line)
-    places = []
     for side in (-1.0, 1.0):
         at = np.cumsum(chances.uniform(5.0, 26.0, 160)) + half - 1200.0
         bank, _ = along_line(offset_line(line, side * 21.0), at)
-        places.append(bank + chances.normal(0.0, 1.0, bank.shape))
-    return np.concatenate(places)
+        yield bank + chances.normal(0.0, 1.0, bank.shape)
 
 
 def _in_woods(town: Town, chances: np.random.Generator) -> Points:
@@ -138,14 +133,14 @@ def _add_hedge(
 def add_traffic(builder: MeshBuilder, town: Town) -> None:
     """Adds cars to all streets wide enough for them."""
     chances = random_stream(town.seed, "demo", "cars")
-    places: list[Points] = []
-    ways: list[Points] = []
+    middles, directions = (np.concatenate(part) for part in zip(*_on_streets(town, chances), strict=True))
+    # A car stands on the slope of its street.
+    rise = town.terrain.height(middles + 2.0 * directions) - town.terrain.height(middles - 2.0 * directions)
+    add_cars(builder, town.terrain.on_ground(middles), directions, rise / 4.0, chances)
 
-    def put(line: Points, at: Points, sign: float) -> None:
-        middle, along = along_line(line, at)
-        places.append(middle)
-        ways.append(sign * along)
 
+def _on_streets(town: Town, chances: np.random.Generator) -> Iterator[tuple[Points, Points]]:
+    """Yields places of parked and of moving cars, (N, 2), and where they point to."""
     for street in town.streets.streets:
         width, length = street.width_m, length_of(street.line)
         for side in (-1.0, 1.0):
@@ -153,11 +148,10 @@ def add_traffic(builder: MeshBuilder, town: Town) -> None:
             if width > 9.5:
                 parked = np.cumsum(chances.uniform(5.6, 7.6, 200)) + 7.0
                 parked = parked[(parked < length - 9.0) & (chances.random(200) < 0.4)]
-                put(offset_line(street.line, side * (0.5 * width - 1.2)), parked, -side)
+                places, along = along_line(offset_line(street.line, side * (0.5 * width - 1.2)), parked)
+                yield places, -side * along
             if width > 12.0:
                 moving = np.cumsum(chances.uniform(25.0, 120.0, 40)) + 4.0
-                put(offset_line(street.line, side * 0.2 * width), moving[moving < length - 6.0], -side)
-    middles, directions = np.concatenate(places), np.concatenate(ways)
-    # A car stands on the slope of its street.
-    rise = town.terrain.height(middles + 2.0 * directions) - town.terrain.height(middles - 2.0 * directions)
-    add_cars(builder, town.terrain.on_ground(middles), directions, rise / 4.0, chances)
+                lane = offset_line(street.line, side * 0.2 * width)
+                places, along = along_line(lane, moving[moving < length - 6.0])
+                yield places, -side * along

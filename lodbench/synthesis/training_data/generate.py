@@ -5,10 +5,10 @@ from __future__ import annotations
 import errno
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,12 +37,13 @@ from lodbench.synthesis.training_data.view_writer import (
     is_written,
 )
 
+# What makes the world of a worker, and of what.
+Workers = tuple[Callable[..., None], tuple[Any, ...]]
 # Settings that name files to read.
 _FILES = ("city", "props", "terrain", "texture_model")
 
 
-@dataclass(frozen=True, slots=True)
-class Generated:
+class Generated(NamedTuple):
     """What was generated."""
 
     out: Path
@@ -55,15 +56,10 @@ class Generated:
 def generate_training_data(
     params: GenerateParams, options: ReadOptions | None = None, executor: ExecutorParams | None = None
 ) -> Generated:
-    """Writes a training set, or what is still missing of it.
+    """Writes a training set, or what is still missing of it; by processes of this machine if not told.
 
-    Every file of a view depends on the settings, the inputs and its name only, not on the workers or on
-    where an earlier run was stopped.
-
-    Args:
-        params: What to generate.
-        options: How to read the city; ``params.crs`` goes before its ``crs``.
-        executor: Where views are drawn; processes of this machine if None.
+    Every file of a view depends on the settings, the inputs and its name only, not on the workers or on where
+    an earlier run was stopped. ``params.crs`` goes before that of ``options``.
 
     Raises:
         LodbenchError: An input is at fault, no view can be taken, the folder holds another set, or the
@@ -80,7 +76,7 @@ def generate_training_data(
     missing = [view for view in plan.views if not all(map(is_written, files_of(params, view, out)))]
     resumed = len(plan.views) - len(missing)
     executor = _fitting(executor or ExecutorParams(PROCESS), params.workers, len(missing))
-    workers: tuple[Callable[..., None], tuple[Any, ...]] = (_open_writer, (params, parts, out))
+    workers: Workers = (_open_writer, (params, parts, out))
     if executor.name == DASK:
         # Names and a digest go over the network: what stands around a city takes more than the city.
         files: dict[str, Any] = {name: _whole(getattr(params, name)) for name in _FILES}
@@ -116,18 +112,16 @@ def world_parts(
         LodbenchError: The terrain, the props or the textured mesh cannot be read or lies elsewhere.
     """
     props, land = make_surroundings(picture, params.seed, params.terrain)
-    parts = PictureParts(city, picture, props, land.cover)
-    notes: tuple[str, ...] = ()
     if params.texture_model is not None:
         model = Path(params.texture_model).expanduser()
         mesh = read_textured(model, params.texture_up)
         offset, note = offset_to_city(
             mesh, city, model.name, "If it lies on its side, set texture_up=y or z."
         )
-        parts, notes = PictureParts(city, picture, None, None, offset), (note,)
-    elif params.props is not None:
-        parts = PictureParts(city, picture, read_props(Path(params.props).expanduser()), None)
-    return parts, land, notes
+        return PictureParts(city, picture, None, None, offset), land, (note,)
+    if params.props is not None:
+        return PictureParts(city, picture, read_props(Path(params.props).expanduser()), None), land, ()
+    return PictureParts(city, picture, props, land.cover), land, ()
 
 
 def open_cities(params: GenerateParams, options: ReadOptions) -> tuple[Scene, Scene]:
@@ -170,11 +164,7 @@ def _whole(path: str | None) -> str | None:
 
 
 def _write_views(
-    workers: tuple[Callable[..., None], tuple[Any, ...]],
-    missing: list[PlannedView],
-    out: Path,
-    resumed: int,
-    executor: ExecutorParams,
+    workers: Workers, missing: list[PlannedView], out: Path, resumed: int, executor: ExecutorParams
 ) -> None:
     done = 0
     try:

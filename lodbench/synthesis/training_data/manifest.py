@@ -18,7 +18,7 @@ from lodbench import __version__
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import open_sources
 from lodbench.citymodel.texture_files import files_of_textured
-from lodbench.datasets.pictures import encoded
+from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.errors import DatasetError
 from lodbench.storage import digest_of, file_digest, make_folder, remove_leftovers, write_bytes, write_text
 from lodbench.storage.json_text import parse_json
@@ -85,12 +85,7 @@ def _manifest(params: GenerateParams, scene: Scene, plan: ViewPlan) -> dict[str,
         "settings": settings,
         "inputs": inputs,
         "versions": {"lodbench": __version__} | {name: version(name) for name in _LIBRARIES},
-        "city": {
-            "buildings": scene.num_buildings,
-            "lod": scene.lod,
-            "crs": scene.crs,
-            "scene": scene.digest(),
-        },
+        "city": dict(buildings=scene.num_buildings, lod=scene.lod, crs=scene.crs, scene=scene.digest()),
         "frame": "poses: world to camera, in the city's coordinates, metres; pitch 0 looks straight down",
         "views": {split: counts[split] for split in SPLITS},
         "candidates": plan.candidates,
@@ -149,20 +144,19 @@ def _strip(params: GenerateParams, view: PlannedView, folder: Path, tile: int) -
     """Returns the picture (or grey), the mask, and the mask's outline and tint over the picture."""
     files = {path.parent.name: path for path in files_of(params, view, folder)}
     size = (tile, max(1, round(tile * params.size[1] / params.size[0])))
-    mask = _picture(files["masks"], cv2.IMREAD_GRAYSCALE, size)
-    photo = np.full((size[1], size[0], 3), 128, dtype=np.uint8)
-    if "images" in files:
-        photo = _picture(files["images"], cv2.IMREAD_COLOR, size)
-    share = (mask.astype(np.float64) / 255.0)[:, :, None] * 0.45
+    mask = _picture(files["masks"], size)
+    photo = _picture(files["images"], size) if "images" in files else np.full_like(mask, 128)
+    share = mask / 255.0 * 0.45
     overlay = (photo * (1.0 - share) + _MASK_BGR * share).astype(np.uint8)
-    outlines, _ = cv2.findContours((mask > 127).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    is_building = (mask[..., 0] > 127).astype(np.uint8)
+    outlines, _ = cv2.findContours(is_building, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(overlay, outlines, -1, (255, 255, 255), 1, cv2.LINE_AA)
-    strip = np.hstack([photo, cv2.cvtColor(mask, cv2.COLOR_GRAY2BGR), overlay])
+    strip = np.hstack([photo, mask, overlay])
     return np.pad(strip, ((2, 2), (2, 2), (0, 0)), constant_values=255)
 
 
-def _picture(path: Path, flags: int, size: tuple[int, int]) -> Picture:
-    picture = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), flags)
+def _picture(path: Path, size: tuple[int, int]) -> Picture:
+    picture = read_picture(path)
     if picture is None:
         raise DatasetError(f"{path} is no picture.", "Delete it and give the same command again.")
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import DatasetError
-from lodbench.geometry import Camera, Pose
+from lodbench.geometry import Pose
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import random_stream
 from lodbench.synthesis.camera_paths import CAMERA_PATHS, Place
@@ -30,17 +31,11 @@ BELOW_GROUND, TWO_REGIONS = "below the ground", "two regions in view"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedView:
-    """One view to write.
+    """One view to write."""
 
-    Attributes:
-        split: ``train``, ``val`` or ``test``.
-        name: Of its files, without ending.
-        pose: In the scene's frame.
-    """
-
-    split: str
-    name: str
-    pose: Pose
+    split: str  # ``train``, ``val`` or ``test``
+    name: str  # of its files, without ending
+    pose: Pose  # in the scene's frame
 
     @property
     def key(self) -> str:
@@ -48,8 +43,7 @@ class PlannedView:
         return f"{self.split}/{self.name}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ViewPlan:
+class ViewPlan(NamedTuple):
     """What will be written."""
 
     views: tuple[PlannedView, ...]
@@ -71,10 +65,7 @@ def regions_of(bases: NDArray[np.float64], val_share: float, test_share: float) 
 
 
 def plan_views(
-    params: GenerateParams,
-    scene: Scene,
-    ground: Ground,
-    progress: Callable[[], None] = lambda: None,
+    params: GenerateParams, scene: Scene, ground: Ground, progress: Callable[[], None] = lambda: None
 ) -> ViewPlan:
     """Returns the views to write; with a limit, a random choice of them.
 
@@ -89,23 +80,27 @@ def plan_views(
         order = random_stream(params.seed, "training", "choice").permutation(len(poses))
     taken: dict[int, str] = {}
     skipped: Counter[str] = Counter()
-    for index in order:
-        if params.limit is not None and len(taken) == params.limit:
-            break
-        split, reason = view_filter.split_of(poses[index])
-        if split is None:
-            skipped[reason] += 1
+    for index in order.tolist():
+        split = view_filter.split_or_reason(poses[index])
+        if split in SPLITS:
+            taken[index] = split
         else:
-            taken[int(index)] = split
+            skipped[split] += 1
         progress()
+        if len(taken) == params.limit:
+            break
     if not taken:
         counts = ", ".join(f"{count} {reason}" for reason, count in sorted(skipped.items()))
         raise DatasetError(
             f"None of {len(poses)} views can be taken: {counts or 'there is none'}.",
             "Other heights and pitches, a smaller min_buildings, or val_share=0 test_share=0 may help.",
         )
-    names = _names(params, scene, {index: poses[index] for index in sorted(taken)})
-    views = [PlannedView(taken[index], names[index], poses[index]) for index in sorted(taken)]
+    names, used = [], Counter[str]()
+    for index in sorted(taken):
+        name = _name(params, scene, index, poses[index])
+        used[name] += 1
+        names.append(name if used[name] == 1 else f"{name}-{used[name]}")
+    views = [PlannedView(taken[k], name, poses[k]) for k, name in zip(sorted(taken), names, strict=True)]
     return ViewPlan(tuple(views), dict(sorted(skipped.items())), len(poses))
 
 
@@ -116,42 +111,34 @@ class _ViewFilter:
         self._params, self._ground, self.boxes = params, ground, building_boxes(scene)
         camera = params.camera
         width = min(_PREVIEW_WIDTH, camera.width)
-        self._camera: Camera = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
+        self._camera = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
         self._raster = RasterRenderer(scene, threads=1)
         self._region = np.zeros(scene.num_buildings, dtype=np.int64)
         self._region[self.boxes.building] = regions_of(self.boxes.bases, params.val_share, params.test_share)
 
-    def split_of(self, pose: Pose) -> tuple[str | None, str]:
-        """Returns the split of a view and "", or None and why it is not taken."""
+    def split_or_reason(self, pose: Pose) -> str:
+        """Returns the split of a view, or why it is not taken."""
         center = pose.center[None]
         if center[0, 2] < self._ground.at(center)[0] + _CLEARANCE_M:
-            return None, BELOW_GROUND
+            return BELOW_GROUND
         if not self.boxes.are_clear_of(pose.center, _CLEARANCE_M):
-            return None, IN_BUILDING
+            return IN_BUILDING
         building = self._raster.draw(self._camera, pose).building
         seen = np.bincount(self._region[building[building >= 0]], minlength=len(SPLITS)) / building.size
         if self._params.min_buildings == 0 and not seen.any():
             nearest = np.linalg.norm(self.boxes.bases[:, :2] - pose.center[:2], axis=1).argmin()
-            return SPLITS[self._region[self.boxes.building[nearest]]], ""
+            return SPLITS[self._region[self.boxes.building[nearest]]]
         if seen.sum() < max(self._params.min_buildings, 1.0 / building.size):
-            return None, NO_BUILDINGS
+            return NO_BUILDINGS
         most = int(seen.argmax())
-        if seen.sum() - seen[most] > self._params.overlap:
-            return None, TWO_REGIONS
-        return SPLITS[most], ""
+        return TWO_REGIONS if seen.sum() - seen[most] > self._params.overlap else SPLITS[most]
 
 
-def _names(params: GenerateParams, scene: Scene, poses: dict[int, Pose]) -> dict[int, str]:
-    """Returns a name for each pose: its number, or X@Y@Z@PITCH@YAW@ROLL in whole metres and degrees."""
+def _name(params: GenerateParams, scene: Scene, index: int, pose: Pose) -> str:
+    """Returns a name for a pose: its number, or X@Y@Z@PITCH@YAW@ROLL in whole metres and degrees."""
     if params.naming == "index":
-        return {index: f"{index:06d}" for index in poses}
-    used: Counter[str] = Counter()
-    names = {}
-    for index, pose in poses.items():
-        pitch, roll, yaw = pose.euler
-        # Cut, not rounded, as UAVD4L's are; a tiny negative zero is no angle.
-        numbers = [*(pose.center + scene.origin), pitch, yaw, roll]
-        name = "@".join(str(int(value + 1e-6 * np.sign(value))) for value in numbers)
-        used[name] += 1
-        names[index] = name if used[name] == 1 else f"{name}-{used[name]}"
-    return names
+        return f"{index:06d}"
+    pitch, roll, yaw = pose.euler
+    # Cut, not rounded, as UAVD4L's are; a tiny negative zero is no angle.
+    numbers = [*(pose.center + scene.origin), pitch, yaw, roll]
+    return "@".join(str(int(value + 1e-6 * np.sign(value))) for value in numbers)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xxhash
@@ -11,13 +13,16 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.texture_files import read_textured
+from lodbench.citymodel.textured_mesh import TexturedMesh
 from lodbench.datasets.pictures import encoded, encoded_mask
+from lodbench.rendering.pyrender_textured import PyrenderTextured
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import digest_of, random_stream, write_bytes
 from lodbench.synthesis.objects.scene_props import SceneProps
 from lodbench.synthesis.photo import LandCover, PhotoRenderer, draw_look
-from lodbench.synthesis.photo.renderer import PyrenderPhotos, photo_file
+from lodbench.synthesis.photo.renderer import apply_camera_response, photo_file
+from lodbench.synthesis.photo.surfaces import linear
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import PlannedView
 
@@ -26,22 +31,14 @@ _MOST = 65535
 MOST_LABELS = _MOST
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PictureParts:
-    """What a worker draws from.
+class PictureParts(NamedTuple):
+    """What a worker draws from."""
 
-    Attributes:
-        scene: The city of the masks.
-        picture_scene: The city as pictures show it, in the same frame.
-        props: Its surroundings.
-        cover: Its land cover, or None where props say all.
-        texture_offset: (3,) what brings the textured mesh into the scene's frame, or None without one.
-    """
-
-    scene: Scene
-    picture_scene: Scene
-    props: SceneProps | None
-    cover: LandCover | None
+    scene: Scene  # the city of the masks
+    picture_scene: Scene  # the city as pictures show it, in the same frame
+    props: SceneProps | None  # its surroundings
+    cover: LandCover | None  # its land cover, or None where props say all
+    # (3,) what brings the textured mesh into the scene's frame, or None without one.
     texture_offset: NDArray[np.float64] | None = None
 
     def digest(self) -> str:
@@ -52,38 +49,22 @@ class PictureParts:
             for name, value in (part or {}).items():
                 array = np.ascontiguousarray(value)
                 state.update(f"{name}{array.dtype}{array.shape}".encode() + array.tobytes())
-        offset = self.texture_offset
-        state.update(b"" if offset is None else offset.tobytes())
+        state.update(b"" if self.texture_offset is None else self.texture_offset.tobytes())
         return state.hexdigest()
 
 
 class ViewWriter:
-    """Draws and writes the files of views.
-
-    Raises:
-        DatasetError: The textured mesh cannot be read.
-    """
+    """Draws and writes the files of views; a renderer is made when the first file needs it."""
 
     def __init__(self, params: GenerateParams, parts: PictureParts) -> None:
-        self._params, self._camera = params, params.camera
+        self._params, self._parts, self._camera = params, parts, params.camera
         self._silhouette = SilhouetteRenderer(parts.scene, threads=1)
-        self._raster = RasterRenderer(parts.scene, threads=1) if params.labels else None
-        self._photos: PhotoRenderer | None = None
-        self._painter: PhotoRenderer | PyrenderPhotos | None = None
-        if params.images or params.depth or params.occluders_in_mask:
-            mesh = None
-            if params.texture_model is not None and parts.texture_offset is not None:
-                mesh = read_textured(Path(params.texture_model).expanduser(), params.texture_up)
-                mesh = mesh.shifted(parts.texture_offset)
-            self._photos = PhotoRenderer(parts.picture_scene, parts.props, parts.cover, 1, mesh)
-            self._painter = self._photos
-            if params.renderer == "pyrender" and mesh is not None:
-                self._painter = PyrenderPhotos(mesh)
 
     def write(self, view: PlannedView, folder: Path) -> None:
         """Writes the files of a view that are not there yet, each whole or not at all.
 
         Raises:
+            DatasetError: The textured mesh cannot be read.
             OSError: The disk is full, or the folder cannot be written.
         """
         for path in files_of(self._params, view, folder):
@@ -96,29 +77,49 @@ class ViewWriter:
         # The seed and the name decide the look, nothing else.
         stream = random_stream(self._params.seed, "training", "look", view.key)
         look, response = draw_look(self._params.look, stream)
-        assert self._painter is not None  # noqa: S101
-        picture = self._painter.photo(self._camera, view.pose, look, response)
+        if self._params.renderer == "pyrender" and self._mesh is not None:
+            # No sun and no haze, which textures have already.
+            sky = np.sqrt(np.clip(look.haze_rgb, 0.0, 1.0))
+            drawn = self._by_opengl.picture(self._camera, view.pose, sky)
+            picture = apply_camera_response(linear(drawn).astype(np.float32), response)
+        else:
+            picture = self._photos.photo(self._camera, view.pose, look, response)
         return photo_file(picture, f".{self._params.format}", response)
 
     def _masks(self, view: PlannedView) -> bytes:
         mask = self._silhouette.render(self._camera, view.pose)
         if self._params.occluders_in_mask:
-            mask &= ~self._photo_renderer.occluders(self._camera, view.pose)
+            mask &= ~self._photos.occluders(self._camera, view.pose)
         return encoded_mask(mask, bilevel=True)
 
     def _labels(self, view: PlannedView) -> bytes:
-        assert self._raster is not None  # noqa: S101
         building = self._raster.draw(self._camera, view.pose).building
         return encoded((building + 1).astype(np.uint16), ".png")
 
     def _depth(self, view: PlannedView) -> bytes:
-        depth = self._photo_renderer.depth(self._camera, view.pose).astype(np.float64)
+        depth = self._photos.depth(self._camera, view.pose).astype(np.float64)
         return encoded(np.rint(np.minimum(depth * 100.0, _MOST)).astype(np.uint16), ".png")
 
-    @property
-    def _photo_renderer(self) -> PhotoRenderer:
-        assert self._photos is not None  # noqa: S101
-        return self._photos
+    @cached_property
+    def _raster(self) -> RasterRenderer:
+        return RasterRenderer(self._parts.scene, threads=1)
+
+    @cached_property
+    def _mesh(self) -> TexturedMesh | None:
+        model, offset = self._params.texture_model, self._parts.texture_offset
+        if model is None or offset is None:
+            return None
+        return read_textured(Path(model).expanduser(), self._params.texture_up).shifted(offset)
+
+    @cached_property
+    def _photos(self) -> PhotoRenderer:
+        parts = self._parts
+        return PhotoRenderer(parts.picture_scene, parts.props, parts.cover, 1, self._mesh)
+
+    @cached_property
+    def _by_opengl(self) -> PyrenderTextured:
+        assert self._mesh is not None  # noqa: S101
+        return PyrenderTextured(self._mesh)
 
 
 def is_written(path: Path) -> bool:

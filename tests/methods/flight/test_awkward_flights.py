@@ -16,7 +16,7 @@ from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vec
 from lodbench.methods.flight import Params, aligning
 from lodbench.methods.flight.corrected_map import corrected_map
 from lodbench.methods.flight.photo_terms import flight_terms
-from lodbench.synthesis.flights.map_changes import MapErrors, change_map
+from lodbench.synthesis.flights.errors import MapErrors, change_map
 from tests.methods.flight.test_method import flight, localize
 from tests.town import CAMERA
 

@@ -14,8 +14,8 @@ from lodbench.geometry import EulerAngles, Pose
 from lodbench.methods.flight.gone_buildings import gone_buildings
 from lodbench.methods.flight.map_views import views_of
 from lodbench.methods.flight.missing_buildings import _grid, _shares, missing_buildings
-from lodbench.synthesis.flights.map_changes import MapErrors, change_map
-from lodbench.synthesis.flights.paths import PATHS
+from lodbench.synthesis.camera_paths import FLIGHT_PATHS
+from lodbench.synthesis.flights.errors import MapErrors, change_map
 from lodbench.synthesis.mask_degradation import degrade_mask
 from tests.town import CAMERA, box_obj
 
@@ -30,7 +30,7 @@ def world(tmp_path_factory):
 def views(world, count=10):
     """Returns an orbit's views with masks as wrong as a network's."""
     middle = np.array([*world.vertices[:, :2].mean(axis=0), 0.0])
-    poses = list(PATHS["orbit"](middle, np.random.default_rng(4), count))[:count]
+    poses = list(FLIGHT_PATHS["orbit"](middle, np.random.default_rng(4), count))[:count]
     city_map = CityMap(world, threads=1)
     queries = []
     for k, pose in enumerate(poses):

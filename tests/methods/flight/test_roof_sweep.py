@@ -15,8 +15,8 @@ from lodbench.methods.flight.building_heights import _common
 from lodbench.methods.flight.roof_points import roof_points
 from lodbench.methods.flight.roof_sweep import HEIGHTS_M, RoofCurve, sweep_roofs
 from lodbench.methods.flight.sweep_pictures import open_pictures
-from lodbench.synthesis.flights.map_changes import MapErrors, change_map
-from lodbench.synthesis.flights.paths import PATHS
+from lodbench.synthesis.camera_paths import FLIGHT_PATHS
+from lodbench.synthesis.flights.errors import MapErrors, change_map
 from tests.town import CAMERA, box_obj
 
 LENS = np.zeros(2)
@@ -34,7 +34,7 @@ def photos(world, tmp_path_factory):
     """Returns an orbit's queries, with pictures of the world, and their poses."""
     folder, city_map = tmp_path_factory.mktemp("photos"), CityMap(world, threads=1)
     middle = np.array([*world.vertices[:, :2].mean(axis=0), 0.0])
-    poses = list(PATHS["orbit"](middle, np.random.default_rng(4), 8))[:8]
+    poses = list(FLIGHT_PATHS["orbit"](middle, np.random.default_rng(4), 8))[:8]
     queries = []
     for k, pose in enumerate(poses):
         (picture,) = city_map.colour(CAMERA, pose.rotation[None], pose.center[None])

@@ -5,9 +5,9 @@ import pytest
 from solid_checks import volume_m3
 
 from lodbench.synthesis.objects.scene_props import SurfaceClass
-from lodbench.synthesis.town.citygml_writer import ORIGIN_M
 from lodbench.synthesis.town.ground import filled, refined
 from lodbench.synthesis.town.props import demo_props
+from lodbench.synthesis.town.town import ORIGIN_M
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,8 @@ from lxml import etree
 
 from lodbench.citymodel import ReadOptions
 from lodbench.citymodel.terrain import ground_under
-from lodbench.synthesis.town.citygml_writer import ORIGIN_M, ascii_grid_text, relief_text
+from lodbench.synthesis.town.build import ascii_grid_text, relief_text
+from lodbench.synthesis.town.town import ORIGIN_M
 
 GML = "{http://www.opengis.net/gml}"
 

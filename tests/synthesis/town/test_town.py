@@ -8,7 +8,6 @@ from solid_checks import assert_sound, volume_m3
 
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.synthesis.town.building import LOD1_GRID_M, LOD1_HEIGHT_SIGMA_M, Age
-from lodbench.synthesis.town.looks import TRAIN
 from lodbench.synthesis.town.shapes import area
 from lodbench.synthesis.town.town import grow_town
 
@@ -196,7 +195,7 @@ def test_same_seed_same_town_and_other_seeds_differ(town, town_of):
 
 
 def test_the_two_looks_differ_in_more_than_chance(town):
-    other = grow_town(0, TRAIN)
+    other = grow_town(0, "train")
     roofs = [Counter(b.plan.roof.name for b in some.buildings) for some in (town, other)]
     assert roofs[1]["shed"] > 2 * roofs[0]["shed"]
     for name in ("walls", "tiles"):
