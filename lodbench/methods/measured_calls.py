@@ -20,6 +20,7 @@ from lodbench.methods.protocol import (
     SupportsFlights,
     SupportsWeights,
 )
+from lodbench.plugins import blaming
 
 
 @on_one_blas_thread
@@ -87,7 +88,10 @@ def weight_files(method: Method) -> tuple[Path, ...]:
     Raises:
         ConfigError: One is not there.
     """
-    files = tuple(method.weight_files()) if isinstance(method, SupportsWeights) else ()
+    if not isinstance(method, SupportsWeights):
+        return ()
+    with blaming("methods", method.name, "name its weights"):
+        files = tuple(method.weight_files())
     for file in files:
         if not file.is_file():
             raise ConfigError(f"method={method.name} has no weights {file}.", "Set method.weights=FILE.")

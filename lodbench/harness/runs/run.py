@@ -39,6 +39,7 @@ from lodbench.methods import Method
 from lodbench.plugins import load_plugin
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
+from lodbench.segmentation.registry import fingerprint_of
 from lodbench.storage import can_write, digest_of, make_folder, remove_leftovers, write_text
 from lodbench.storage.contents import known_contents, remembered_contents
 from lodbench.storage.disk import disk
@@ -232,7 +233,7 @@ def _read_inputs(
     method: Method, segmenter: Segmenter, dataset: Dataset, entries: tuple[Entry, ...]
 ) -> dict[str, str]:
     """Returns digests of the files that are read again for single queries, which are remembered."""
-    return {"masks": segmenter.fingerprint(entries), **method_inputs(method, dataset, entries)}
+    return {"masks": fingerprint_of(segmenter, entries), **method_inputs(method, dataset, entries)}
 
 
 def _require_unchanged(before: dict[str, str], after: dict[str, str], folder: Path) -> None:
