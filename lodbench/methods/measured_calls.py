@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -76,6 +77,10 @@ def localize_flight(
     drawn = sum(city_map.usage.take().values()) // max(1, len(queries))
     if not isinstance(found, FlightEstimate) or len(found.estimates) != len(queries):
         raise TypeError(f"localize_flight returned no FlightEstimate of {len(queries)} photos")
+    try:
+        json.dumps(found.findings, sort_keys=True)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise TypeError(f"findings of a flight are no JSON values: {error}") from error
     answers = [
         each if isinstance(each, QueryFault) else _measured(each, drawn, seconds) for each in found.estimates
     ]
