@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
+from lodbench.citymodel.options import ReadOptions
+from lodbench.citymodel.read import parse_city_model
 from lodbench.cli.train import task, train_method
+from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, draw_priors
@@ -155,3 +158,19 @@ def test_priors_that_cannot_be_drawn_or_described(package, blamed, fault, told):
     package("priors", PRIOR)
     place = "" if fault == "none" else "kit_parts.py, line "
     assert told in blamed("prior", draw_priors, NOTHING, "kit", {"fault": fault}, 0, place=place)
+
+
+@pytest.mark.parametrize("fault", ["1 / 0", "exit()", "return [7]", "return None"])
+def test_a_pose_format_that_fails(package, blamed, tmp_path, fault):
+    file = tmp_path / "file.kit"
+    file.write_text("anything")
+    place = "" if fault.startswith("return") else "kit_parts.py, line "
+    package("pose_formats", f"def Part(path): {fault}")
+    assert f"read {file}: " in blamed("pose-format", read_pose_file, file, "kit", place=place)
+
+
+@pytest.mark.parametrize("fault", ["1 / 0", "exit()", "return [7]"])
+def test_a_city_reader_that_fails(package, blamed, fault):
+    package("city_readers", f"def Part(source, options): {fault}")
+    place = "" if fault.startswith("return") else "kit_parts.py, line "
+    blamed("city-reader", parse_city_model, b"anything", "a city", ReadOptions(reader="kit"), place=place)
