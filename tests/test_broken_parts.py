@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from omegaconf import OmegaConf
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import parse_city_model
+from lodbench.cli import main
 from lodbench.cli.train import task, train_method
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.priors import UniformPrior
@@ -22,6 +24,7 @@ from lodbench.methods.registry import configure_method
 from lodbench.segmentation import notes_of
 from lodbench.segmentation.registry import fingerprint_of, make_segmenter
 from tests.site_packages import write_package
+from tests.town import write_dataset
 
 
 @pytest.fixture
@@ -174,3 +177,88 @@ def test_a_city_reader_that_fails(package, blamed, fault):
     package("city_readers", f"def Part(source, options): {fault}")
     place = "" if fault.startswith("return") else "kit_parts.py, line "
     blamed("city-reader", parse_city_model, b"anything", "a city", ReadOptions(reader="kit"), place=place)
+
+
+RENDERER = """
+import numpy as np
+
+class Part:
+    name = "kit"
+
+    def __init__(self, scene, threads=None):
+        self.scene, self.asked = scene, 0
+
+    def render(self, camera, pose):
+        self.asked += 1
+        {fault}
+        return np.zeros((camera.height, camera.width), dtype=bool)
+"""
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("town"), count=2)
+
+
+def run_with(town, tmp_path, *words: str) -> tuple[int, list[dict[str, str]]]:
+    """Returns the exit code of a run, and its rows."""
+    root, city = town
+    data = ["dataset=folder", f"dataset.root={root}", f"dataset.city_model={city}", "method.steps=1"]
+    code = main(["run", *data, f"paths.runs={tmp_path}", *words])
+    tables = list(tmp_path.rglob("queries.csv"))
+    return code, [row for table in tables for row in csv.DictReader(table.open())]
+
+
+@pytest.mark.parametrize("fault", ["1 / 0", "exit()", "return np.zeros((3, 3))"])
+def test_a_renderer_that_never_draws_ends_a_run_at_once(package, capsys, town, tmp_path, fault):
+    package("renderers", RENDERER.format(fault=fault))
+    assert run_with(town, tmp_path, "renderer=kit")[0] == 2
+    told = capsys.readouterr().err
+    assert "The renderer 'kit' of the package kit 1.0 cannot draw: " in told
+    assert "Traceback" not in told
+
+
+def test_a_renderer_that_fails_at_times_fails_the_queries_and_is_blamed_for_pictures(
+    package, capsys, town, tmp_path
+):
+    package("renderers", RENDERER.format(fault="if self.asked > 1: raise KeyError('tile')"))
+    assert run_with(town, tmp_path, "renderer=kit")[0] == 2
+    told = capsys.readouterr().err
+    assert "The renderer 'kit' of the package kit 1.0 cannot draw what was found: KeyError" in told
+    assert "KeyError" in next(tmp_path.rglob("predictions.jsonl")).read_text()
+    assert next(tmp_path.rglob("tracebacks")).is_dir()
+
+
+def test_a_renderer_that_cannot_draw_pictures(package, capsys, town, tmp_path):
+    root, city = town
+    views = [f"poses={root / 'GT_pose.txt'}", f"intrinsics={root / 'intrinsic.txt'}"]
+    package("renderers", RENDERER.format(fault="raise RuntimeError"))
+    assert main(["render", f"city={city}", *views, f"out={tmp_path / 'out'}", "renderer=kit"]) == 2
+    assert "cannot draw view_00.png: RuntimeError: no message" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("raise SystemExit(3)", "SystemExit: 3"),
+        ("return 0.5", "TypeError: Part gave float64 () for"),
+        ("return np.array(['high'] * len(words))", "TypeError: Part gave <U4"),
+        ("return np.zeros((len(words), 2))", "TypeError: Part gave float64 ("),
+    ],
+)
+def test_a_fit_that_fails_or_gives_no_numbers_is_the_queries_failure(package, town, tmp_path, fault, told):
+    package(
+        "fits",
+        f"""
+import numpy as np
+
+class Part:
+    def __init__(self, probability):
+        self.size = probability.shape[::-1]
+
+    def __call__(self, words):
+        {fault}
+""",
+    )
+    _, rows = run_with(town, tmp_path, "method=lodlocv2", "method.fit=kit")
+    assert [row["failure"][: len(told)] for row in rows] == [told] * 2
