@@ -17,9 +17,11 @@ from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint, distributions
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
+
+T = TypeVar("T")
 
 _OURS = "lodbench"
 _CONFIG_GROUP = "lodbench.config_sources"
@@ -91,7 +93,9 @@ class PlugIn:
         try:
             part = self.point.load()
         except (Exception, SystemExit) as error:  # a package of others may raise anything
-            raise self._broken(f"{self.point.value} does not load: {_words(error)}") from error
+            raise self._broken(
+                f"{self.point.value} does not load: {_words(error, self.point.module)}"
+            ) from error
         if not callable(part):
             raise self._broken(
                 f"{self.point.value} is no class or function, but of type {type(part).__name__}"
@@ -235,9 +239,9 @@ def _modified(path: str) -> float:
 
 @contextmanager
 def blaming(group: str, name: str, what: str) -> Iterator[None]:
-    """Tells in one line what a plug-in's code raises, and where, but for errors of lodbench.
+    """Tells in one line what a plug-in's code raises, and where; errors of lodbench and its own parts pass.
 
-    Those of the operating system pass, too: the command line tells them with their file.
+    Those of the operating system that name a file pass, too: the command line tells them.
 
     Args:
         group: A key of ``KINDS``.
@@ -249,19 +253,40 @@ def blaming(group: str, name: str, what: str) -> Iterator[None]:
     """
     try:
         yield
-    except (LodbenchError, OSError):
+    except LodbenchError:
         raise
     except (Exception, SystemExit) as error:  # code of others may raise anything
-        label = KINDS[group].label
+        plug_in = next((each for each in installed(group) if each.name == name), None)
+        names_file = isinstance(error, OSError) and error.filename is not None
+        if names_file or isinstance(error, BrokenPipeError) or (plug_in is not None and plug_in.is_ours):
+            raise
+        label, module = KINDS[group].label, plug_in.point.module if plug_in else ""
+        package = f" of the package {plug_in.package}" if plug_in else ""
         raise ConfigError(
-            f"The {label} {name!r} cannot {what}: {_words(error)}.",
+            f"The {label} {name!r}{package} cannot {what}: {_words(error, module)}.",
             f"See lodbench check-plugin {label} {name}.",
         ) from error
 
 
-def _words(error: BaseException) -> str:
-    """Returns an exception in one line, with the place that raised it."""
+def of_kind(made: object, wanted: type[T]) -> T:
+    """Returns what a plug-in made.
+
+    Raises:
+        TypeError: It is something else.
+    """
+    if not isinstance(made, wanted):
+        raise TypeError(f"{type(made).__name__} came out instead of {wanted.__name__}")
+    return made
+
+
+def _words(error: BaseException, module: str = "") -> str:
+    """Returns an exception in one line, with the last place in the package of a module that led to it."""
     text = str(error).splitlines()
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if "importlib" not in f.filename]
-    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames[1:] else ""
+    top = module.partition(".")[0]
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if top in Path(frame.filename).with_suffix("").parts
+    ]
+    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {text[0] if text else 'no message'}{where}"

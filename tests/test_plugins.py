@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from lodbench.cli.run_dataset import open_dataset
 from lodbench.cli.segmenters import segmenter_of
+from lodbench.datasets.registry import open_dataset
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.registry import make_method
@@ -153,14 +153,38 @@ MAKERS = {
 @pytest.mark.parametrize(
     ("kind", "size", "told"),
     [
-        ("method", -1, "The method 'kit' cannot take its settings: ValueError: size is negative"),
-        ("method", 1, "The method 'kit' cannot be made: ModuleNotFoundError: No module named"),
+        (
+            "method",
+            -1,
+            "The method 'kit' cannot take its settings: ValueError: size is negative",
+        ),
+        (
+            "method",
+            1,
+            "The method 'kit' cannot be made: ModuleNotFoundError: No module named",
+        ),
         ("method", 2, "The method 'kit' cannot be made: SystemExit: gone"),
-        ("segmenter", -1, "The segmenter 'kit' cannot be made: ValueError: size is negative"),
-        ("segmenter", 1, "The segmenter 'kit' cannot be made: ModuleNotFoundError: No module named"),
-        ("dataset", -1, "The dataset 'kit' cannot take its settings: ValueError: size is negative"),
+        (
+            "segmenter",
+            -1,
+            "The segmenter 'kit' cannot be made: ValueError: size is negative",
+        ),
+        (
+            "segmenter",
+            1,
+            "The segmenter 'kit' cannot be made: ModuleNotFoundError: No module named",
+        ),
+        (
+            "dataset",
+            -1,
+            "The dataset 'kit' cannot take its settings: ValueError: size is negative",
+        ),
         ("dataset", 0, "The dataset 'kit' cannot be opened: KeyError: 'gone'"),
-        ("dataset", 1, "The dataset 'kit' cannot be opened: TypeError: it returned int"),
+        (
+            "dataset",
+            1,
+            "The dataset 'kit' cannot be opened: TypeError: int came out instead of Dataset",
+        ),
         ("dataset", 2, "in its own words"),
     ],
 )
@@ -171,5 +195,8 @@ def test_what_a_part_raises_when_it_is_made_is_told_in_a_line(site, monkeypatch,
     monkeypatch.delitem(sys.modules, "kit_parts", raising=False)
     with pytest.raises(LodbenchError) as caught:
         MAKERS[kind](size)
-    assert caught.value.message.startswith(told)
-    assert "\n" not in caught.value.message
+    message = caught.value.message
+    assert message.replace(" of the package kit 1.0 ", " ").startswith(told)
+    assert ("package kit 1.0" in message) == told.startswith("The ")
+    assert ("kit_parts.py, line " in message) == (told.startswith("The ") and "came out" not in told)
+    assert "\n" not in message

@@ -19,6 +19,7 @@ from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
 from lodbench.harness.runs.run import Run, RunSettings, run_method
 from lodbench.methods import Method
 from lodbench.methods.protocol import SupportsPriorWidth
+from lodbench.plugins import blaming
 from lodbench.segmentation.masks import MaskFiles, MasksParams
 from lodbench.synthesis.view_sampling import FINE_SIZE
 from lodbench.synthesis.views_dataset import ViewsParams, drawing_facts, open_views
@@ -80,7 +81,8 @@ def told_width(method: Method, prior: UniformPrior) -> Method:
     """Returns a method told how far off priors may be, if it is one that can be."""
     if not isinstance(method, SupportsPriorWidth):
         return method
-    made: Method = type(method)(method.params_for_prior(prior))  # type: ignore[call-arg]
+    with blaming("methods", method.name, "take the width of priors"):
+        made: Method = type(method)(method.params_for_prior(prior))  # type: ignore[call-arg]
     return made
 
 

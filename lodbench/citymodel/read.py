@@ -7,7 +7,6 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 from lodbench.citymodel.codes import FILE_SKIPPED
 from lodbench.citymodel.meshing import mesh_model
@@ -19,7 +18,7 @@ from lodbench.citymodel.readers import reader_of
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.source import Source, count_bytes, open_sources
 from lodbench.findings import Findings
-from lodbench.plugins import load_plugin
+from lodbench.plugins import blaming, load_plugin, of_kind
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -120,4 +119,6 @@ def _read_tiles(name: str, sources: tuple[Source, ...], options: ReadOptions) ->
 def read_source(source: Source, options: ReadOptions) -> RawCity:
     """Returns what the reader that is asked for, or else the one for a file's content, makes of it."""
     name = options.reader or reader_of(source)
-    return cast(RawCity, load_plugin("city_readers", name)(source, options))
+    read = load_plugin("city_readers", name)
+    with blaming("city_readers", name, f"read {source.name}"):
+        return of_kind(read(source, options), RawCity)

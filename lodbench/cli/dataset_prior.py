@@ -11,11 +11,11 @@ from typing import Any
 
 from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.cli.parser import Parser
-from lodbench.datasets.prior_sources import Priors, prior_digest, prior_text
+from lodbench.datasets.prior_sources import prior_digest, prior_text
+from lodbench.datasets.registry import draw_priors
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.harness.dataset_check import prior_errors_in_words
-from lodbench.params import to_params
-from lodbench.plugins import load_plugin, plugin_names
+from lodbench.plugins import plugin_names
 from lodbench.storage import write_text
 
 _EPILOG = """\
@@ -49,9 +49,8 @@ def main(argv: Sequence[str]) -> int:
     if options.out.is_dir():
         raise ConfigError(f"{options.out} is a folder.", "Name a file.")
     with _in_own_words():
-        kind = load_plugin("priors", options.kind)
-        priors: Priors = to_params(dict(map(_pair, options.set)), kind, "--set")
-        dataset = priors.apply(open_named(options), options.seed)
+        settings = dict(map(_pair, options.set))
+        dataset, priors = draw_priors(open_named(options), options.kind, settings, options.seed, "--set")
     write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))
     made = sum(entry.prior is not None for entry in dataset.entries)
     lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {priors.describe()}"]

@@ -10,16 +10,17 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.run_dataset import data_identity, dataset_opener, with_source
+from lodbench.cli.run_dataset import data_identity, with_source
+from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import LodbenchError
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.evaluate import EvaluateSettings, draw_scored, evaluate_poses
 from lodbench.harness.runs.result import Result
 from lodbench.params import to_params
-from lodbench.plugins import load_plugin
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.table_formats import format_text
 from lodbench.reporting.tables import tables_of
+from lodbench.segmentation.registry import make_segmenter
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +68,8 @@ def task(config: DictConfig) -> None:
     write_artefacts(result, OmegaConf.to_yaml(OmegaConf.create(result.config), sort_keys=True))
     city = result.dataset.city_model
     if city is not None and city.exists():
-        kind = load_plugin("segmenters", "masks")
         try:
-            draw_scored(result, kind(kind.params_type()), settings.tilt)
+            draw_scored(result, make_segmenter("masks")[0], settings.tilt)
         except LodbenchError as fault:
             # The table stands; only the pictures need the city.
             sys.stderr.write(f"lodbench: no pictures: {fault.message}\n")

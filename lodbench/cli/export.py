@@ -13,9 +13,9 @@ from lodbench.cli.verify import add_path_options, reopen_dataset
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
 from lodbench.harness.city import open_city
-from lodbench.harness.export.export import CITY, CRS, Export, Exported, ExportFormat, export_run
+from lodbench.harness.export.export import CITY, CRS, Export, Exported, export_run, make_format
 from lodbench.harness.runs.stored import read_run
-from lodbench.plugins import load_plugin, plugin_names
+from lodbench.plugins import blaming, plugin_names
 
 _EPILOG = """\
 Poses are written in the dataset's coordinates; queries without one are named, not written (in GeoJSON they
@@ -29,14 +29,16 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
     run = read_run(asked.run)
-    form: ExportFormat = load_plugin("export_formats", asked.format)()
+    form = make_format(asked.format)
     needs = set(form.requires) - ({CRS} if asked.crs is not None else set())
     dataset = reopen_dataset(asked.run, asked.dataset_root, asked.city_model) if needs else None
     city = None
     if dataset is not None and (CITY in needs or (CRS in needs and dataset.city_model is not None)):
         city = _city_of(dataset)
     crs = asked.crs if asked.crs is not None or city is None else city.crs
-    return _report(export_run(Export(run, dataset, city, crs), form, asked.out))
+    with blaming("export_formats", asked.format, "write the run"):
+        done = export_run(Export(run, dataset, city, crs), form, asked.out)
+    return _report(done)
 
 
 def _report(done: Exported) -> int:

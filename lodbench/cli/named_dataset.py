@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from dataclasses import fields
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from lodbench.cli.configs import read_config
-from lodbench.cli.run_dataset import open_dataset
 from lodbench.datasets.query import Dataset
+from lodbench.datasets.registry import dataset_settings, open_dataset
 from lodbench.errors import ConfigError, nearest_names
-from lodbench.plugins import load_plugin, plugin_names
+from lodbench.plugins import plugin_names
 
 
 def add_dataset_options(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +37,7 @@ def open_named(options: argparse.Namespace) -> Dataset:
             )
         values = {"name": "folder", "root": root, "city_model": options.city, "lod": options.lod}
         return open_dataset({key: value for key, value in values.items() if value is not None})
-    takes = parameters_of(load_plugin("datasets", name))
+    takes = dataset_settings(name)
     given: dict[str, Any] = {"root": options.root, "city_model": options.city, "lod": options.lod}
     values = {key: value for key, value in given.items() if value is not None}
     refused = sorted(set(values) - takes)
@@ -48,9 +45,3 @@ def open_named(options: argparse.Namespace) -> Dataset:
         option = {"root": "--root", "city_model": "--city", "lod": "--lod"}[refused[0]]
         raise ConfigError(f"Dataset {name} takes no {option}.")
     return open_dataset({**(read_config("dataset", name) or {"name": name}), **values})
-
-
-def parameters_of(opener: Callable[..., Dataset]) -> set[str]:
-    """Returns the names of the settings that a dataset takes."""
-    (parameter,) = signature(opener, eval_str=True).parameters.values()
-    return {field.name for field in fields(parameter.annotation)}

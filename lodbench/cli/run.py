@@ -12,9 +12,10 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
-from lodbench.cli.run_dataset import data_identity, dataset_opener, with_prior, with_source
+from lodbench.cli.run_dataset import data_identity, with_prior, with_source
 from lodbench.cli.runner import made_method, offer_methods
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
+from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError
 from lodbench.evaluation.queries import ERROR, has_truth, is_without_truth
 from lodbench.execution.executor import ExecutorParams

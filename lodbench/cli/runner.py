@@ -12,6 +12,7 @@ from lodbench.cli.setting_words import settings_of
 from lodbench.cli.source_profiles import option_pairs
 from lodbench.errors import LodbenchError
 from lodbench.harness.remote.method import HERE, SUBPROCESS, RemoteMethod, RunnerParams
+from lodbench.harness.remote.process import RunnerFault
 from lodbench.methods import Method
 from lodbench.methods.conformance import check_answers, trial_settings
 from lodbench.methods.registry import configure_method
@@ -55,7 +56,11 @@ def offer_methods(argv: Sequence[str]) -> None:
 
 
 def remote_checks(name: str, words: Sequence[str]) -> Iterator[Check]:
-    """Yields what there is to say of a method in another Python."""
+    """Yields what there is to say of a method in another Python.
+
+    Raises:
+        ConfigError: That Python cannot be started or has no lodbench, or a setting is wrong.
+    """
     told = {key: value for key, value in option_pairs(words).items() if key.startswith(_PREFIX)}
     runner = to_params(
         {"name": SUBPROCESS, **{key.removeprefix(_PREFIX): value for key, value in told.items()}},
@@ -72,6 +77,9 @@ def remote_checks(name: str, words: Sequence[str]) -> Iterator[Check]:
     try:
         method = make()
     except LodbenchError as error:
+        # Wrong words of the command are no fault of the method.
+        if isinstance(error, RunnerFault) or error.message.startswith("method."):
+            raise
         yield Check("plug-in", "entry point", FAULT, error.message, error.hint)
         return
     method.close()

@@ -11,10 +11,9 @@ from lodbench.cli.source_profiles import option_pairs
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
-from lodbench.params import to_params
-from lodbench.plugins import blaming, load_plugin
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.choice import AUTO, chosen_segmenter
+from lodbench.segmentation.registry import make_segmenter
 
 # A segmenter and its parameters.
 Made = tuple[Segmenter, Any]
@@ -26,7 +25,7 @@ def segmenter_of(name: str, words: Sequence[str] = ()) -> Segmenter:
     Raises:
         LodbenchError: There is none of this name, an option is not one of it, or its weights are missing.
     """
-    return _made({"name": name}, option_pairs(words))[0]
+    return make_segmenter(name, option_pairs(words))[0]
 
 
 def require_one_mask_source(asked: argparse.Namespace, *flags: str) -> None:
@@ -54,7 +53,7 @@ def named_segmenter(values: Mapping[str, Any]) -> Made | None:
     Raises:
         LodbenchError: As for ``segmenter_of``.
     """
-    return None if values.get("name") == AUTO else _made(values, values)
+    return None if values.get("name") == AUTO else make_segmenter(str(values.get("name", "")), values)
 
 
 def default_segmenter(dataset: Dataset, wanted: Collection[Input] = frozenset({Input.MASK})) -> Made:
@@ -66,12 +65,4 @@ def default_segmenter(dataset: Dataset, wanted: Collection[Input] = frozenset({I
     name, reason = chosen_segmenter(dataset, wanted)
     if wanted:
         sys.stdout.write(f"segmenter={name}: {reason}; segmenter=NAME takes another\n")
-    return _made({"name": name}, {})
-
-
-def _made(values: Mapping[str, Any], settings: Mapping[str, Any]) -> Made:
-    name = str(values.get("name", ""))
-    part = load_plugin("segmenters", name)
-    with blaming("segmenters", name, "be made"):
-        params = to_params(dict(settings), part.params_type, "segmenter")
-        return part(params), params
+    return make_segmenter(name)

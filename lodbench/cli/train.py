@@ -5,15 +5,16 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from omegaconf import DictConfig
 
 from lodbench.cli.hydra_app import plain, run_hydra, section
 from lodbench.errors import ConfigError
 from lodbench.params import to_params
-from lodbench.plugins import load_plugin
+from lodbench.plugins import blaming, load_plugin
 from lodbench.reporting.safe_text import plain_text
+from lodbench.segmentation.registry import make_segmenter
 from lodbench.training.train import Trained, train_network
 from lodbench.training.train_params import TrainParams
 
@@ -36,13 +37,17 @@ def train_method(config: DictConfig) -> None:
     part = load_plugin("methods", name)
     if not hasattr(part, "train"):
         raise ConfigError(f"method={name} learns nothing.", "Trainable: method=lodloc, and segmenters.")
-    if to_params(method, part.params_type, "method") != part.params_type():
+    with blaming("methods", name, "take its settings"):
+        is_plain = to_params(method, part.params_type, "method") == part.params_type()
+        settings = _settings(schedule, others, part.training_type)
+    if not is_plain:
         raise ConfigError(
             "What is set of a method means nothing to its training.", "Its training's settings are schedule.*"
         )
-    settings = _settings(schedule, others, part.training_type)
     _tell(f"training {name} on {settings.data} into {settings.out}")
-    sys.stdout.write(f"weights: {part.train(settings, _tell)}\n")
+    with blaming("methods", name, "be trained"):
+        weights = part.train(settings, _tell)
+    sys.stdout.write(f"weights: {weights}\n")
 
 
 def task(config: DictConfig) -> None:
@@ -56,15 +61,17 @@ def task(config: DictConfig) -> None:
             "init=FILE goes on from them; segmenter.encoder_weights=FILE starts from an encoder's.",
         )
     params = _settings(schedule, others, TrainParams)
-    part = load_plugin("segmenters", settings.get("name", ""))
-    if not hasattr(part, "build"):
+    name = str(settings.get("name", ""))
+    if not hasattr(load_plugin("segmenters", name), "build"):
         raise ConfigError(
-            f"segmenter={settings['name']} has no network to train.",
+            f"segmenter={name} has no network to train.",
             "Trainable: compact, efficient_unet, sam2_unet, sam1_adapter.",
         )
     # Loading torch and the first step take a while: what is going on is said before.
-    _tell(f"training {settings['name']} on {params.data} into {params.out}")
-    trained = train_network(part(to_params(settings, part.params_type, "segmenter")), params, _tell)
+    _tell(f"training {name} on {params.data} into {params.out}")
+    segmenter, _ = make_segmenter(name, settings)
+    with blaming("segmenters", name, "be trained"):
+        trained = train_network(cast(Any, segmenter), params, _tell)
     if trained.history:
         sys.stdout.write(report(trained))
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from inspect import signature
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,16 +13,16 @@ from omegaconf import OmegaConf
 from yaml import AliasToken, scan
 
 from lodbench.cli.parser import OldName, Parser
-from lodbench.cli.run_dataset import open_dataset, with_prior, with_source
+from lodbench.cli.run_dataset import with_prior, with_source
 from lodbench.datasets.query import Dataset
+from lodbench.datasets.registry import dataset_settings, open_dataset
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.evaluation.queries import has_truth
 from lodbench.harness.runs.named_paths import is_own, without_paths
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.harness.runs.stored import read_run
 from lodbench.harness.runs.verify import Verdict, verify_run
-from lodbench.params import to_params
-from lodbench.plugins import load_plugin
+from lodbench.segmentation.registry import make_segmenter
 
 _EPILOG = """\
 Exit code: 0 all numbers follow, 1 they do not (one line per difference), 2 the run cannot be read.
@@ -65,8 +64,7 @@ def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str
         dataset = None
     segmenter = None
     if "masks" in read_run(folder).summary["dataset"] and opened.config["segmenter"] == config["segmenter"]:
-        kind = load_plugin("segmenters", config["segmenter"]["name"])
-        segmenter = kind(to_params(config["segmenter"], kind.params_type, "segmenter"))
+        segmenter, _ = make_segmenter(config["segmenter"]["name"], config["segmenter"])
     verdict = verify_run(folder, config, dataset, segmenter, has_own_priors=_keeps_priors(config))
     is_whole = dataset is not None and dataset.city_model is not None and opened.config == config
     return verdict if opened.is_own or is_whole else replace(verdict, notes=(*verdict.notes, _NOT_OWN))
@@ -165,8 +163,7 @@ def describe(verdict: Verdict) -> str:
 def _reopen(folder: Path, config: dict[str, Any], root: str | None, city: str | None) -> Dataset:
     """Returns the dataset of a run; one that is built in takes no paths."""
     section = dict(config["dataset"])
-    (parameter,) = signature(load_plugin("datasets", section["name"]), eval_str=True).parameters.values()
-    known = {f.name for f in fields(parameter.annotation)}
+    known = dataset_settings(section["name"])
     paths = {"root": root, "city_model": city}
     section.update({key: path for key, path in paths.items() if key in known})
     dataset = with_source(open_dataset(section), config["source"])

@@ -25,7 +25,7 @@ from lodbench.datasets.exchange.kapture import is_kapture
 from lodbench.datasets.exchange.photogrammetry import looks_like
 from lodbench.datasets.exchange.posed import FoundPose, content
 from lodbench.errors import ConfigError, DatasetError, nearest_names
-from lodbench.plugins import load_plugin, plugin_names
+from lodbench.plugins import blaming, load_plugin, of_kind, plugin_names
 
 # What a format is stored in, where it is not either.
 _FOLDERS, _FILES = ("c2w", "kapture"), ("lines", "tum", "metashape", "pix4d", "odm")
@@ -54,7 +54,9 @@ def read_pose_file(path: Path, format_name: str, known: Collection[str] = ()) ->
     if kind in (_FILES if path.is_dir() else _FOLDERS):
         found, wanted = ("a folder", "a file") if path.is_dir() else ("a file", "a folder")
         raise DatasetError(f"{path} is {found}.", f"format={kind} reads {wanted}.")
-    poses: list[FoundPose] = list(load_plugin("pose_formats", kind)(path))
+    read = load_plugin("pose_formats", kind)
+    with blaming("pose_formats", kind, f"read {path}"):
+        poses = [of_kind(pose, FoundPose) for pose in read(path)]
     if not poses:
         raise DatasetError(f"{path} holds no poses.", f"It was read with format={kind}.")
     return kind, poses

@@ -34,7 +34,7 @@ def compute_metrics(queries: pd.DataFrame) -> dict[str, float]:
     for name, metric in installed_metrics().items():
         try:
             found = {str(key): float(value) for key, value in metric(queries).items()}
-        except Exception as error:  # whatever a plug-in's own code raises
+        except (Exception, SystemExit) as error:  # whatever a plug-in's own code raises
             warnings.warn(f"metric {name} is left out: {type(error).__name__}: {error}", stacklevel=2)
             continue
         if twice := sorted(found.keys() & numbers.keys()):

@@ -5,25 +5,25 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, fields, is_dataclass
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Dataset
+from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.evaluation.queries import summarize_queries
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.methods import Method
 from lodbench.methods.registry import make_method
-from lodbench.plugins import load_plugin
 from lodbench.reporting.leaderboard import blocks_of, leaderboard_frame
 from lodbench.reporting.leaderboard_entry import read_entries, slug
 from lodbench.reporting.summaries import with_seconds
 from lodbench.reporting.tables import tables_of
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.choice import chosen_segmenter
+from lodbench.segmentation.registry import make_segmenter
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,8 +75,7 @@ def run_method(
     asked = make_method(method) if isinstance(method, str) else method
     opened, stated = _opened(dataset, city)
     if segmenter is None:
-        kind = load_plugin("segmenters", chosen_segmenter(opened, segmented_inputs(asked))[0])
-        segmenter = kind(kind.params_type())
+        segmenter, _ = make_segmenter(chosen_segmenter(opened, segmented_inputs(asked))[0])
     config: dict[str, Any] = {
         **{"renderer": "silhouette", "tilt": tilt, "seed": seed, "split": [], "limit": limit},
         "prior": {"name": "file"},
@@ -101,9 +100,7 @@ def _opened(dataset: str | Path | Dataset, city: str | Path | None) -> tuple[Dat
         params = FolderParams(str(dataset), None if city is None else str(city))
         left_out = {"root", "city_model"}
         return open_folder(params), {k: v for k, v in asdict(params).items() if k not in left_out}
-    opener = load_plugin("datasets", str(dataset))
-    (parameter,) = signature(opener, eval_str=True).parameters.values()
-    params = parameter.annotation()
+    opener, params = dataset_opener({"name": str(dataset)})
     return opener(params), asdict(params)
 
 

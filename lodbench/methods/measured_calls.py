@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,6 +21,7 @@ from lodbench.methods.protocol import (
     SupportsFlights,
     SupportsWeights,
 )
+from lodbench.plugins import blaming
 
 
 @on_one_blas_thread
@@ -75,6 +77,10 @@ def localize_flight(
     drawn = sum(city_map.usage.take().values()) // max(1, len(queries))
     if not isinstance(found, FlightEstimate) or len(found.estimates) != len(queries):
         raise TypeError(f"localize_flight returned no FlightEstimate of {len(queries)} photos")
+    try:
+        json.dumps(found.findings, sort_keys=True)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise TypeError(f"findings of a flight are no JSON values: {error}") from error
     answers = [
         each if isinstance(each, QueryFault) else _measured(each, drawn, seconds) for each in found.estimates
     ]
@@ -87,7 +93,10 @@ def weight_files(method: Method) -> tuple[Path, ...]:
     Raises:
         ConfigError: One is not there.
     """
-    files = tuple(method.weight_files()) if isinstance(method, SupportsWeights) else ()
+    if not isinstance(method, SupportsWeights):
+        return ()
+    with blaming("methods", method.name, "name its weights"):
+        files = tuple(method.weight_files())
     for file in files:
         if not file.is_file():
             raise ConfigError(f"method={method.name} has no weights {file}.", "Set method.weights=FILE.")

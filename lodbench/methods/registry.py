@@ -9,7 +9,7 @@ from typing import Any
 from lodbench.datasets.priors import UniformPrior
 from lodbench.methods.protocol import Method, SupportsPriorWidth, SupportsTrueTilt
 from lodbench.params import to_params
-from lodbench.plugins import blaming, load_plugin
+from lodbench.plugins import blaming, load_plugin, of_kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,9 @@ class ConfiguredMethod:
         method = self.make()
         if not isinstance(method, SupportsPriorWidth):
             return self
-        return ConfiguredMethod(self.kind, method.params_for_prior(prior))
+        with blaming("methods", self.kind.name, "take the width of priors"):
+            params = of_kind(method.params_for_prior(prior), self.kind.params_type)
+        return ConfiguredMethod(self.kind, params)
 
     def for_tilt(self, tilt: str) -> ConfiguredMethod:
         """Returns the same, told that priors have the true tilt where they do, if it asks.
@@ -50,7 +52,9 @@ class ConfiguredMethod:
         method = self.make()
         if tilt != "truth" or not isinstance(method, SupportsTrueTilt):
             return self
-        return ConfiguredMethod(self.kind, method.params_for_true_tilt())
+        with blaming("methods", self.kind.name, "take the true tilt"):
+            params = of_kind(method.params_for_true_tilt(), self.kind.params_type)
+        return ConfiguredMethod(self.kind, params)
 
 
 def configure_method(settings: Mapping[str, Any]) -> ConfiguredMethod:

@@ -50,6 +50,19 @@ class Fit(Protocol):
         ...
 
 
+def fit_values(fit: Fit, words: Words) -> Floats:
+    """Returns what a fit, of another package perhaps, says of N silhouettes.
+
+    Raises:
+        TypeError: It is not a number for each.
+    """
+    values = np.asarray(fit(words))
+    if values.shape != (len(words),) or values.dtype.kind not in "biuf":
+        name = type(fit).__name__
+        raise TypeError(f"{name} gave {values.dtype} {values.shape} for {len(words)} silhouettes")
+    return values
+
+
 class IouFit:
     """Intersection over union with a mask (LoD-Loc v2, equation 2); an empty union scores 0.
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import ConfigError
 from lodbench.geometry import Camera, Pose
-from lodbench.plugins import load_plugin, plugin_names
+from lodbench.plugins import blaming, load_plugin, plugin_names
 from lodbench.rendering.bits import Words, pack_mask, words_per_row
-from lodbench.rendering.fit import Fit
+from lodbench.rendering.fit import Fit, fit_values
 from lodbench.rendering.projection import require_poses, require_size
 from lodbench.rendering.protocol import Floats, IouCounts, Renderer, Scorer
 
@@ -45,7 +45,12 @@ def open_renderer(name: str, scene: Scene, threads: int | None = None) -> Render
         ConfigError: There is no such renderer, or it is broken.
         RenderingError: A library the renderer needs is absent.
     """
-    return cast(Renderer, load_plugin("renderers", name)(scene, threads))
+    kind = load_plugin("renderers", name)
+    with blaming("renderers", name, "be made"):
+        made: Renderer = kind(scene, threads)
+        for member in ("name", "scene", "render"):
+            getattr(made, member)
+        return made
 
 
 def make_renderer(name: str, scene: Scene, threads: int | None = None) -> Scorer:
@@ -77,8 +82,16 @@ class RenderAndCompare:
         return getattr(self._renderer, name)
 
     def render(self, camera: Camera, pose: Pose) -> NDArray[np.bool_]:
-        """Returns the (H, W) silhouette seen from a pose."""
-        return self._renderer.render(camera, pose)
+        """Returns the (H, W) silhouette seen from a pose.
+
+        Raises:
+            TypeError: The renderer draws something else.
+        """
+        drawn = np.asarray(self._renderer.render(camera, pose))
+        if drawn.shape != (camera.height, camera.width) or drawn.dtype != np.bool_:
+            wanted = f"bool {(camera.height, camera.width)}"
+            raise TypeError(f"renderer={self.name} drew {drawn.dtype} {drawn.shape}, not {wanted}")
+        return drawn
 
     def silhouettes(self, camera: Camera, rotations: Floats, centers: Floats) -> Words:
         """Returns N silhouettes as (N, H, ceil(W / 64)) bit-packed words."""
@@ -106,5 +119,6 @@ class RenderAndCompare:
         rotations, centers = require_poses(rotations, centers)
         values = np.zeros(len(centers))
         for i, (rotation, center) in enumerate(zip(rotations, centers, strict=True)):
-            values[i] = fit(pack_mask(self.render(camera, Pose.from_center(rotation, center)))[None])[0]
+            drawn = pack_mask(self.render(camera, Pose.from_center(rotation, center)))
+            values[i] = fit_values(fit, drawn[None])[0]
         return values

@@ -16,7 +16,7 @@ from lodbench.rendering.bits import Words, count_bits, pack_mask, unpack_mask, w
 from lodbench.rendering.engine_arrays import Scratch, View, blank_scratch
 from lodbench.rendering.engine_kernel import draw_view, draw_views, score_views
 from lodbench.rendering.engine_store import open_arrays
-from lodbench.rendering.fit import Fit, IouFit
+from lodbench.rendering.fit import Fit, IouFit, fit_values
 from lodbench.rendering.instances import Instances, draw_instances
 from lodbench.rendering.nearby import nearby_order
 from lodbench.rendering.projection import (
@@ -152,7 +152,7 @@ class SilhouetteRenderer:
         values = np.zeros(len(centers))
 
         def work(part: Indices) -> None:
-            values[part] = fit(self._draw(camera, view, rotations[part], centers[part]))
+            values[part] = fit_values(fit, self._draw(camera, view, rotations[part], centers[part]))
 
         self._share_out(work, nearby_order(rotations, centers))
         return values

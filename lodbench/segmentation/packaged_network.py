@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +17,7 @@ from lodbench.errors import ConfigError
 from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 from lodbench.segmentation.probability import without_unsure_parts
-from lodbench.segmentation.tiles import MemoryTiles
+from lodbench.segmentation.tiles import MemoryTiles, is_out_of_memory
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
 from lodbench.storage import file_digest
 
@@ -62,9 +63,17 @@ class PackagedNetwork(PhotoSegmenter):
 
     @cached_property
     def _net(self) -> Any:
-        """Returns OpenCV's network; read on first use."""
+        """Returns OpenCV's network; read on first use.
+
+        Raises:
+            ConfigError: It cannot be read, or has several outputs.
+        """
         hint = f"lodbench train segmenter={self.name} writes one."
-        return read_onnx(self._path, hint, is_ours=self.params.weights is None, digest=self.weights_digest)
+        net = read_onnx(self._path, hint, is_ours=self.params.weights is None, digest=self.weights_digest)
+        outputs = len(net.getUnconnectedOutLayersNames())
+        if outputs != 1:
+            raise ConfigError(f"{self._path} has {outputs} outputs instead of one.", hint)
+        return net
 
     @abstractmethod
     def new_net(self, is_filled: bool) -> Any:
@@ -103,12 +112,18 @@ class PackagedNetwork(PhotoSegmenter):
 
     def _run(self, tile: NDArray[np.uint8]) -> NDArray[np.float32]:
         blob = np.ascontiguousarray(tile.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
-        self._net.setInput(blob)
-        found = np.asarray(self._net.forward(), np.float32)
+        hint = f"lodbench train segmenter={self.name} writes networks that answer one value per pixel."
+        try:
+            self._net.setInput(blob)
+            found = np.asarray(self._net.forward(), np.float32)
+        except cv2.error as error:
+            if is_out_of_memory(error):
+                raise
+            raise ConfigError(f"{self._path} is no network of photos: OpenCV cannot ask it.", hint) from error
         if found.shape != (1, 1, *tile.shape[:2]):
             raise ConfigError(
                 f"{self._path} answers {found.shape} to a photo of {tile.shape[:2]}.",
-                f"lodbench train segmenter={self.name} writes networks that answer one value per pixel.",
+                hint,
             )
         return np.asarray(found[0, 0])
 

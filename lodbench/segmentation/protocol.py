@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from lodbench.datasets.query import Entry
 from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose
+from lodbench.plugins import blaming, of_kind
 
 if TYPE_CHECKING:
     from lodbench.citymap import CityMap
@@ -117,7 +118,8 @@ class MapGuidedInstanceSegmenter(Protocol):
 def notes_of(segmenter: object) -> tuple[str, ...]:
     """Returns what a reader of results must know about a segmenter; none where it says nothing."""
     notes = getattr(segmenter, "notes", None)
-    told = tuple(notes()) if notes is not None else ()
+    with blaming("segmenters", str(getattr(segmenter, "name", "")), "tell its notes"):
+        told = tuple(of_kind(note, str) for note in notes()) if notes is not None else ()
     if isinstance(segmenter, MapGuidedSegmenter):
         told = (f"segmenter {segmenter.name}: guided by the map from the prior", *told)
     return told

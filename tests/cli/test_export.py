@@ -16,6 +16,7 @@ from lodbench.citymodel.cache import open_cached_scene
 from lodbench.cli import main
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_poses
+from tests.site_packages import write_package
 from tests.town import CAMERA, write_dataset
 
 # Where the boxes could stand: export needs a reference system, and boxes have none.
@@ -158,3 +159,32 @@ def test_the_table_of_queries_holds_the_poses(capsys, tmp_path, run, name):
     }
     for key, pose in expected.items():
         np.testing.assert_allclose(found.loc[key], pose.translation, atol=1e-9)
+
+
+FORMAT = """
+class Part:
+    file_name, requires = "kit.txt", ()
+
+    def write(self, export, path):
+        path.write_text("half")
+        %s
+"""
+
+
+@pytest.mark.parametrize("fault", ["exit()", "1 / 0", "open(path / 'x')"])
+def test_a_format_of_another_package_that_fails_leaves_what_was_there(
+    capsys, tmp_path, monkeypatch, run, fault
+):
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    monkeypatch.delitem(sys.modules, "kit_format", raising=False)
+    points, files = {"export_formats": {"kit": "kit_format:Part"}}, {"kit_format.py": FORMAT % fault}
+    write_package(tmp_path / "site", "kit", points, files)
+    out = tmp_path / "out" / "poses.txt"
+    out.parent.mkdir()
+    out.write_text("former")
+    assert main(["export", str(run), "--format", "kit", "--out", str(out)]) == 2
+    told = capsys.readouterr().err
+    blamed = f"lodbench: {out}: Not a directory" if "open" in fault else "of the package kit 1.0 cannot write"
+    assert blamed in told
+    assert "Traceback" not in told
+    assert (out.read_text(), list(out.parent.iterdir())) == ("former", [out])

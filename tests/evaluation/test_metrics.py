@@ -85,6 +85,10 @@ def broken(queries):
     raise KeyError("no such column")
 
 
+def leaving(queries):
+    raise SystemExit(3)
+
+
 def test_a_metric_of_another_package_stands_beside_our_own(install):
     install("worst")
     found = summarize_queries(QUERIES, "a")[0].to_json()["metrics"]
@@ -94,7 +98,12 @@ def test_a_metric_of_another_package_stands_beside_our_own(install):
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("broken", "KeyError"), ("impostor", "another metric's"), ("absent", "does not load")],
+    [
+        ("broken", "KeyError"),
+        ("leaving", "SystemExit"),
+        ("impostor", "another metric's"),
+        ("absent", "does not load"),
+    ],
 )
 def test_a_metric_that_fails_is_left_out_and_said(install, name, said):
     install(name, "worst")

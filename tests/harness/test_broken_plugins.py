@@ -145,3 +145,15 @@ def test_a_preparation_that_exits_is_told(dataset, tmp_path):
 
     with pytest.raises(ConfigError, match="cannot prepare: SystemExit: 3"):
         run(Leaving(), dataset, tmp_path)
+
+
+@pytest.mark.parametrize("findings", [{"heights": np.ones(3)}, {1: 0, "one": 1}])
+def test_findings_that_are_no_json_are_their_flight_s_fault(dataset, tmp_path, findings):
+    class Odd(Flying):
+        def localize_flight(self, queries, city_map, streams):
+            return replace(super().localize_flight(queries, city_map, streams), findings=findings)
+
+    done = run(Odd(), dataset, tmp_path)
+    assert {failure[:47] for failure in failures(done)} == {"TypeError: findings of a flight are no JSON val"}
+    assert list((done.folder / "tracebacks").iterdir())
+    assert not (done.folder / "flights").exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Protocol
 
 from lodbench.citymodel.scene import Scene
@@ -12,7 +13,9 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.query import Dataset
 from lodbench.errors import DatasetError
 from lodbench.harness.runs.stored import StoredRun
+from lodbench.plugins import blaming, load_plugin
 from lodbench.storage import make_folder
+from lodbench.storage.disk import disk
 
 # What a format may require beside the run.
 DATASET, CITY, CRS = "dataset", "city", "crs"
@@ -74,6 +77,19 @@ class Exported:
     without_pose: tuple[str, ...]
 
 
+def make_format(name: str) -> ExportFormat:
+    """Returns the format of a name.
+
+    Raises:
+        ConfigError: There is no such format, or it cannot be made.
+    """
+    kind = load_plugin("export_formats", name)
+    with blaming("export_formats", name, "be made"):
+        made: ExportFormat = kind()
+        Path(made.file_name), set(made.requires)
+    return made
+
+
 def export_run(export: Export, form: ExportFormat, out: Path | None = None) -> Exported:
     """Writes a run in a format.
 
@@ -81,6 +97,8 @@ def export_run(export: Export, form: ExportFormat, out: Path | None = None) -> E
         export: The run, and what the format requires.
         form: The format.
         out: File or folder to write; by default in the run's folder ``export``.
+
+    What is there already stays as it is until all is written; other files in a folder stay.
 
     Raises:
         LodbenchError: The run has no poses, or the format cannot hold it.
@@ -90,6 +108,28 @@ def export_run(export: Export, form: ExportFormat, out: Path | None = None) -> E
         raise DatasetError(f"{run.folder} holds no poses.", "queries.csv says why each query failed.")
     path = out or run.folder / "export" / form.file_name
     make_folder(path.parent)
-    form.write(export, path)
+    with TemporaryDirectory(prefix=".export.", dir=path.parent) as folder:
+        written = Path(folder) / path.resolve().name
+        try:
+            form.write(export, written)
+        except OSError as error:
+            if str(error.filename).startswith(folder):
+                error.filename = str(path)
+            raise
+        if not written.exists():
+            raise ValueError(f"nothing was written to {path.name}")
+        _put_in_place(written, path)
     without = run.queries["query"][~run.queries.index.isin(list(run.poses))]
     return Exported(path, len(run.poses), tuple(without))
+
+
+def _put_in_place(written: Path, path: Path) -> None:
+    """Gives a file, or each file of a folder, its name."""
+    if written.is_dir():
+        make_folder(path)
+        for each in sorted(written.iterdir()):
+            _put_in_place(each, path / each.name)
+    elif path.is_dir():
+        raise DatasetError(f"{path} is a folder.", "Name a file with --out.")
+    else:
+        disk().rename(written, path)

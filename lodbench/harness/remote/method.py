@@ -24,7 +24,7 @@ from lodbench.errors import (
 )
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.drawn import KINDS, drawn_bytes
-from lodbench.harness.remote.process import Child, ProcessFault
+from lodbench.harness.remote.process import Child, ProcessFault, RunnerFault
 from lodbench.harness.remote.wire import FAULTS
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.workspace import Workspace
@@ -155,7 +155,7 @@ class RemoteMethod:
             )
             return cast(dict[str, Any], made)
         except ProcessFault as fault:
-            raise ConfigError(
+            raise RunnerFault(
                 f"runner.python={self._runner.python}: {fault}.",
                 "lodbench must be installed there, and the method's package.",
             ) from fault

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from lodbench.errors import LodbenchError, WorkersGone
+from lodbench.errors import ConfigError, LodbenchError, WorkersGone
 from lodbench.harness.remote.wire import MalformedMessage, packed, unpacked
 
 # Of what the child wrote to standard error, at most this much is told.
@@ -23,6 +23,10 @@ _CHUNK = 1 << 16
 _LAST_WAITS, _WAIT_S = 250, 0.02
 
 
+class RunnerFault(ConfigError):
+    """``runner.python`` is no Python that can run the method."""
+
+
 class ProcessFault(Exception):
     """The child died, took too long or wrote no message; its standard error is a note of this exception."""
 
@@ -31,7 +35,7 @@ class Child:
     """A process of another Python, asked one thing at a time; it and all it starts are one process group.
 
     Raises:
-        LodbenchError: It cannot be started.
+        RunnerFault: It cannot be started.
     """
 
     def __init__(self, command: list[str], environment: dict[str, str]) -> None:
@@ -47,7 +51,7 @@ class Child:
                 process_group=0,
             )
         except OSError as error:
-            raise LodbenchError(
+            raise RunnerFault(
                 f"{command[0]} cannot be started: {error.strerror}.", "runner.python=PATH names a Python."
             ) from error
         assert self._process.stdin is not None  # noqa: S101

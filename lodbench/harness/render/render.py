@@ -23,6 +23,7 @@ from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
 from lodbench.harness.render.kinds import KINDS, View, choose_renderer
+from lodbench.plugins import blaming
 from lodbench.rendering import open_renderer
 from lodbench.rendering.projection import require_pinhole
 from lodbench.rendering.pyrender_textured import PyrenderTextured
@@ -115,7 +116,8 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
     with Progress(f"{params.kind} pictures", len(shots)) as progress:
         for shot in shots:
             pose, path = shot.pose.shifted(-city.scene.origin), out / Path(shot.name).stem
-            files += kind.write(View(renderer, shot.camera, pose, path, shot.photo))
+            with blaming("renderers", name, f"draw {shot.name}"):
+                files += kind.write(View(renderer, shot.camera, pose, path, shot.photo))
             progress.advance()
     return Rendered(tuple(files), city.notes())
 

@@ -17,7 +17,7 @@ from lodbench.evaluation.queries import queries_csv, summarize_queries
 from lodbench.harness.runs.named_paths import named_by
 from lodbench.harness.runs.result import Result
 from lodbench.harness.runs.run import Run
-from lodbench.plugins import load_plugin
+from lodbench.plugins import blaming, load_plugin, of_kind
 from lodbench.reporting.leaderboard_entry import has_random_weights
 from lodbench.reporting.summaries import SUMMARY_SCHEMA
 from lodbench.storage import hide_formula, write_text
@@ -85,7 +85,9 @@ def summary_of(run: Result) -> dict[str, Any]:
 def _prior_in_words(prior: dict[str, Any]) -> str:
     """Returns the protocol of a configuration's priors; of a file only its digest is known."""
     settings = {key: value for key, value in prior.items() if key not in ("name", "content")}
-    words: str = load_plugin("priors", prior["name"])(**settings).describe()
+    kind = load_plugin("priors", prior["name"])
+    with blaming("priors", prior["name"], "be described"):
+        words = of_kind(kind(**settings).describe(), str)
     return f"of another file ({prior['content']})" if "content" in prior else words
 
 

@@ -16,6 +16,7 @@ from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, is_answer
 from lodbench.execution.same_folder import staying_here
 from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.result import Result
+from lodbench.plugins import blaming
 from lodbench.rendering import Renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.segmentation import Segmenter, binary_mask, check_mask
@@ -44,7 +45,9 @@ def write_overlays(result: Result, preparation: Preparation, renderer: Renderer)
                     continue
                 path = folder / overlay_name(split, kind, rank, entry.name)
                 shown = _shown(preparation, entry, row, result.predictions[entry.key])
-                write_picture(path, draw_overlay(shown, renderer))
+                with blaming("renderers", renderer.name, "draw"):
+                    picture = draw_overlay(shown, renderer)
+                write_picture(path, picture)
                 written.append(path)
     return written
 

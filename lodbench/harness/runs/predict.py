@@ -27,6 +27,7 @@ from lodbench.harness.runs.prepare import Preparation
 from lodbench.harness.runs.shared_scoring import Part, SharedScorer, score
 from lodbench.methods import Method
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
+from lodbench.plugins import blaming
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
 from lodbench.storage import random_stream
@@ -200,4 +201,5 @@ def _score_here(part: Part) -> tuple[NDArray[np.int64], tuple[NDArray[Any], ...]
 def _warm_up(city_map: CityMap) -> None:
     """Lets the renderer compile, or load what it compiled, before the first query's clock runs."""
     camera = Camera(8, 8, 8.0, 8.0, 4.0, 4.0)
-    city_map.counts(camera, np.eye(3)[None], np.zeros((1, 3)), np.zeros((8, 8), dtype=np.bool_))
+    with blaming("renderers", city_map.name, "draw"):
+        city_map.counts(camera, np.eye(3)[None], np.zeros((1, 3)), np.zeros((8, 8), dtype=np.bool_))

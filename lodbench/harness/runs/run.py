@@ -36,9 +36,10 @@ from lodbench.harness.runs.requirements import made_inputs, require_run_inputs, 
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.status import PLAN_FILE
 from lodbench.methods import Method
-from lodbench.plugins import load_plugin
+from lodbench.plugins import blaming, load_plugin
 from lodbench.rendering import Scorer
 from lodbench.segmentation import Segmenter
+from lodbench.segmentation.registry import fingerprint_of
 from lodbench.storage import can_write, digest_of, make_folder, remove_leftovers, write_text
 from lodbench.storage.contents import known_contents, remembered_contents
 from lodbench.storage.disk import disk
@@ -129,13 +130,15 @@ def run_method(method: Method, dataset: Dataset, segmenter: Segmenter, settings:
     )
     predictions, resumed = _answered(method, work, preparation, city_map, entries, folder, settings)
     priors = {entry.key: preparation.prior(entry) for entry in entries}
+    with blaming("renderers", settings.renderer, "draw what was found"):
+        queries = evaluate(entries, predictions, dataset.truth, priors, city_map, settings.tilt)
     return Run(
         folder=folder,
         config=settings.config,
         dataset=dataset,
         splits=splits,
         predictions=predictions,
-        queries=evaluate(entries, predictions, dataset.truth, priors, city_map, settings.tilt),
+        queries=queries,
         inputs=inputs,
         lod=city_map.scene.lod,
         preparation=preparation,
@@ -232,7 +235,7 @@ def _read_inputs(
     method: Method, segmenter: Segmenter, dataset: Dataset, entries: tuple[Entry, ...]
 ) -> dict[str, str]:
     """Returns digests of the files that are read again for single queries, which are remembered."""
-    return {"masks": segmenter.fingerprint(entries), **method_inputs(method, dataset, entries)}
+    return {"masks": fingerprint_of(segmenter, entries), **method_inputs(method, dataset, entries)}
 
 
 def _require_unchanged(before: dict[str, str], after: dict[str, str], folder: Path) -> None:

@@ -30,6 +30,7 @@ from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.segmentation import Segmenter
+from lodbench.segmentation.registry import fingerprint_of
 from lodbench.storage import digest_of
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def verify_run(
         # What was said of a pose file stands with its method: the file itself need not be there.
         told = replace(dataset, notes=dataset.notes + tuple(config["method"].get("notes", ())))
         if "masks" in inputs and segmenter is not None:
-            inputs["masks"] = segmenter.fingerprint(entries)
+            inputs["masks"] = fingerprint_of(segmenter, entries)
         scorer = None
         if "scene" in inputs and dataset.city_model is not None:
             city = open_city(dataset.city_model, dataset.lod, dataset.city_options, dataset.roof_height)

@@ -74,3 +74,20 @@ def test_check_method_there_takes_the_settings_that_a_method_has_for_the_trial(c
 @pytest.mark.slow
 def test_a_method_that_counts_poses_itself_answers_there_too():
     assert main(["check-method", "lodloc", f"runner.python={sys.executable}"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["runner.python=/no/python"], "/no/python cannot be started: No such file"),
+        (
+            ["runner.python=/bin/false"],
+            "runner.python=/bin/false: the method's process ended",
+        ),
+        ([f"runner.python={sys.executable}", "method.bogus=1"], "method.bogus is not a setting"),
+        ([f"runner.python={sys.executable}", "runner.bogus=1"], "runner.bogus is not a setting"),
+    ],
+)
+def test_a_wrong_runner_is_no_fault_of_the_method_checked(words, told, capsys):
+    assert main(["check-method", "prior_only", *words]) == 2
+    assert f"lodbench: {told}" in capsys.readouterr().err
