@@ -44,6 +44,8 @@ _SWISS = {
     "CH1903+/LV95": "EPSG:2056+5728",
     "LV95": "EPSG:2056+5728",
 }
+# Heights in feet, and the same above the same zero in metres, which is what they are once they are read.
+_HEIGHTS_IN_METRES = {6360: 5703, 8228: 5703, 5702: 7968, 5754: 7962, 8050: 5714, 8052: 5714}
 # EPSG:25832, urn:ogc:def:crs:EPSG::7415, urn:...crs:EPSG:6.12:25833, .../def/crs/EPSG/0/6697,
 # .../gml/srs/epsg.xml#4326
 _EPSG_CODE = re.compile(r"EPSG(?:/[\w.]+/|:[\w.]*:|:|\.xml#)(\d{4,6})(?!\d)", re.IGNORECASE)
@@ -70,6 +72,28 @@ class KnownCrs:
     vertical_to_m: float
     is_mapped: bool
     has_ellipsoidal_heights: bool = False
+
+    @property
+    def metric_vertical_code(self) -> int | None:
+        """EPSG code of the heights once they are in metres, or None where that has none."""
+        if self.vertical_code is None or self.vertical_to_m == 1.0:
+            return self.vertical_code
+        return _HEIGHTS_IN_METRES.get(self.vertical_code)
+
+    @property
+    def metric_label(self) -> str:
+        """The label once heights are in metres; without a vertical part where those have no code.
+
+        Example:
+            >>> require_crs("EPSG:26918+6360").metric_label
+            'EPSG:26918+5703'
+        """
+        if self.vertical_code == self.metric_vertical_code:
+            return self.label
+        plane = self.horizontal.to_epsg()
+        if plane is None:
+            return str(self.horizontal.to_wkt())
+        return f"EPSG:{plane}" + (f"+{self.metric_vertical_code}" if self.metric_vertical_code else "")
 
 
 def crs_label(name: str) -> tuple[str, bool]:
@@ -173,7 +197,7 @@ def metric_crs(known: KnownCrs, longitude_deg: float, latitude_deg: float) -> st
         latitude_deg: Likewise.
 
     Returns:
-        A label with the vertical part of ``known``.
+        A label with the vertical part of ``known``, in metres.
     """
     datum = known.horizontal.geodetic_crs.name if known.horizontal.geodetic_crs is not None else ""
     zone = int((longitude_deg + 180.0) // 6.0) % 60 + 1
@@ -184,7 +208,8 @@ def metric_crs(known: KnownCrs, longitude_deg: float, latitude_deg: float) -> st
         code = 25800 + zone
     elif datum == "NAD83" and 1 <= zone <= 23:
         code = 26900 + zone
-    return f"EPSG:{code}" + (f"+{known.vertical_code}" if known.vertical_code else "")
+    vertical = known.metric_vertical_code
+    return f"EPSG:{code}" + (f"+{vertical}" if vertical else "")
 
 
 def _japan_zone(longitude_deg: float, latitude_deg: float, first_code: int) -> int:

@@ -102,7 +102,7 @@ def to_metres(
     is_settled = not order.is_plausible or known.horizontal.utm_zone is not None
     if is_metric and (is_settled or is_true_to_scale(known, _middle(points), findings)):
         points[:, 2] *= known.vertical_to_m
-        return known.label
+        return known.metric_label
     return _project(points, known, order, findings)
 
 

@@ -207,7 +207,7 @@ def _bring_to_metres(
     """
     override, points = options.crs, polygons.points
     if not raw.srs_names and options.origin is not None:
-        return None if override is None else require_crs(override).label
+        return None if override is None else require_crs(override).metric_label
     if not raw.srs_names and override is None:
         require_no_degrees(points)
         return None  # a format that cannot name a reference system

@@ -121,7 +121,7 @@ def reproject(model: CityModel, crs: str) -> CityModel:
         raise CityModelError(f"Some coordinates cannot be projected to {crs}.", "Does it cover the city?")
     origin = np.zeros(3)
     origin[:2] = np.floor(points[:, :2].min(axis=0))
-    label = target.label
+    label = target.metric_label  # heights are in metres, whatever unit the name has
     if target.vertical_code is None and source.vertical_code is not None:
         label = f"{label}+{source.vertical_code}"
     return replace(model, crs=label, origin=origin, polygons=replace(model.polygons, points=points - origin))
