@@ -63,6 +63,7 @@ class GeometryWalk:
         self._findings = findings
         self._nodes = NodeTable()
         self._turned: set[Element] = set()
+        self._systems: dict[Element, int] = {}
 
     def begin_member(self) -> None:
         """Forgets the ids and references of the member before."""
@@ -187,13 +188,16 @@ class GeometryWalk:
                 else:
                     texts[-1] += " " + text
                 batch.num_characters += len(text)
+                if element.get("srsName"):
+                    self._note_system(element)
                 declared = element.get("srsDimension")
                 if declared == "3":
                     batch.solid_rings.append(len(texts) - 1)
                 elif ring_dimension or declared is not None:
                     self._note_dimension(len(texts) - 1, declared, ring_dimension)
             elif node == NOTHING:
-                continue
+                if element.get("srsName"):
+                    self._note_system(element)
             elif node == RING:
                 is_new_ring = True
                 if len(element) == 0:
@@ -202,10 +206,10 @@ class GeometryWalk:
                 if len(element) == 0:
                     self._note_reference(element, building, lod, kind)
             elif node == POLYGON:
-                polygon_srs, ring_dimension = srs, dimension
+                polygon_srs, ring_dimension = self._systems.get(element, srs), dimension
                 attributes = element.items()
                 if attributes:
-                    polygon_srs, ring_dimension = self._read_attributes(attributes, srs, dimension)
+                    polygon_srs, ring_dimension = self._read_attributes(attributes, polygon_srs, dimension)
                 if self._turned and element in self._turned:
                     batch.flipped.append(len(ring_counts))
                 ring_counts.append(0)
@@ -217,6 +221,16 @@ class GeometryWalk:
                 is_in_polygon = is_in_polygon and is_in_ring(element)
         if self._turned:
             self._turned.clear()
+        self._systems.clear()
+
+    def _note_system(self, element: Element) -> None:
+        """Notes the reference system that an element inside of a geometry declares for what is in it."""
+        srs = self.srs_names.index(element.get("srsName", "").strip())
+        below = list(element.iter(*POLYGONS))
+        self._systems.update(dict.fromkeys(below, srs))
+        if not below and next(element.iterancestors(*POLYGONS), None) is not None:  # a ring, or its numbers
+            building, lod, kind, _, part = self.batch.owners[-1]
+            self.batch.owners[-1] = (building, lod, kind, srs, part)
 
     def _read_attributes(
         self, attributes: Sequence[tuple[Any, Any]], srs: int, dimension: int
