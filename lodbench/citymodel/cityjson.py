@@ -14,7 +14,7 @@ from lodbench.citymodel.cityjson_textures import TextureReader
 from lodbench.citymodel.cityjson_values import declared_system
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
-from lodbench.citymodel.crs import crs_label
+from lodbench.citymodel.crs import crs_label, is_in_degrees
 from lodbench.citymodel.gml_names import INTERIOR_NAMES
 from lodbench.citymodel.json_documents import documents_of, paused_collector
 from lodbench.citymodel.layers import types_of
@@ -142,7 +142,14 @@ class _Reader:
         textures: TextureReader | None = None
         if self._collector.pictures is not None and isinstance(appearance, dict):
             textures = TextureReader(appearance, self._collector.pictures, self._source)
-        geometry = GeometryReader(self._collector, vertices, self._templates, self._is_strict, textures)
+        geometry = GeometryReader(
+            self._collector,
+            vertices,
+            self._templates,
+            self._is_strict,
+            textures,
+            is_in_degrees(self._srs_name),
+        )
         numbers = self._number_objects(objects)
         for object_id, item in objects.items():
             part = numbers.get(object_id)

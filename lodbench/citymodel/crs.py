@@ -156,6 +156,12 @@ def resolve_crs(name: str) -> KnownCrs | None:
     return KnownCrs(label, horizontal, vertical_code, vertical_to_m, is_mapped, is_solid)
 
 
+def is_in_degrees(name: str | None) -> bool:
+    """Tells whether a name is known to stand for coordinates in degrees."""
+    known = None if name is None else resolve_crs(name)
+    return known is not None and bool(known.horizontal.is_geographic)
+
+
 def require_crs(name: str) -> KnownCrs:
     """Returns the reference system a user asked for.
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
+from lodbench.citymodel.crs import is_in_degrees
 from lodbench.citymodel.gml_context import is_in_ring, owner_of, plain_numbers, relief_lod, surface_kind
 from lodbench.citymodel.gml_implicit import read_placement
 from lodbench.citymodel.gml_names import (
@@ -143,9 +144,17 @@ class GeometryWalk:
     ) -> None:
         """Adds the polygons of an implicit geometry, which are set down when their numbers are read."""
         placement = read_placement(prop[0]) if len(prop) else None
-        if placement is None or prop[0].find("{*}libraryObject") is not None:
-            what = "a shape in another file" if placement is not None else "an incomplete placement"
-            self._findings.add(GEOMETRY_UNSUPPORTED, building_id, f"{local_name(prop.tag)}: {what}")
+        for point in prop[0].iterfind("{*}referencePoint//*[@srsName]") if len(prop) else ():
+            srs = self.srs_names.index(point.get("srsName", "").strip())
+        fault = ""
+        if placement is None:
+            fault = "an incomplete placement"
+        elif prop[0].find("{*}libraryObject") is not None:
+            fault = "a shape in another file"
+        elif is_in_degrees(self.srs_names.names[srs]):
+            fault = "a shape in metres at a place in degrees"
+        if placement is None or fault:
+            self._findings.add(GEOMETRY_UNSUPPORTED, building_id, f"{local_name(prop.tag)}: {fault}")
             return
         first = len(self.batch.owners)
         self.properties.append(prop)
@@ -154,7 +163,10 @@ class GeometryWalk:
             if href is not None:
                 self.references.append(Reference(href, building, lod, kind, False, placement, self.part))
             self.walk_geometry(shape, building, lod, kind, srs, 3)
-        self.batch.placed.update(dict.fromkeys(range(first, len(self.batch.owners)), placement))
+        owners = self.batch.owners
+        for polygon in range(first, len(owners)):
+            self.batch.placed[polygon] = placement
+            owners[polygon] = (building, lod, kind, srs, self.part)  # of the place, whatever its shape says
 
     def _declared(self, element: Element, srs: int, dimension: int) -> tuple[int, int]:
         """Returns reference system and dimension as an element declares them, else as inherited."""

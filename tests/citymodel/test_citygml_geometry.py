@@ -211,6 +211,24 @@ class TestImplicitGeometry:
         text = city(member(self.placed(shape, at) + solid(surface_members(map(polygon, BOX)))))
         assert codes(model_of(tmp_path, text)) == {"LB206": 1}
 
+    def test_metres_are_not_added_to_degrees(self, tmp_path: Path) -> None:
+        shape = f"<core:relativeGMLGeometry>{self.shape}</core:relativeGMLGeometry>"
+        rings = [[(35.6 + y * 1e-5, 139.7 + x * 1e-5, z) for x, y, z in box_rings()[k]] for k in range(6)]
+        rings = [[(a % 1 + 35, b % 1 + 139, z) for a, b, z in ring] for ring in rings]
+        own = solid(surface_members(map(polygon, rings)))
+        model = model_of(tmp_path, city(member(own + self.placed(shape, "35.6 139.7 3")), srs="EPSG:6697"))
+        assert codes(model)["LB206"] == 1
+        assert np.ptp(model.polygons.points[:, :2], axis=0).max() < 100
+
+    def test_the_point_says_where(self, tmp_path: Path) -> None:
+        shape = f"<core:relativeGMLGeometry>{self.shape}</core:relativeGMLGeometry>"
+        shape = shape.replace("<gml:MultiSurface>", '<gml:MultiSurface srsName="EPSG:4979">')
+        placed = self.placed(shape, "500000 5600000 3").replace(
+            "<gml:Point>", '<gml:Point srsName="EPSG:25833">'
+        )
+        model = model_of(tmp_path, city(member(placed)))
+        assert (model.crs, model.origin.tolist()) == ("EPSG:25833", [500000.0, 5600000.0, 0.0])
+
 
 class TestRings:
     def ring_model(self, tmp_path: Path, ring: str, **options: object) -> CityModel:

@@ -100,6 +100,20 @@ class TestReading:
         assert points[:3].tolist() == [[4, 0, 5], [4, 2, 5], [2, 0, 5]]
         assert len(model.polygons) == 2
 
+    def test_template_in_degrees_is_a_finding(self, tmp_path: Path) -> None:
+        templates = {"templates": [surface([0, 1, 2])], "vertices-templates": np.eye(3).tolist()}
+        instance = {"type": "GeometryInstance", "template": 0, "boundaries": [1]}
+        instance["transformationMatrix"] = np.eye(4).ravel().tolist()
+        transform = {"scale": [1e-8, 1e-8, 1e-3], "translate": [139.7, 35.6, 0.0]}
+        text = document(
+            {"a": building(instance, surface([0, 1, 2]))},
+            transform=transform,
+            metadata={"referenceSystem": "EPSG:6697"},
+            **{"geometry-templates": templates},
+        )
+        model = read(tmp_path, text)
+        assert (len(model.polygons), codes(model)["LB206"]) == (1, 1)
+
     def test_interiors_are_not_meshed(self, tmp_path: Path) -> None:
         room = {"type": "BuildingRoom", "geometry": [surface([0, 1, 2])], "parents": ["a"]}
         model = read(tmp_path, document({"a": building(surface([0, 1, 2, 3])), "r": room}))
