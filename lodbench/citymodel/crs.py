@@ -74,6 +74,17 @@ class KnownCrs:
     has_ellipsoidal_heights: bool = False
 
     @property
+    def counts_west(self) -> bool:
+        """Whether coordinates grow to the west and south (Krovak, South Africa's Lo): no frame of a city."""
+        return any(axis.direction.lower() == "west" for axis in self.horizontal.axis_info[:2])
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether coordinates are metres to the east and north."""
+        unit = self.horizontal.axis_info[0].unit_conversion_factor
+        return bool(self.horizontal.is_projected) and unit == 1.0 and not self.counts_west
+
+    @property
     def metric_vertical_code(self) -> int | None:
         """EPSG code of the heights once they are in metres, or None where that has none."""
         if self.vertical_code is None or self.vertical_to_m == 1.0:
@@ -198,7 +209,7 @@ def metric_crs(known: KnownCrs, longitude_deg: float, latitude_deg: float) -> st
     The UTM zone is in the datum of the data where EPSG has one (ETRS89, NAD83), else in WGS 84.
 
     Args:
-        known: The system the coordinates are in; geographic, or projected in feet.
+        known: The system the coordinates are in; geographic, or projected in feet or to the west.
         longitude_deg: Of the middle of the data.
         latitude_deg: Likewise.
 
