@@ -85,6 +85,13 @@ class KnownCrs:
         return bool(self.horizontal.is_projected) and unit == 1.0 and not self.counts_west
 
     @property
+    def height_unit_m(self) -> float:
+        """Metres per unit of height: its own, or that of the plane where heights have no system."""
+        if self.vertical_code is None and self.horizontal.is_projected:
+            return float(self.horizontal.axis_info[0].unit_conversion_factor)
+        return self.vertical_to_m
+
+    @property
     def metric_vertical_code(self) -> int | None:
         """EPSG code of the heights once they are in metres, or None where that has none."""
         if self.vertical_code is None or self.vertical_to_m == 1.0:

@@ -291,12 +291,9 @@ def _project(points: NDArray[np.float64], known: KnownCrs, order: _Order, findin
             f"Some coordinates cannot be projected from {known.label} to {label}.",
             "Is the reference system right? crs= names another.",
         )
-    height_to_m = known.vertical_to_m
     detail = f"from {known.label} to {label}"
-    unit = known.horizontal.axis_info[0].unit_conversion_factor
-    if known.vertical_code is None and known.horizontal.is_projected and unit != 1.0:
-        height_to_m = unit
+    if known.vertical_code is None and known.height_unit_m != 1.0:
         detail += ", heights taken in the unit of the plane"
     findings.add(CRS_PROJECTED, "", detail)
-    points[:, 2] *= height_to_m
+    points[:, 2] *= known.height_unit_m
     return label
