@@ -194,7 +194,7 @@ def _subtract_origin(
 def _bring_to_metres(
     polygons: Polygons, srs: NDArray[np.int16], raw: RawCity, options: ReadOptions
 ) -> str | None:
-    """Brings all points, in place, to metres of one reference system: that of the first polygon.
+    """Brings all points, in place, to metres of one reference system: the first that is known.
 
     Args:
         polygons: In the coordinates of the file.
@@ -220,14 +220,14 @@ def _bring_to_metres(
         return to_metres(points, name, override, raw.findings, order)
     point_srs = np.repeat(srs, np.diff(polygons.ring_starts[polygons.polygon_starts]))
     first_label: str | None = None
-    for rank, number in enumerate([int(srs[0]), *(int(s) for s in used if s != srs[0])]):
+    for number in [int(srs[0]), *(int(s) for s in used if s != srs[0])]:
         is_chosen = point_srs == number
         part = points[is_chosen]
         name, order = systems[number]
         label = to_metres(part, name, override, raw.findings, order)
-        if rank == 0:
+        if first_label is None:
             first_label = label
-        elif label is not None and first_label is not None and label != first_label:
+        elif label is not None and label != first_label:
             _reproject(part, label, first_label)
             raw.findings.add(CRS_MIXED, "", f"{label} brought to {first_label}")
         points[is_chosen] = part

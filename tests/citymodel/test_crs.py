@@ -334,3 +334,20 @@ def test_a_system_to_the_west_is_no_target(tmp_path: Path) -> None:
     )
     with pytest.raises(CityModelError, match="east and north"):
         reproject(model, "EPSG:5513")
+
+
+@pytest.mark.parametrize("nameless", ["a.gml", "c.gml"])
+def test_a_tile_without_a_system_takes_none_from_the_others(tmp_path: Path, nameless: str) -> None:
+    def tile(x: float, srs: str | None) -> str:
+        return city(member(solid(surface_members(map(polygon, box_rings(x=x))))), srs=srs)
+
+    write(tmp_path / nameless, tile(500000.0, None))
+    write(tmp_path / "b1.gml", tile(500100.0, "EPSG:25832"))
+    write(tmp_path / "b2.gml", tile(100000.0, "EPSG:25833"))
+    model = read_city_model(tmp_path)
+    assert model.crs == "EPSG:25832"
+    zone_33 = Transformer.from_crs(25833, 25832, always_xy=True).transform(100000.0, 5600000.0)
+    assert (model.polygons.points + model.origin)[:, 0].max() == pytest.approx(
+        max(500110.0, zone_33[0]), abs=20
+    )
+    assert {"LB301", "LB307"} <= {item.code.code for item in model.findings.items}
