@@ -49,7 +49,7 @@ _HEIGHTS_IN_METRES = {6360: 5703, 8228: 5703, 5702: 7968, 5754: 7962, 8050: 5714
 # EPSG:25832, urn:ogc:def:crs:EPSG::7415, urn:...crs:EPSG:6.12:25833, .../def/crs/EPSG/0/6697,
 # .../gml/srs/epsg.xml#4326
 _EPSG_CODE = re.compile(r"EPSG(?:/[\w.]+/|:[\w.]*:|:|\.xml#)(\d{4,6})(?!\d)", re.IGNORECASE)
-_COMPOUND_EPSG = re.compile(r"EPSG:(\d{4,6})\+(\d{4,6})", re.IGNORECASE)
+_COMPOUND_EPSG = re.compile(r".*EPSG(?:/[\w.]+/|:[\w.]*:|:)(\d{4,6})\+(\d{4,6})", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,8 @@ class TestLabel:
         [
             ("EPSG:25832", "EPSG:25832"),
             ("epsg:25832+7837", "EPSG:25832+7837"),
+            ("urn:ogc:def:crs:EPSG::25832+7837", "EPSG:25832+7837"),
+            ("http://www.opengis.net/def/crs/EPSG/0/25832+7837", "EPSG:25832+7837"),
             ("urn:ogc:def:crs:EPSG::7415", "EPSG:7415"),
             ("urn:ogc:def:crs:EPSG:6.12:28992", "EPSG:28992"),
             ("urn:ogc:def:crs,crs:EPSG:6.12:25833,crs:EPSG:6.12:5783", "EPSG:25833+5783"),
