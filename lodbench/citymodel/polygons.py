@@ -229,7 +229,9 @@ def _bring_to_metres(
             first_label = label
         elif label is not None and label != first_label:
             _reproject(part, label, first_label)
-            raw.findings.add(CRS_MIXED, "", f"{label} brought to {first_label}")
+            codes = {require_crs(each).vertical_code for each in (label, first_label)}
+            heights = "; its heights stay as they are" if len(codes) > 1 else ""
+            raw.findings.add(CRS_MIXED, "", f"{label} brought to {first_label}{heights}")
         points[is_chosen] = part
     return first_label
 

@@ -353,3 +353,13 @@ def test_a_tile_without_a_system_takes_none_from_the_others(tmp_path: Path, name
         max(500110.0, zone_33[0]), abs=20
     )
     assert {"LB301", "LB307"} <= {item.code.code for item in model.findings.items}
+
+
+def test_heights_of_a_second_system_are_told_to_stay(tmp_path: Path) -> None:
+    rings = surface_members(map(polygon, box_rings()))
+    other = solid(rings).replace("<gml:Solid>", '<gml:Solid srsName="EPSG:25832+5783">')
+    model = read_city_model(
+        write(tmp_path / "c.gml", city(member(solid(rings)) + member(other, "b2"), srs="EPSG:25832+7837"))
+    )
+    details = [item.detail for item in model.findings.items if item.code.code == "LB307"]
+    assert details == ["EPSG:25832+5783 brought to EPSG:25832+7837; its heights stay as they are"]
