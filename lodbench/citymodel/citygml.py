@@ -114,6 +114,8 @@ class _Reader:
         self._flipped: set[int] = set()
         self._version: str | None = None
         self._srs_name: str | None = None
+        self._root_srs: str | None = None
+        self._around: Element | None = None  # what the members of now stand in
 
     def read(self, stream: BinaryIO) -> None:
         members = XmlMembers(stream, self._source, MEMBERS, self.findings)
@@ -149,10 +151,13 @@ class _Reader:
         namespaces = [namespace_of(root.tag), *(root.nsmap or {}).values()]
         versions = [ns.rpartition("/")[2] for ns in namespaces if "opengis.net/citygml/" in (ns or "")]
         self._version = versions[0] if versions else ""
-        self._srs_name = envelope_srs(root) or root.get("srsName")
+        self._srs_name = self._root_srs = envelope_srs(root) or root.get("srsName")
 
     def _read_member(self, member: Element) -> None:
         self.walk.begin_member()
+        around = member.getparent()
+        if around is not None and around is not self._around:  # its Envelope goes with its first member
+            self._around, self._srs_name = around, envelope_srs(around) or self._root_srs
         met: list[tuple[Element, dict[Element, int], int]] = []
         for element in member.iter(*self._wanted):
             type_ = local_name(element.tag)
@@ -172,7 +177,8 @@ class _Reader:
             if before == (len(self.walk.batch.owners), len(self.walk.references)):
                 self.findings.add(BUILDING_EMPTY, building_id, "" if type_ == "Building" else f"a {type_}")
         if not met:
-            self._others.update(local_name(child.tag) for child in member)
+            names = [local_name(child.tag) for child in member]
+            self._others.update(name for name in names if name != "CityModel")  # its members were read before
             self._has_textures |= any(local_name(child.tag) == "Appearance" for child in member)
             self._read_pictures(member, {})
             return

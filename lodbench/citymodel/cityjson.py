@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.cityjson_geometry import GeometryReader
 from lodbench.citymodel.cityjson_textures import TextureReader
+from lodbench.citymodel.cityjson_values import declared_system
 from lodbench.citymodel.codes import BUILDING_EMPTY, DUPLICATE_ID, NOT_A_BUILDING
 from lodbench.citymodel.collect import PolygonCollector
+from lodbench.citymodel.crs import crs_label, is_in_degrees
 from lodbench.citymodel.gml_names import INTERIOR_NAMES
 from lodbench.citymodel.json_documents import documents_of, paused_collector
 from lodbench.citymodel.layers import types_of
@@ -84,7 +86,10 @@ class _Reader:
         is_sequence = False
         for feature in documents:
             is_sequence = True
-            self.read_feature(feature)
+            if isinstance(feature, dict) and feature.get("type") == "CityJSON":
+                self._read_next_header(feature)  # of a sequence that was appended
+            else:
+                self.read_feature(feature)
         return "CityJSONSeq" if is_sequence else "CityJSON"
 
     def read_header(self, document: Any) -> None:
@@ -103,15 +108,26 @@ class _Reader:
                 f"{self._source} is CityJSON {version or 'of no version'}.", "1.0 to 2.0 is read."
             )
         self._version = version
-        metadata = document.get("metadata")
-        if isinstance(metadata, dict):
-            # 0.9 and 1.0 files write the EPSG code alone, too.
-            name = metadata.get("referenceSystem") or metadata.get("crs", {}).get("epsg")
-            self._srs_name = f"EPSG:{name}" if isinstance(name, int) else name
+        self._srs_name = declared_system(document.get("metadata"), self._source)
         self._transform = document.get("transform")
         templates = document.get("geometry-templates")
         self._templates = templates if isinstance(templates, dict) else {}
         self.read_feature(document)
+
+    def _read_next_header(self, document: Json) -> None:
+        """Reads a line that says anew what transform and templates the features behind it have.
+
+        Raises:
+            CityModelError: They are in another reference system.
+        """
+        before = self._srs_name
+        self.read_header(document)
+        names = {None if name is None else crs_label(name)[0] for name in (before, self._srs_name)}
+        if len(names) > 1:
+            raise CityModelError(
+                f"{self._source} joins features in {before} and in {self._srs_name}.",
+                "One file has one reference system: part it at its CityJSON lines.",
+            )
 
     def read_feature(self, document: Any) -> None:
         """Adds the buildings of a document with objects and vertices of its own."""
@@ -126,7 +142,14 @@ class _Reader:
         textures: TextureReader | None = None
         if self._collector.pictures is not None and isinstance(appearance, dict):
             textures = TextureReader(appearance, self._collector.pictures, self._source)
-        geometry = GeometryReader(self._collector, vertices, self._templates, self._is_strict, textures)
+        geometry = GeometryReader(
+            self._collector,
+            vertices,
+            self._templates,
+            self._is_strict,
+            textures,
+            is_in_degrees(self._srs_name),
+        )
         numbers = self._number_objects(objects)
         for object_id, item in objects.items():
             part = numbers.get(object_id)

@@ -28,6 +28,7 @@ class GeometryReader:
         templates: The file's ``geometry-templates``, or an empty mapping.
         is_strict: Whether a bad index is an error, or a finding that drops its polygon.
         textures: Reads which pictures lie on the surfaces; None where they are not kept.
+        is_in_degrees: Whether the vertices are, where no template in metres can be set down.
     """
 
     def __init__(
@@ -37,12 +38,14 @@ class GeometryReader:
         templates: dict[str, Any],
         is_strict: bool,
         textures: TextureReader | None = None,
+        is_in_degrees: bool = False,
     ) -> None:
         self._collector = collector
         self._vertices = vertices
         self._templates = templates
         self._is_strict = is_strict
         self._textures = textures
+        self._is_in_degrees = is_in_degrees
         self._begin()
 
     def _begin(self) -> None:
@@ -58,7 +61,9 @@ class GeometryReader:
         """Adds one geometry of an object, which is the ``part``-th of the city."""
         kind = geometry["type"]
         findings = self._collector.findings
-        if kind == "GeometryInstance":
+        if kind == "GeometryInstance" and self._is_in_degrees:
+            findings.add(GEOMETRY_UNSUPPORTED, object_id, "a template in metres at a place in degrees")
+        elif kind == "GeometryInstance":
             self._read_instance(geometry, building, object_id, is_interior, part)
         elif kind in DEPTHS:
             if not self._read_surfaces(geometry, building, object_id, is_interior, part):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lodbench.citymodel.crs import epsg_codes
+from lodbench.errors import CityModelError
 
 # Attributes that CityJSON takes a single text for.
 ONE_TEXT = ("class", "function", "usage")
@@ -24,6 +25,31 @@ def fitting(key: str, value: Any) -> Any:
     if key.startswith("storeys") and str(value).isdigit():
         return int(value)
     return value
+
+
+def declared_system(metadata: Any, source: str) -> str | None:
+    """Returns the name of the reference system in the metadata of a file, or None.
+
+    Raises:
+        CityModelError: It is no text.
+
+    Example:
+        >>> declared_system({"crs": {"epsg": 25832}}, "city.json")
+        'EPSG:25832'
+    """
+    if not isinstance(metadata, dict):
+        return None
+    crs = metadata.get("crs")
+    # 0.9 and 1.0 files write the EPSG code alone, too.
+    name = metadata.get("referenceSystem") or (crs.get("epsg") if isinstance(crs, dict) else crs)
+    if isinstance(name, int):
+        return f"EPSG:{name}"
+    if not isinstance(name, str | None):
+        raise CityModelError(
+            f"{source} has a reference system that is no text: {str(name)[:60]}.",
+            "Write it as https://www.opengis.net/def/crs/EPSG/0/25832, or name it with crs=EPSG:...",
+        )
+    return name
 
 
 def reference_system(crs: str | None) -> tuple[str | None, str]:

@@ -78,7 +78,9 @@ HEIGHTS_ELLIPSOIDAL = FindingCode(
     310, _I, "Heights are above the ellipsoid, not above the sea; they stay as they are."
 )
 
-LOD_ABSENT = FindingCode(401, _W, "A building has nothing at the level of detail asked for.")
+LOD_ABSENT = FindingCode(
+    401, _W, "A building, or a part of one, has nothing at the level of detail asked for."
+)
 LOD_SUBSTITUTED = FindingCode(402, _I, "The level asked for is absent; a finer name of it is used.")
 BUILDING_EMPTY = FindingCode(403, _W, "A building has no polygon at any level of detail.")
 HEIGHT_MISSING = FindingCode(405, _E, "A footprint has no height above 0; it is dropped.")

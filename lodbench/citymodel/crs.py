@@ -44,10 +44,12 @@ _SWISS = {
     "CH1903+/LV95": "EPSG:2056+5728",
     "LV95": "EPSG:2056+5728",
 }
+# Heights in feet, and the same above the same zero in metres, which is what they are once they are read.
+_HEIGHTS_IN_METRES = {6360: 5703, 8228: 5703, 5702: 7968, 5754: 7962, 8050: 5714, 8052: 5714}
 # EPSG:25832, urn:ogc:def:crs:EPSG::7415, urn:...crs:EPSG:6.12:25833, .../def/crs/EPSG/0/6697,
 # .../gml/srs/epsg.xml#4326
 _EPSG_CODE = re.compile(r"EPSG(?:/[\w.]+/|:[\w.]*:|:|\.xml#)(\d{4,6})(?!\d)", re.IGNORECASE)
-_COMPOUND_EPSG = re.compile(r"EPSG:(\d{4,6})\+(\d{4,6})", re.IGNORECASE)
+_COMPOUND_EPSG = re.compile(r".*EPSG(?:/[\w.]+/|:[\w.]*:|:)(\d{4,6})\+(\d{4,6})", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,46 @@ class KnownCrs:
     vertical_to_m: float
     is_mapped: bool
     has_ellipsoidal_heights: bool = False
+
+    @property
+    def counts_west(self) -> bool:
+        """Whether coordinates grow to the west and south (Krovak, South Africa's Lo): no frame of a city."""
+        return any(axis.direction.lower() == "west" for axis in self.horizontal.axis_info[:2])
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether coordinates are metres to the east and north."""
+        unit = self.horizontal.axis_info[0].unit_conversion_factor
+        return bool(self.horizontal.is_projected) and unit == 1.0 and not self.counts_west
+
+    @property
+    def height_unit_m(self) -> float:
+        """Metres per unit of height: its own, or that of the plane where heights have no system."""
+        if self.vertical_code is None and self.horizontal.is_projected:
+            return float(self.horizontal.axis_info[0].unit_conversion_factor)
+        return self.vertical_to_m
+
+    @property
+    def metric_vertical_code(self) -> int | None:
+        """EPSG code of the heights once they are in metres, or None where that has none."""
+        if self.vertical_code is None or self.vertical_to_m == 1.0:
+            return self.vertical_code
+        return _HEIGHTS_IN_METRES.get(self.vertical_code)
+
+    @property
+    def metric_label(self) -> str:
+        """The label once heights are in metres; without a vertical part where those have no code.
+
+        Example:
+            >>> require_crs("EPSG:26918+6360").metric_label
+            'EPSG:26918+5703'
+        """
+        if self.vertical_code == self.metric_vertical_code:
+            return self.label
+        plane = self.horizontal.to_epsg()
+        if plane is None:
+            return str(self.horizontal.to_wkt())
+        return f"EPSG:{plane}" + (f"+{self.metric_vertical_code}" if self.metric_vertical_code else "")
 
 
 def crs_label(name: str) -> tuple[str, bool]:
@@ -132,6 +174,12 @@ def resolve_crs(name: str) -> KnownCrs | None:
     return KnownCrs(label, horizontal, vertical_code, vertical_to_m, is_mapped, is_solid)
 
 
+def is_in_degrees(name: str | None) -> bool:
+    """Tells whether a name is known to stand for coordinates in degrees."""
+    known = None if name is None else resolve_crs(name)
+    return known is not None and bool(known.horizontal.is_geographic)
+
+
 def require_crs(name: str) -> KnownCrs:
     """Returns the reference system a user asked for.
 
@@ -168,12 +216,12 @@ def metric_crs(known: KnownCrs, longitude_deg: float, latitude_deg: float) -> st
     The UTM zone is in the datum of the data where EPSG has one (ETRS89, NAD83), else in WGS 84.
 
     Args:
-        known: The system the coordinates are in; geographic, or projected in feet.
+        known: The system the coordinates are in; geographic, or projected in feet or to the west.
         longitude_deg: Of the middle of the data.
         latitude_deg: Likewise.
 
     Returns:
-        A label with the vertical part of ``known``.
+        A label with the vertical part of ``known``, in metres.
     """
     datum = known.horizontal.geodetic_crs.name if known.horizontal.geodetic_crs is not None else ""
     zone = int((longitude_deg + 180.0) // 6.0) % 60 + 1
@@ -184,7 +232,8 @@ def metric_crs(known: KnownCrs, longitude_deg: float, latitude_deg: float) -> st
         code = 25800 + zone
     elif datum == "NAD83" and 1 <= zone <= 23:
         code = 26900 + zone
-    return f"EPSG:{code}" + (f"+{known.vertical_code}" if known.vertical_code else "")
+    vertical = known.metric_vertical_code
+    return f"EPSG:{code}" + (f"+{vertical}" if vertical else "")
 
 
 def _japan_zone(longitude_deg: float, latitude_deg: float, first_code: int) -> int:

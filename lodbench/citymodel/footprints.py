@@ -20,6 +20,7 @@ from lodbench.citymodel.codes import (
     READER_WARNING,
     RING_TOO_SHORT,
 )
+from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.gdal import missing_bytes, read_vector
 from lodbench.citymodel.options import ReadOptions
@@ -39,7 +40,8 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     """Returns blocks of level 1 over the footprints of a vector file.
 
     A file whose polygons stand upright (the MultiPatches of a FileGDB) holds the buildings' surfaces
-    themselves; they come back as they are, as level 2. Ground heights come from a column, else from
+    themselves; they come back as they are, as level 2. So do slanting ones where nothing tells heights:
+    with heights they are footprints draped over the ground. Ground heights come from a column, else from
     ``options.terrain``, else ``options.ground_m``.
 
     Args:
@@ -63,12 +65,18 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
         )
     polygons = _parse(geometries, source)
     columns = Columns(table, len(geometries))
-    if polygons.has_z and polygons.has_upright_rings():
+    if polygons.has_z and _are_surfaces(polygons, columns, options):
         city = surfaces_as_read(polygons, columns.ids(), source, crs)
     else:
         city = _blocks(polygons, columns, source, crs, options)
     city.findings.items[:0] = findings.items
     return city
+
+
+def _are_surfaces(polygons: WkbPolygons, columns: Columns, options: ReadOptions) -> bool:
+    if not polygons.has_uneven_rings():
+        return False
+    return polygons.has_upright_rings() or not columns.has_heights(options)
 
 
 def _parse(geometries: list[bytes | None], source: str) -> WkbPolygons:
@@ -93,7 +101,10 @@ def _blocks(
     ids = columns.ids()
     for kind in sorted(polygons.ignored):
         findings.add(GEOMETRY_UNSUPPORTED, source, f"geometry type {kind} has no area")
-    heights = _heights(columns, options, ids, findings)
+    known = resolve_crs(options.crs or str(crs))
+    # Columns are in the unit of the heights, feet where the plane is; what the user sets is in metres.
+    unit_m = 1.0 if known is None else known.height_unit_m
+    heights = _heights(columns, options, unit_m, ids, findings)
     rings, ring_starts, polygon_starts, owner = _kept_polygons(polygons, heights, ids, findings)
     if len(owner) == 0:
         raise CityModelError(f"{source} has no footprint with a height.", "See `lodbench city check FILE`.")
@@ -103,7 +114,7 @@ def _blocks(
         )
     corners = rings[ring_starts[polygon_starts[:-1]]]
     ground = _ground(columns, corners, owner, options.crs or str(crs), options)
-    ground = _without_gaps(ground, owner, ids, options, findings)
+    ground = _without_gaps(ground, owner, ids, options, unit_m, findings)
     blocks = extrude(rings, ring_starts, polygon_starts, ground, ground + heights[owner])
     used, building = np.unique(owner[blocks.footprint], return_inverse=True)
     return RawCity(
@@ -147,6 +158,7 @@ def _without_gaps(
     owner: NDArray[np.int64],
     ids: list[str],
     options: ReadOptions,
+    unit_m: float,
     findings: Findings,
 ) -> NDArray[np.float64]:
     """Returns ground heights with the default in place of what is not known, and says where."""
@@ -154,20 +166,20 @@ def _without_gaps(
     # One word where nothing could give the ground; else those that fall through its gaps.
     for name in [""] if is_lost.all() else [ids[i] for i in np.unique(owner[is_lost])]:
         findings.add(GROUND_DEFAULTED, name, f"ground_m={options.ground_m:g}")
-    return np.where(is_lost, options.ground_m, ground)
+    return np.where(is_lost, options.ground_m / unit_m, ground)
 
 
 def _heights(
-    columns: Columns, options: ReadOptions, ids: list[str], findings: Findings
+    columns: Columns, options: ReadOptions, unit_m: float, ids: list[str], findings: Findings
 ) -> NDArray[np.float64]:
-    heights, where = columns.heights(options)
+    heights, where = columns.heights(options, unit_m)
     is_missing = ~(np.isfinite(heights) & (heights > 0))
     for i in np.flatnonzero(is_missing):
         if options.default_height_m is None:
             findings.add(HEIGHT_MISSING, ids[i], f"{where} is {heights[i]:g}")
         else:
             findings.add(HEIGHT_DEFAULTED, ids[i], f"{where} is {heights[i]:g}")
-    default = np.nan if options.default_height_m is None else options.default_height_m
+    default = np.nan if options.default_height_m is None else options.default_height_m / unit_m
     return np.where(is_missing, default, heights)
 
 

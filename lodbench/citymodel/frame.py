@@ -85,24 +85,25 @@ def to_metres(
         return known.label
     _strip_zone_prefix(points, known, findings)
     _require_degrees(points, known)
-    if axis_order == "auto":
+    # PROJ takes southings before westings, as declared; which is which, only the place on Earth tells.
+    is_south_first = _declares_south_and_west(known)
+    if axis_order == "auto" or is_south_first:
         order = _settle_order(points, known, srs_name is not None, findings)
     else:
         order = _try_order(_middle(points), known, axis_order == "north_first")
         if not order.is_plausible:
             findings.add(CRS_IMPLAUSIBLE, "", f"{known.label}, {axis_order}")
-    if order.is_north_first:
+    if order.is_north_first != is_south_first:
         for n in range(0, len(points), _CHUNK_POINTS):
             points[n : n + _CHUNK_POINTS, :2] = points[n : n + _CHUNK_POINTS, 1::-1].copy()
     if known.has_ellipsoidal_heights:
         findings.add(HEIGHTS_ELLIPSOIDAL, "", known.label)
-    is_metric = known.horizontal.is_projected and known.horizontal.axis_info[0].unit_conversion_factor == 1.0
     # Where the coordinates lie outside of the system, nobody knows what its metres are; UTM is 4e-4 short
     # in its middle and 1e-3 long at its rim.
     is_settled = not order.is_plausible or known.horizontal.utm_zone is not None
-    if is_metric and (is_settled or is_true_to_scale(known, _middle(points), findings)):
+    if known.is_metric and (is_settled or is_true_to_scale(known, _middle(points), findings)):
         points[:, 2] *= known.vertical_to_m
-        return known.label
+        return known.metric_label
     return _project(points, known, order, findings)
 
 
@@ -230,8 +231,13 @@ def _settle_order(
     return declared
 
 
+def _declares_south_and_west(known: KnownCrs) -> bool:
+    return known.counts_west and known.horizontal.axis_info[0].direction.lower() == "south"
+
+
 def _try_order(middle: NDArray[np.float64], known: KnownCrs, is_north_first: bool) -> _Order:
-    east, north = (middle[1], middle[0]) if is_north_first else (middle[0], middle[1])
+    is_swapped = is_north_first != _declares_south_and_west(known)
+    east, north = (middle[1], middle[0]) if is_swapped else (middle[0], middle[1])
     longitude, latitude = float(east), float(north)
     if known.horizontal.is_projected:
         from pyproj import Proj
@@ -265,7 +271,16 @@ def _transformer(source: str, target: str) -> Transformer:
 
 
 def _project(points: NDArray[np.float64], known: KnownCrs, order: _Order, findings: Findings) -> str:
-    """Projects degrees or feet, in place, to a metric system around the middle of the data; heights stay."""
+    """Projects degrees, feet or westings, in place, to a metric system around the middle of the data.
+
+    Raises:
+        CityModelError: The coordinates lie nowhere in the system.
+    """
+    if not np.isfinite([order.longitude_deg, order.latitude_deg]).all():
+        raise CityModelError(
+            f"The coordinates lie nowhere in {known.label}.",
+            "Is the reference system right? crs= names another.",
+        )
     label = metric_crs(known, order.longitude_deg, order.latitude_deg)
     transformer = _transformer(known.label, label)
     for n in range(0, len(points), _CHUNK_POINTS):
@@ -276,12 +291,9 @@ def _project(points: NDArray[np.float64], known: KnownCrs, order: _Order, findin
             f"Some coordinates cannot be projected from {known.label} to {label}.",
             "Is the reference system right? crs= names another.",
         )
-    height_to_m = known.vertical_to_m
     detail = f"from {known.label} to {label}"
-    unit = known.horizontal.axis_info[0].unit_conversion_factor
-    if known.vertical_code is None and known.horizontal.is_projected and unit != 1.0:
-        height_to_m = unit
+    if known.vertical_code is None and known.height_unit_m != 1.0:
         detail += ", heights taken in the unit of the plane"
     findings.add(CRS_PROJECTED, "", detail)
-    points[:, 2] *= height_to_m
+    points[:, 2] *= known.height_unit_m
     return label

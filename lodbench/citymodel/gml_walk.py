@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from lodbench.citymodel.codes import GEOMETRY_EMPTY, GEOMETRY_UNSUPPORTED
+from lodbench.citymodel.crs import is_in_degrees
 from lodbench.citymodel.gml_context import is_in_ring, owner_of, plain_numbers, relief_lod, surface_kind
 from lodbench.citymodel.gml_implicit import read_placement
 from lodbench.citymodel.gml_names import (
@@ -63,6 +64,7 @@ class GeometryWalk:
         self._findings = findings
         self._nodes = NodeTable()
         self._turned: set[Element] = set()
+        self._systems: dict[Element, int] = {}
 
     def begin_member(self) -> None:
         """Forgets the ids and references of the member before."""
@@ -142,9 +144,17 @@ class GeometryWalk:
     ) -> None:
         """Adds the polygons of an implicit geometry, which are set down when their numbers are read."""
         placement = read_placement(prop[0]) if len(prop) else None
-        if placement is None or prop[0].find("{*}libraryObject") is not None:
-            what = "a shape in another file" if placement is not None else "an incomplete placement"
-            self._findings.add(GEOMETRY_UNSUPPORTED, building_id, f"{local_name(prop.tag)}: {what}")
+        for point in prop[0].iterfind("{*}referencePoint//*[@srsName]") if len(prop) else ():
+            srs = self.srs_names.index(point.get("srsName", "").strip())
+        fault = ""
+        if placement is None:
+            fault = "an incomplete placement"
+        elif prop[0].find("{*}libraryObject") is not None:
+            fault = "a shape in another file"
+        elif is_in_degrees(self.srs_names.names[srs]):
+            fault = "a shape in metres at a place in degrees"
+        if placement is None or fault:
+            self._findings.add(GEOMETRY_UNSUPPORTED, building_id, f"{local_name(prop.tag)}: {fault}")
             return
         first = len(self.batch.owners)
         self.properties.append(prop)
@@ -153,7 +163,10 @@ class GeometryWalk:
             if href is not None:
                 self.references.append(Reference(href, building, lod, kind, False, placement, self.part))
             self.walk_geometry(shape, building, lod, kind, srs, 3)
-        self.batch.placed.update(dict.fromkeys(range(first, len(self.batch.owners)), placement))
+        owners = self.batch.owners
+        for polygon in range(first, len(owners)):
+            self.batch.placed[polygon] = placement
+            owners[polygon] = (building, lod, kind, srs, self.part)  # of the place, whatever its shape says
 
     def _declared(self, element: Element, srs: int, dimension: int) -> tuple[int, int]:
         """Returns reference system and dimension as an element declares them, else as inherited."""
@@ -187,13 +200,16 @@ class GeometryWalk:
                 else:
                     texts[-1] += " " + text
                 batch.num_characters += len(text)
+                if element.get("srsName"):
+                    self._note_system(element)
                 declared = element.get("srsDimension")
                 if declared == "3":
                     batch.solid_rings.append(len(texts) - 1)
                 elif ring_dimension or declared is not None:
                     self._note_dimension(len(texts) - 1, declared, ring_dimension)
             elif node == NOTHING:
-                continue
+                if element.get("srsName"):
+                    self._note_system(element)
             elif node == RING:
                 is_new_ring = True
                 if len(element) == 0:
@@ -202,10 +218,10 @@ class GeometryWalk:
                 if len(element) == 0:
                     self._note_reference(element, building, lod, kind)
             elif node == POLYGON:
-                polygon_srs, ring_dimension = srs, dimension
+                polygon_srs, ring_dimension = self._systems.get(element, srs), dimension
                 attributes = element.items()
                 if attributes:
-                    polygon_srs, ring_dimension = self._read_attributes(attributes, srs, dimension)
+                    polygon_srs, ring_dimension = self._read_attributes(attributes, polygon_srs, dimension)
                 if self._turned and element in self._turned:
                     batch.flipped.append(len(ring_counts))
                 ring_counts.append(0)
@@ -217,6 +233,16 @@ class GeometryWalk:
                 is_in_polygon = is_in_polygon and is_in_ring(element)
         if self._turned:
             self._turned.clear()
+        self._systems.clear()
+
+    def _note_system(self, element: Element) -> None:
+        """Notes the reference system that an element inside of a geometry declares for what is in it."""
+        srs = self.srs_names.index(element.get("srsName", "").strip())
+        below = list(element.iter(*POLYGONS))
+        self._systems.update(dict.fromkeys(below, srs))
+        if not below and next(element.iterancestors(*POLYGONS), None) is not None:  # a ring, or its numbers
+            building, lod, kind, _, part = self.batch.owners[-1]
+            self.batch.owners[-1] = (building, lod, kind, srs, part)
 
     def _read_attributes(
         self, attributes: Sequence[tuple[Any, Any]], srs: int, dimension: int

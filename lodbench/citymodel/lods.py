@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import LOD_SUBSTITUTED
 from lodbench.citymodel.model import CityModel, SurfaceKind
+from lodbench.citymodel.objects import outer_parts
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -50,9 +51,32 @@ def polygons_at(
     has_walls = np.array([not name.startswith("0") for name in model.lods], np.bool_)
     counts = has_walls[polygons.lod] & (polygons.kind != SurfaceKind.INTERIOR)
     rank = np.where(counts, ranks[polygons.lod], -1)
-    best = np.full(len(model.building_ids), -1, np.int64)
-    np.maximum.at(best, polygons.building, rank)
-    return wish, counts & (rank == best[polygons.building])
+    unit, is_lead = _units(model, counts, wish)
+    best = np.full(int(unit.max(initial=-1)) + 1, -1, np.int64)
+    np.maximum.at(best, unit[is_lead], rank[is_lead])
+    is_led = best[unit] >= 0
+    np.maximum.at(best, unit[~is_led], rank[~is_led])
+    return wish, counts & (rank == best[unit])
+
+
+def _units(
+    model: CityModel, counts: NDArray[np.bool_], wish: str
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Returns what each polygon chooses its level with, and whether it has a say in it."""
+    polygons, objects = model.polygons, model.objects
+    if polygons.part is None or objects is None:
+        return polygons.building.astype(np.int64), counts
+    own = polygons.part.astype(np.int64)
+    outer = outer_parts(objects)[own].astype(np.int64)
+    is_lead = counts & (outer == own)
+    root = np.zeros(len(model.building_ids), np.int64)
+    is_root = objects.parents < 0
+    root[objects.building[is_root]] = np.flatnonzero(is_root)
+    # Walls of the building itself may stand for those of all its parts.
+    is_whole = np.zeros(len(root), np.bool_)
+    is_whole[polygons.building[is_lead & is_root[own]]] = True
+    unit = np.where(is_whole[polygons.building], root[polygons.building], outer)
+    return (np.where(outer == own, unit, own) if wish == FINEST else unit), is_lead
 
 
 def _own_level(model: CityModel, name: str, is_other: NDArray[np.bool_]) -> NDArray[np.bool_]:

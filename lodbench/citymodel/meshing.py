@@ -92,6 +92,8 @@ def _mesh_level(model: CityModel, lod: str, chosen: NDArray[np.int64], findings:
     has_level[model.polygons.building[chosen]] = True
     for building in np.flatnonzero(~has_level):
         findings.add(LOD_ABSENT, model.building_ids[building], f"no {lod_in_words(lod)}")
+    for part in _absent_parts(model, chosen, has_level):
+        findings.add(LOD_ABSENT, part, f"a building part, no {lod_in_words(lod)}")
     builder = SceneBuilder(model.building_ids)
     areas = np.zeros(4)
     num_triangles = 0
@@ -105,6 +107,21 @@ def _mesh_level(model: CityModel, lod: str, chosen: NDArray[np.int64], findings:
     area_m2, meshed_m2, lost_m2, excess_m2 = areas.tolist()
     scene = builder.finish(lod=lod, crs=model.crs, origin=model.origin)
     return CityMesh(scene, len(chosen), area_m2, meshed_m2, lost_m2, excess_m2, findings)
+
+
+def _absent_parts(model: CityModel, chosen: NDArray[np.int64], has_level: NDArray[np.bool_]) -> list[str]:
+    """Returns the ids of parts with walls of which nothing is chosen, nor of their building itself."""
+    objects, part = model.objects, model.polygons.part
+    if objects is None or part is None:
+        return []
+    is_chosen, has_walls = np.zeros((2, len(objects)), np.bool_)
+    is_chosen[part[chosen]] = True
+    is_flat = np.array([name.startswith("0") for name in model.lods], np.bool_)
+    has_walls[part[~is_flat[model.polygons.lod]]] = True
+    is_whole = np.zeros(len(has_level), np.bool_)
+    is_whole[objects.building[is_chosen & (objects.parents < 0)]] = True
+    is_open = has_walls & ~is_chosen & (has_level & ~is_whole)[objects.building]
+    return [objects.ids[n] for n in np.flatnonzero(is_open) if objects.types[n] == "BuildingPart"]
 
 
 def mesh_city(model: CityModel, lod: str | None = None, *, roof_height: str | None = None) -> Scene:

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: metres, x east, y north, z up; a building is what hangs together by shared points.
+"""Wavefront OBJ: metres, x east, y north, z up, or y up where so told; what hangs together is a building.
 
 Only positions and faces count. Lines, points, texture coordinates, normals, materials and groups
 carry no surface. Numbers are read in bulk; a line at fault is looked for only when there is one.
@@ -17,6 +17,7 @@ from lodbench.citymodel.codes import ELEMENT_IGNORED
 from lodbench.citymodel.coordinates import RING_SEPARATOR, parse_rings
 from lodbench.citymodel.identity import connected_components, number_rows, point_bits
 from lodbench.citymodel.mesh_frames import frame_of_comments
+from lodbench.citymodel.mesh_reader import turned_up
 from lodbench.citymodel.model import SurfaceKind
 from lodbench.citymodel.raw import NotACity, RawCity, starts_of
 from lodbench.errors import CityModelError
@@ -29,8 +30,13 @@ _HEAD_LINES = 8
 _SILENT = frozenset({"v", "f", "vt", "vn", "s", "o", "g", "mtllib"})
 
 
-def read_obj(stream: BinaryIO, source: str) -> RawCity:
+def read_obj(stream: BinaryIO, source: str, up_axis: str = "auto") -> RawCity:
     """Returns the faces of a Wavefront OBJ, grouped into buildings.
+
+    Args:
+        stream: The file's bytes.
+        source: Its name, for messages.
+        up_axis: ``y``, ``z``, or ``auto``, which is z.
 
     Raises:
         CityModelError: A number is malformed or not finite, a face has fewer than three corners or
@@ -43,7 +49,7 @@ def read_obj(stream: BinaryIO, source: str) -> RawCity:
     _report_ignored(lines, source, findings)
     if not faces:
         raise NotACity(f"{source} has no faces.", "A city model in OBJ needs `v` and `f` lines.")
-    points = _read_points(lines, positions, source)
+    points = turned_up(_read_points(lines, positions, source), up_axis, ".obj")
     corners, counts = _read_faces(lines, faces, np.asarray(positions, np.int64), source)
     building, num_buildings = _buildings(points, corners, counts)
     frame = frame_of_comments([line[1:].strip() for line in lines[:_HEAD_LINES] if line.startswith("#")])

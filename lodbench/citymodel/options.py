@@ -27,10 +27,11 @@ class ReadOptions:
         origin: What to subtract from the coordinates (east, north, up), metres; None chooses.
         up_axis: Axis that points up in a mesh; ``auto`` is y for glTF and z for the others.
         layer: Layer of a vector file; None takes the first that has geometries, and tells of others.
-        height_column: Column of building heights above ground, metres; None looks for one.
+        height_column: Column of building heights above ground, metres, or feet where the reference system is
+            in feet; None looks for one.
         storeys_column: Column of storey counts, used where there is no height.
         storey_height_m: Height of one storey.
-        ground_column: Column of ground heights, metres; None looks for one.
+        ground_column: Column of ground heights, in the unit of ``height_column``; None looks for one.
         ground_m: Ground height where neither column nor terrain gives one.
         terrain: Raster terrain model to take ground heights from.
         default_height_m: Height of footprints without one; None drops them with a finding.

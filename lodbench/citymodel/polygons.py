@@ -194,7 +194,7 @@ def _subtract_origin(
 def _bring_to_metres(
     polygons: Polygons, srs: NDArray[np.int16], raw: RawCity, options: ReadOptions
 ) -> str | None:
-    """Brings all points, in place, to metres of one reference system: that of the first polygon.
+    """Brings all points, in place, to metres of one reference system: the first that is known.
 
     Args:
         polygons: In the coordinates of the file.
@@ -207,7 +207,7 @@ def _bring_to_metres(
     """
     override, points = options.crs, polygons.points
     if not raw.srs_names and options.origin is not None:
-        return None if override is None else require_crs(override).label
+        return None if override is None else require_crs(override).metric_label
     if not raw.srs_names and override is None:
         require_no_degrees(points)
         return None  # a format that cannot name a reference system
@@ -220,16 +220,18 @@ def _bring_to_metres(
         return to_metres(points, name, override, raw.findings, order)
     point_srs = np.repeat(srs, np.diff(polygons.ring_starts[polygons.polygon_starts]))
     first_label: str | None = None
-    for rank, number in enumerate([int(srs[0]), *(int(s) for s in used if s != srs[0])]):
+    for number in [int(srs[0]), *(int(s) for s in used if s != srs[0])]:
         is_chosen = point_srs == number
         part = points[is_chosen]
         name, order = systems[number]
         label = to_metres(part, name, override, raw.findings, order)
-        if rank == 0:
+        if first_label is None:
             first_label = label
-        elif label is not None and first_label is not None and label != first_label:
+        elif label is not None and label != first_label:
             _reproject(part, label, first_label)
-            raw.findings.add(CRS_MIXED, "", f"{label} brought to {first_label}")
+            codes = {require_crs(each).vertical_code for each in (label, first_label)}
+            heights = "; its heights stay as they are" if len(codes) > 1 else ""
+            raw.findings.add(CRS_MIXED, "", f"{label} brought to {first_label}{heights}")
         points[is_chosen] = part
     return first_label
 

@@ -43,7 +43,7 @@ def obj(source: Source, options: ReadOptions) -> RawCity:
     from lodbench.citymodel.obj import read_obj
 
     with source.open() as stream:
-        return read_obj(stream, source.name)
+        return read_obj(stream, source.name, options.up_axis)
 
 
 def mesh(source: Source, options: ReadOptions) -> RawCity:

@@ -177,6 +177,8 @@ def _of_layers(files: Sequence[tuple[PurePath, Item]], layers: Sequence[str]) ->
 
 
 def _may_hold_buildings(path: Path | PurePosixPath) -> bool:
+    if path.name.startswith("._"):
+        return False  # what macOS keeps of a file of this name, in the same ending
     return not _OTHER_FOLDERS.intersection(part.lower() for part in path.parts)
 
 

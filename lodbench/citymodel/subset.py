@@ -101,7 +101,7 @@ def reproject(model: CityModel, crs: str) -> CityModel:
 
     Args:
         model: With a reference system.
-        crs: Name of the other one, projected, in metres.
+        crs: Name of the other one, projected, in metres to the east and north.
 
     Raises:
         CityModelError: Either system is unknown, the other is not in metres, or points cannot be projected.
@@ -111,8 +111,10 @@ def reproject(model: CityModel, crs: str) -> CityModel:
     target = require_crs(crs)
     if model.crs is None:
         raise CityModelError(f"{model.source} names no reference system.", "Name it: crs=EPSG:25832.")
-    if not target.horizontal.is_projected or target.horizontal.axis_info[0].unit_conversion_factor != 1.0:
-        raise CityModelError(f"{crs} is not in metres.", "Name a projected system, such as EPSG:25832.")
+    if not target.is_metric:
+        raise CityModelError(
+            f"{crs} is not in metres to the east and north.", "Name a projected system, such as EPSG:25832."
+        )
     source = require_crs(model.crs)
     transformer = Transformer.from_crs(source.horizontal, target.horizontal, always_xy=True)
     points = model.polygons.points + model.origin
@@ -121,7 +123,7 @@ def reproject(model: CityModel, crs: str) -> CityModel:
         raise CityModelError(f"Some coordinates cannot be projected to {crs}.", "Does it cover the city?")
     origin = np.zeros(3)
     origin[:2] = np.floor(points[:, :2].min(axis=0))
-    label = target.label
+    label = target.metric_label  # heights are in metres, whatever unit the name has
     if target.vertical_code is None and source.vertical_code is not None:
         label = f"{label}+{source.vertical_code}"
     return replace(model, crs=label, origin=origin, polygons=replace(model.polygons, points=points - origin))

@@ -55,8 +55,12 @@ class Columns:
         self._table = table
         self._count = count
 
-    def heights(self, options: ReadOptions) -> tuple[NDArray[np.float64], str]:
-        """Returns (N,) heights above ground in metres, NaN where there is none, and where from.
+    def heights(self, options: ReadOptions, unit_m: float = 1.0) -> tuple[NDArray[np.float64], str]:
+        """Returns (N,) heights above ground in the columns' unit, NaN where there is none, and where from.
+
+        Args:
+            options: Which columns; the height of a storey, metres.
+            unit_m: Metres per unit.
 
         Raises:
             CityModelError: A column asked for is not there, or none holds heights or storeys.
@@ -79,12 +83,20 @@ class Columns:
             )
         values = self._numbers(height) if height is not None else np.full(self._count, np.nan)
         if storeys is not None:
-            from_storeys = self._numbers(storeys) * options.storey_height_m
+            from_storeys = self._numbers(storeys) * (options.storey_height_m / unit_m)
             values = np.where(np.isfinite(values) & (values > 0), values, from_storeys)
         return values, " or ".join(name for name in (height, storeys) if name is not None)
 
+    def has_heights(self, options: ReadOptions) -> bool:
+        """Tells whether ``heights`` finds any."""
+        try:
+            self.heights(options)
+        except CityModelError:
+            return options.height_column is not None or options.storeys_column is not None
+        return True
+
     def ground(self, options: ReadOptions) -> NDArray[np.float64] | None:
-        """Returns (N,) ground heights in metres, or None where no column has them."""
+        """Returns (N,) ground heights in the columns' unit, or None where no column has them."""
         name = find_column(list(self._table), options.ground_column, _GROUNDS)
         return None if name is None else self._numbers(name)
 

@@ -8,13 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-_POLYGON, _TRIANGLE = 3, 17
+_POINT, _LINE, _POLYGON, _TRIANGLE = 1, 2, 3, 17
 # Multi-polygons, collections, multi-surfaces, polyhedral surfaces and TINs nest other geometries.
 _COLLECTIONS = frozenset({6, 7, 12, 15, 16})
+_WITHOUT_AREA = frozenset({4, 5})  # multi-points and multi-lines
 _Z_FLAG, _M_FLAG, _SRID_FLAG = 0x80000000, 0x40000000, 0x20000000
 _MAX_DEPTH = 16
 # Footprints draped over the ground by rounding stay footprints.
 _LEVEL_TOLERANCE_M = 0.01
+# A wall seen from above: less of a square of its outline's length than any footprint.
+_THIN = 1e-2
 
 
 @dataclass(slots=True)
@@ -35,9 +38,13 @@ class WkbPolygons:
     has_z: bool = False
     ignored: set[int] = field(default_factory=set)
 
+    def has_uneven_rings(self) -> bool:
+        """Tells whether some ring leaves the horizontal: surfaces, or footprints draped over the ground."""
+        return any(_is_uneven(ring) for ring in self.rings)
+
     def has_upright_rings(self) -> bool:
-        """Tells whether some ring leaves the horizontal: the polygons are surfaces, no footprints."""
-        return any(len(ring) and np.ptp(ring[:, 2]) > _LEVEL_TOLERANCE_M for ring in self.rings)
+        """Tells whether some ring stands upright: the polygons are surfaces, no footprints."""
+        return any(_is_uneven(ring) and _is_thin(ring[:, :2]) for ring in self.rings)
 
     def add(self, data: bytes, owner: int) -> None:
         """Adds the polygons of one geometry.
@@ -64,14 +71,20 @@ class WkbPolygons:
         kind = iso % 1000
         if kind in (_POLYGON, _TRIANGLE):
             return self._polygon(data, offset, order, 2 + has_z + has_m, has_z, owner)
-        if kind in _COLLECTIONS:
+        if kind in _COLLECTIONS or kind in _WITHOUT_AREA:
             (count,) = struct.unpack_from(order + "I", data, offset)
             offset += 4
             for _ in range(count):
                 offset = self._geometry(data, offset, owner, depth + 1)
             return offset
         self.ignored.add(kind)
-        return len(data)  # points and lines: nothing behind them in the same geometry is read
+        if kind not in (_POINT, _LINE):
+            return len(data)  # nothing is known of its length
+        count = 1
+        if kind == _LINE:
+            (count,) = struct.unpack_from(order + "I", data, offset)
+            offset += 4
+        return int(offset + 8 * count * (2 + has_z + has_m))
 
     def _polygon(self, data: bytes, offset: int, order: str, width: int, has_z: bool, owner: int) -> int:
         (num_rings,) = struct.unpack_from(order + "I", data, offset)
@@ -92,3 +105,15 @@ class WkbPolygons:
             self.ring_counts.append(num_rings)
             self.owner.append(owner)
         return offset
+
+
+def _is_uneven(ring: NDArray[np.float64]) -> bool:
+    return len(ring) > 0 and bool(np.ptp(ring[:, 2]) > _LEVEL_TOLERANCE_M)
+
+
+def _is_thin(ring: NDArray[np.float64]) -> bool:
+    """Tells whether a ring has no area as seen from above, in metres or in degrees."""
+    x, y = (ring - ring[0]).T
+    area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+    length = float(np.sum(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T)))
+    return area <= _THIN * (0.25 * length) ** 2

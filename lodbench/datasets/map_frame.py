@@ -59,6 +59,8 @@ class MapFrame:
         unit = self._horizontal.axis_info[0]
         if unit.unit_conversion_factor != 1.0:
             raise DatasetError(f"{crs} counts in {unit.unit_name}, not metres.", "Name a system in metres.")
+        if known.counts_west:
+            raise DatasetError(f"{crs} counts to the west and south.", "Name one to the east and north.")
 
     @cached_property
     def _to_map(self) -> Transformer:

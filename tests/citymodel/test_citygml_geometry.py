@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pyproj import Transformer
 
 from lodbench.citymodel import mesh_model
 from lodbench.citymodel.model import CityModel, SurfaceKind
@@ -210,6 +211,24 @@ class TestImplicitGeometry:
         text = city(member(self.placed(shape, at) + solid(surface_members(map(polygon, BOX)))))
         assert codes(model_of(tmp_path, text)) == {"LB206": 1}
 
+    def test_metres_are_not_added_to_degrees(self, tmp_path: Path) -> None:
+        shape = f"<core:relativeGMLGeometry>{self.shape}</core:relativeGMLGeometry>"
+        rings = [[(35.6 + y * 1e-5, 139.7 + x * 1e-5, z) for x, y, z in box_rings()[k]] for k in range(6)]
+        rings = [[(a % 1 + 35, b % 1 + 139, z) for a, b, z in ring] for ring in rings]
+        own = solid(surface_members(map(polygon, rings)))
+        model = model_of(tmp_path, city(member(own + self.placed(shape, "35.6 139.7 3")), srs="EPSG:6697"))
+        assert codes(model)["LB206"] == 1
+        assert np.ptp(model.polygons.points[:, :2], axis=0).max() < 100
+
+    def test_the_point_says_where(self, tmp_path: Path) -> None:
+        shape = f"<core:relativeGMLGeometry>{self.shape}</core:relativeGMLGeometry>"
+        shape = shape.replace("<gml:MultiSurface>", '<gml:MultiSurface srsName="EPSG:4979">')
+        placed = self.placed(shape, "500000 5600000 3").replace(
+            "<gml:Point>", '<gml:Point srsName="EPSG:25833">'
+        )
+        model = model_of(tmp_path, city(member(placed)))
+        assert (model.crs, model.origin.tolist()) == ("EPSG:25833", [500000.0, 5600000.0, 0.0])
+
 
 class TestRings:
     def ring_model(self, tmp_path: Path, ring: str, **options: object) -> CityModel:
@@ -255,3 +274,38 @@ class TestRings:
         model = self.ring_model(tmp_path, ring, options=ReadOptions(is_strict=False))
         assert codes(model)[code] == 1
         assert len(model.polygons) == 1
+
+
+class TestWhereSystemsAreDeclared:
+    """A reference system counts wherever GML allows it, for what is below."""
+
+    RINGS = (BOX, [[(x + 4e3, y, z) for x, y, z in ring] for ring in BOX])
+
+    @pytest.mark.parametrize("place", ["Solid", "CompositeSurface", "Polygon", "LinearRing", "posList"])
+    def test_inside_of_a_geometry(self, tmp_path: Path, place: str) -> None:
+        declared, plain = (solid(surface_members(polygon(r) for r in rings)) for rings in self.RINGS)
+        declared = declared.replace(f"<gml:{place}>", f'<gml:{place} srsName="EPSG:25833">')
+        alone = model_of(tmp_path, city(member(declared), srs=None))
+        assert (alone.crs, codes(alone)) == ("EPSG:25833", {})
+        model = model_of(tmp_path, city(member(plain, "b1") + member(declared, "b2")))
+        points = model.polygons.points + model.origin
+        zone_33 = Transformer.from_crs(25833, 25832, always_xy=True).transform(500000.0, 5600000.0)
+        assert points[:, 0].max() - zone_33[0] < 15
+        assert codes(model)["LB307"] == 1
+
+    def test_beside_others_without(self, tmp_path: Path) -> None:
+        rings = (surface_members(polygon(r) for r in self.RINGS[0][k : k + 1]) for k in (0, 1))
+        first, second = (f"<gml:CompositeSurface>{r}</gml:CompositeSurface>" for r in rings)
+        first = first.replace("<gml:CompositeSurface>", '<gml:CompositeSurface srsName="EPSG:25833">')
+        text = multi_surface(surface_members([first, second]))
+        model = model_of(tmp_path, city(member(text)))
+        assert np.ptp(model.polygons.points[:, 0]) > 4e5  # only one of the two is in the other zone
+
+    @pytest.mark.parametrize("holder", ["", "wfs:member"])
+    def test_city_model_inside_of_an_answer(self, tmp_path: Path, holder: str) -> None:
+        inner = city(member(solid(surface_members(polygon(r) for r in BOX)))).partition("\n")[2]
+        if holder:
+            inner = f"<{holder}>{inner}</{holder}>"
+        wfs = 'xmlns:wfs="http://www.opengis.net/wfs/2.0"'
+        model = model_of(tmp_path, f"<wfs:FeatureCollection {wfs}>{inner}</wfs:FeatureCollection>")
+        assert (model.crs, codes(model)) == ("EPSG:25832", {})

@@ -100,6 +100,20 @@ class TestReading:
         assert points[:3].tolist() == [[4, 0, 5], [4, 2, 5], [2, 0, 5]]
         assert len(model.polygons) == 2
 
+    def test_template_in_degrees_is_a_finding(self, tmp_path: Path) -> None:
+        templates = {"templates": [surface([0, 1, 2])], "vertices-templates": np.eye(3).tolist()}
+        instance = {"type": "GeometryInstance", "template": 0, "boundaries": [1]}
+        instance["transformationMatrix"] = np.eye(4).ravel().tolist()
+        transform = {"scale": [1e-8, 1e-8, 1e-3], "translate": [139.7, 35.6, 0.0]}
+        text = document(
+            {"a": building(instance, surface([0, 1, 2]))},
+            transform=transform,
+            metadata={"referenceSystem": "EPSG:6697"},
+            **{"geometry-templates": templates},
+        )
+        model = read(tmp_path, text)
+        assert (len(model.polygons), codes(model)["LB206"]) == (1, 1)
+
     def test_interiors_are_not_meshed(self, tmp_path: Path) -> None:
         room = {"type": "BuildingRoom", "geometry": [surface([0, 1, 2])], "parents": ["a"]}
         model = read(tmp_path, document({"a": building(surface([0, 1, 2, 3])), "r": room}))
@@ -238,3 +252,48 @@ class TestLabels:
                 tmp_path,
                 document({"a": building(surface([0, 1, 2, 3]))}, vertices=[["0", 0, 0], *SQUARE[1:]]),
             )
+
+
+class TestAppendedSequences:
+    """Several sequences in one file, as ``cat`` joins tiles."""
+
+    def lines(self, name: str, east: float, scale: float, system: str) -> str:
+        transform = {"scale": [scale] * 3, "translate": [east, 446000.0, 0.0]}
+        head = document({}, transform=transform, vertices=[], metadata={"referenceSystem": system})
+        vertices = (np.array(SQUARE) * (0.001 / scale)).round().astype(int).tolist()
+        feature = {
+            "type": "CityJSONFeature",
+            "id": name,
+            "CityObjects": {name: building(surface([0, 1, 2, 3]))},
+            "vertices": vertices,
+        }
+        return "".join(json.dumps(line) + "\n" for line in (head, feature))
+
+    def test_each_has_its_own_transform(self, tmp_path: Path) -> None:
+        text = self.lines("a", 85000.0, 0.001, "urn:ogc:def:crs:EPSG::7415")
+        text += self.lines("b", 86000.0, 0.01, "https://www.opengis.net/def/crs/EPSG/0/7415")
+        model = read_city_model(write(tmp_path / "both.city.jsonl", text))
+        points = model.polygons.points + model.origin
+        assert points[:, 0].reshape(2, 4).min(axis=1).tolist() == [85000.0, 86000.0]
+        assert points[:, 0].reshape(2, 4).max(axis=1).tolist() == [85004.0, 86004.0]
+
+    def test_two_systems_are_refused(self, tmp_path: Path) -> None:
+        text = self.lines("a", 85000.0, 0.001, "EPSG:7415") + self.lines("b", 185000.0, 0.001, "EPSG:31370")
+        with pytest.raises(CityModelError, match="joins features in EPSG:7415 and in EPSG:31370"):
+            read_city_model(write(tmp_path / "both.city.jsonl", text))
+
+
+@pytest.mark.parametrize(
+    ("metadata", "crs"),
+    [({"crs": "EPSG:28992"}, "EPSG:28992"), ({"crs": {"epsg": 7415}}, "EPSG:7415"), ({"crs": None}, None)],
+)
+def test_old_names_of_systems(tmp_path: Path, metadata: dict[str, Any], crs: str | None) -> None:
+    text = json.dumps(document({"b": building(surface([0, 1, 2, 3]))}, metadata=metadata))
+    assert read_city_model(write(tmp_path / "old.json", text)).crs == crs
+
+
+def test_a_system_that_is_no_text_is_told(tmp_path: Path) -> None:
+    metadata = {"referenceSystem": {"epsg": 7415}}
+    text = json.dumps(document({"b": building(surface([0, 1, 2, 3]))}, metadata=metadata))
+    with pytest.raises(CityModelError, match="no text"):
+        read_city_model(write(tmp_path / "odd.json", text))

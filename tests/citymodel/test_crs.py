@@ -10,6 +10,7 @@ from pyproj import CRS, Transformer
 from lodbench.citymodel import read_city_model
 from lodbench.citymodel.crs import crs_label, require_crs, resolve_crs
 from lodbench.citymodel.frame import to_metres
+from lodbench.citymodel.subset import reproject
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
@@ -35,6 +36,8 @@ class TestLabel:
         [
             ("EPSG:25832", "EPSG:25832"),
             ("epsg:25832+7837", "EPSG:25832+7837"),
+            ("urn:ogc:def:crs:EPSG::25832+7837", "EPSG:25832+7837"),
+            ("http://www.opengis.net/def/crs/EPSG/0/25832+7837", "EPSG:25832+7837"),
             ("urn:ogc:def:crs:EPSG::7415", "EPSG:7415"),
             ("urn:ogc:def:crs:EPSG:6.12:28992", "EPSG:28992"),
             ("urn:ogc:def:crs,crs:EPSG:6.12:25833,crs:EPSG:6.12:5783", "EPSG:25833+5783"),
@@ -308,3 +311,55 @@ def test_a_file_whose_polygons_all_fall_keeps_its_system(tmp_path: Path) -> None
     assert model.crs == "EPSG:25832"
     assert model.findings.counts() == {"LB101 RING_TOO_SHORT": 1}
     assert not model.findings.has_errors()  # it had no area that could be lost
+
+
+@pytest.mark.parametrize(("code", "longitude", "latitude"), [(2048, 18.42, -33.92), (5513, 14.42, 50.09)])
+@pytest.mark.parametrize("is_swapped", [False, True])
+def test_westings_and_southings_become_eastings_and_northings(
+    code: int, longitude: float, latitude: float, is_swapped: bool
+) -> None:
+    degrees = np.array([(longitude, latitude), (longitude + 1e-3, latitude), (longitude, latitude + 1e-3)])
+    declared = Transformer.from_crs(4326, code).transform(degrees[:, 1], degrees[:, 0])
+    rows = np.column_stack([*(declared[::-1] if is_swapped else declared), np.zeros(3)])
+    metres, label, found = convert(rows, f"EPSG:{code}")
+    assert label not in (None, f"EPSG:{code}")
+    back = Transformer.from_crs(label, 4326, always_xy=True).transform(metres[:, 0], metres[:, 1])
+    assert np.abs(np.stack(back, axis=1) - degrees).max() < 1e-5
+    assert metres[1, 0] > metres[0, 0] + 50
+    assert metres[2, 1] > metres[0, 1] + 100
+    assert found == (["LB304", "LB305"] if is_swapped else ["LB305"])
+
+
+def test_a_system_to_the_west_is_no_target(tmp_path: Path) -> None:
+    model = read_city_model(
+        write(tmp_path / "c.gml", city(member(solid(surface_members(map(polygon, box_rings()))))))
+    )
+    with pytest.raises(CityModelError, match="east and north"):
+        reproject(model, "EPSG:5513")
+
+
+@pytest.mark.parametrize("nameless", ["a.gml", "c.gml"])
+def test_a_tile_without_a_system_takes_none_from_the_others(tmp_path: Path, nameless: str) -> None:
+    def tile(x: float, srs: str | None) -> str:
+        return city(member(solid(surface_members(map(polygon, box_rings(x=x))))), srs=srs)
+
+    write(tmp_path / nameless, tile(500000.0, None))
+    write(tmp_path / "b1.gml", tile(500100.0, "EPSG:25832"))
+    write(tmp_path / "b2.gml", tile(100000.0, "EPSG:25833"))
+    model = read_city_model(tmp_path)
+    assert model.crs == "EPSG:25832"
+    zone_33 = Transformer.from_crs(25833, 25832, always_xy=True).transform(100000.0, 5600000.0)
+    assert (model.polygons.points + model.origin)[:, 0].max() == pytest.approx(
+        max(500110.0, zone_33[0]), abs=20
+    )
+    assert {"LB301", "LB307"} <= {item.code.code for item in model.findings.items}
+
+
+def test_heights_of_a_second_system_are_told_to_stay(tmp_path: Path) -> None:
+    rings = surface_members(map(polygon, box_rings()))
+    other = solid(rings).replace("<gml:Solid>", '<gml:Solid srsName="EPSG:25832+5783">')
+    model = read_city_model(
+        write(tmp_path / "c.gml", city(member(solid(rings)) + member(other, "b2"), srs="EPSG:25832+7837"))
+    )
+    details = [item.detail for item in model.findings.items if item.code.code == "LB307"]
+    assert details == ["EPSG:25832+5783 brought to EPSG:25832+7837; its heights stay as they are"]

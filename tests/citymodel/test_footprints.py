@@ -165,6 +165,41 @@ class TestReading:
         assert mesh_model(model).meshed_m2 == pytest.approx(45 + 40.5)
         assert model.findings.counts() == {}
 
+    def test_footprints_draped_over_the_ground_are_footprints(self, tmp_path: Path) -> None:
+        x, y = 500000.0, 4400000.0
+        ring = [[x, y, 100], [x + 9, y, 100.5], [x + 9, y + 9, 101], [x, y + 9, 100.2], [x, y, 100]]
+        model = self.read(tmp_path, geojson([([ring], {"height": 5, "ground": 100})]), crs="EPSG:32650")
+        assert (model.format, model.lods) == ("footprints", ("1",))
+        assert mesh_model(model).meshed_m2 == pytest.approx(2 * 81 + 4 * 45)
+        no_heights = self.read(tmp_path, geojson([([ring], {"id": "a"})]), crs="EPSG:32650")
+        assert (no_heights.format, no_heights.lods) == ("surfaces", ("2",))
+        degrees = [[*corner, 50.0 + k % 4] for k, corner in enumerate(square())]
+        assert self.read(tmp_path, geojson([([degrees], {"height": 5})])).format == "footprints"
+
+    def test_polygons_beside_points_and_lines(self, tmp_path: Path) -> None:
+        others = [
+            {"type": "Point", "coordinates": [LON, LAT]},
+            {"type": "LineString", "coordinates": square()[:3]},
+            {"type": "MultiPoint", "coordinates": square()[:2]},
+        ]
+        parts = [*others, {"type": "Polygon", "coordinates": [square()]}]
+        shape = {"type": "GeometryCollection", "geometries": parts}
+        model = self.read(tmp_path, geojson([(shape, {"height": 5})]))
+        assert len(model.polygons) == 6
+        assert codes(model)["LB206"] == 2
+
+    def test_settings_are_metres_where_the_plane_is_in_feet(self, tmp_path: Path) -> None:
+        foot, x, y = 1200 / 3937, 983000.0, 199000.0
+        ring = [[x, y], [x + 30, y], [x + 30, y + 30], [x, y + 30], [x, y]]
+        rows = [{"height": 50, "floors": 1}, {"height": None, "floors": 4}, {"height": None, "floors": None}]
+        text = geojson([([ring], row) for row in rows])
+        model = self.read(tmp_path, text, crs="EPSG:2263", default_height_m=20.0, ground_m=100.0)
+        z = model.polygons.points[:, 2]
+        owner = np.repeat(model.polygons.building, np.diff(model.polygons.ring_starts))
+        assert z.min() == pytest.approx(100.0)
+        tops = [z[owner == n].max() - 100.0 for n in range(3)]
+        assert tops == pytest.approx([50 * foot, 4 * 3.0, 20.0])
+
     def test_faults(self, tmp_path: Path) -> None:
         with pytest.raises(CityModelError, match="No column of heights"):
             self.read(tmp_path, geojson([([square()], {"name": "x"})]))

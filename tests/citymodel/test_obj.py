@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from lodbench.citymodel import mesh_model, open_scene, read_city_model
 from lodbench.citymodel.check import check_city
 from lodbench.citymodel.info import city_info
 from lodbench.citymodel.obj import read_obj
+from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.plane_check import check_planes
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
@@ -138,3 +140,11 @@ def test_real_model(shared_data: Path) -> None:
     assert len(mesh.scene.vertices) == 30_963
     assert mesh.lost_m2 / mesh.area_m2 < 1e-5
     assert mesh.findings.counts()["LB106 AREA_MISMATCH"] == 38
+
+
+@pytest.mark.parametrize(("up_axis", "high"), [("auto", [4, 5, 3]), ("z", [4, 5, 3]), ("y", [4, 0, 5])])
+def test_the_axis_that_points_up(tmp_path: Path, up_axis: Any, high: list[float]) -> None:
+    text = "v 0 0 0\nv 4 0 0\nv 4 5 3\nf 1 2 3\n"
+    model = read_city_model(write(tmp_path / "up.obj", text), options=ReadOptions(up_axis=up_axis))
+    assert model.polygons.points.max(axis=0).tolist() == high
+    assert model.polygons.points[2].tolist() == ([4, -3, 5] if up_axis == "y" else [4, 5, 3])

@@ -192,3 +192,22 @@ class TestFolder:
         write(tmp_path / "1.json", b'{"a": 1}')
         with pytest.raises(CityModelError, match="not CityJSON"):
             read_city_model(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".gml", ".gpkg", ".ply", ".obj", ".shp"])
+@pytest.mark.parametrize("is_packed", [True, False])
+def test_what_macos_leaves_beside_tiles_is_passed_over(tmp_path: Path, suffix: str, is_packed: bool) -> None:
+    files = {"tile.gml": BOX, f"__MACOSX/._tile{suffix}": b"\0\5\x16\7\0\2\0\0Mac OS X        "}
+    path = tmp_path / "town"
+    if is_packed:
+        path = tmp_path / "town.zip"
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, data in files.items():
+                archive.writestr(name, data)
+    else:
+        for name, data in files.items():
+            (path / name).parent.mkdir(parents=True, exist_ok=True)
+            (path / name).write_bytes(data)
+    model = read_city_model(path)
+    assert len(model.polygons) == 6
+    assert model.findings.counts() == {}
