@@ -52,7 +52,11 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
     reasons: dict[int, str] = {}
     first_of: dict[str, Path] = {}
     for row, (photo, mask) in enumerate(zip(photos, found, strict=True)):
-        original = first_of.setdefault(file_digest(photo), photo)
+        try:
+            original = first_of.setdefault(file_digest(photo), photo)
+        except OSError as error:
+            reasons[row] = f"it cannot be read: {error.strerror}"
+            continue
         if original != photo:
             reasons[row] = f"it is a copy of {original}"
         elif masks is not None and mask is None:
