@@ -96,6 +96,28 @@ def test_a_frame_without_a_mask_is_lost_and_the_next_is_not(capsys, footage, tmp
     assert np.linalg.norm(np.array(frames[5]["center_m"]) - footage.truth[5].center) < 0.8
 
 
+def test_masks_inside_are_no_frames_and_two_comes_before_ten(capsys, footage, tmp_path):
+    folder = tmp_path / "photos"
+    (folder / "masks").mkdir(parents=True)
+    for k, number in enumerate((1, 2, 10)):
+        photo, mask = (footage.folder / part / f"photo_{k}.png" for part in ("photos", "masks"))
+        (folder / f"my photo {number}.png").write_bytes(photo.read_bytes())
+        (folder / "masks" / f"my photo {number}.png").write_bytes(mask.read_bytes())
+    words = ("--masks", folder.resolve() / "masks", "--fps", 4, "--out", folder / "out")
+    assert main(footage.words(str(folder), *words)) == 0
+    assert [row["frame"] for row in rows(folder / "out")] == [f"my photo {n}.png" for n in (1, 2, 10)]
+    assert [*read_poses(folder / "out" / "poses.txt")] == [f"my_photo_{n}.png" for n in (1, 2, 10)]
+
+
+def test_photos_of_one_name_are_told_before_any_work(capsys, footage, tmp_path):
+    for part in ("a", "b"):
+        (tmp_path / part).mkdir()
+        (tmp_path / part / "1.png").write_bytes((footage.folder / "photos" / "photo_0.png").read_bytes())
+    masks = ("--masks", footage.folder / "masks", "--out", tmp_path / "out")
+    assert main(footage.words(str(tmp_path), *masks)) == 2
+    assert "2 photos called 1.png" in capsys.readouterr().err
+
+
 def test_every_second_frame_of_a_video(capsys, footage, tmp_path):
     words = footage.words("flight.avi", "--masks", footage.folder / "masks", "--every", 2, "--out", tmp_path)
     assert main(words) == 0

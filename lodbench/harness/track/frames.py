@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,7 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.own import PHOTO_SUFFIXES, find_mask, find_photos
+from lodbench.datasets.own import find_mask
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES, find_photos, in_pose_lines, require_photos
+from lodbench.datasets.photo_flights import natural_key
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.undistort import undistorted
@@ -49,11 +51,30 @@ class Footage:
         source: A video, or a folder of photos.
         every: Every how manieth frame is taken.
         rate: Frames per second, before what the video or the photos' clocks say.
+        masks: Folder of masks, whose pictures are no frames.
+        out: Folder of results, likewise.
     """
 
     source: Path
     every: int = 1
     rate: float | None = None
+    masks: Path | None = None
+    out: Path | None = None
+
+    def photos(self) -> list[Path]:
+        """Returns the photos of a folder, in the order of their names: 2 before 10.
+
+        Raises:
+            DatasetError: There are none, or two have one name: masks and poses go by it.
+        """
+        source = self.source
+        photos = find_photos(source, self.masks, self.out)
+        require_photos(photos, source)
+        count = Counter(in_pose_lines(photo.name) for photo in photos)
+        name, most = count.most_common(1)[0]
+        if most > 1:
+            raise DatasetError(f"{source} holds {most} photos called {name}.", "Track one folder at a time.")
+        return sorted(photos, key=lambda photo: [*map(natural_key, photo.relative_to(source).parts)])
 
     def shots(self) -> Iterator[Shot]:
         """Yields the frames.
@@ -65,10 +86,10 @@ class Footage:
 
     def first_photo(self) -> Path | None:
         """Returns the first photo of a folder; None for a video."""
-        return find_photos(self.source)[0] if self.source.is_dir() else None
+        return self.photos()[0] if self.source.is_dir() else None
 
     def _of_photos(self) -> Iterator[Shot]:
-        photos = find_photos(self.source)[:: self.every]
+        photos = self.photos()[:: self.every]
         clocks = _clocks(photos) if self.rate is None else None
         rate = self.rate or _PHOTO_RATE
         for number, photo in enumerate(photos):
