@@ -204,6 +204,29 @@ class TestCamera:
             camera_from_photo(cropped)
         assert "--camera 'SIMPLE_PINHOLE 1368 700 FOCAL_PX 684 350'" in fault.value.hint
 
+    @pytest.mark.parametrize(
+        "numbers",
+        [
+            {"dewarp": Dewarp("2019", 3666.0, 3660.0, -12.5, 8.5, (-0.26, 0.11, 0.001, -0.002, -0.03))},
+            {"calibrated_focal_px": 3666.0, "optical_center_x_px": 2736.0, "optical_center_y_px": 1824.0},
+            {"focal_mm": 8.8, "pixel_mm": (0.0024, 0.0024)},
+        ],
+    )
+    def test_a_program_that_scaled_a_photo_and_changed_its_exif_is_told(self, numbers):
+        whole = replace(PHOTO, focal_35mm=24.0, **numbers)
+        assert camera_from_photo(whole).camera.fx == pytest.approx(3666.0, abs=1.0)
+        with pytest.raises(DatasetError, match=r"not of 1368 x 912 pixels, .* scaled since") as fault:
+            camera_from_photo(replace(whole, width=1368, height=912, size_when_taken=(1368, 912)))
+        assert "--camera 'SIMPLE_PINHOLE 1368 912" in fault.value.hint
+
+    def test_a_second_lens_is_not_seen_with_the_first_one_s_sensor(self):
+        # Mavic 3 Enterprise: both cameras are called M3E.
+        tele = replace(PHOTO, width=4000, height=3000, model="M3E", focal_mm=29.9, focal_35mm=162.0)
+        found = camera_from_photo(tele)
+        assert (found.source, found.camera.fx) == ("35mm", pytest.approx(162 / 43.2666 * 5000, rel=1e-4))
+        wide = replace(tele, width=5280, height=3956, focal_mm=12.29, focal_35mm=24.0)
+        assert camera_from_photo(wide).source == "sensor"
+
     def test_from_millimetres(self):
         table = camera_from_photo(replace(PHOTO, model="FC6310R", focal_mm=8.8))
         assert (table.source, table.camera.fx) == ("sensor", pytest.approx(8.8 / 13.2 * 5472))
