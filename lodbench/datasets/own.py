@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -92,6 +92,11 @@ def find_inside(folder: Path, name: str) -> Path | None:
         except (OSError, ValueError):  # a name too long, or with a NUL
             continue
     return None
+
+
+def shared_files(files: Iterable[Path | None]) -> set[Path]:
+    """Returns the files that several names were found to mean: without their folders some are alike."""
+    return {file for file, count in Counter(files).items() if file is not None and count > 1}
 
 
 def require_new_folder(folder: Path) -> None:
