@@ -23,8 +23,8 @@ from lodbench.storage import file_digest, write_bytes
 
 # Masks of a flight are held at this width, pixels: half as much again as methods look at.
 _MASK_WIDTH = 900
-# Undistorted copies of photos, by whose features flights are tied together, are no wider, pixels.
-_PICTURE_WIDTH = 1600
+# Undistorted copies of photos, by whose features flights are tied together, are as wide as it looks, pixels.
+_PICTURE_WIDTH = 2048
 
 
 def names_of(photos: Sequence[Path]) -> list[str]:
