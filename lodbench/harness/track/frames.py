@@ -7,7 +7,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -31,6 +31,8 @@ Mask = NDArray[np.float32]
 
 # What a video is taken to be where it does not say, and photos without clocks, frames per second.
 _VIDEO_RATE, _PHOTO_RATE = 25.0, 1.0
+# A video with less than this share of the frames that it says to have is not whole: some only estimate them.
+_LEAST_READ = 0.95
 # Frames whose masks are made while another is aligned.
 _AHEAD = 2
 
@@ -53,6 +55,7 @@ class Footage:
         rate: Frames per second, before what the video or the photos' clocks say.
         masks: Folder of masks, whose pictures are no frames.
         out: Folder of results, likewise.
+        notes: What the reader should know, once all frames were taken.
     """
 
     source: Path
@@ -60,6 +63,7 @@ class Footage:
     rate: float | None = None
     masks: Path | None = None
     out: Path | None = None
+    notes: list[str] = field(default_factory=list)
 
     def photos(self) -> list[Path]:
         """Returns the photos of a folder, in the order of their names: 2 before 10.
@@ -109,19 +113,25 @@ class Footage:
         stated = float(video.get(cv2.CAP_PROP_FPS))
         # Some containers say 0, -1 or no number at all.
         rate = self.rate or (stated if 0 < stated < math.inf else _VIDEO_RATE)
-        number = 0
+        count, number, time_s = float(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0, -1.0 / rate
         try:
             while video.grab():
+                # Phones vary their rate: each frame says its time, unless the container has none.
+                stamp_s = float(video.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
+                is_told = self.rate is None and math.isfinite(stamp_s) and stamp_s > time_s
+                time_s = stamp_s if is_told else (number / rate if self.rate else time_s + 1.0 / rate)
                 if number % self.every == 0:
                     is_whole, pixels = video.retrieve()
-                    yield Shot(
-                        f"frame_{number:06d}.png", number / rate, np.asarray(pixels) if is_whole else None
-                    )
+                    yield Shot(f"frame_{number:06d}.png", time_s, np.asarray(pixels) if is_whole else None)
                 number += 1
         finally:
             video.release()
         if number == 0:
             raise DatasetError(f"{self.source} holds no frames.", "Copy it again.")
+        if number < _LEAST_READ * count:
+            self.notes.append(
+                f"{number} of the video's {count:.0f} frames can be read: it is cut off or damaged"
+            )
 
 
 def _clocks(photos: list[Path]) -> list[float] | None:

@@ -152,7 +152,7 @@ def track(request: TrackRequest) -> Track:
             progress.advance()
     seconds = {"total": time.perf_counter() - started, "masks": maker.seconds - masks_s, "poses": poses_s}
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
-    notes += place_notes(frame, stated, request.heights)
+    notes += place_notes(frame, stated, request.heights) + tuple(request.footage.notes)
     cpu_s = time.process_time() - cpu
     if all(each.pose is None for each in frames) and (request.out / TABLE_FILE).exists():
         notes += (f"no frame was found: the earlier track in {request.out} is left as it is",)
