@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -140,6 +141,14 @@ class TestHeights:
         assert "--geoid" in fault.value.hint
         with pytest.raises(DatasetError, match="names no heights"):
             pose_from_photo(PHOTO, MapFrame("EPSG:25832"), HeightOptions("ellipsoid"))
+
+    def test_a_city_s_heights_in_feet_are_read_in_metres_and_so_are_a_drone_s(self, monkeypatch):
+        in_feet = SimpleNamespace(transform=lambda x, y, z, errcheck: (x, y, z / (1200 / 3937)))
+        frame = MapFrame("EPSG:26918+6360")
+        east, north = frame.east_north(40.7, -74.0)
+        monkeypatch.setattr(Transformer, "from_crs", lambda *args, **options: in_feet)
+        assert frame.height_from_ellipsoid(40.7, -74.0, 120.0) == pytest.approx(120.0)
+        assert frame.east_north(40.7, -74.0) == (east, north)
 
     def test_with_proj_s_own_geoid_model(self, proj_data):
         # A world of one undulation, 47.25 m, under the name by which PROJ knows EGM96.
