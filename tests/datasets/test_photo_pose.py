@@ -135,6 +135,13 @@ class TestHeights:
         assert place_notes(NRW, [replace(PHOTO, has_rtk=True)], HeightOptions(geoid_m=46.2)) == ()
         assert place_notes(NRW, [PHOTO], HeightOptions()) == ()
 
+    def test_a_fix_lost_on_the_way_is_told_for_it_steps_by_46_metres(self):
+        photos = [PHOTO, *[replace(PHOTO, has_rtk=True)] * 3]
+        (note,) = place_notes(NRW, iter(photos))
+        assert "1 of 4 photos have no RTK solution" in note
+        for told in (HeightOptions("ellipsoid"), HeightOptions(takeoff_m=60.0)):
+            assert place_notes(NRW, photos, told) == ()
+
     def test_without_a_geoid_model_it_is_an_error_and_no_silent_46_metres(self, proj_data):
         with pytest.raises(DatasetError, match="geoid model") as fault:
             self.height(HeightOptions("ellipsoid"))
