@@ -146,9 +146,9 @@ def _focal_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float, flo
         focal = photo.focal_mm * photo.digital_zoom / sensor_mm * max(width, height)
         if _is_like_equivalent(photo, focal, width, height):
             return focal, focal, "sensor"
-    focal = _equivalent_px(photo, width, height)
-    if focal is not None:
-        return focal, focal, "35mm"
+    equivalent = _equivalent_px(photo, width, height)
+    if equivalent is not None:
+        return equivalent, equivalent, "35mm"
     zoomed = "" if photo.digital_zoom == 1.0 else ", taken with a digital zoom,"
     raise DatasetError(
         f"{photo.name}{zoomed} does not say its camera's focal length.",
