@@ -38,7 +38,7 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    from lodbench.datasets.own import find_inside
+    from lodbench.datasets.own import find_inside, shared_files
     from lodbench.harness.city import open_city
     from lodbench.harness.georeference.georeference import georeference
     from lodbench.harness.georeference.request import GeoreferenceRequest
@@ -68,7 +68,9 @@ def main(argv: Sequence[str]) -> int:
     sys.stdout.write(text + "\n")
     if asked.sidecars:
         files = [(find_inside(asked.images, camera.name), camera.pose) for camera in placed.cameras]
-        line = write_sidecars([(file, pose) for file, pose in files if file is not None], placed.crs)
+        shared = shared_files(file for file, _ in files)
+        own = [(file, pose) for file, pose in files if file is not None and file not in shared]
+        line = write_sidecars(own, placed.crs)
         sys.stderr.write(f"lodbench: sidecars: {line}\n")
     return 0
 

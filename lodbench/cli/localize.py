@@ -68,7 +68,8 @@ def main(argv: Sequence[str]) -> int:
 
     is_one = len(asked.photos) == 1 and asked.photos[0].is_file()
     _require_options(asked, is_one)
-    photos = photos_of(asked.photos, asked.masks or _masks_inside(asked))
+    inside = _masks_inside(asked)
+    photos = photos_of(asked.photos, asked.masks or inside, inside, asked.out)
     masks = _masks_for(asked)
     method = _method(asked, is_one, masks)
     masks = masks if "mask" in method.requires else None

@@ -44,7 +44,7 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    from lodbench.datasets.own import find_photos, require_some_mask
+    from lodbench.datasets.own import require_some_mask
     from lodbench.harness.track.frames import Footage
     from lodbench.harness.track.track import TrackRequest, track
 
@@ -55,14 +55,13 @@ def main(argv: Sequence[str]) -> int:
     require_one_mask_source(asked, "--masks")
     require_within("--every", asked.every, 1)
     require_within("--fps", asked.fps, 0, ends="(]")
-    segmenter = None
+    segmenter, footage = None, Footage(asked.footage, asked.every, asked.fps, asked.masks, asked.out)
     if asked.masks is not None and asked.footage.is_dir():
-        require_some_mask(asked.masks, [photo.name for photo in find_photos(asked.footage)])
+        require_some_mask(asked.masks, [photo.name for photo in footage.photos()])
     if asked.masks is None:
         segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
         if not hasattr(segmenter, "probability"):
             raise ConfigError(f"--segmenter {asked.segmenter} looks at no frames.", f"{FOR_PHOTOS} does.")
-    footage = Footage(asked.footage, asked.every, asked.fps)
     own = {"footage": footage, "masks": asked.masks, "segmenter": segmenter}
     done = track(TrackRequest(**city_settings(asked), **rough_settings(asked), **own))
     sys.stdout.write(_as_json(done) if asked.json else describe(done))

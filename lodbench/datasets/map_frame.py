@@ -54,6 +54,7 @@ class MapFrame:
         known = require_crs(crs)
         self._horizontal = known.horizontal
         self._has_heights = known.vertical_code is not None
+        self._height_to_m = known.vertical_to_m
         if not self._horizontal.is_projected:
             raise DatasetError(f"{crs} has degrees, not metres.", "Name a projected system.")
         unit = self._horizontal.axis_info[0]
@@ -98,7 +99,7 @@ class MapFrame:
         return grid_convergence_deg(self._horizontal.to_wkt(), east, north)
 
     def height_from_ellipsoid(self, latitude_deg: float, longitude_deg: float, ellipsoid_m: float) -> float:
-        """Returns a height above the WGS 84 ellipsoid in the city's heights.
+        """Returns a height above the WGS 84 ellipsoid in the city's heights, which are read in metres.
 
         Raises:
             DatasetError: The city names no height system, or PROJ has no geoid model for it here: a
@@ -125,7 +126,7 @@ class MapFrame:
             raise DatasetError(
                 f"PROJ has no geoid model here to turn ellipsoid heights into those of {self.crs}.", hint
             ) from error
-        return height
+        return height * self._height_to_m
 
     def place_of(self, pose: Pose) -> Place:
         """Returns where a pose in the city's coordinates is on Earth, and where it looks."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lodbench.datasets.folder import ABOUT_FILE, sealed_about, write_poses
+from lodbench.datasets.photo_files import in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
@@ -19,7 +19,6 @@ from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import make_folder, new_folder, write_bytes, write_text
 
-PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _JPEG_QUALITY = 95
 
 
@@ -50,7 +49,7 @@ class OwnImage:
     @property
     def file_name(self) -> str:
         """Returns its name in a dataset: without folders and spaces, which text poses cannot hold."""
-        return re.sub(r"\s+", "_", PurePosixPath(self.name).name)
+        return in_pose_lines(PurePosixPath(self.name).name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,20 +60,6 @@ class Written:
     names: tuple[str, ...]
     undistorted: int
     left_out: tuple[tuple[str, str], ...]
-
-
-def find_photos(folder: Path) -> list[Path]:
-    """Returns the photos of a folder and all below it, by name; or the one photo a path names.
-
-    Raises:
-        DatasetError: There are none.
-    """
-    if folder.is_file():
-        return [folder]
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES)
-    if not found:
-        raise DatasetError(f"{folder} holds no photos.", f"Looked for {', '.join(PHOTO_SUFFIXES)} files.")
-    return found
 
 
 def find_mask(folder: Path | None, name: str) -> Path | None:
@@ -107,6 +92,11 @@ def find_inside(folder: Path, name: str) -> Path | None:
         except (OSError, ValueError):  # a name too long, or with a NUL
             continue
     return None
+
+
+def shared_files(files: Iterable[Path | None]) -> set[Path]:
+    """Returns the files that several names were found to mean: without their folders some are alike."""
+    return {file for file, count in Counter(files).items() if file is not None and count > 1}
 
 
 def require_new_folder(folder: Path) -> None:

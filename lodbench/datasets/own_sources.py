@@ -10,8 +10,9 @@ import numpy as np
 
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import OwnImage, find_inside, find_mask, find_photos
+from lodbench.datasets.own import OwnImage, find_inside, find_mask
 from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.photo_files import find_photos, require_photos
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
 from lodbench.errors import ConfigError, DatasetError, LodbenchError
@@ -43,9 +44,9 @@ def images_from_photos(
     images: list[OwnImage] = []
     left_out: LeftOut = []
     last = LodbenchError("")
-    for path in find_photos(folder):
-        if masks is not None and path.is_relative_to(masks):
-            continue  # a folder of masks among the photos
+    photos = find_photos(folder, masks)
+    require_photos(photos, folder)
+    for path in photos:
         name = path.name
         try:
             photo = read_photo_metadata(path)

@@ -34,6 +34,8 @@ _DIAGONAL_35MM = math.hypot(36.0, 24.0)
 _FIELD_DEG = (3.0, 150.0)
 # Sizes are whole pixels, so scaling changes the aspect a little; cropping changes it more.
 _ASPECT_TOLERANCE = 0.01
+# Focal lengths in pixels and as an equivalent differ by less, unless one is of another picture or lens.
+_EQUIVALENT_TOLERANCE = 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +75,11 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
 
     A digital zoom enlarges the middle of the lens's picture. So it multiplies EXIF's focal length, and DJI's
     numbers, which are of the whole picture, are left out. The equivalent has the photo's field of view
-    by its definition, zoom included.
+    by its definition, zoom included. So it tells a photo that was scaled since by a program that also
+    changed the size in EXIF, and the second lens of a drone whose table has the first.
 
     Raises:
-        DatasetError: The photo states none of them, or one that no camera has, or was cropped since.
+        DatasetError: The photo states none of them, or one that no camera has, or was cropped or scaled.
     """
     width, height = _size_when_taken(photo)
     if photo.digital_zoom != 1.0:
@@ -88,6 +91,7 @@ def camera_from_photo(photo: PhotoMetadata) -> PhotoCamera:
             optical_center_y_px=None,
         )
     if photo.dewarp is not None:
+        _require_own_pixels(photo, photo.dewarp.fx, width, height)
         return PhotoCamera(_checked(photo, _dewarped(photo, photo.dewarp, width, height)), "dewarp")
     fx, fy, source = _focal_px(photo, width, height)
     cx = width / 2 if photo.optical_center_x_px is None else photo.optical_center_x_px
@@ -131,22 +135,48 @@ def _dewarped(photo: PhotoMetadata, dewarp: Dewarp, width: int, height: int) -> 
 def _focal_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float, float, str]:
     """Returns fx and fy in pixels, and what they were made from."""
     if photo.calibrated_focal_px is not None and photo.calibrated_focal_px > 0:
+        _require_own_pixels(photo, photo.calibrated_focal_px, width, height)
         return photo.calibrated_focal_px, photo.calibrated_focal_px, "calibrated"
     if photo.focal_mm is not None and photo.pixel_mm is not None:
         focal_mm = photo.focal_mm * photo.digital_zoom
+        _require_own_pixels(photo, focal_mm / photo.pixel_mm[0], width, height)
         return focal_mm / photo.pixel_mm[0], focal_mm / photo.pixel_mm[1], "focal_plane"
     sensor_mm = _SENSOR_WIDTH_MM.get(photo.model.upper())
     if photo.focal_mm is not None and sensor_mm is not None:
         focal = photo.focal_mm * photo.digital_zoom / sensor_mm * max(width, height)
-        return focal, focal, "sensor"
-    if photo.focal_35mm is not None:
-        focal = photo.focal_35mm / _DIAGONAL_35MM * math.hypot(width, height)
-        return focal, focal, "35mm"
+        if _is_like_equivalent(photo, focal, width, height):
+            return focal, focal, "sensor"
+    equivalent = _equivalent_px(photo, width, height)
+    if equivalent is not None:
+        return equivalent, equivalent, "35mm"
     zoomed = "" if photo.digital_zoom == 1.0 else ", taken with a digital zoom,"
     raise DatasetError(
         f"{photo.name}{zoomed} does not say its camera's focal length.",
         f"Give {camera_flag(photo.width, photo.height)}, or another of COLMAP's models.",
     )
+
+
+def _equivalent_px(photo: PhotoMetadata, width: int, height: int) -> float | None:
+    if photo.focal_35mm is None:
+        return None
+    return photo.focal_35mm / _DIAGONAL_35MM * math.hypot(width, height)
+
+
+def _is_like_equivalent(photo: PhotoMetadata, focal_px: float, width: int, height: int) -> bool:
+    """Tells whether a focal length fits the 35 mm equivalent; with a digital zoom some drones' does not."""
+    equivalent = _equivalent_px(photo, width, height)
+    if equivalent is None or photo.digital_zoom != 1.0:
+        return True
+    return abs(math.log(focal_px / equivalent)) <= math.log(_EQUIVALENT_TOLERANCE)
+
+
+def _require_own_pixels(photo: PhotoMetadata, focal_px: float, width: int, height: int) -> None:
+    if not _is_like_equivalent(photo, focal_px, width, height):
+        raise DatasetError(
+            f"{photo.name}: a focal length of {focal_px:.0f} px is not of {width} x {height} pixels, by its "
+            f"35 mm equivalent of {photo.focal_35mm:g} mm: it was scaled since it was taken.",
+            f"Take the photo as it was stored, or give {camera_flag(photo.width, photo.height)}.",
+        )
 
 
 def _checked(photo: PhotoMetadata, camera: Camera) -> Camera:

@@ -54,7 +54,7 @@ def split_flights(photos: Sequence[tuple[Path, PhotoMetadata]]) -> list[Flight]:
         groups.setdefault((path.parent, _camera_key(stated)), []).append(row)
     by_camera: dict[tuple[object, ...], list[Flight]] = {}
     for (_, key), rows in groups.items():
-        rows.sort(key=lambda row: _natural(photos[row][0].name))
+        rows.sort(key=lambda row: natural_key(photos[row][0].name))
         by_camera.setdefault(key, []).extend(_split_folder(rows, [stated for _, stated in photos]))
     flights = [flight for found in by_camera.values() for flight in _joined(found)]
     return sorted(flights, key=lambda flight: min(flight.rows))
@@ -130,6 +130,6 @@ def _taken_at(stated: PhotoMetadata) -> datetime | None:
         return None
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
+def natural_key(name: str) -> list[tuple[int, str]]:
     """Returns a key that sorts IMG_2 before IMG_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]

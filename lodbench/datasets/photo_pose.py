@@ -240,7 +240,7 @@ def place_notes(
         photos: Those whose stated heights were used.
         options: How the drone's heights became the city's.
     """
-    options = options or HeightOptions()
+    photos, options = list(photos), options or HeightOptions()
     datum = None if frame is None else datum_note(frame)
     is_unused = options.geoid_m is not None and any(
         options.source_for(photo) == "sea_level" for photo in photos
@@ -248,7 +248,18 @@ def place_notes(
     geoid = (
         "--geoid was not used: heights are taken as above sea level without RTK; --heights ellipsoid uses it"
     )
-    return tuple(filter(None, (datum, geoid if is_unused else None)))
+    return tuple(filter(None, (datum, geoid if is_unused else None, heights_note(photos, options))))
+
+
+def heights_note(photos: Sequence[PhotoMetadata], options: HeightOptions) -> str | None:
+    """Returns a sentence if heights of some photos are taken as above something else than those of others."""
+    above_sea = sum(options.source_for(photo) == "sea_level" for photo in photos)
+    if above_sea in (0, len(photos)):
+        return None
+    return (
+        f"{above_sea} of {len(photos)} photos have no RTK solution: their heights are taken as above "
+        "sea level, those of the others as above the ellipsoid; --heights says what all are"
+    )
 
 
 def _height(

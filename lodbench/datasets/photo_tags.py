@@ -22,6 +22,7 @@ _DJI_NAMESPACE = "drone-dji"
 # EXIF 3.0 tags.
 _MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
+_DNG_VERSION = 0xC612
 _TAKEN_AT, _FOCAL_MM, _FOCAL_35MM, _WIDTH, _HEIGHT = 0x9003, 0x920A, 0xA405, 0xA002, 0xA003
 _PLANE_X, _PLANE_Y, _PLANE_UNIT, _ZOOM = 0xA20E, 0xA20F, 0xA210, 0xA404
 _LAT_REF, _LAT, _LON_REF, _LON, _ALT_REF, _ALT = 1, 2, 3, 4, 5, 6
@@ -69,7 +70,7 @@ def read_header(path: Path) -> tuple[tuple[int, int], dict[int, Any], bytes]:
     """Returns the size, the EXIF tags (sub-directories as dicts) and the XMP packet.
 
     Raises:
-        DatasetError: The file cannot be read, is no JPEG, PNG or TIFF, or has too many pixels.
+        DatasetError: The file cannot be read, is no JPEG, PNG or TIFF, raw, or has too many pixels.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -80,6 +81,11 @@ def read_header(path: Path) -> tuple[tuple[int, int], dict[int, Any], bytes]:
             with Image.open(path, formats=_FORMATS) as image:
                 xmp = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
                 exif = image.getexif()
+                if image.format == "TIFF" and _DNG_VERSION in exif:
+                    raise DatasetError(
+                        f"{path} is a raw photo (DNG), of which only the preview could be read.",
+                        "Take the JPEG beside it, or export it as JPEG or TIFF.",
+                    )
                 tags = {**exif, _EXIF_IFD: exif.get_ifd(_EXIF_IFD), _GPS_IFD: exif.get_ifd(_GPS_IFD)}
                 size = image.size
     except Image.DecompressionBombError as error:
@@ -88,6 +94,8 @@ def read_header(path: Path) -> tuple[tuple[int, int], dict[int, Any], bytes]:
         raise DatasetError(f"{path} cannot be read: {error.strerror}.", "Check the path.") from error
     except UnidentifiedImageError as error:
         raise DatasetError(f"{path} is no JPEG, PNG or TIFF picture.", "Export it again.") from error
+    except DatasetError:
+        raise
     except Exception as error:  # a damaged header makes Pillow raise anything from struct.error to KeyError
         raise DatasetError(f"{path}: its header is damaged ({type(error).__name__}).") from error
     return size, tags, xmp.encode() if isinstance(xmp, str) else bytes(xmp)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.instance_labels import read_labels
-from lodbench.datasets.own import PHOTO_SUFFIXES
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES
 from lodbench.datasets.picture_faults import aspect_fault, mask_fault
 from lodbench.datasets.pictures import picture_size
 from lodbench.errors import ConfigError, DatasetError, LodbenchError

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.own import PHOTO_SUFFIXES
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES
 from lodbench.datasets.pictures import encoded
 from lodbench.errors import DatasetError
 from lodbench.execution import Progress

@@ -149,3 +149,33 @@ def test_what_is_missing_is_said_in_one_line(capsys, case, tmp_path, words, said
     assert code == 2
     assert said in told
     assert not (tmp_path / "out").exists()
+
+
+def test_no_photo_and_no_mask_is_taken_for_two_images_of_one_name(capsys, case, tmp_path):
+    model, rough = list(read_colmap(case.model)), read_pose_file(case.rough, "lines")[1]
+    names = [f"cam{k % 2}/{model[k // 2].name}" for k in range(COUNT)]
+    write_colmap(
+        [each._replace(name=name) for each, name in zip(model, names, strict=True)], tmp_path / "two"
+    )
+    write_lines(
+        [each._replace(name=name) for each, name in zip(rough, names, strict=True)], tmp_path / "r.txt"
+    )
+    words = [
+        "--city",
+        case.city,
+        "--masks",
+        case.masks,
+        "--start",
+        tmp_path / "r.txt",
+        "--out",
+        tmp_path / "o",
+    ]
+    assert main(["georeference", *map(str, (tmp_path / "two", *words))]) == 2
+    assert "is of other images as well: keep the model's folders" in capsys.readouterr().err
+    images = tmp_path / "images"
+    images.mkdir()
+    for each in model:
+        (images / each.name).write_bytes(each.name.encode())
+    words = ["--city", case.city, "--masks", case.masks, "--images", images, "--out", tmp_path / "o"]
+    assert main(["georeference", *map(str, (tmp_path / "two", *words))]) == 2
+    assert "may be of several of the model's images" in capsys.readouterr().err

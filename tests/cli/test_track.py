@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from lodbench.cli import main
 from lodbench.datasets.pose_text import read_poses
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
+from lodbench.harness.track.frames import Footage as TrackedFootage
 from lodbench.rendering.silhouette import SilhouetteRenderer
 from tests.town import CAMERA, box_obj
 
@@ -94,6 +96,63 @@ def test_a_frame_without_a_mask_is_lost_and_the_next_is_not(capsys, footage, tmp
     assert "holds no mask of it" in frames[2]["reason"]
     assert frames[2]["center_m"] is None
     assert np.linalg.norm(np.array(frames[5]["center_m"]) - footage.truth[5].center) < 0.8
+
+
+def test_masks_inside_are_no_frames_and_two_comes_before_ten(capsys, footage, tmp_path):
+    folder = tmp_path / "photos"
+    (folder / "masks").mkdir(parents=True)
+    for k, number in enumerate((1, 2, 10)):
+        photo, mask = (footage.folder / part / f"photo_{k}.png" for part in ("photos", "masks"))
+        (folder / f"my photo {number}.png").write_bytes(photo.read_bytes())
+        (folder / "masks" / f"my photo {number}.png").write_bytes(mask.read_bytes())
+    words = ("--masks", folder.resolve() / "masks", "--fps", 4, "--out", folder / "out")
+    assert main(footage.words(str(folder), *words)) == 0
+    assert [row["frame"] for row in rows(folder / "out")] == [f"my photo {n}.png" for n in (1, 2, 10)]
+    assert [*read_poses(folder / "out" / "poses.txt")] == [f"my_photo_{n}.png" for n in (1, 2, 10)]
+
+
+def test_photos_of_one_name_are_told_before_any_work(capsys, footage, tmp_path):
+    for part in ("a", "b"):
+        (tmp_path / part).mkdir()
+        (tmp_path / part / "1.png").write_bytes((footage.folder / "photos" / "photo_0.png").read_bytes())
+    masks = ("--masks", footage.folder / "masks", "--out", tmp_path / "out")
+    assert main(footage.words(str(tmp_path), *masks)) == 2
+    assert "2 photos called 1.png" in capsys.readouterr().err
+
+
+def test_frames_of_a_varying_rate_have_their_own_times(tmp_path):
+    path = tmp_path / "phone.mp4"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 4.0, (320, 240))
+    for k in range(6):
+        video.write(np.full((240, 320, 3), 40 * k, np.uint8))
+    video.release()
+    content = path.read_bytes()
+    # The box stts says how many frames last how long: of six, the last three shall last twice as long.
+    at = content.rfind(b"stts")
+    _, entries, count, ticks = struct.unpack(">4I", content[at + 4 : at + 20])
+    assert (entries, count) == (1, 6)
+    table = struct.pack(">6I", 0, 2, 3, ticks, 3, 2 * ticks)
+    changed = bytearray(content[: at + 4] + table + content[at + 20 :])
+    for box in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"):
+        where = content.rfind(box) - 4
+        struct.pack_into(">I", changed, where, struct.unpack_from(">I", content, where)[0] + 8)
+    path.write_bytes(changed)
+    # The last one is behind the end that other boxes state.
+    times = [0.0, 0.25, 0.5, 0.75, 1.25]
+    for footage, expected in (
+        (TrackedFootage(path), times),
+        (TrackedFootage(path, every=2), times[::2]),
+        (TrackedFootage(path, rate=2.0), [k / 2.0 for k in range(5)]),
+    ):
+        assert [shot.time_s for shot in footage.shots()] == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_video_that_is_cut_off_is_told(capsys, footage, tmp_path):
+    content = (footage.folder / "flight.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(content[: len(content) * 6 // 10])
+    masks = ("--masks", footage.folder / "masks", "--out", tmp_path / "out")
+    assert main(footage.words(str(tmp_path / "cut.avi"), *masks)) == 0
+    assert f"of the video's {COUNT} frames can be read: it is cut off" in capsys.readouterr().out
 
 
 def test_every_second_frame_of_a_video(capsys, footage, tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lodbench.datasets.exchange.colmap import read_colmap
+from lodbench.datasets.exchange.colmap import read_colmap, write_colmap
 from lodbench.datasets.exchange.colmap_moved import write_moved_colmap
 from lodbench.errors import DatasetError
 from lodbench.geometry.similarity import Similarity
@@ -34,6 +34,14 @@ def models(tmp_path_factory) -> tuple[Path, Path]:
     made.write_binary(str(folders[0]))
     made.write_text(str(folders[1]))
     return folders
+
+
+def test_a_text_model_is_not_put_beside_a_binary_one_that_goes_before_it(models, tmp_path):
+    write_moved_colmap(models[0], MOVED, tmp_path)
+    with pytest.raises(DatasetError, match="would be read before"):
+        write_moved_colmap(models[1], MOVED, tmp_path)
+    with pytest.raises(DatasetError, match="would be read before"):
+        write_colmap(list(read_colmap(models[1])), tmp_path)
 
 
 @pytest.mark.parametrize("kind", [0, 1])

@@ -278,6 +278,13 @@ class TestNerfstudio:
         (found,) = read_nerfstudio(tmp_path)
         assert (found.camera.fx, found.camera.fy) == pytest.approx(focal_px, abs=1e-9)
 
+    def test_instant_ngp_s_fisheye_is_one(self, tmp_path):
+        frame = {"file_path": "a", "transform_matrix": np.eye(4).tolist()}
+        lens = {"w": 640, "h": 480, "fl_x": 300.0, "k1": 0.1, "k2": 0.02, "k3": 0.0, "k4": 0.001}
+        (tmp_path / "transforms.json").write_text(json.dumps({**lens, "is_fisheye": True, "frames": [frame]}))
+        (found,) = read_nerfstudio(tmp_path)
+        assert (found.camera.lens, found.camera.distortion) == ("OPENCV_FISHEYE", (0.1, 0.02, 0.0, 0.001))
+
     @pytest.mark.parametrize(
         ("text", "match"),
         [

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.errors import DatasetError
@@ -87,6 +88,15 @@ def test_png_and_tiff_carry_the_same(tmp_path):
     pixels.save(tmp_path / "a.png", pnginfo=text, exif=exif_of(51.0, 5.0, 7.0))
     photo = read_photo_metadata(tmp_path / "a.png")
     assert (photo.width, photo.height, photo.gimbal_yaw_deg) == (7, 5, -43.6)
+
+
+def test_a_raw_photo_is_not_taken_for_its_preview(tmp_path):
+    tags = ImageFileDirectory_v2()
+    tags.tagtype[0xC612] = 1
+    tags[0xC612] = b"\x01\x04\x00\x00"
+    Image.new("RGB", (256, 192)).save(tmp_path / "DJI_0001.DNG", format="TIFF", tiffinfo=tags)
+    with pytest.raises(DatasetError, match="is a raw photo"):
+        read_photo_metadata(tmp_path / "DJI_0001.DNG")
 
 
 class TestHostile:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -134,12 +135,27 @@ class TestHeights:
         assert place_notes(NRW, [replace(PHOTO, has_rtk=True)], HeightOptions(geoid_m=46.2)) == ()
         assert place_notes(NRW, [PHOTO], HeightOptions()) == ()
 
+    def test_a_fix_lost_on_the_way_is_told_for_it_steps_by_46_metres(self):
+        photos = [PHOTO, *[replace(PHOTO, has_rtk=True)] * 3]
+        (note,) = place_notes(NRW, iter(photos))
+        assert "1 of 4 photos have no RTK solution" in note
+        for told in (HeightOptions("ellipsoid"), HeightOptions(takeoff_m=60.0)):
+            assert place_notes(NRW, photos, told) == ()
+
     def test_without_a_geoid_model_it_is_an_error_and_no_silent_46_metres(self, proj_data):
         with pytest.raises(DatasetError, match="geoid model") as fault:
             self.height(HeightOptions("ellipsoid"))
         assert "--geoid" in fault.value.hint
         with pytest.raises(DatasetError, match="names no heights"):
             pose_from_photo(PHOTO, MapFrame("EPSG:25832"), HeightOptions("ellipsoid"))
+
+    def test_a_city_s_heights_in_feet_are_read_in_metres_and_so_are_a_drone_s(self, monkeypatch):
+        in_feet = SimpleNamespace(transform=lambda x, y, z, errcheck: (x, y, z / (1200 / 3937)))
+        frame = MapFrame("EPSG:26918+6360")
+        east, north = frame.east_north(40.7, -74.0)
+        monkeypatch.setattr(Transformer, "from_crs", lambda *args, **options: in_feet)
+        assert frame.height_from_ellipsoid(40.7, -74.0, 120.0) == pytest.approx(120.0)
+        assert frame.east_north(40.7, -74.0) == (east, north)
 
     def test_with_proj_s_own_geoid_model(self, proj_data):
         # A world of one undulation, 47.25 m, under the name by which PROJ knows EGM96.
@@ -203,6 +219,29 @@ class TestCamera:
         ) as fault:
             camera_from_photo(cropped)
         assert "--camera 'SIMPLE_PINHOLE 1368 700 FOCAL_PX 684 350'" in fault.value.hint
+
+    @pytest.mark.parametrize(
+        "numbers",
+        [
+            {"dewarp": Dewarp("2019", 3666.0, 3660.0, -12.5, 8.5, (-0.26, 0.11, 0.001, -0.002, -0.03))},
+            {"calibrated_focal_px": 3666.0, "optical_center_x_px": 2736.0, "optical_center_y_px": 1824.0},
+            {"focal_mm": 8.8, "pixel_mm": (0.0024, 0.0024)},
+        ],
+    )
+    def test_a_program_that_scaled_a_photo_and_changed_its_exif_is_told(self, numbers):
+        whole = replace(PHOTO, focal_35mm=24.0, **numbers)
+        assert camera_from_photo(whole).camera.fx == pytest.approx(3666.0, abs=1.0)
+        with pytest.raises(DatasetError, match=r"not of 1368 x 912 pixels, .* scaled since") as fault:
+            camera_from_photo(replace(whole, width=1368, height=912, size_when_taken=(1368, 912)))
+        assert "--camera 'SIMPLE_PINHOLE 1368 912" in fault.value.hint
+
+    def test_a_second_lens_is_not_seen_with_the_first_one_s_sensor(self):
+        # Mavic 3 Enterprise: both cameras are called M3E.
+        tele = replace(PHOTO, width=4000, height=3000, model="M3E", focal_mm=29.9, focal_35mm=162.0)
+        found = camera_from_photo(tele)
+        assert (found.source, found.camera.fx) == ("35mm", pytest.approx(162 / 43.2666 * 5000, rel=1e-4))
+        wide = replace(tele, width=5280, height=3956, focal_mm=12.29, focal_35mm=24.0)
+        assert camera_from_photo(wide).source == "sensor"
 
     def test_from_millimetres(self):
         table = camera_from_photo(replace(PHOTO, model="FC6310R", focal_mm=8.8))

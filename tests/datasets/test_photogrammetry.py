@@ -125,6 +125,7 @@ def test_odm_s_first_line_is_the_plane_s_code(tmp_path):
         ("#Label,X/Longitude,Y/Latitude,Z/Altitude,Yaw,Pitch,Roll\na.jpg,6,51,100,0,0,0\n", "in degrees"),
         ("#Label,X/Easting,Y/Northing,Z/Altitude\na.jpg,6,51,100\n", "yaw"),
         (f"{HEAD}\na.jpg,6,51,100,0,0,nan\n", "not finite"),
+        (f"{HEAD}\na.jpg,6,51,100\n", "line 2: 4 values are too few"),
         ("EPSG:4326\na.jpg 6 51 100 0 0 0\n", "has degrees"),
         ("EPSG:25832\na.jpg 6 51 100\n", "no angles"),
         ("EPSG:999999\na.jpg 6 51 100 0 0 0\n", "names no reference system"),

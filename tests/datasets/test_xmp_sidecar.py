@@ -56,6 +56,10 @@ def test_another_program_s_sidecar_is_left_alone_and_one_s_own_is_not(tmp_path):
     before = own.read_text()
     assert write_sidecar(tmp_path / "b.JPG", pose.shifted((5.0, 0.0, 0.0)), FRAME) == own
     assert own.read_text() != before
+    # Stars that another program put into it are not lost.
+    own.write_text(own.read_text().replace("<rdf:Description ", '<rdf:Description xmp:Rating="5" '))
+    assert write_sidecar(tmp_path / "b.JPG", pose, FRAME) is None
+    assert 'xmp:Rating="5"' in own.read_text()
 
 
 def test_minutes_are_never_sixty(tmp_path):

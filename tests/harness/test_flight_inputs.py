@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import cv2
+import numpy as np
 import pytest
 
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
+from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import DatasetError
-from lodbench.geometry import EulerAngles, Pose
-from lodbench.harness.photo.flight_inputs import poses_in_model
+from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.harness.photo.flight_inputs import picture_file, poses_in_model
+from lodbench.methods.flight.tracks import width_looked_at
 from tests.town import CAMERA
 
 
@@ -43,3 +48,12 @@ def test_no_photo_gets_the_pose_of_another_of_its_name(tmp_path, images, photos,
 def test_a_model_of_other_photos_is_refused(tmp_path):
     with pytest.raises(DatasetError, match="none of these photos"):
         poses_in_model(model_of(tmp_path / "model", "a.jpg"), [Path("b.jpg")])
+
+
+def test_undistorted_copies_are_as_wide_as_features_are_looked_for_in(tmp_path):
+    camera = Camera(2400, 600, 2000.0, 2000.0, 1200.0, 300.0, (-0.05, 0.0, 0.0, 0.0))
+    cv2.imwrite(str(tmp_path / "a.jpg"), np.zeros((600, 2400, 3), np.uint8))
+    request = SimpleNamespace(photo=tmp_path / "a.jpg")
+    photo = SimpleNamespace(camera=camera, pinhole=pinhole_of(camera), request=request)
+    copy = picture_file(photo, tmp_path, 1)
+    assert cv2.imread(str(copy)).shape[1] == width_looked_at(10) == 2048

@@ -75,8 +75,9 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
     Reading it gives the same translations and intrinsics to the bit, and rotations to rounding.
 
     Raises:
-        DatasetError: An image has no camera, or two have one name.
+        DatasetError: An image has no camera, two have one name, or the folder holds a binary model.
     """
+    require_no_binary(folder)
     require_plain_names([image.name for image in images], "\r\n", "a COLMAP model")
     numbers: dict[Camera, int] = {}
     image_lines = [f"# {_IMAGE_LAYOUT}, then a line of points (none here)"]
@@ -95,6 +96,20 @@ def write_colmap(images: Sequence[FoundPose], folder: Path) -> None:
     write_text(folder / "cameras.txt", lines_to_text(camera_lines))
     write_text(folder / "images.txt", lines_to_text(image_lines))
     write_text(folder / "points3D.txt", "# no points\n")
+
+
+def require_no_binary(folder: Path) -> None:
+    """Makes sure that a text model will be what programs read from a folder: they take binary files first.
+
+    Raises:
+        DatasetError: There are such.
+    """
+    there = [name for name in ("cameras.bin", "images.bin", "points3D.bin") if (folder / name).exists()]
+    if there:
+        raise DatasetError(
+            f"{folder / there[0]} would be read before the model as text that is to be written beside it.",
+            "Name another folder: --out OTHER",
+        )
 
 
 def _text_cameras(path: Path) -> dict[int, Camera]:

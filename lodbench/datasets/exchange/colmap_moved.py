@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lodbench.datasets.exchange.colmap import require_no_binary
 from lodbench.datasets.exchange.posed import Place
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
@@ -38,6 +39,8 @@ def write_moved_colmap(model: Path, similarity: Similarity, folder: Path) -> Non
     move_images, move_points = (
         (_binary_images, _binary_points) if ending == "bin" else (_text_images, _text_points)
     )
+    if ending == "txt":
+        require_no_binary(folder)
     make_folder(folder)
     for name, move in (("images", move_images), ("points3D", move_points)):
         file = model / f"{name}.{ending}"

@@ -97,7 +97,9 @@ def _camera(values: Mapping[str, Any]) -> Camera | None:
     # One alone is that of both: pixels are square.
     size_and_focal = width, height, focal_px[0], focal_px[-1]
     center = float(values.get("cx", width / 2)), float(values.get("cy", height / 2))
-    model = str(values.get("camera_model", "OPENCV"))
+    # Of instant-ngp, whose k1 to k4 are then the fisheye's.
+    usual = "OPENCV_FISHEYE" if values.get("is_fisheye") else "OPENCV"
+    model = str(values.get("camera_model", usual))
     if model == "OPENCV_FISHEYE":
         lens = tuple(float(values.get(key, 0.0)) for key in _FISHEYE_KEYS)
         return Camera(*size_and_focal, *center, lens, model)

@@ -58,6 +58,8 @@ def read_metashape(path: Path) -> Iterator[FoundPose]:
                 if not columns:
                     raise LodbenchError("no line #Label,... stands before it")
                 cells = next(csv.reader([line]))
+                if len(cells) <= max(columns.values()):
+                    raise LodbenchError(f"{len(cells)} values are too few")
                 # A camera that could not be aligned has no angles.
                 if any(not cells[at].strip() for at in columns.values()):
                     continue

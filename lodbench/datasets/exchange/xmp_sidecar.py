@@ -6,6 +6,7 @@ never touched.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -31,11 +32,16 @@ def write_sidecar(photo: Path, pose: Pose, frame: MapFrame) -> Path | None:
         pose: In the city's coordinates.
         frame: These on Earth.
     """
-    path = photo.with_suffix(".xmp")
-    if path.exists() and _TOOL not in path.read_text(encoding="utf-8", errors="replace"):
+    path, packet = photo.with_suffix(".xmp"), _packet(pose, frame)
+    if path.exists() and _form(path.read_text(encoding="utf-8", errors="replace")) != _form(packet):
         return None
-    write_text(path, _packet(pose, frame))
+    write_text(path, packet)
     return path
+
+
+def _form(packet: str) -> str:
+    """Returns a packet without its values; one that another program has added to is of another form."""
+    return re.sub(r'="[^"]*"', "", packet)
 
 
 def _packet(pose: Pose, frame: MapFrame) -> str:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import find_inside, find_mask
+from lodbench.datasets.own import find_inside, find_mask, shared_files
 from lodbench.datasets.query import Entry, Query
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
@@ -114,16 +115,20 @@ def _queries(
 ) -> tuple[dict[str, Query], list[tuple[str, str]]]:
     """Returns the photos to solve, by name, and those left out, with the reason."""
     queries: dict[str, Query] = {}
+    shared = shared_files(_file(request, image.name) for image in images)
     left_out: list[tuple[str, str]] = []
     with Progress("masks", len(images)) as progress:
         for image in images:
             try:
                 if image.camera is None:
                     raise DatasetError("it has no camera")
+                file = _file(request, image.name)
+                if file in shared:
+                    raise DatasetError(f"{file} is of other images as well: keep the model's folders")
                 pinhole = pinhole_of(image.camera)
                 prior = rough.pose(image.pose).shifted(-scene.origin)
                 queries[image.name] = Query(
-                    image.name, "", pinhole, prior, _mask(request, image.name, image.camera, pinhole),
+                    image.name, "", pinhole, prior, _mask(request, image.name, file, image.camera, pinhole),
                     sequence="reconstruction", reconstructed=image.pose,
                 )  # fmt: skip
             except LodbenchError as fault:
@@ -132,18 +137,25 @@ def _queries(
     return queries, left_out
 
 
-def _mask(request: GeoreferenceRequest, name: str, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:
+def _file(request: GeoreferenceRequest, name: str) -> Path | None:
+    """Returns an image's mask, or the photo that it is made of; None where there is neither."""
+    if request.masks is not None:
+        return find_mask(request.masks, name)
+    return None if request.images is None else find_inside(request.images, name)
+
+
+def _mask(
+    request: GeoreferenceRequest, name: str, file: Path | None, camera: Camera, pinhole: Camera
+) -> NDArray[np.float32]:
     """Returns the probability of building in a photo as its pinhole sees it, at a size that methods need."""
     if request.masks is not None:
-        path = find_mask(request.masks, name)
-        if path is None:
+        if file is None:
             raise DatasetError(f"{request.masks} holds no mask of it")
-        probability = read_mask(path)
+        probability = read_mask(file)
     else:
-        photo = None if request.images is None else find_inside(request.images, name)
-        if photo is None or request.segmenter is None:
+        if file is None or request.segmenter is None:
             raise DatasetError(f"there is no photo of it in {request.images}")
-        probability = request.segmenter.segment(Entry(name, "", camera, None, photo, None))
+        probability = request.segmenter.segment(Entry(name, "", camera, None, file, None))
     mask = np.asarray(undistorted(check_mask(probability, camera), camera, pinhole))
     width = min(_MASK_WIDTH, mask.shape[1])
     return resized(mask, width, max(1, round(width * pinhole.height / pinhole.width)))

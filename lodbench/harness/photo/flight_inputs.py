@@ -23,8 +23,8 @@ from lodbench.storage import file_digest, write_bytes
 
 # Masks of a flight are held at this width, pixels: half as much again as methods look at.
 _MASK_WIDTH = 900
-# Undistorted copies of photos, by whose features flights are tied together, are no wider, pixels.
-_PICTURE_WIDTH = 1600
+# Undistorted copies of photos, by whose features flights are tied together, are as wide as it looks, pixels.
+_PICTURE_WIDTH = 2048
 
 
 def names_of(photos: Sequence[Path]) -> list[str]:
@@ -52,7 +52,11 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
     reasons: dict[int, str] = {}
     first_of: dict[str, Path] = {}
     for row, (photo, mask) in enumerate(zip(photos, found, strict=True)):
-        original = first_of.setdefault(file_digest(photo), photo)
+        try:
+            original = first_of.setdefault(file_digest(photo), photo)
+        except OSError as error:
+            reasons[row] = f"it cannot be read: {error.strerror}"
+            continue
         if original != photo:
             reasons[row] = f"it is a copy of {original}"
         elif masks is not None and mask is None:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.datasets.exchange.geojson import nowhere_feature, write_geojson
-from lodbench.datasets.own import find_mask, find_photos
+from lodbench.datasets.own import find_mask
+from lodbench.datasets.photo_files import find_photos, require_photos
 from lodbench.errors import DatasetError, LodbenchError
 from lodbench.execution import Progress
 from lodbench.harness.photo.flight_answer import FlightAnswer
@@ -93,8 +94,13 @@ class Answers:
         return numbered(self.folder / f"{flight.name.replace(' ', '_')}.html", self.number)
 
 
-def photos_of(paths: Sequence[Path], masks: Path | None = None) -> list[Path]:
-    """Returns the photos that files and folders name, each once, in that order; masks among them are none.
+def photos_of(paths: Sequence[Path], masks: Path | None = None, *others: Path | None) -> list[Path]:
+    """Returns the photos that files and folders name, each once, in that order.
+
+    Args:
+        paths: Files, and folders with all below them.
+        masks: Folder of masks among them, whose pictures are no photos; or None.
+        others: More such folders; see ``find_photos``.
 
     Raises:
         DatasetError: A path is not there, or a folder holds no photos.
@@ -103,10 +109,11 @@ def photos_of(paths: Sequence[Path], masks: Path | None = None) -> list[Path]:
     for path in paths:
         if not path.exists():
             raise DatasetError(f"{path} does not exist.", "Check the path.")
-        for photo in find_photos(path):
-            if masks is None or not photo.is_relative_to(masks):
-                found.setdefault(photo.resolve(), photo)
-    return list(found.values())
+        for photo in find_photos(path, masks, *others):
+            found.setdefault(photo.resolve(), photo)
+    photos = list(found.values())
+    require_photos(photos, paths[0])
+    return photos
 
 
 def localize_photos(request: PhotoRequest, photos: Sequence[Path], masks: Path | None) -> Answers:

@@ -15,7 +15,6 @@ from lodbench.datasets.exchange.kapture import unposed_images
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import (
-    PHOTO_SUFFIXES,
     OwnImage,
     Written,
     require_new_folder,
@@ -23,6 +22,7 @@ from lodbench.datasets.own import (
     write_dataset,
 )
 from lodbench.datasets.own_sources import LeftOut, images_from_photos, images_from_poses
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES
 from lodbench.datasets.photo_pose import HeightOptions, place_notes
 from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_files import read_pose_file

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.datasets.own import PHOTO_SUFFIXES, find_mask, find_photos
+from lodbench.datasets.own import find_mask
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES, find_photos, in_pose_lines, require_photos
+from lodbench.datasets.photo_flights import natural_key
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.undistort import undistorted
@@ -29,6 +31,8 @@ Mask = NDArray[np.float32]
 
 # What a video is taken to be where it does not say, and photos without clocks, frames per second.
 _VIDEO_RATE, _PHOTO_RATE = 25.0, 1.0
+# A video with less than this share of the frames that it says to have is not whole: some only estimate them.
+_LEAST_READ = 0.95
 # Frames whose masks are made while another is aligned.
 _AHEAD = 2
 
@@ -49,11 +53,32 @@ class Footage:
         source: A video, or a folder of photos.
         every: Every how manieth frame is taken.
         rate: Frames per second, before what the video or the photos' clocks say.
+        masks: Folder of masks, whose pictures are no frames.
+        out: Folder of results, likewise.
+        notes: What the reader should know, once all frames were taken.
     """
 
     source: Path
     every: int = 1
     rate: float | None = None
+    masks: Path | None = None
+    out: Path | None = None
+    notes: list[str] = field(default_factory=list)
+
+    def photos(self) -> list[Path]:
+        """Returns the photos of a folder, in the order of their names: 2 before 10.
+
+        Raises:
+            DatasetError: There are none, or two have one name: masks and poses go by it.
+        """
+        source = self.source
+        photos = find_photos(source, self.masks, self.out)
+        require_photos(photos, source)
+        count = Counter(in_pose_lines(photo.name) for photo in photos)
+        name, most = count.most_common(1)[0]
+        if most > 1:
+            raise DatasetError(f"{source} holds {most} photos called {name}.", "Track one folder at a time.")
+        return sorted(photos, key=lambda photo: [*map(natural_key, photo.relative_to(source).parts)])
 
     def shots(self) -> Iterator[Shot]:
         """Yields the frames.
@@ -65,10 +90,10 @@ class Footage:
 
     def first_photo(self) -> Path | None:
         """Returns the first photo of a folder; None for a video."""
-        return find_photos(self.source)[0] if self.source.is_dir() else None
+        return self.photos()[0] if self.source.is_dir() else None
 
     def _of_photos(self) -> Iterator[Shot]:
-        photos = find_photos(self.source)[:: self.every]
+        photos = self.photos()[:: self.every]
         clocks = _clocks(photos) if self.rate is None else None
         rate = self.rate or _PHOTO_RATE
         for number, photo in enumerate(photos):
@@ -88,19 +113,25 @@ class Footage:
         stated = float(video.get(cv2.CAP_PROP_FPS))
         # Some containers say 0, -1 or no number at all.
         rate = self.rate or (stated if 0 < stated < math.inf else _VIDEO_RATE)
-        number = 0
+        count, number, time_s = float(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0, -1.0 / rate
         try:
             while video.grab():
+                # Phones vary their rate: each frame says its time, unless the container has none.
+                stamp_s = float(video.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
+                is_told = self.rate is None and math.isfinite(stamp_s) and stamp_s > time_s
+                time_s = stamp_s if is_told else (number / rate if self.rate else time_s + 1.0 / rate)
                 if number % self.every == 0:
                     is_whole, pixels = video.retrieve()
-                    yield Shot(
-                        f"frame_{number:06d}.png", number / rate, np.asarray(pixels) if is_whole else None
-                    )
+                    yield Shot(f"frame_{number:06d}.png", time_s, np.asarray(pixels) if is_whole else None)
                 number += 1
         finally:
             video.release()
         if number == 0:
             raise DatasetError(f"{self.source} holds no frames.", "Copy it again.")
+        if number < _LEAST_READ * count:
+            self.notes.append(
+                f"{number} of the video's {count:.0f} frames can be read: it is cut off or damaged"
+            )
 
 
 def _clocks(photos: list[Path]) -> list[float] | None:

@@ -18,6 +18,7 @@ from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.photo_files import in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import place_notes, pose_at, pose_from_photo
 from lodbench.datasets.undistort import pinhole_of
@@ -151,7 +152,7 @@ def track(request: TrackRequest) -> Track:
             progress.advance()
     seconds = {"total": time.perf_counter() - started, "masks": maker.seconds - masks_s, "poses": poses_s}
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
-    notes += place_notes(frame, stated, request.heights)
+    notes += place_notes(frame, stated, request.heights) + tuple(request.footage.notes)
     cpu_s = time.process_time() - cpu
     if all(each.pose is None for each in frames) and (request.out / TABLE_FILE).exists():
         notes += (f"no frame was found: the earlier track in {request.out} is left as it is",)
@@ -204,7 +205,7 @@ def _write(frames: Sequence[TrackedFrame], request: TrackRequest, frame: MapFram
     out = request.out
     make_folder(out)
     write_text(out / TABLE_FILE, _table(frames, frame, request.footage.source))
-    placed = [FoundPose(f.name, "", f.pose) for f in frames if f.pose is not None]
+    placed = [FoundPose(in_pose_lines(f.name), "", f.pose) for f in frames if f.pose is not None]
     write_lines(placed, out / POSES_FILE)
     if frame is not None:
         write_geojson([_feature(each, frame) for each in frames], out / MAP_FILE)

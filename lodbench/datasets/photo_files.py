@@ -1,0 +1,55 @@
+"""Which files of a folder are photos, and what they are called in lines of poses."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from lodbench.errors import DatasetError
+
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+
+
+def in_pose_lines(name: str) -> str:
+    """Returns a name without spaces, which lines of poses cannot hold."""
+    return re.sub(r"\s+", "_", name)
+
+
+def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -> list[Path]:
+    """Returns the photos of a folder and all below it, by name; or the one photo a path names.
+
+    Args:
+        folder: The folder, or one photo.
+        masks: Folder of masks, whose pictures are no photos; or None.
+        others: More such folders, if they are below it: unused masks, overlays of an earlier command.
+
+    Raises:
+        DatasetError: There are none.
+    """
+    if folder.is_file():
+        return [folder]
+    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES)
+    if not found:
+        raise DatasetError(f"{folder} holds no photos.", f"Looked for {', '.join(PHOTO_SUFFIXES)} files.")
+    aside = [masks.resolve()] if masks is not None else []
+    below = [other.resolve() for other in others if other is not None]
+    aside += [other for other in below if not folder.resolve().is_relative_to(other)]
+    are_photos = {
+        parent: not any(parent.resolve().is_relative_to(other) for other in aside)
+        for parent in {path.parent for path in found}
+    }
+    return [path for path in found if are_photos[path.parent]]
+
+
+def require_photos(photos: Sequence[Path], source: Path) -> None:
+    """Makes sure that a folder holds more than masks and results.
+
+    Raises:
+        DatasetError: There are no photos.
+    """
+    if not photos:
+        raise DatasetError(
+            f"{source} holds no photos outside the folders of masks and results.",
+            "Put the masks into a folder of their own.",
+        )

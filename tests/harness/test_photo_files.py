@@ -1,0 +1,53 @@
+"""Which pictures below a folder are photos: no masks, however their folder is written, no results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lodbench.cli import main
+from lodbench.errors import DatasetError
+from lodbench.harness.photo.flight_inputs import masks_of
+from lodbench.harness.photo.many import photos_of
+
+
+@pytest.fixture
+def flight(tmp_path) -> Path:
+    folder = tmp_path / "flight"
+    for name in ("a.JPG", "b.JPG", "masks/a.png", "better/a.png", "out/a_overlay.png"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(name.encode())
+    return folder
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_masks_and_earlier_results_are_no_photos(flight, monkeypatch, relative):
+    monkeypatch.chdir(flight.parent)
+    source = Path("flight") if relative else flight
+    found = photos_of([source], flight / "better", source / "masks", Path("flight/out"))
+    assert [photo.name for photo in found] == ["a.JPG", "b.JPG"]
+    # What the shell makes of flight/*, folders among it.
+    assert photos_of(sorted(source.iterdir()), flight / "better", flight / "masks", flight / "out")[0] == (
+        source / "a.JPG"
+    )
+    # Results beside the photos, or above them, are no reason to leave photos out.
+    for out in (flight, flight.parent):
+        assert source / "a.JPG" in photos_of([source], flight / "better", flight / "masks", out)
+
+
+def test_photos_among_their_masks_are_refused_in_one_line(capsys, flight):
+    with pytest.raises(DatasetError, match="holds no photos outside the folders of masks"):
+        photos_of([flight], flight)
+    assert main(["localize", str(flight), "--city", "city.gml", "--masks", str(flight)]) == 2
+    told = capsys.readouterr().err
+    assert "holds no photos outside the folders of masks" in told
+    assert "Traceback" not in told
+
+
+def test_a_link_to_nowhere_does_not_lose_the_others(flight):
+    gone = flight / "gone.JPG"
+    gone.symlink_to(flight / "nowhere.JPG")
+    _, reasons = masks_of([gone, flight / "a.JPG"], None)
+    assert list(reasons) == [0]
+    assert "cannot be read" in reasons[0]
