@@ -16,7 +16,7 @@ from lodbench.evaluation.queries import summarize_queries
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.methods import Method
-from lodbench.methods.registry import make_method
+from lodbench.methods.registry import configure_method
 from lodbench.plugins import load_plugin
 from lodbench.reporting.leaderboard import blocks_of, leaderboard_frame
 from lodbench.reporting.leaderboard_entry import read_entries, slug
@@ -57,7 +57,7 @@ def run_method(
         city: City model of such a folder, where its ``dataset.json`` names none.
         segmenter: Makes the masks; by default as the dataset has it: its masks, or a network on its photos.
         runs: Folder that the run's folder is made below; an interrupted run goes on there.
-        tilt: ``prior``, or ``truth`` for the true pitch and roll.
+        tilt: ``prior``, or ``truth`` for the true pitch and roll, which a method named is told of.
         seed: Of the search.
         limit: At most this many queries per split.
 
@@ -72,7 +72,7 @@ def run_method(
     from lodbench.harness.runs.run import RunSettings
     from lodbench.harness.runs.run import run_method as run
 
-    asked = make_method(method) if isinstance(method, str) else method
+    asked = configure_method({"name": method}).for_tilt(tilt).make() if isinstance(method, str) else method
     opened, stated = _opened(dataset, city)
     if segmenter is None:
         kind = load_plugin("segmenters", chosen_segmenter(opened, segmented_inputs(asked))[0])
