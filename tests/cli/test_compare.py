@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from tests.reporting.browser import PHONE, fits, opened
@@ -32,6 +34,18 @@ def test_two_runs_are_tested_query_by_query(lodbench, data):
     assert "20m-10deg" in done.stdout
     assert "horizontal m" in done.stdout
     assert "perfect" in next(line for line in done.stdout.splitlines() if " against " in line)
+
+
+def test_csv_of_several_tables_has_one_head_and_each_row_once(lodbench, data):
+    prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
+    words = ["evaluate", f"poses={data[0] / 'GPS_pose.txt'}", "dataset=folder", f"dataset.root={data[0]}"]
+    oracle = re.search(r"results: (\S+)", lodbench(*words, "tilt=truth").stdout)[1]
+    done = lodbench("compare", prior, oracle, "--format", "csv", "--columns", "paper", "details")
+    rows = pd.read_csv(io.StringIO(done.stdout))
+    assert len(rows) == 4, done.stdout
+    assert rows.duplicated().sum() == 0
+    assert rows["median_translation_m"].dtype == float
+    assert sorted(rows["protocol"].str.extract(r"tilt=(\w+)")[0]) == ["prior", "prior", "truth", "truth"]
 
 
 def test_the_budget_is_a_picture_of_recall_over_poses_drawn(lodbench, data, tmp_path):
