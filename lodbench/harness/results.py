@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError, nearest_names
-from lodbench.evaluation.queries import summarize_queries
+from lodbench.evaluation.queries import has_truth, summarize_queries
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.methods import Method
@@ -24,6 +24,7 @@ from lodbench.reporting.summaries import with_seconds
 from lodbench.reporting.tables import tables_of
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.choice import chosen_segmenter
+from lodbench.storage import digest_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -168,10 +169,15 @@ def leaderboard(dataset: str, root: str | Path = "leaderboard") -> pd.DataFrame:
 
 
 def summary_at(run: StoredRun, thresholds: Sequence[Threshold]) -> dict[str, Any]:
-    """Returns a run's summary at some thresholds, computed from its queries, with its times."""
+    """Returns a run's summary at some thresholds, computed from its queries, with its times.
+
+    Its dataset has a digest of the queries' ``names``, too: what runs from other priors have in common.
+    """
     splits, priors = {}, {}
     for split in run.summary["splits"]:
         estimates, prior = summarize_queries(run.queries, split, thresholds)
         splits[split], priors[split] = estimates.to_json(), prior.to_json()
     seconds = run.provenance.get("seconds_per_query", {})
-    return with_seconds({**run.summary, "splits": splits, "prior": priors}, seconds)
+    names = digest_of([[str(key), bool(known)] for key, known in has_truth(run.queries).sort_index().items()])
+    dataset = {**run.summary["dataset"], "names": names}
+    return with_seconds({**run.summary, "dataset": dataset, "splits": splits, "prior": priors}, seconds)

@@ -48,6 +48,26 @@ def test_csv_of_several_tables_has_one_head_and_each_row_once(lodbench, data):
     assert sorted(rows["protocol"].str.extract(r"tilt=(\w+)")[0]) == ["prior", "prior", "truth", "truth"]
 
 
+def test_runs_from_other_priors_share_a_table_where_priors_or_seeds_may_differ(lodbench, data):
+    words = ["run", "dataset=folder", f"dataset.root={data[0]}", f"city={data[1]}", "method=prior_only"]
+    near, far, again = (
+        re.search(r"results:\s+(\S+)", lodbench(*words, "prior=uniform", *more).stdout)[1]
+        for more in (["prior.x_m=1"], ["prior.x_m=80"], ["prior.x_m=1", "seed=1"])
+    )
+
+    def rows(*words):
+        return pd.read_csv(io.StringIO(lodbench("compare", *words, "--format", "csv").stdout))
+
+    alone = [rows(run).set_index("method").loc["prior_only", "median_translation_m"] for run in (near, again)]
+    (mean,) = rows(near, again, "--over-seeds").itertuples()
+    assert mean.method == "prior_only (2 seeds)"
+    assert mean.median_translation_m == pytest.approx(sum(alone) / 2)
+    freed = lodbench("compare", near, far, "--free", "prior").stdout
+    assert freed.count("T.e./R.e.") == 1, freed
+    # Not freed, they share none.
+    assert lodbench("compare", near, far).stdout.count("T.e./R.e.") == 2
+
+
 def test_the_budget_is_a_picture_of_recall_over_poses_drawn(lodbench, data, tmp_path):
     words = ["run", "dataset=folder", f"dataset.root={data[0]}", f"city={data[1]}", "limit=1"]
     few = ["method.coarse_size=[40,30]", "method.fine_size=[40,30]", "method.steps=1"]
