@@ -128,6 +128,16 @@ def test_other_queries_are_not_tested_and_say_so(lodbench, data, tmp_path):
     )
 
 
+def test_curves_of_other_queries_are_other_charts(lodbench, data, tmp_path):
+    prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
+    words = ["evaluate", f"poses={data[0] / 'GPS_pose.txt'}", "dataset=folder", f"dataset.root={data[0]}"]
+    fewer = re.search(r"results: (\S+)", lodbench(*words, "limit=2").stdout)[1]
+    page = tmp_path / "page.html"
+    assert lodbench("compare", prior, fewer, "--format", "html", "--out", str(page)).returncode == 0
+    captions = re.findall(r"<figcaption>([^<]*): recall over a threshold", page.read_text())
+    assert [caption.split(", ")[-1] for caption in captions] == ["4 queries", "2 queries"]
+
+
 @pytest.mark.parametrize("word", ["2", "0/1", "a/b", "inf/2", "-1/2"])
 def test_a_bad_threshold_is_one_line(lodbench, data, word):
     prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
