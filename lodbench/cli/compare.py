@@ -21,7 +21,7 @@ from lodbench.reporting.answers import format_answers
 from lodbench.reporting.calibration_figures import draw_budget
 from lodbench.reporting.comparison import agreement_text, format_comparison
 from lodbench.reporting.table_columns import COLUMNS
-from lodbench.reporting.table_formats import FORMATS
+from lodbench.reporting.table_formats import FORMATS, format_csv
 from lodbench.reporting.tables import names_of, tables_of
 from lodbench.storage import make_folder, write_bytes, write_text
 
@@ -56,6 +56,9 @@ def main(argv: Sequence[str]) -> int:
     if options.format == "html":
         beside = Path() if options.out is None else options.out.parent
         text = comparison_page(runs, names, shown, thresholds, beside)
+    elif options.format == "csv":
+        # It has every number, whatever columns are shown: each row once, under one head.
+        text = format_csv(*tables)
     else:
         text = "\n".join(FORMATS[options.format](table) for table in shown)
     if options.format == "text":

@@ -78,6 +78,8 @@ def _row(
 
 def _reason(failure: str, has_truth: bool) -> str:
     """Returns a row's reason: that there is no truth goes before why there is no estimate."""
+    # A carriage return by itself would end a row of queries.csv for who reads it.
+    failure = failure.replace("\r\n", "\n").replace("\r", "\n")
     if has_truth or is_without_truth(failure):
         return failure
     return f"{NO_TRUTH}; {failure}" if failure else NO_TRUTH

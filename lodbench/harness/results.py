@@ -12,11 +12,11 @@ from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError, nearest_names
-from lodbench.evaluation.queries import summarize_queries
+from lodbench.evaluation.queries import has_truth, summarize_queries
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.methods import Method
-from lodbench.methods.registry import make_method
+from lodbench.methods.registry import configure_method
 from lodbench.reporting.leaderboard import blocks_of, leaderboard_frame
 from lodbench.reporting.leaderboard_entry import read_entries, slug
 from lodbench.reporting.summaries import with_seconds
@@ -24,6 +24,7 @@ from lodbench.reporting.tables import tables_of
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.choice import chosen_segmenter
 from lodbench.segmentation.registry import make_segmenter
+from lodbench.storage import digest_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,7 +58,7 @@ def run_method(
         city: City model of such a folder, where its ``dataset.json`` names none.
         segmenter: Makes the masks; by default as the dataset has it: its masks, or a network on its photos.
         runs: Folder that the run's folder is made below; an interrupted run goes on there.
-        tilt: ``prior``, or ``truth`` for the true pitch and roll.
+        tilt: ``prior``, or ``truth`` for the true pitch and roll, which a method named is told of.
         seed: Of the search.
         limit: At most this many queries per split.
 
@@ -72,7 +73,7 @@ def run_method(
     from lodbench.harness.runs.run import RunSettings
     from lodbench.harness.runs.run import run_method as run
 
-    asked = make_method(method) if isinstance(method, str) else method
+    asked = configure_method({"name": method}).for_tilt(tilt).make() if isinstance(method, str) else method
     opened, stated = _opened(dataset, city)
     if segmenter is None:
         segmenter, _ = make_segmenter(chosen_segmenter(opened, segmented_inputs(asked))[0])
@@ -165,10 +166,15 @@ def leaderboard(dataset: str, root: str | Path = "leaderboard") -> pd.DataFrame:
 
 
 def summary_at(run: StoredRun, thresholds: Sequence[Threshold]) -> dict[str, Any]:
-    """Returns a run's summary at some thresholds, computed from its queries, with its times."""
+    """Returns a run's summary at some thresholds, computed from its queries, with its times.
+
+    Its dataset has a digest of the queries' ``names``, too: what runs from other priors have in common.
+    """
     splits, priors = {}, {}
     for split in run.summary["splits"]:
         estimates, prior = summarize_queries(run.queries, split, thresholds)
         splits[split], priors[split] = estimates.to_json(), prior.to_json()
     seconds = run.provenance.get("seconds_per_query", {})
-    return with_seconds({**run.summary, "splits": splits, "prior": priors}, seconds)
+    names = digest_of([[str(key), bool(known)] for key, known in has_truth(run.queries).sort_index().items()])
+    dataset = {**run.summary["dataset"], "names": names}
+    return with_seconds({**run.summary, "dataset": dataset, "splits": splits, "prior": priors}, seconds)

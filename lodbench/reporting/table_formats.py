@@ -42,10 +42,12 @@ def format_markdown(table: RecallTable) -> str:
     return "\n".join(lines) + "\n"
 
 
-def format_csv(table: RecallTable) -> str:
-    """Returns the table as CSV, one line per method and split, every number to ten digits."""
-    frame = table.frame()
-    frame.insert(0, "protocol", table.title)
+def format_csv(*tables: RecallTable) -> str:
+    """Returns tables as one CSV, a line per method and split, every number to ten digits, under one head."""
+    import pandas as pd
+
+    frame = pd.concat([table.frame().assign(protocol=table.title) for table in tables], ignore_index=True)
+    frame.insert(0, "protocol", frame.pop("protocol"))
     words = ["protocol", "group", "method", "split"]
     frame[words] = frame[words].map(csv_cell)
     frame = frame.replace([math.inf, -math.inf], math.nan)

@@ -144,7 +144,7 @@ def tables_of(
     free = {*free, "seed"} if over_seeds else set(free)
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for summary in summaries:
-        inputs = [str(summary["dataset"].get(name, "")) for name in _fixed_inputs(free)]
+        inputs = [str(summary["dataset"].get(name, "")) for name in _fixed_inputs(summary, free)]
         renderer = "" if "renderer" in free else str(summary["protocol"].get("renderer", ""))
         groups.setdefault((title_of(summary, free), renderer, *inputs), []).append(summary)
     return [_table(title, members, free, over_seeds) for (title, *_), members in groups.items()]
@@ -162,9 +162,14 @@ def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:
     return " · ".join([f"{dataset['name']}{version}{lod}", *words])
 
 
-def _fixed_inputs(free: Collection[str]) -> list[str]:
-    """Returns the digests that must agree: another level is another scene, another segmenter other masks."""
-    names = ["queries"]
+def _fixed_inputs(summary: dict[str, Any], free: Collection[str]) -> list[str]:
+    """Returns the digests that must agree: another level is another scene, another segmenter other masks.
+
+    Other priors, which another seed draws too, are other ``queries``: of these the names must agree then.
+    """
+    is_drawn = summary["protocol"].get("prior", "file") != "file"
+    has_own_priors = "prior" in free or ("seed" in free and is_drawn)
+    names = ["names" if has_own_priors and "names" in summary["dataset"] else "queries"]
     names += [] if "lod" in free else ["scene"]
     return names + ([] if "segmenter" in free else ["masks"])
 

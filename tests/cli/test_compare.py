@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from tests.reporting.browser import PHONE, fits, opened
@@ -32,6 +34,38 @@ def test_two_runs_are_tested_query_by_query(lodbench, data):
     assert "20m-10deg" in done.stdout
     assert "horizontal m" in done.stdout
     assert "perfect" in next(line for line in done.stdout.splitlines() if " against " in line)
+
+
+def test_csv_of_several_tables_has_one_head_and_each_row_once(lodbench, data):
+    prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
+    words = ["evaluate", f"poses={data[0] / 'GPS_pose.txt'}", "dataset=folder", f"dataset.root={data[0]}"]
+    oracle = re.search(r"results: (\S+)", lodbench(*words, "tilt=truth").stdout)[1]
+    done = lodbench("compare", prior, oracle, "--format", "csv", "--columns", "paper", "details")
+    rows = pd.read_csv(io.StringIO(done.stdout))
+    assert len(rows) == 4, done.stdout
+    assert rows.duplicated().sum() == 0
+    assert rows["median_translation_m"].dtype == float
+    assert sorted(rows["protocol"].str.extract(r"tilt=(\w+)")[0]) == ["prior", "prior", "truth", "truth"]
+
+
+def test_runs_from_other_priors_share_a_table_where_priors_or_seeds_may_differ(lodbench, data):
+    words = ["run", "dataset=folder", f"dataset.root={data[0]}", f"city={data[1]}", "method=prior_only"]
+    near, far, again = (
+        re.search(r"results:\s+(\S+)", lodbench(*words, "prior=uniform", *more).stdout)[1]
+        for more in (["prior.x_m=1"], ["prior.x_m=80"], ["prior.x_m=1", "seed=1"])
+    )
+
+    def rows(*words):
+        return pd.read_csv(io.StringIO(lodbench("compare", *words, "--format", "csv").stdout))
+
+    alone = [rows(run).set_index("method").loc["prior_only", "median_translation_m"] for run in (near, again)]
+    (mean,) = rows(near, again, "--over-seeds").itertuples()
+    assert mean.method == "prior_only (2 seeds)"
+    assert mean.median_translation_m == pytest.approx(sum(alone) / 2)
+    freed = lodbench("compare", near, far, "--free", "prior").stdout
+    assert freed.count("T.e./R.e.") == 1, freed
+    # Not freed, they share none.
+    assert lodbench("compare", near, far).stdout.count("T.e./R.e.") == 2
 
 
 def test_the_budget_is_a_picture_of_recall_over_poses_drawn(lodbench, data, tmp_path):
@@ -92,6 +126,16 @@ def test_other_queries_are_not_tested_and_say_so(lodbench, data, tmp_path):
         "no paired test: the queries differ: 2 are in one run only"
         in lodbench("compare", prior, fewer).stdout
     )
+
+
+def test_curves_of_other_queries_are_other_charts(lodbench, data, tmp_path):
+    prior = scored(lodbench, data, data[0] / "GPS_pose.txt", "prior")
+    words = ["evaluate", f"poses={data[0] / 'GPS_pose.txt'}", "dataset=folder", f"dataset.root={data[0]}"]
+    fewer = re.search(r"results: (\S+)", lodbench(*words, "limit=2").stdout)[1]
+    page = tmp_path / "page.html"
+    assert lodbench("compare", prior, fewer, "--format", "html", "--out", str(page)).returncode == 0
+    captions = re.findall(r"<figcaption>([^<]*): recall over a threshold", page.read_text())
+    assert [caption.split(", ")[-1] for caption in captions] == ["4 queries", "2 queries"]
 
 
 @pytest.mark.parametrize("word", ["2", "0/1", "a/b", "inf/2", "-1/2"])

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from lodbench.datasets.codes import KEY_TWICE
@@ -122,6 +123,14 @@ def test_a_text_that_is_no_utf_8_is_written_all_the_same(dataset, tmp_path):
     assert "\\udcff" in queries_csv(done.queries)
     (kept,) = (done.folder / "tracebacks").iterdir()
     assert "OSError: gone: \\udcff" in kept.read_text(encoding="utf-8")
+
+
+def test_a_reason_with_a_carriage_return_leaves_a_run_that_can_be_read(dataset, tmp_path):
+    """Progress bars and other systems' programs write them; to a reader of CSV they end a row."""
+    done = run(Scripted({NAMES[0]: OSError("10 %\rgone")}), dataset, tmp_path)
+    (tmp_path / "queries.csv").write_text(queries_csv(done.queries), newline="")
+    read = pd.read_csv(tmp_path / "queries.csv", keep_default_na=False)
+    assert list(read["failure"]) == list(done.queries["failure"]) == ["OSError: 10 %\ngone", "", ""]
 
 
 @pytest.mark.parametrize("kind", [Scripted, Batched])

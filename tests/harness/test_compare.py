@@ -8,7 +8,8 @@ from types import SimpleNamespace
 from lodbench.evaluation.errors import FAILED, PoseError
 from lodbench.evaluation.queries import ERROR, NO_TRUTH, queries_frame
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS
-from lodbench.harness.runs.compare import paired_comparison
+from lodbench.geometry import Pose
+from lodbench.harness.runs.compare import agreement, paired_comparison
 
 
 def run(*errors: PoseError) -> SimpleNamespace:
@@ -31,3 +32,12 @@ def test_rows_are_paired_by_name_and_a_split_without_a_truth_is_left_out():
     # One query is lost and one gained: nothing to choose between them.
     assert (strict.first, strict.second, strict.test.difference, strict.test.p) == (50.0, 50.0, 0.0, 1.0)
     assert tests[2].test.difference == 50.0
+
+
+def test_answers_to_other_datasets_are_not_said_to_agree():
+    def answered(version: str) -> SimpleNamespace:
+        poses = {"a/0": Pose.from_quaternion([1, 0, 0, 0], [0, 0, 0])}
+        return SimpleNamespace(poses=poses, summary={"dataset": {"name": "town", "version": version}})
+
+    assert agreement(answered("1"), answered("1")).within == 1
+    assert agreement(answered("1"), answered("2")) is None

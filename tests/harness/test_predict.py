@@ -13,6 +13,7 @@ from lodbench.cli.run import _failure_lines
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.harness import RunSettings, run_method
+from lodbench.harness.runs.gallery import write_overlays
 from lodbench.methods import Estimate
 from lodbench.methods.protocol import FlightEstimate
 from lodbench.segmentation import notes_of
@@ -206,6 +207,16 @@ class TestSegmenters:
         done = run_method(Once(), dataset, oracle, settings)
         assert failures(done) == ["", "", ""]
         assert made == [1]
+
+
+def test_no_picture_of_an_answer_s_earlier_place_is_left(dataset, tmp_path):
+    first = run(Scripted(), dataset, tmp_path / "before").queries["translation_error_m"].idxmin()
+    failing = Scripted({first.rpartition("/")[2]: QueryFault("not yet")})
+    for more, method in (({}, failing), ({"retries_failed": True}, Scripted())):
+        done = run(method, dataset, tmp_path, **more)
+        written = write_overlays(done, done.preparation, done.scorer)
+        assert sorted((done.folder / "overlays").iterdir()) == sorted(written)
+    assert len(written) == 3
 
 
 def test_the_command_tells_that_nothing_was_found(dataset, tmp_path, capsys):

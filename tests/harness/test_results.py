@@ -42,6 +42,14 @@ def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsy
     assert lodbench.run_method("prior_only", root, city=city, runs=runs).folder != run.folder
 
 
+def test_a_method_named_is_told_of_the_true_tilt_as_by_the_command(tmp_path):
+    """`lodbench run tilt=truth` leaves pitch and roll as they are: so must the same from Python."""
+    root, city = write_dataset(tmp_path / "town", count=1)
+    run = lodbench.run_method("contour_alignment", root, city=city, tilt="truth", runs=tmp_path / "runs")
+    assert run.summary["method"]["params"]["range_tilt_deg"] == 0.0
+    assert run.summary["protocol"]["tilt"] == "truth"
+
+
 def test_settings_that_are_not_kept_are_refused(tmp_path):
     """Runs of two settings would share a folder, and the second would be given the first one's answers."""
 

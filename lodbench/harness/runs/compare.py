@@ -57,9 +57,13 @@ def paired_comparison(
 
 
 def agreement(first: StoredRun, second: StoredRun) -> Agreement | None:
-    """Returns how far the answers of two runs lie apart; None where no query has an answer of both."""
+    """Returns how far the answers of two runs lie apart; None where no query has an answer of both.
+
+    Queries of two datasets, or of two versions of one, are not the same, whatever their names.
+    """
     shared = [key for key in first.poses if key in second.poses]
-    if not shared:
+    datasets = [[run.summary["dataset"][name] for name in ("name", "version")] for run in (first, second)]
+    if not shared or datasets[0] != datasets[1]:
         return None
     errors = np.array([pose_error(first.poses[key], second.poses[key]) for key in shared])
     within = hits_of(errors, PROBABILITY_THRESHOLD)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from lodbench.evaluation.queries import ERROR, PRIOR_ERROR, has_truth, of_split
 from lodbench.evaluation.recall import Threshold
@@ -27,11 +29,9 @@ def comparison_page(
 ) -> str:
     """Returns the page, which will lie in the folder ``beside``: links to the runs' pages start there."""
     scored = [(run, name) for run, name in zip(runs, names, strict=True) if has_truth(run.queries).any()]
-    curves = {split: _curves(scored, split) for split in _splits(scored)}
     pictures = [
-        Picture(draw_comparison(found)["svg"], "svg+xml", _caption(split), "chart")
-        for split, found in curves.items()
-        if found
+        Picture(draw_comparison(_curves(found, split))["svg"], "svg+xml", _caption(split, of), "chart")
+        for (split, of), found in _charts(scored).items()
     ]
     pairs = []
     for run, name in zip(runs[1:], names[1:], strict=True):
@@ -57,8 +57,24 @@ def comparison_page(
     )
 
 
-def _splits(scored: Sequence[tuple[StoredRun, str]]) -> list[str]:
-    return list(dict.fromkeys(split for run, _ in scored for split in run.summary["splits"]))
+def _charts(scored: Sequence[tuple[StoredRun, str]]) -> dict[tuple[str, str], list[tuple[StoredRun, str]]]:
+    """Returns the runs of each chart, by split and by what tells it from other charts of that split.
+
+    Only errors of the same queries are drawn together.
+    """
+    groups: dict[tuple[str, str, frozenset[Any]], list[tuple[StoredRun, str]]] = {}
+    for run, name in scored:
+        dataset = run.summary["dataset"]
+        words = f"{dataset['name']} ({dataset['version']})" if dataset["version"] else dataset["name"]
+        for split in run.summary["splits"]:
+            if keys := frozenset(of_split(run.queries, split).index):
+                groups.setdefault((split, words, keys), []).append((run, name))
+    per_split = Counter(split for split, _, _ in groups)
+    charts: dict[tuple[str, str], list[tuple[StoredRun, str]]] = {}
+    for number, ((split, words, keys), found) in enumerate(groups.items(), start=1):
+        of = f"{words}, {len(keys)} queries" if per_split[split] > 1 else ""
+        charts[split, f"{of}, chart {number}" if (split, of) in charts else of] = found
+    return charts
 
 
 def _curves(scored: Sequence[tuple[StoredRun, str]], split: str) -> list[ErrorCurve]:
@@ -66,17 +82,17 @@ def _curves(scored: Sequence[tuple[StoredRun, str]], split: str) -> list[ErrorCu
     curves, priors = [], []
     for run, name in scored:
         mine = of_split(run.queries, split)
-        if len(mine):
-            curves.append(ErrorCurve(name, mine[list(ERROR)].to_numpy()))
-            priors.append(mine[list(PRIOR_ERROR)].to_numpy())
-    if curves and all(prior.shape == priors[0].shape and (prior == priors[0]).all() for prior in priors):
+        curves.append(ErrorCurve(name, mine[list(ERROR)].to_numpy()))
+        priors.append(mine[list(PRIOR_ERROR)].to_numpy())
+    if all(prior.shape == priors[0].shape and (prior == priors[0]).all() for prior in priors):
         curves.append(ErrorCurve("prior", priors[0]))
     return curves
 
 
-def _caption(split: str) -> str:
+def _caption(split: str, of: str) -> str:
+    name = f"{split} of {of}" if of else split
     return (
-        f"{split}: recall over a threshold of as many metres as degrees; share of queries below an error in "
+        f"{name}: recall over a threshold of as many metres as degrees; share of queries below an error in "
         "place and in direction. A failed query is never below."
     )
 

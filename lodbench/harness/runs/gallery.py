@@ -21,6 +21,7 @@ from lodbench.rendering import Renderer
 from lodbench.reporting.overlays import OverlayInput, draw_overlay, write_picture
 from lodbench.segmentation import Segmenter, binary_mask, check_mask
 from lodbench.storage import make_folder, remove_leftovers
+from lodbench.storage.disk import disk
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,7 +31,7 @@ COUNT = 3
 
 
 def write_overlays(result: Result, preparation: Preparation, renderer: Renderer) -> list[Path]:
-    """Writes pictures of the worst and best queries of each split; returns their files."""
+    """Writes pictures of the worst and best queries of each split, removes others; returns their files."""
     folder = result.folder / "overlays"
     make_folder(folder)
     remove_leftovers(folder)
@@ -49,6 +50,10 @@ def write_overlays(result: Result, preparation: Preparation, renderer: Renderer)
                     picture = draw_overlay(shown, renderer)
                 write_picture(path, picture)
                 written.append(path)
+    # A query asked again has another place among the best and the worst: its old picture is wrong.
+    for path in sorted(folder.glob("*.png")):
+        if path not in written and re.search(r"_(best|worst)_\d+_", path.name):
+            disk().remove(path)
     return written
 
 
