@@ -16,7 +16,7 @@ from lodbench.cli.train import task, train_method
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Dataset
-from lodbench.datasets.registry import dataset_settings, draw_priors
+from lodbench.datasets.registry import dataset_settings, draw_priors, make_priors
 from lodbench.errors import ConfigError
 from lodbench.harness.results import run_method
 from lodbench.methods.measured_calls import weight_files
@@ -160,7 +160,8 @@ NOTHING = Dataset("nothing", "", Path(), None, None, (), (), {})
 def test_priors_that_cannot_be_drawn_or_described(package, blamed, fault, told):
     package("priors", PRIOR)
     place = "" if fault == "none" else "kit_parts.py, line "
-    assert told in blamed("prior", draw_priors, NOTHING, "kit", {"fault": fault}, 0, place=place)
+    priors = make_priors("kit", {"fault": fault})
+    assert told in blamed("prior", draw_priors, NOTHING, "kit", priors, 0, place=place)
 
 
 @pytest.mark.parametrize("fault", ["1 / 0", "exit()", "return [7]", "return None"])

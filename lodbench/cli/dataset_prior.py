@@ -12,7 +12,7 @@ from typing import Any
 from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.cli.parser import Parser
 from lodbench.datasets.prior_sources import prior_digest, prior_text
-from lodbench.datasets.registry import draw_priors
+from lodbench.datasets.registry import draw_priors, make_priors
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.harness.dataset_check import prior_errors_in_words
 from lodbench.plugins import plugin_names
@@ -50,7 +50,8 @@ def main(argv: Sequence[str]) -> int:
         raise ConfigError(f"{options.out} is a folder.", "Name a file.")
     with _in_own_words():
         settings = dict(map(_pair, options.set))
-        dataset, priors = draw_priors(open_named(options), options.kind, settings, options.seed, "--set")
+        priors = make_priors(options.kind, settings, "--set")
+        dataset = draw_priors(open_named(options), options.kind, priors, options.seed)
     write_text(options.out, prior_text(dataset.entries, priors.describe(), options.seed))
     made = sum(entry.prior is not None for entry in dataset.entries)
     lines = [f"{options.out}: {made} of {len(dataset.entries)} queries, {priors.describe()}"]

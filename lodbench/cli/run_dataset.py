@@ -8,7 +8,7 @@ from typing import Any
 from lodbench.cli.source_profiles import profile_of
 from lodbench.datasets.prior_sources import FilePrior, prior_digest
 from lodbench.datasets.query import Dataset
-from lodbench.datasets.registry import draw_priors
+from lodbench.datasets.registry import draw_priors, make_priors
 
 # What names the run folder leaves out paths, whose content is named instead, and how work is spread.
 # The origin of a published dataset is withheld for privacy, so it is not written down either.
@@ -34,7 +34,8 @@ def with_prior(dataset: Dataset, values: dict[str, Any], seed: int) -> tuple[Dat
         LodbenchError: The kind of prior is unknown, a setting is wrong, or the priors cannot be had.
     """
     name, settings = str(values.get("name", "")), {key: v for key, v in values.items() if key != "name"}
-    dataset, priors = draw_priors(dataset, name, settings, seed)
+    priors = make_priors(name, settings)
+    dataset = draw_priors(dataset, name, priors, seed)
     stated = {"name": name, **asdict(priors)}  # type: ignore[call-overload]
     if name == FilePrior.name:
         stated = {"name": name}

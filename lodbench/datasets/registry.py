@@ -47,27 +47,33 @@ def dataset_settings(name: str) -> set[str]:
         return {field.name for field in fields(_params_type(opener))}
 
 
-def draw_priors(
-    dataset: Dataset, name: str, settings: Mapping[str, Any], seed: int, section: str = "prior"
-) -> tuple[Dataset, Priors]:
-    """Returns a dataset with priors of a kind, and what drew them.
+def make_priors(name: str, settings: Mapping[str, Any], section: str = "prior") -> Priors:
+    """Returns what draws priors of a kind.
 
     Args:
-        dataset: The dataset.
         name: An entry point under ``lodbench.priors``.
         settings: Of it.
-        seed: Of all that is drawn by chance.
         section: What settings are called with on a command line.
 
     Raises:
-        LodbenchError: The kind is unknown, a setting is wrong, or the priors cannot be had.
+        LodbenchError: The kind is unknown, or a setting is wrong.
     """
     kind = load_plugin("priors", name)
+    with blaming("priors", name, "take its settings"):
+        made: Priors = to_params(settings, kind, section)
+        return made
+
+
+def draw_priors(dataset: Dataset, name: str, priors: Priors, seed: int) -> Dataset:
+    """Returns a dataset with priors that those of a kind draw.
+
+    Raises:
+        LodbenchError: The priors cannot be had.
+    """
     with blaming("priors", name, "be drawn"):
-        priors: Priors = to_params(settings, kind, section)
         drawn = of_kind(priors.apply(dataset, seed), Dataset)
         of_kind(priors.describe(), str)  # a run asks for it at its end
-        return drawn, priors
+        return drawn
 
 
 def _opened(opener: Callable[[Any], object], name: str, params: Any) -> Dataset:

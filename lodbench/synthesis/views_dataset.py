@@ -29,7 +29,7 @@ from lodbench.rendering.raster import RasterRenderer
 from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.instance_degradation import degraded_instances
-from lodbench.synthesis.mask_degradation import degrade_mask, mask_iou
+from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
 from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewSampling, sample_views
@@ -165,11 +165,11 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
         name = f"view_{index:04d}"
         lens = world.lens(camera, index)
         clean = photographed.render(lens, truth)
-        rough, _ = degrade_mask(clean, params.mask_iou, random_stream(seed, "accuracy", name, "mask"))
+        rough, iou = degrade_mask(clean, params.mask_iou, random_stream(seed, "accuracy", name, "mask"))
         start = prior.draw(truth, random_stream(seed, "accuracy", name, "prior"))
         (buildings,) = raster.buildings(lens, truth.rotation[None], truth.center[None])
         instances = degraded_instances(buildings, rough, random_stream(seed, "accuracy", name, "instances"))
-        queries.append(SyntheticQuery(name, truth, start, rough, mask_iou(rough, clean), instances=instances))
+        queries.append(SyntheticQuery(name, truth, start, rough, iou, instances=instances))
     return queries, views.rejections
 
 

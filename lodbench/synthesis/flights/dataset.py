@@ -28,7 +28,7 @@ from lodbench.storage import digest_of, random_stream, write_text
 from lodbench.storage.paths import cache_root
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights.errors import MapErrors, SensorErrors, change_map, moved
-from lodbench.synthesis.mask_degradation import degrade_mask, mask_iou
+from lodbench.synthesis.mask_degradation import degrade_mask
 from lodbench.synthesis.queries import SyntheticQuery, write_queries, written_once
 from lodbench.synthesis.view_photos import PHOTO_SIZE, Photographer, reconstruct
 from lodbench.synthesis.view_sampling import FINE_SIZE, RGB_CAMERA, ViewCheck, target_near
@@ -176,9 +176,9 @@ def draw_flight(params: FlightsParams, world: Scene, renderer: Renderer, flight:
     for number, truth in enumerate(_poses(params, world, renderer, camera, flight)):
         name = f"flight_{flight:02d}_{number:04d}"
         clean = _silhouette(renderer, true_camera, truth, distortion)
-        rough, _ = degrade_mask(clean, params.mask_iou, random_stream(*names, number, "mask"))
+        rough, iou = degrade_mask(clean, params.mask_iou, random_stream(*names, number, "mask"))
         own = params.own().draw(random_stream(*names, number, "prior"))
-        queries.append(SyntheticQuery(name, truth, moved(truth, shared + own), rough, mask_iou(rough, clean)))
+        queries.append(SyntheticQuery(name, truth, moved(truth, shared + own), rough, iou))
     return queries
 
 

@@ -75,7 +75,10 @@ def generate_training_data(
         remove_leftovers(folder)  # what a killed run was writing
     missing = [view for view in plan.views if not all(map(is_written, files_of(params, view, out)))]
     resumed = len(plan.views) - len(missing)
-    executor = _fitting(executor or ExecutorParams(PROCESS), params.workers, len(missing))
+    executor = executor or ExecutorParams(PROCESS)
+    if executor.name == PROCESS:  # no more processes than there are views
+        most = params.workers or executor.num_workers
+        executor = replace(executor, workers=min(most, max(1, len(missing))))
     workers: Workers = (_open_writer, (params, parts, out))
     if executor.name == DASK:
         # Names and a digest go over the network: what stands around a city takes more than the city.
@@ -149,13 +152,6 @@ def _write_layout(params: GenerateParams, scene: Scene, plan: ViewPlan, out: Pat
         priors = {name: prior.shifted(scene.origin) for name, prior in zip(truth, drawn, strict=True)}
         cameras = dict.fromkeys(truth, params.camera)
         write_poses(out / split, cameras, truth, priors, truth_file=RENDERED_TRUTH_FILE)
-
-
-def _fitting(executor: ExecutorParams, workers: int | None, num_views: int) -> ExecutorParams:
-    """Returns an executor of no more processes than there are views; ``workers`` goes before its own."""
-    if executor.name != PROCESS:
-        return executor
-    return replace(executor, workers=min(workers or executor.num_workers, max(1, num_views)))
 
 
 def _whole(path: str | None) -> str | None:
