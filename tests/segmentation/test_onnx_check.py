@@ -19,6 +19,7 @@ from lodbench.segmentation.compact import Compact, CompactParams
 from lodbench.segmentation.onnx_check import onnx_fault
 from lodbench.segmentation.onnx_file import read_onnx
 from lodbench.segmentation.packaged_network import packaged_file
+from lodbench.segmentation.registry import make_segmenter
 
 
 def small_network() -> onnx.ModelProto:
@@ -225,3 +226,32 @@ def test_a_network_replaced_between_two_photos_leaves_no_mask_under_another_s_di
     weights.write_bytes(small_network().SerializeToString())
     with pytest.raises(InputChanged):
         third.segment(photos[2])
+
+
+def of_answers(*channels: int) -> onnx.ModelProto:
+    """A network with an output of so many channels each."""
+    photo = helper.make_tensor_value_info("photo", TensorProto.FLOAT, [1, 3, "h", "w"])
+    nodes, weights, outputs = [], [], []
+    for k, count in enumerate(channels):
+        weights.append(numpy_helper.from_array(np.ones((count, 3, 3, 3), np.float32), f"w{k}"))
+        nodes.append(
+            helper.make_node("Conv", ["photo", f"w{k}"], [f"a{k}"], kernel_shape=[3, 3], pads=[1] * 4)
+        )
+        outputs.append(helper.make_tensor_value_info(f"a{k}", TensorProto.FLOAT, [1, count, "h", "w"]))
+    return helper.make_model(helper.make_graph(nodes, "g", [photo], outputs, weights))
+
+
+@pytest.mark.parametrize(
+    ("channels", "told"), [((1, 1), "has 2 outputs instead of one"), ((19,), r"answers \(1, 19, ")]
+)
+@pytest.mark.parametrize("name", ["compact", "efficient_unet", "compact_instances"])
+def test_a_network_of_another_kind_is_told_in_one_line(tmp_path, name, channels, told) -> None:
+    file, photo = tmp_path / "other.onnx", tmp_path / "photo.png"
+    file.write_bytes(of_answers(*channels).SerializeToString())
+    cv2.imwrite(str(photo), np.full((60, 80, 3), 128, np.uint8))
+    segmenter, _ = make_segmenter(name, {"weights": str(file)})
+    ask = segmenter.segment_instances if name == "compact_instances" else segmenter.segment
+    with pytest.raises(ConfigError, match=told) as caught:
+        ask(Entry("photo.png", "", None, None, photo, None))
+    assert str(file) in str(caught.value)
+    assert f"lodbench train segmenter={name} writes" in (caught.value.hint or "")
