@@ -3,15 +3,15 @@
 Names are loaded when first used, so that importing this package costs nothing. The way of a file, and where
 each thing goes:
 
-- its bytes: ``source`` (archives, folders of tiles), ``streams``, ``xml``, ``json_documents``, ``gdal``; what
-  nobody but the user knows of them: ``options``;
+- its bytes: ``source`` (archives, folders of tiles), ``streams``, ``xml``, ``json_documents``, ``gdal``;
+  what nobody but the user knows of them: ``options``;
 - which reader: ``read``, ``readers``; a format each in ``citygml``, ``cityjson``, ``footprints``, ``obj``,
-  ``mesh_reader``. How a publisher writes CityGML that its schema does not say: names in ``gml_names``, what is
-  borrowed from elsewhere in ``gml_links``, geometry in ``gml_walk``, attributes in ``gml_details``;
-- what readers hand over: ``raw``; then ``frame`` and ``crs`` (metres, east, north), ``cleaning``, ``polygons``:
-  a ``model`` with its ``objects``. All that is wrong or left out has one of ``codes``;
-- from a model to a ``scene``: ``lods``, ``derive`` and ``extrude`` (levels), ``triangulate``, ``meshing``; kept by
-  ``cache``, ``scene_file``; many tiles: ``tiling``, ``scene_join``;
+  ``mesh_reader``. How a publisher writes CityGML that its schema does not say: names in ``gml_names``, what
+  is borrowed from elsewhere in ``gml_links``, geometry in ``gml_walk``, attributes in ``gml_details``;
+- what readers hand over: ``raw``; then ``frame`` and ``crs`` (metres, east, north), ``cleaning``,
+  ``polygons``: a ``model`` with its ``objects``. All that is wrong or left out has one of ``codes``;
+- from a model to a ``scene``: ``lods``, ``derive`` and ``extrude`` (levels), ``triangulate``, ``meshing``;
+  kept by ``cache``, ``scene_file``; many tiles: ``tiling``, ``scene_join``;
 - told: ``info``, ``check`` (``plane_check``, ``shells``, ``solid_check``);
 - written: ``convert``, ``citygml_writer`` with ``gml_dialect``, ``cityjson_writer``, ``mesh_writer``;
 - photographed surfaces: ``pictures`` of a model, ``textured_mesh`` of a textured map.
