@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from lodbench.datasets.exchange.colmap import is_colmap
+from lodbench.datasets.exchange.colmap import is_colmap, models_below
 from lodbench.datasets.exchange.kapture import is_kapture
 from lodbench.datasets.exchange.photogrammetry import looks_like
 from lodbench.datasets.exchange.posed import FoundPose, content
@@ -67,7 +67,8 @@ def _guess(path: Path, known: Collection[str]) -> str:
     if path.is_dir():
         if is_kapture(path):
             return "kapture"
-        return "colmap" if is_colmap(path) else "c2w"
+        is_above_models = bool(models_below(path)) and not any(path.glob("*.txt"))
+        return "colmap" if is_colmap(path) or is_above_models else "c2w"
     if path.suffix in (".json", ".bin"):
         return "nerfstudio" if path.suffix == ".json" else "colmap"
     named = looks_like(path)

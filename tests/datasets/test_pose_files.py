@@ -181,3 +181,15 @@ def test_wrong_settings_and_files_are_refused(tmp_path):
     (tmp_path / "p.txt").write_text("# nothing\n")
     with pytest.raises(DatasetError, match="no poses"):
         read_pose_file(tmp_path / "p.txt", "lines")
+
+
+@pytest.mark.parametrize("asked", ["auto", "colmap"])
+def test_the_folder_above_colmap_s_models_is_told_where_they_are(tmp_path, asked):
+    for model in ("sparse/0", "sparse/1"):
+        (tmp_path / model).mkdir(parents=True)
+        (tmp_path / model / "images.txt").write_text(colmap(TRUTH))
+    for folder in (tmp_path, tmp_path / "sparse"):
+        with pytest.raises(DatasetError, match="holds no COLMAP model") as caught:
+            read_pose_file(folder, asked)
+        told = " ".join(str(tmp_path / "sparse" / number) for number in "01").replace(" ", ", ")
+        assert caught.value.hint == f"Name one of those below it: {told}"

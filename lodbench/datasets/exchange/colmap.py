@@ -43,6 +43,12 @@ def is_colmap(folder: Path) -> bool:
     return any((folder / f"images{ending}").is_file() for ending in (".txt", ".bin"))
 
 
+def models_below(folder: Path) -> list[Path]:
+    """Returns the models in a folder's folders, and in theirs: COLMAP writes ``sparse/0``, ``sparse/1``."""
+    places = [f"{depth}/images.{ending}" for depth in ("*", "*/*") for ending in ("txt", "bin")]
+    return sorted({file.parent for place in places for file in folder.glob(place)})
+
+
 def read_colmap(path: Path) -> Iterator[FoundPose]:
     """Yields the posed images of a model.
 
@@ -57,7 +63,9 @@ def read_colmap(path: Path) -> Iterator[FoundPose]:
         name = "images.bin" if (path / "images.bin").is_file() else "images.txt"
         path = path / name
         if not path.is_file():
-            raise DatasetError(f"{path.parent} holds no COLMAP model.", "It has images.txt or images.bin.")
+            below = ", ".join(map(str, models_below(path.parent)))
+            hint = f"Name one of those below it: {below}" if below else "It has images.txt or images.bin."
+            raise DatasetError(f"{path.parent} holds no COLMAP model.", hint)
         if not path.with_stem("cameras").is_file():
             hint = "A COLMAP model has images and cameras, both as .txt or as .bin."
             raise DatasetError(f"{path.parent} has no {path.with_stem('cameras').name}.", hint)
