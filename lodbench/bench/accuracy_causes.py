@@ -7,7 +7,7 @@ a method kept, a better choice among them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
@@ -61,7 +61,7 @@ def measure_causes(
         cities: What is drawn.
         seeds: Of the views.
         methods: What finds them.
-        progress: Called after each run.
+        progress: Called after each run, and after each city's limit.
         threads: Of the engine; None for one per core.
         limit_draws: Masks of each view by which ``share_within_reach`` is found; 0 leaves it out.
 
@@ -70,7 +70,8 @@ def measure_causes(
     """
     drawn, left_out = drawable(cities, seeds)
     jobs = [_job(method, views, cause) for method, views, cause in product(methods, drawn, _CAUSES)]
-    queries = sweep(jobs, progress, threads)
+    total = len(jobs) + (len(drawn) if limit_draws else 0)
+    queries = sweep(jobs, lambda done, _: progress(done, total), threads)
     table = {
         method.name: {
             str(city): _row(of_city)
@@ -80,7 +81,7 @@ def measure_causes(
     }
     lines = [f"{protocol_of(drawn[0], seeds)}.", *left_out, _GLOSSARY]
     if limit_draws:
-        limits = _limits(drawn, limit_draws)
+        limits = _limits(drawn, limit_draws, lambda done: progress(len(jobs) + done, total))
         for rows in table.values():
             for city, row in rows.items():
                 row[_LIMIT] = limits[city]
@@ -89,11 +90,12 @@ def measure_causes(
     return Report("\n".join(lines), list(_figures(table)), queries)
 
 
-def _limits(drawn: Sequence[ViewsParams], draws: int) -> dict[str, float]:
+def _limits(drawn: Sequence[ViewsParams], draws: int, progress: Callable[[int], None]) -> dict[str, float]:
     """Returns the percent within reach of each city, the mean over its seeds."""
     shares: dict[str, list[float]] = {}
-    for views in drawn:
+    for number, views in enumerate(drawn, start=1):
         shares.setdefault(name_of(views), []).append(share_within_reach(views, draws))
+        progress(number)
     return {city: float(np.mean(of_seeds)) for city, of_seeds in shares.items()}
 
 

@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.bench.figures import Progress, no_progress
 from lodbench.citymap import CityMap
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.evaluation.recall import PROBABILITY_THRESHOLD, hits_of
-from lodbench.geometry import Pose
+from lodbench.geometry import Pose, wrap_deg
 from lodbench.harness.city import open_city
 from lodbench.methods.contour_alignment.alignment import Aligner, signed_distance
 from lodbench.methods.contour_alignment.method import ContourAlignment
@@ -43,13 +42,13 @@ _KNOWN = 0.7
 _SMOOTH, _LENGTH_PX, _OWN = 0.3, 40.0, 0.3
 
 
-def share_within_reach(views: ViewsParams, draws: int, progress: Progress = no_progress) -> float:
+def share_within_reach(views: ViewsParams, draws: int) -> float:
     """Returns how many priors the best linear estimate brings to (2 m, 2 deg) at the sensor's tilt, percent.
 
     Args:
-        views: What is drawn; masks are made of the level of detail that they are drawn from, at their IoU.
+        views: What is drawn; masks are made of the level of detail that they are drawn from, at their IoU. Of
+            its world roofs and feet count; lens and tilt are as told.
         draws: Masks of each view.
-        progress: Called after each view.
 
     Raises:
         LodbenchError: The city cannot be read, or no views can be drawn over it.
@@ -59,12 +58,11 @@ def share_within_reach(views: ViewsParams, draws: int, progress: Progress = no_p
     scene = open_city(Path(views.city_model), lod, dataset.city_options, views.roof_height).scene
     scene = views.world.seen(scene)
     city_map, found = CityMap(scene), []
-    for number, entry in enumerate(dataset.entries, start=1):
+    for entry in dataset.entries:
         truth = dataset.truth[entry.key].shifted(-scene.origin)
         if entry.camera is not None:
             query = Query(entry.name, entry.split, entry.camera, truth, None, None)
             found.append(_share_of_view(query, city_map, views, draws))
-        progress(number, len(dataset.entries))
     return 100.0 * float(np.mean(found))
 
 
@@ -153,7 +151,7 @@ def _averages(count: int) -> Floats:
 
 def _offset(prior: UniformPrior, truth: Pose, generator: np.random.Generator) -> Floats:
     offset = vector_from_pose(prior.draw(truth, generator)) - vector_from_pose(truth)
-    offset[5] = (offset[5] + 180.0) % 360.0 - 180.0
+    offset[5] = wrap_deg(float(offset[5]))
     return np.asarray(offset)
 
 

@@ -39,7 +39,9 @@ def test_perfect_masks_leave_everything_within_reach_and_rough_ones_less(city):
 def test_the_limit_is_one_more_column_and_the_same_for_all_methods(city):
     views = ViewsParams(str(city), num_views=1)
     methods = [make_method(name) for name in ("prior_only", "lodlocv2")]
-    report = measure_causes([views], [0], methods, threads=1, limit_draws=20)
+    steps: list[tuple[int, int]] = []
+    report = measure_causes([views], [0], methods, lambda *step: steps.append(step), 1, limit_draws=20)
+    assert steps == [(k, 13) for k in range(1, 14)]  # six causes by two methods, and the limit
     found = {figure.figure: figure.value for figure in report.figures if "best linear" in figure.figure}
     assert len(found) == 2
     assert len(set(found.values())) == 1
