@@ -12,9 +12,8 @@ from shapely import Polygon
 
 from lodbench.citymodel.scene import SceneBuilder
 from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
-from lodbench.methods.region import Params
 from lodbench.methods.region.eaves import outward_moves
-from lodbench.methods.region.lines import LineFit
+from tests.methods.test_region_lines import line_fit
 from tests.methods.test_region_roofs import FAST, mean_errors, photo_of
 
 # An L of 10 by 10 metres, a point in one of its walls, and triangles of its roof.
@@ -77,7 +76,7 @@ def test_lines_know_how_far_eaves_stand_out(scene, roofs, queries, truths):
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
         photo, pose = photo_of(wide.at(0), truth, number), vector_from_pose(truth)
         for seen_of, told_m in ((roofs, 0.0), (wide, 0.8)):
-            fit = LineFit(photo, query, seen_of, np.append(pose, [0.0, told_m]), 1.0, Params())
+            fit = line_fit(photo, query, seen_of, np.append(pose, [0.0, told_m]))
             nats = fit(np.column_stack([np.tile(np.append(pose, 0.0), (13, 1)), eaves]))
             assert eaves[int(np.argmax(nats))] == pytest.approx(0.8, abs=0.41)
 

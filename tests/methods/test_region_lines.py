@@ -13,7 +13,7 @@ from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.region import Params, Region
-from lodbench.methods.region.lines import LineFit
+from lodbench.methods.region.lines import LineFit, levels_of
 from lodbench.storage import random_stream
 from tests.town import CAMERA, prior_of, true_poses
 
@@ -39,8 +39,14 @@ def with_roofs(truth):
     return np.append(vector_from_pose(truth), [0.0, 0.0])
 
 
+def line_fit(photo, query, roofs, vector):
+    """Returns what lines seen from (8,) say of a photo in array form."""
+    params = Params()
+    return LineFit(levels_of(photo, query, 1.0, params), query, roofs, vector, params)
+
+
 def fit_of(photo, query, roofs, truth):
-    return LineFit(photo, query, roofs, with_roofs(truth), 1.0, Params())
+    return line_fit(photo, query, roofs, with_roofs(truth))
 
 
 def test_lines_fit_best_at_the_truth(roofs, queries, truths, shaded):
@@ -86,7 +92,7 @@ def test_the_method_ends_nearer_with_lines(city_map, tmp_path):
 
 def test_a_pose_without_lines_in_view_counts_nothing(roofs, queries, truths, shaded):
     away = with_roofs(truths[0]) + np.array([5000.0, 0, 0, 0, 0, 0, 0, 0])
-    fit = LineFit(shaded[0], queries[0], roofs, away, 1.0, Params())
+    fit = line_fit(shaded[0], queries[0], roofs, away)
     assert len(fit) == 0
     assert fit.sharpness(away) == 0.0
     assert pose_from_vector(away[:6]).center[0] > 4000.0

@@ -15,10 +15,10 @@ from lodbench.evaluation import pose_error
 from lodbench.methods.contour_alignment.pose_vector import vector_from_pose
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evidence import Evidence, PhotoFit
-from lodbench.methods.region.lines import LineFit
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, RoofEvidence, step_of
 from lodbench.storage import random_stream
 from lodbench.synthesis.views_dataset import World
+from tests.methods.test_region_lines import line_fit
 from tests.town import CAMERA, prior_of, true_poses
 
 FAST = Params(fine_width=200, starts=4, modes=2)
@@ -90,7 +90,7 @@ def test_lines_know_how_high_roofs_are(roofs, queries, truths):
         photo = photo_of(roofs.at(-2), truth, number)
         true = np.append(vector_from_pose(truth), [-1.0, 0.0])
         for seen_at in (0.0, -1.0):
-            fit = LineFit(photo, query, roofs, np.append(true[:6], [seen_at, 0.0]), 1.0, Params())
+            fit = line_fit(photo, query, roofs, np.append(true[:6], [seen_at, 0.0]))
             heights = np.linspace(-2.5, 1.0, 15)
             nats = fit(np.column_stack([np.repeat(true[None, :6], 15, axis=0), heights, np.zeros(15)]))
             assert abs(heights[int(np.argmax(nats))] + 1.0) <= 0.5
@@ -138,7 +138,7 @@ def test_lines_tell_each_roof_s_height(roofs, uneven, queries, truths):
     found, true = [], []
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
         vector = np.append(vector_from_pose(truth), [0.0, 0.0])
-        fit = LineFit(photo_of(town.at(0), truth, number), query, roofs, vector, 1.0, Params())
+        fit = line_fit(photo_of(town.at(0), truth, number), query, roofs, vector)
         told = fit.own_roofs_m(vector)
         is_told = np.abs(told) > 0.3
         found.extend(told[is_told])

@@ -1,4 +1,8 @@
-"""The model's lines put on the photo's edges, round by round, while each roof finds its own height."""
+"""The model's lines put on the photo's edges, round by round, while each roof finds its own height.
+
+Which of the search's tops to go on from is told by lines, too: regions take a lawn for a roof of the right
+size, but no edges lie along it (docs/adr/0055).
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.query import Query
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evolution import Cloud, climb
-from lodbench.methods.region.lines import LineFit
+from lodbench.methods.region.lines import LineFit, levels_of
 from lodbench.methods.region.params import Params
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
 from lodbench.methods.region.search import Surroundings
@@ -23,6 +27,9 @@ _ROUNDS = ((3.0, 2.5), (1.5, 1.5), (1.0, 1.0))
 _GENERATIONS = 14
 # How far roofs lie apart as a round begins, metres.
 _ROOFS_APART_M = 0.5
+# What a region's nat counts beside one of lines where one of the starts is chosen, and how many are followed
+# to tell.
+_REGIONS_SHARE, _FOLLOWED = 0.25, 3
 
 
 class Aligned(NamedTuple):
@@ -33,56 +40,104 @@ class Aligned(NamedTuple):
         lines: What edges say of others.
         regions: What regions and prior say of them, with each roof at a height of its own.
         sharpness: As of ``LineFit``: whether the map is exact enough for it to count.
+        evidence: (M,) the logarithm of what lines, regions and prior say of each start, up to a constant;
+            -inf of those that were not followed. The vector comes from the best.
     """
 
     vector: Floats
     lines: LineFit
     regions: RoofEvidence
     sharpness: float
+    evidence: Floats
 
     def nats(self, vectors: Floats, share: float = 1.0) -> Floats:
         """Returns the (N,) logarithm of the likelihood of such, (N, 8), of a share of the photo's nats."""
         return self.lines(vectors, share) + share * self.regions.nats(vectors)
 
 
-def aligned_by_lines(
-    photo: NDArray[Any],
-    query: Query,
-    roofs: RaisedRoofs,
-    vector: Floats,
-    regions_of: Callable[[RaisedRoofs], RoofEvidence],
-    around: Surroundings,
-    params: Params,
-    streams: Streams,
-) -> Aligned | None:
-    """Returns what is near (8,) and puts the model's lines on the photo's edges; None without lines in view.
+class _Round(NamedTuple):
+    """What a round sees, and where it begins or ends."""
 
-    Lines alone lead in the first rounds, after which each roof is drawn where they put it; in the last the
-    regions have their say too.
+    vector: Floats
+    lines: LineFit
+    regions: RoofEvidence
+    cloud: Cloud
+
+    def evidence(self) -> float:
+        here = self.vector[None]
+        regions = _REGIONS_SHARE * self.regions.nats(here) + self.regions.log_prior(here)
+        return float((self.lines(here) + regions)[0])
+
+
+class Alignment:
+    """Lays the model's lines over one photo.
+
+    Args:
+        photo: As of ``read_picture``.
+        query: The query.
+        regions_of: What regions and prior say, of roofs.
+        around: How the outline moves.
+        params: The method's.
+        streams: Of random numbers.
     """
-    for number, (blur_px, spread_px) in enumerate(_ROUNDS):
-        is_last = number == len(_ROUNDS) - 1
-        lines, regions = LineFit(photo, query, roofs, vector, blur_px, params), regions_of(roofs)
-        cloud = around.cloud(vector[:6], regions.at(vector[6]), spread_px)
-        if not len(lines) or cloud is None:
+
+    def __init__(
+        self,
+        photo: NDArray[Any],
+        query: Query,
+        regions_of: Callable[[RaisedRoofs], RoofEvidence],
+        around: Surroundings,
+        params: Params,
+        streams: Streams,
+    ) -> None:
+        self._photo, self._query, self._regions_of = photo, query, regions_of
+        self._around, self._params, self._streams = around, params, streams
+
+    def from_best(self, starts: Floats, roofs: RaisedRoofs) -> Aligned | None:
+        """Returns what is near the best of (M, 8) and puts lines on edges; None without lines in view.
+
+        Lines alone lead in the first rounds, after which each roof is drawn where they put it; in the last
+        the regions have their say too. Only a few starts are followed through the first, one from there on.
+        """
+        begun = self._begun(0, starts, roofs)
+        if not begun:
             return None
-        nats = Aligned(vector, lines, regions, 0.0).nats if is_last else lines
-        vector = _climbed(nats, regions, vector, cloud, params.population, streams("lines", number))
-        if not is_last:
-            roofs = roofs.each_by_itself(lines.own_roofs_m(vector), float(vector[7]))
-    return Aligned(vector, lines, regions, lines.sharpness(vector))
+        evidence = np.full(len(starts), -np.inf)
+        for k in sorted(begun, key=lambda k: -begun[k].evidence())[:_FOLLOWED]:
+            begun[k] = self._ended(0, begun[k])
+            evidence[k] = begun[k].evidence()
+        found = begun[int(evidence.argmax())]
+        for number in range(1, len(_ROUNDS)):
+            roofs = roofs.each_by_itself(found.lines.own_roofs_m(found.vector), float(found.vector[7]))
+            next_round = self._begun(number, found.vector[None], roofs)
+            if not next_round:
+                return None
+            found = self._ended(number, next_round[0])
+        sharpness = found.lines.sharpness(found.vector)
+        return Aligned(found.vector, found.lines, found.regions, sharpness, evidence)
 
+    def _begun(self, number: int, starts: Floats, roofs: RaisedRoofs) -> dict[int, _Round]:
+        """Returns what a round sees from each of (M, 8), but for those without lines in view."""
+        blur_px, spread_px = _ROUNDS[number]
+        levels, regions = levels_of(self._photo, self._query, blur_px, self._params), self._regions_of(roofs)
+        begun = {}
+        for k, start in enumerate(starts):
+            lines = LineFit(levels, self._query, roofs, start, self._params)
+            cloud = self._around.cloud(start[:6], regions.at(start[6]), spread_px)
+            if len(lines) and cloud is not None:
+                begun[k] = _Round(start, lines, regions, cloud)
+        return begun
 
-def _climbed(
-    nats: Callable[[Floats], Floats],
-    regions: RoofEvidence,
-    vector: Floats,
-    cloud: Cloud,
-    population: int,
-    generator: np.random.Generator,
-) -> Floats:
-    def posterior(vectors: Floats) -> Floats:
-        return nats(vectors) + regions.log_prior(vectors)
+    def _ended(self, number: int, begun: _Round) -> _Round:
+        """Returns where a round ends."""
+        vector, lines, regions, cloud = begun
+        is_last = number == len(_ROUNDS) - 1
+        nats = Aligned(vector, lines, regions, 0.0, np.zeros(1)).nats if is_last else lines
 
-    start = Cloud(vector, regions.widened(cloud.covariance, _ROOFS_APART_M))
-    return climb(posterior, start, _GENERATIONS, population, generator).mean
+        def posterior(vectors: Floats) -> Floats:
+            return nats(vectors) + regions.log_prior(vectors)
+
+        start = Cloud(vector, regions.widened(cloud.covariance, _ROOFS_APART_M))
+        generator = self._streams("lines", number)
+        top = climb(posterior, start, _GENERATIONS, self._params.population, generator)
+        return begun._replace(vector=top.mean)

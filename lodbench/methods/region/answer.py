@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
-from lodbench.geometry import Camera
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.aligned import aligned_by_lines
+from lodbench.methods.region.aligned import Alignment
 from lodbench.methods.region.averaging import posterior_mean
 from lodbench.methods.region.evidence import PhotoFit
 from lodbench.methods.region.map_errors import covariance_under_map_errors
-from lodbench.methods.region.params import Params
+from lodbench.methods.region.params import Params, working_size
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
-from lodbench.methods.region.search import Surroundings
+from lodbench.methods.region.search import Mode, Surroundings
 from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES
 from lodbench.methods.region.uncertainty import information_at
 
@@ -36,6 +35,8 @@ class Answer(NamedTuple):
         if_map_is_right: (6, 6) the same if the map had no errors.
         apart_m: How far the place by the model's lines is from the best by regions and outlines.
         sharpness: How sharply the photo's edges fall off beside those lines.
+        evidence: (M,) the logarithm of what speaks for each top of the search, up to a constant: lines, or
+            where there are none what the search says; -inf of hopeless ones. The vector comes from the best.
     """
 
     vector: Floats
@@ -43,6 +44,7 @@ class Answer(NamedTuple):
     if_map_is_right: Floats
     apart_m: float
     sharpness: float
+    evidence: Floats
 
 
 class Answering:
@@ -70,36 +72,43 @@ class Answering:
         self._around, self._params = around, params
         self._fit = PhotoFit(photo, working_size(query.camera, params.fine_width), params, is_coarse=False)
 
-    def answer(self, best: Floats, streams: Streams) -> Answer:
-        """Returns the answer near the best pose, (6,): by lines where edges are sharp beside them."""
-        params, start = self._params, np.append(best, [0.0, 0.0])
+    def answer(self, tops: list[Mode], streams: Streams) -> Answer:
+        """Returns the answer near the best of some tops, by lines where edges are sharp beside them.
+
+        Args:
+            tops: The best as the search sees them first; lines choose among them.
+            streams: Of random numbers.
+        """
+        params, starts = self._params, np.array([np.append(top.cloud.mean, [0.0, 0.0]) for top in tops])
+        searched = np.array([top.log_posterior for top in tops])
         if params.lines_weight <= 0:
-            return self._by_regions(start, *TYPICAL_LINES)
+            return self._by_regions(starts[0], *TYPICAL_LINES, searched)
         # Lines say what edges say, and more: the regions join them without.
         fit = self._fit.with_edges(0.0)
-        of_photo = self._photo, self._query, self._roofs
         regions_of = partial(RoofEvidence, self._query, fit=fit, params=params)
-        aligned = aligned_by_lines(*of_photo, start, regions_of, self._around, params, streams)
+        alignment = Alignment(self._photo, self._query, regions_of, self._around, params, streams)
+        aligned = alignment.from_best(starts, self._roofs)
         if aligned is None:
-            return self._by_regions(start, *NO_LINES)
+            return self._by_regions(starts[0], *NO_LINES, searched)
+        start, sharpness = starts[int(aligned.evidence.argmax())], aligned.sharpness
         apart_m = float(np.linalg.norm((aligned.vector - start)[:3]))
-        if aligned.sharpness < params.least_sharpness:
-            return self._by_regions(start, apart_m, aligned.sharpness)
+        if sharpness < params.least_sharpness:
+            return self._by_regions(start, apart_m, sharpness, aligned.evidence)
         covariances = self._certainty(aligned.nats, aligned.vector, aligned.regions)
         mean = self._mean(aligned.nats, aligned.vector, covariances[0], aligned.regions)
-        return Answer(mean[:6], *covariances, apart_m, aligned.sharpness)
+        return Answer(mean[:6], *covariances, apart_m, sharpness, aligned.evidence)
 
-    def _by_regions(self, vector: Floats, apart_m: float, sharpness: float) -> Answer:
+    def _by_regions(self, vector: Floats, apart_m: float, sharpness: float, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (8,), of a wider photo."""
         params, of_map = self._params, (self._query, self._roofs)
         fine = RoofEvidence(*of_map, self._fit, params)
         covariances = self._certainty(_of_share(fine), vector, fine)
         if params.mean_pixels <= 0:
-            return Answer(vector[:6], *covariances, apart_m, sharpness)
+            return Answer(vector[:6], *covariances, apart_m, sharpness, evidence)
         size = working_size(self._query.camera, params.mean_width)
         wide = RoofEvidence(*of_map, PhotoFit(self._photo, size, params, is_coarse=False), params)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
-        return Answer(mean[:6], *covariances, apart_m, sharpness)
+        return Answer(mean[:6], *covariances, apart_m, sharpness, evidence)
 
     def _certainty(self, nats: Nats, vector: Floats, regions: RoofEvidence) -> tuple[Floats, Floats]:
         """Returns the covariance (6, 6) of an answer's error, and the same if the map had none."""
@@ -128,9 +137,3 @@ class Answering:
 
 def _of_share(evidence: RoofEvidence) -> Nats:
     return lambda vectors, share: share * evidence.nats(vectors)
-
-
-def working_size(camera: Camera, width: int) -> tuple[int, int]:
-    """Returns a width and the height that keeps the photo's aspect; never more than the photo has."""
-    width = min(width, camera.width)
-    return width, max(1, round(width * camera.height / camera.width))

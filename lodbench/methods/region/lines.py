@@ -17,9 +17,15 @@ from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
 from lodbench.geometry.angles import rotations_from_euler
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
-from lodbench.methods.region.params import Params
+from lodbench.methods.region.params import Params, working_size
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
-from lodbench.rendering.edge_levels import EDGE_LEVELS, LinePoints, directed_edge_levels, sum_along_lines
+from lodbench.rendering.edge_levels import (
+    EDGE_LEVELS,
+    Levels,
+    LinePoints,
+    directed_edge_levels,
+    sum_along_lines,
+)
 
 Floats = NDArray[np.float64]
 
@@ -53,6 +59,18 @@ _RATIOS = _log_ratios()
 _ONES = np.ones((2, EDGE_LEVELS))
 
 
+def levels_of(photo: NDArray[Any], query: Query, blur_px: float, params: Params) -> Levels:
+    """Returns how strongly a photo changes, (H, W, 12) as of ``directed_edge_levels``, where lines are laid.
+
+    Args:
+        photo: As of ``read_picture``.
+        query: The query.
+        blur_px: Of the photo, pixels of the working size.
+        params: The method's.
+    """
+    return directed_edge_levels(photo, working_size(query.camera, params.lines_width), blur_px)
+
+
 class LineFit:
     """What the photo's edges say of poses near one: the lines visible from there, wherever they then fall.
 
@@ -60,11 +78,10 @@ class LineFit:
     building: where a map's roofs err each in its own way, lines say less, but nothing wrong.
 
     Args:
-        photo: As of ``read_picture``.
+        levels: How strongly the photo changes, as of ``levels_of``.
         query: The query.
         roofs: The map, which says what lines are seen.
         vector: (8,) the pose that they are seen from, and how much higher and wider all roofs then are.
-        blur_px: Of the photo, pixels of the working size.
         params: The method's.
 
     Attributes:
@@ -73,18 +90,15 @@ class LineFit:
 
     def __init__(
         self,
-        photo: NDArray[Any],
+        levels: Levels,
         query: Query,
         roofs: RaisedRoofs,
         vector: Floats,
-        blur_px: float,
         params: Params,
     ) -> None:
-        width = min(params.lines_width, query.camera.width)
-        size = width, max(1, round(width * query.camera.height / query.camera.width))
-        camera = query.camera.scaled(*size)
+        camera = query.camera.scaled(levels.shape[1], levels.shape[0])
         self._intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
-        self._levels = directed_edge_levels(photo, size, blur_px)
+        self._levels = levels
         step = int(step_of(vector[6]))
         points, spacing_px = _points_on_lines(roofs, step, camera, vector[:6])
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)

@@ -19,9 +19,9 @@ from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
 from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams
-from lodbench.methods.region.answer import Answering, working_size
+from lodbench.methods.region.answer import Answering
 from lodbench.methods.region.evidence import Evidence, PhotoFit
-from lodbench.methods.region.params import Params
+from lodbench.methods.region.params import Params, working_size
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged
 from lodbench.methods.region.trust import Signs, trust_of
@@ -70,9 +70,11 @@ class Region:
             raise QueryFault("no outline of a building is in view of any pose that fits")
         judge = final.with_edges(params.judging_edge_weight)
         modes = judged(modes, judge)
-        top = modes[0].cloud.mean
         roofs = RaisedRoofs(city_map, part)
-        answer = Answering(photo, query, roofs, around, params).answer(top, streams)
+        answer = Answering(photo, query, roofs, around, params).answer(modes, streams)
+        ranked = [k for k in np.argsort(-answer.evidence, kind="stable") if np.isfinite(answer.evidence[k])]
+        modes = [modes[k] for k in ranked]
+        top = modes[0].cloud.mean
         half_widths = params.half_widths()
         beyond = float(abs(final.offsets(top[None])[0, 2]) / half_widths[2]) - 1.0
         signs = Signs(
@@ -89,11 +91,11 @@ class Region:
             seconds={"coarse": searched - started, "fine": finished - searched},
             trace={
                 "coarse": (best,),
-                "modes": tuple(mode.log_posterior for mode in modes),
+                "modes": tuple(answer.evidence[ranked]),
                 "signs": tuple(signs),
             },
             covariance=answer.covariance,
-            probability=share_of_best(modes) * trust_of(signs),
+            probability=share_of_best(answer.evidence) * trust_of(signs),
             alternatives=tuple(pose_from_vector(mode.cloud.mean) for mode in modes[1:]),
             notes=beyond_range(final.offsets(answer.vector[None])[0], answer.if_map_is_right, half_widths),
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, require_numbers
-from lodbench.geometry import AxisRange, PoseGrid
+from lodbench.geometry import AxisRange, Camera, PoseGrid
 from lodbench.methods.search_params import ranges_of
 from lodbench.rendering.raster_rule import GUARD_PX
 
@@ -40,7 +40,8 @@ class Params:
         stride_m: Largest distance between samples of the grid along x and y, metres.
         stride_z_m: The same in height.
         stride_yaw_deg: The same in yaw, degrees.
-        starts: Distinct samples of the grid that are climbed from.
+        starts: Distinct samples of the grid that are climbed from, for a grid of the published priors' range;
+            see ``num_starts``.
         modes: Distinct tops of those that are refined.
         coarse_generations: Generations of each climb in the search.
         fine_generations: Generations of each refinement.
@@ -81,7 +82,7 @@ class Params:
     stride_z_m: float = 15.0
     stride_yaw_deg: float = 3.75
     starts: int = 10
-    modes: int = 5
+    modes: int = 30
     coarse_generations: int = 14
     fine_generations: int = 22
     population: int = 24
@@ -122,6 +123,16 @@ class Params:
             self._yaw_axis(),
         )
 
+    def num_starts(self) -> int:
+        """Returns how many samples of the grid are climbed from: more hills lie in a wider one.
+
+        As many as told for the published priors' range and less, and by the cube root of its size more for
+        a wider grid.
+        """
+        usual = self.for_prior(UniformPrior())
+        wider = max(1.0, len(self.grid()) / len(usual.grid()))
+        return math.ceil(self.starts * math.cbrt(wider))
+
     def turns_around(self) -> bool:
         """Returns whether the search looks in all directions."""
         return _widened(self.range_yaw_deg, self.beyond_yaw_deg) >= _CIRCLE_DEG
@@ -155,6 +166,12 @@ class Params:
         """Returns these parameters for a prior's error of other half widths."""
         tilt_deg = prior.pitch_deg + prior.roll_deg
         return replace(self, **ranges_of(prior), range_tilt_deg=tilt_deg)
+
+
+def working_size(camera: Camera, width: int) -> tuple[int, int]:
+    """Returns a width and the height that keeps the photo's aspect; never more than the photo has."""
+    width = min(width, camera.width)
+    return width, max(1, round(width * camera.height / camera.width))
 
 
 def _axis(width: float, stride: float) -> AxisRange:

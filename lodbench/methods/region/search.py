@@ -63,13 +63,14 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
     is_top = (values >= maximum_filter(values, size=3, mode=ends)).ravel()
     places = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)
     chosen: list[int] = []
+    num_starts = params.num_starts()
     for i in np.lexsort([-fits, ~is_top]):
         gaps = np.abs(places[chosen] - places[i])
         if params.turns_around():
             gaps[:, 0] = np.minimum(gaps[:, 0], grid.yaw.count - gaps[:, 0])
         if (gaps.max(axis=1, initial=0) > 1).all():
             chosen.append(int(i))
-        if len(chosen) == params.starts:
+        if len(chosen) == num_starts:
             break
     return vectors[chosen], best
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.search import Mode, Surroundings
+from lodbench.methods.region.search import Surroundings
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
@@ -52,7 +52,10 @@ def information_at(
     return np.asarray(0.5 * (seen + seen.T))
 
 
-def share_of_best(modes: list[Mode]) -> float:
-    """Returns the posterior share of the best of some modes, their widths taken to be alike."""
-    weights = np.exp(np.array([mode.log_posterior for mode in modes]) - modes[0].log_posterior)
-    return float(1.0 / weights.sum())
+def share_of_best(evidence: Floats) -> float:
+    """Returns the posterior share of the best of some modes, their widths taken to be alike.
+
+    Args:
+        evidence: (M,) the logarithm of what speaks for each, up to a constant.
+    """
+    return float(1.0 / np.exp(evidence - evidence.max()).sum())
