@@ -176,7 +176,9 @@ def _strip_zone_prefix(points: NDArray[np.float64], known: KnownCrs, findings: F
             points[:, column] += prefix
         return
     column = int(np.argmax(middle))
-    if prefix <= middle[column] < prefix + 1e6:
+    # The northing of Anchorage begins with the number of its zone, too.
+    is_placed = any(_try_order(middle, known, is_north).is_plausible for is_north in (False, True))
+    if not is_placed and prefix <= middle[column] < prefix + 1e6:
         findings.add(CRS_MAPPED, "", f"the eastings begin with the zone number {zone[1]}; it is removed")
         points[:, column] -= prefix
 
@@ -215,11 +217,8 @@ def _settle_order(
         )
         return swapped
     if not declared.is_plausible:
-        findings.add(
-            CRS_IMPLAUSIBLE,
-            "",
-            f"{known.label}: the middle ({middle[0]:.6g}, {middle[1]:.6g}) lies outside its area of use",
-        )
+        where = f"({middle[0]:.6g}, {middle[1]:.6g})"
+        findings.add(CRS_IMPLAUSIBLE, "", f"{known.label}: the middle {where} lies outside its area of use")
         # Files of projected systems store east first more often than not.
         return swapped if known.horizontal.is_projected and is_declared_north_first else declared
     # Meshes name no system, and have x to the east: latitudes first are those of files that say so.
