@@ -84,6 +84,8 @@ class TestReading:
             ({"height": None, "floors": 2}, 6.0),
             ({"height": "7,5 m"}, 7.5),
             ({"height_mea": 9.0, "elevation": 50.0}, 9.0),
+            ({"elevation": 50.0}, 50.0),
+            ({"levels": 3, "elevation": 515.0}, 9.0),
             ({"b3_h_dak_70p": 10.0, "b3_h_maaiveld": -1.0}, 11.0),
         ],
     )
@@ -106,6 +108,20 @@ class TestReading:
         model = self.read(tmp_path, geojson(rows), default_height_m=8.0)
         assert len(model.building_ids) == 4
         assert codes(model)["LB406"] == 3
+
+    def test_numbers_where_nobody_measured(self, tmp_path: Path) -> None:
+        measured, no_roof, no_ground = ((50.0, 40.0), (-9999.0, 40.0), (47.0, -9999.0))
+        pairs = [measured, no_roof, no_ground, (3.4e38, 40.0), (40.0, -3.4028234663852886e38)]
+        rows = [([square(i)], {"roof": top, "ground": low}) for i, (top, low) in enumerate(pairs)]
+        model = self.read(tmp_path, geojson(rows))
+        assert sorted(set(model.polygons.points[:, 2])) == [40.0, 50.0]
+        assert codes(model)["LB405"] == 4
+        rows = [([square(i)], {"height": 5.0, "ground": low}) for i, (_, low) in enumerate(pairs)]
+        model = self.read(tmp_path, geojson(rows), ground_m=38.0)
+        assert sorted(set(model.polygons.points[:, 2])) == [38.0, 40.0, 43.0, 45.0]
+        assert codes(model)["LB410"] == 2
+        with pytest.raises(CityModelError, match="no footprint with a height"):
+            self.read(tmp_path, geojson([([square()], {"elevation": 2600.0})]))
 
     def test_odd_geometries(self, tmp_path: Path) -> None:
         x, y = LON, LAT
