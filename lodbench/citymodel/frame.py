@@ -225,3 +225,14 @@ def _project(points: NDArray[np.float64], known: KnownCrs, order: Order, finding
     findings.add(CRS_PROJECTED, "", detail)
     points[:, 2] *= known.height_unit_m
     return label
+
+
+def brought_note(label: str, target: str) -> str:
+    """Returns what is told of a city that is brought from one reference system to another: heights stay.
+
+    Example:
+        >>> brought_note("EPSG:25832+7837", "EPSG:25833+5783")
+        'EPSG:25832+7837 brought to EPSG:25833+5783; its heights stay as they are'
+    """
+    codes = {require_crs(each).metric_vertical_code for each in (label, target)}
+    return f"{label} brought to {target}" + ("; its heights stay as they are" if len(codes) > 1 else "")

@@ -13,7 +13,7 @@ from lodbench.citymodel.cleaning import clean_polygons
 from lodbench.citymodel.codes import CRS_MIXED
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.duplicates import drop_repeats
-from lodbench.citymodel.frame import require_no_degrees, to_metres
+from lodbench.citymodel.frame import brought_note, require_no_degrees, to_metres
 from lodbench.citymodel.handedness import faces_tell_north_first
 from lodbench.citymodel.layers import INTERIORS
 from lodbench.citymodel.model import CityModel, Polygons
@@ -232,9 +232,7 @@ def _bring_to_metres(
             first_label = label
         elif label is not None and label != first_label:
             _reproject(part, label, first_label)
-            codes = {require_crs(each).vertical_code for each in (label, first_label)}
-            heights = "; its heights stay as they are" if len(codes) > 1 else ""
-            raw.findings.add(CRS_MIXED, "", f"{label} brought to {first_label}{heights}")
+            raw.findings.add(CRS_MIXED, "", brought_note(label, first_label))
         points[is_chosen] = part
     return first_label
 
