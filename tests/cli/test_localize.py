@@ -16,6 +16,7 @@ from lodbench.citymodel import open_scene
 from lodbench.cli import main as cli
 from lodbench.cli.localize import main
 from lodbench.datasets.map_frame import MapFrame
+from lodbench.errors import DatasetError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering import make_renderer
@@ -261,6 +262,16 @@ def test_a_photo_that_viewers_turn_is_told(capsys, tmp_path, shared_data):
     found = localize(capsys, case, tmp_path / "o", "--mask", str(case.mask))
     assert any("viewers turn" in note for note in found["notes"])
     assert pose_error(pose_of(found["pose"]), case.truth).translation_m < 2.0
+
+
+def test_a_height_above_another_zero_is_told(capsys, tmp_path, shared_data):
+    case = make_case(tmp_path, shared_data, "nrw")
+    words = [str(case.photo), "--city", str(case.city), "--out", str(tmp_path / "o")]
+    with pytest.raises(
+        DatasetError, match=r"DJI_0001.JPG was taken 1[34]\d\d m below the city model"
+    ) as fault:
+        main([*words, "--height-offset", "-1500"])
+    assert "--takeoff METRES" in fault.value.hint
 
 
 def test_a_photo_that_a_program_turned_is_told_and_found_by_its_roll(capsys, tmp_path, shared_data):

@@ -169,6 +169,7 @@ class TestFromPhotos:
             (["--images", "nowhere"], ["nowhere"]),
             (["--heights", "ellipsoid"], ["geoid", "--geoid"]),
             (["--crs", "EPSG:25833"], ["outside the city"]),
+            (["--height-offset", "-2000"], ["m below the city model", "--takeoff"]),
             (["--camera", "FISHY 9 9 1 1"], ["FISHY"]),
         ],
     )

@@ -24,7 +24,7 @@ from lodbench.errors import DatasetError, LodbenchError, QueryFault
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.similarity import FEWEST_POSES, FittedSimilarity, Similarity, fit_similarity
-from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.city import open_city, require_near_city
 from lodbench.harness.georeference.outputs import write_georeferenced
 from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
 from lodbench.harness.georeference.start import ROUGH_DEG, ROUGH_M, rough_start
@@ -54,7 +54,8 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     frame = None if city.scene.crs is None else MapFrame(city.scene.crs)
     start = rough_start(request, images, frame)
-    _require_near(images, start.similarity, city.scene)
+    roughly = [start.similarity.pose(image.pose) for image in images]
+    require_near_city("The reconstruction lies", roughly, city.scene)
     queries, left_out = _queries(request, images, start.similarity, city.scene)
     _require_enough(len(queries), len(images), left_out)
     found = _solved(request, queries, city)
@@ -98,15 +99,6 @@ def _require_enough(usable: int, count: int, left_out: Sequence[tuple[str, str]]
             hint = "--images is the folder of the model's photos, under the names that the model has."
         raise DatasetError(
             f"{usable} of {count} photos can be used, and {FEWEST_POSES} are needed: {reasons}.", hint
-        )
-
-
-def _require_near(images: Sequence[FoundPose], rough: Similarity, scene: Scene) -> None:
-    away = float(np.median([distance_outside_m(rough.pose(image.pose), scene) for image in images]))
-    if away > FURTHEST_M:
-        raise DatasetError(
-            f"The reconstruction lies {away / 1000:.1f} km outside the city model.",
-            "Is it the right tile, and its reference system right? lodbench city info says where it is.",
         )
 
 
