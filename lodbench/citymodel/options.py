@@ -33,7 +33,7 @@ class ReadOptions:
         storey_height_m: Height of one storey.
         ground_column: Column of ground heights, in the unit of ``height_column``; None looks for one.
         ground_m: Ground height where neither column nor terrain gives one.
-        terrain: Raster terrain model to take ground heights from.
+        terrain: Raster terrain model to take ground heights from, in the unit that its band or system names.
         default_height_m: Height of footprints without one; None drops them with a finding.
         base: ``as_given``; ``ground`` sets models with a zero base on ``terrain`` or ``ground_m``;
             ``sunk`` raises what lies within ``sunk_m`` of a building's lowest point, for walls that

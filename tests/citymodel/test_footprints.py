@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pyproj import Transformer
 
 from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.extrude import clean_rings, extrude
@@ -164,6 +165,42 @@ class TestReading:
             self.read(tmp_path, text, terrain=str(tmp_path / "t.tif"))
         with pytest.raises(CityModelError, match="as a raster"):
             self.read(tmp_path, text, terrain=str(write(tmp_path / "no.tif", "II*")))
+
+    @pytest.mark.parametrize(
+        ("raster_crs", "unit", "stored"),
+        [
+            ("EPSG:2263", None, 328.083),
+            ("EPSG:2263", "metre", 100.0),
+            ("EPSG:26918", None, 100.0),
+            ("EPSG:4326", None, 100.0),
+            ("EPSG:26918", "US survey foot", 328.083),
+        ],
+    )
+    @pytest.mark.parametrize("crs", ["EPSG:2263", "EPSG:26918"])
+    def test_a_terrain_counts_in_its_own_unit(
+        self, tmp_path: Path, crs: str, raster_crs: str, unit: str | None, stored: float
+    ) -> None:
+        rasterio = pytest.importorskip("rasterio")
+        east, north = Transformer.from_crs(4326, crs, always_xy=True).transform(-73.98, 40.75)
+        ring = [[east + dx, north + dy] for dx, dy in ((0, 0), (30, 0), (30, 30), (0, 30), (0, 0))]
+        x, y = Transformer.from_crs(4326, raster_crs, always_xy=True).transform(-73.98, 40.75)
+        cell = 0.01 if raster_crs == "EPSG:4326" else 1000.0
+        shape = {"driver": "GTiff", "count": 1, "width": 2, "height": 2, "dtype": "float32"}
+        grid = rasterio.Affine(cell, 0, x - cell, 0, -cell, y + cell)
+        with rasterio.open(tmp_path / "dtm.tif", "w", crs=raster_crs, transform=grid, **shape) as raster:
+            raster.write(np.full((2, 2), stored, np.float32), 1)
+            if unit is not None:
+                raster.set_band_unit(1, unit)
+        text, terrain = geojson([([ring], {"height": 20})]), str(tmp_path / "dtm.tif")
+        model = self.read(tmp_path, text, crs=crs, terrain=terrain)
+        assert model.polygons.points[:, 2].min() == pytest.approx(100.0, abs=1e-3)
+
+    def test_cells_where_nobody_measured_are_no_ground(self, tmp_path: Path) -> None:
+        corner = f"xllcorner {LON - 1}\nyllcorner {LAT - 1}\n"
+        terrain = write(tmp_path / "d.asc", f"ncols 1\nnrows 1\n{corner}cellsize 2\nnodata_value 0\n-9999\n")
+        model = self.read(tmp_path, geojson([([square()], {"height": 5})]), terrain=str(terrain), ground_m=7)
+        assert model.polygons.points[:, 2].min() == 7.0
+        assert codes(model)["LB410"] == 1
 
     def test_override_and_projected_coordinates(self, tmp_path: Path) -> None:
         ring = [[500000, 4400000], [500010, 4400000], [500010, 4400010], [500000, 4400000]]
