@@ -67,6 +67,21 @@ def test_metashape_s_angles_are_those_of_its_own_function(tmp_path):
     assert photo_axes(again.pose) == pytest.approx(np.array(METASHAPE_30_91_0), abs=1e-15)
 
 
+@pytest.mark.parametrize("crs", ["EPSG:6247+5778", "EPSG:5516", "EPSG:6201", None])
+def test_a_system_that_old_wkt_has_no_words_for_is_left_to_be_chosen(tmp_path, crs):
+    # Bogota's own grid is an oblique plane that only newer forms of WKT have.
+    image = FoundPose("a.jpg", "", Pose.from_euler(EulerAngles(31.0, 0.2, -40.0), CENTER))
+    write_metashape([image], tmp_path / "reference.txt", crs)
+    assert (tmp_path / "reference.txt").read_text().startswith("#Label,")
+    assert read_pose_file(tmp_path / "reference.txt", "auto")[0] == "metashape"
+
+
+def test_odm_is_told_a_code_that_it_knows(tmp_path):
+    image = FoundPose("a.jpg", "", Pose.from_euler(EulerAngles(31.0, 0.2, -40.0), CENTER))
+    write_odm([image], tmp_path / "geo.txt", "IGNF:LAMB93")
+    assert (tmp_path / "geo.txt").read_text().startswith("EPSG:2154\n")
+
+
 def test_metashape_s_estimates_go_before_its_source_and_markers_are_no_cameras(tmp_path):
     head = f"{HEAD},Error_(m),X_est,Y_est,Z_est,Yaw_est,Pitch_est,Roll_est"
     rows = (

@@ -127,13 +127,23 @@ def write_metashape(images: Sequence[FoundPose], path: Path, crs: str | None = N
         DatasetError: A name has a comma, or occurs twice.
     """
     require_plain_names([image.name for image in images], ',\r\n"', "Metashape's reference text")
-    lines = [] if crs is None else [f"#CoordinateSystem: {require_crs(crs).horizontal.to_wkt('WKT1_GDAL')}"]
-    lines.append(",".join(_METASHAPE_HEAD))
+    lines = [*_coordinate_system(crs), ",".join(_METASHAPE_HEAD)]
     for image in images:
         minus_yaw, pitch, roll = _angles(image.pose, "ZXY")
         values = [*map(float, image.pose.center), -minus_yaw % 360.0, pitch, roll]
         lines.append(",".join([image.name, *map(repr, values)]))
     write_text(path, lines_to_text(lines))
+
+
+def _coordinate_system(crs: str | None) -> list[str]:
+    """Returns the line that names a reference system to Metashape, none where its WKT has no words for it."""
+    from pyproj.exceptions import CRSError
+
+    try:
+        wkt = None if crs is None else require_crs(crs).horizontal.to_wkt("WKT1_GDAL")
+    except CRSError:  # town grids of Colombia, Michigan's, the modified Krovak
+        wkt = None
+    return [] if wkt is None else [f"#CoordinateSystem: {wkt}"]
 
 
 def write_pix4d(images: Sequence[FoundPose], path: Path) -> None:
@@ -156,8 +166,8 @@ def write_odm(images: Sequence[FoundPose], path: Path, crs: str | None) -> None:
         raise DatasetError("ODM's geo.txt names a reference system, and that of the poses is not known.",
                            "Name it with --crs.")  # fmt: skip
     require_plain_names([image.name for image in images], " \t\r\n", "ODM's geo.txt")
-    code = require_crs(crs).horizontal.to_authority()
-    head = ":".join(code) if code else require_crs(crs).horizontal.to_proj4()
+    plane = require_crs(crs).horizontal
+    head = f"EPSG:{plane.to_epsg()}" if plane.to_epsg() else plane.to_proj4()
     write_text(path, lines_to_text([head, *map(_with_omega_phi_kappa, images)]))
 
 
