@@ -317,6 +317,21 @@ class TestImport:
         assert (tmp_path / "town/masks/DJI_0001.png").is_file()
         assert list(read_poses(tmp_path / "town/GT_pose.txt")) == ["DJI_0001.JPG"]
 
+    def test_blender_s_files_lack_sizes_of_pictures_and_their_endings(self, capsys, tmp_path, case):
+        write_nerfstudio([FoundPose("./flight/DJI_0001", "", case.truth, LENS)], tmp_path / "transforms.json")
+        values = json.loads((tmp_path / "transforms.json").read_text())
+        (frame,) = values["frames"]
+        kept = {key: frame[key] for key in ("file_path", "transform_matrix")}
+        values |= {"camera_angle_x": 1.2, "frames": [kept]}
+        (tmp_path / "transforms.json").write_text(json.dumps(values))
+        paths = tmp_path / "transforms.json", tmp_path / "town", "--images", case.photo.parents[1]
+        code, _, err = run(capsys, "dataset import nerfstudio", *paths)
+        assert (code, "--camera" in err) == (2, True)
+        words = "--camera", format_camera("", LENS).strip()
+        code, _, err = run(capsys, "dataset import nerfstudio", *paths, *words)
+        assert code == 0, err
+        assert list(read_poses(tmp_path / "town/GT_pose.txt")) == ["DJI_0001.JPG"]
+
     def test_a_label_that_two_photos_have_finds_neither(self, capsys, tmp_path, case):
         shutil.copytree(case.photo.parent, tmp_path / "photos")
         shutil.copy(case.photo, tmp_path / "photos" / "DJI_0001.tif")
