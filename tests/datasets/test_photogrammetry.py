@@ -76,6 +76,16 @@ def test_a_system_that_old_wkt_has_no_words_for_is_left_to_be_chosen(tmp_path, c
     assert read_pose_file(tmp_path / "reference.txt", "auto")[0] == "metashape"
 
 
+@pytest.mark.parametrize("name", ["DJI 0001.JPG", "IMG 0001", "Flug über Köln 2.jpg"])
+@pytest.mark.parametrize("separator", [" ", ",", "\t"])
+def test_names_with_spaces_in_pix4d_s_parameters(tmp_path, name, separator):
+    words = [name, "280950.5", "5657400.25", "160.125", "1", "2", "3"]
+    (tmp_path / "p.txt").write_text(f"imageName X Y Z Omega Phi Kappa\n{separator.join(words)}\n")
+    (found,) = read_pix4d(tmp_path / "p.txt")
+    assert found.name == name
+    assert found.pose.center == pytest.approx(CENTER)
+
+
 def test_odm_is_told_a_code_that_it_knows(tmp_path):
     image = FoundPose("a.jpg", "", Pose.from_euler(EulerAngles(31.0, 0.2, -40.0), CENTER))
     write_odm([image], tmp_path / "geo.txt", "IGNF:LAMB93")

@@ -98,7 +98,8 @@ def read_pix4d(path: Path) -> Iterator[FoundPose]:
         where = f"{path}, line {number}"
         if line.strip():
             with Place(where, _PIX4D_HEAD):
-                yield _of_omega_phi_kappa(where, re.split(r"[,\s]+", line.strip()))
+                # From the right: a name may hold spaces.
+                yield _of_omega_phi_kappa(where, line.replace(",", " ").rsplit(maxsplit=6))
 
 
 def read_odm(path: Path) -> Iterator[FoundPose]:
