@@ -76,6 +76,12 @@ def test_a_system_that_old_wkt_has_no_words_for_is_left_to_be_chosen(tmp_path, c
     assert read_pose_file(tmp_path / "reference.txt", "auto")[0] == "metashape"
 
 
+def test_a_line_of_pix4d_s_that_is_cut_off_is_named(tmp_path):
+    (tmp_path / "p.txt").write_text("imageName X Y Z Omega Phi Kappa\na.jpg 1 2 3 4 5\n")
+    with pytest.raises(DatasetError, match="line 2: 6 values are too few"):
+        list(read_pix4d(tmp_path / "p.txt"))
+
+
 @pytest.mark.parametrize("name", ["DJI 0001.JPG", "IMG 0001", "Flug über Köln 2.jpg"])
 @pytest.mark.parametrize("separator", [" ", ",", "\t"])
 def test_names_with_spaces_in_pix4d_s_parameters(tmp_path, name, separator):

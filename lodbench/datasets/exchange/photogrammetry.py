@@ -115,10 +115,7 @@ def read_odm(path: Path) -> Iterator[FoundPose]:
         raise DatasetError(f"{where}: {head.strip()} has degrees.", _PROJECTED_HINT)
     for place, line in lines:
         with Place(place, "image_name geo_x geo_y geo_z omega phi kappa"):
-            words = line.split()
-            if len(words) < 7:
-                raise LodbenchError("there are no angles")
-            yield _of_omega_phi_kappa(place, words)
+            yield _of_omega_phi_kappa(place, line.split())
 
 
 def write_metashape(images: Sequence[FoundPose], path: Path, crs: str | None = None) -> None:
@@ -186,6 +183,8 @@ def looks_like(path: Path) -> str | None:
 def _of_omega_phi_kappa(where: str, words: Sequence[str]) -> FoundPose:
     from scipy.spatial.transform import Rotation
 
+    if len(words) < 7:
+        raise LodbenchError(f"{len(words)} values are too few: there are no angles")
     x, y, z, *angles = (float(word) for word in words[1:7])
     turn = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
     return FoundPose(words[0], where, _pose(turn, (x, y, z)))
