@@ -236,3 +236,10 @@ def brought_note(label: str, target: str) -> str:
     """
     codes = {require_crs(each).metric_vertical_code for each in (label, target)}
     return f"{label} brought to {target}" + ("; its heights stay as they are" if len(codes) > 1 else "")
+
+
+def bring_to(points: NDArray[np.float64], label: str, target: str) -> None:
+    """Brings points from one metric system to another, in place; heights stay."""
+    if require_crs(label).horizontal != require_crs(target).horizontal:
+        transformer = _transformer(label, target)
+        points[:, 0], points[:, 1] = transformer.transform(points[:, 0], points[:, 1])

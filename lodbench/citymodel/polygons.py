@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.bases import move_bases
+from lodbench.citymodel.bases import move_bases, tell_unused
 from lodbench.citymodel.cleaning import clean_polygons
 from lodbench.citymodel.codes import CRS_MIXED
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.duplicates import drop_repeats
-from lodbench.citymodel.frame import brought_note, require_no_degrees, to_metres
+from lodbench.citymodel.frame import bring_to, brought_note, require_no_degrees, to_metres
 from lodbench.citymodel.handedness import faces_tell_north_first
 from lodbench.citymodel.layers import INTERIORS
 from lodbench.citymodel.model import CityModel, Polygons
@@ -107,6 +107,7 @@ def _bring_to_local_frame(
     label = _bring_to_metres(polygons, srs, raw, options)
     if options.ecef_origin is not None:
         polygons.points[:] = ShiftedEcef(*options.ecef_origin).points_to_enu(polygons.points)
+    tell_unused(raw.format, options, raw.findings)
     move_bases(polygons, raw.building_ids, label, options, raw.findings)
     return label, _subtract_origin(polygons.points, label, raw, options)
 
@@ -231,7 +232,7 @@ def _bring_to_metres(
         if first_label is None:
             first_label = label
         elif label is not None and label != first_label:
-            _reproject(part, label, first_label)
+            bring_to(part, label, first_label)
             raw.findings.add(CRS_MIXED, "", brought_note(label, first_label))
         points[is_chosen] = part
     return first_label
@@ -246,13 +247,3 @@ def _told_by_faces(
     return faces_tell_north_first(
         polygons if is_chosen is None else select_polygons(polygons, np.flatnonzero(is_chosen))
     )
-
-
-def _reproject(points: NDArray[np.float64], label: str, target: str) -> None:
-    """Brings points from one metric system to another, in place; heights stay."""
-    from pyproj import Transformer
-
-    source_crs, target_crs = require_crs(label).horizontal, require_crs(target).horizontal
-    if source_crs != target_crs:
-        transformer = Transformer.from_crs(source_crs, target_crs, always_xy=True)
-        points[:, 0], points[:, 1] = transformer.transform(points[:, 0], points[:, 1])
