@@ -17,7 +17,7 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import find_inside, find_mask, shared_files
+from lodbench.datasets.own import find_mask, find_photo, shared_files
 from lodbench.datasets.query import Entry, Query
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
@@ -133,7 +133,7 @@ def _file(request: GeoreferenceRequest, name: str) -> Path | None:
     """Returns an image's mask, or the photo that it is made of; None where there is neither."""
     if request.masks is not None:
         return find_mask(request.masks, name)
-    return None if request.images is None else find_inside(request.images, name)
+    return None if request.images is None else find_photo(request.images, name)
 
 
 def _mask(
