@@ -46,7 +46,7 @@ BOX = box_rings(x=0.0, y=0.0, z=20.0)
 
 @pytest.mark.parametrize("is_north_first", [False, True])
 @pytest.mark.parametrize("code", PLACES)
-@pytest.mark.parametrize("faces", [BOX, BOX[1:]], ids=["closed", "no floor"])
+@pytest.mark.parametrize("faces", [BOX, BOX[1:], BOX[2:]], ids=["closed", "no floor", "walls"])
 def test_either_order_is_found(tmp_path: Path, code: str, is_north_first: bool, faces: list[Ring]) -> None:
     _, found, codes = read_box(tmp_path, code, is_north_first, faces)
     assert found == pytest.approx(PLACES[code], abs=2e-3)
@@ -59,6 +59,18 @@ def test_faces_that_tell_nothing_leave_it_open(tmp_path: Path) -> None:
     _, found, codes = read_box(tmp_path, "EPSG:2180", False, mixed)
     assert found == pytest.approx(PLACES["EPSG:2180"], abs=2e-3)
     assert "AXES_AMBIGUOUS" in codes
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2])
+@pytest.mark.parametrize("is_clockwise", [False, True])
+def test_footprints_and_roofs_alone_leave_it_open(tmp_path: Path, is_clockwise: bool, slope: float) -> None:
+    # As outlines of a Shapefile, which run clockwise, or draped over a slope.
+    flat = [[(x, y, z + slope * x) for x, y, z in ring] for ring in BOX[:2]]
+    faces = [ring[::-1] for ring in flat] if is_clockwise else flat
+    for kinds in (faces, faces[1:]):
+        _, found, codes = read_box(tmp_path, "EPSG:2180", False, kinds)
+        assert found == pytest.approx(PLACES["EPSG:2180"], abs=2e-3)
+        assert "AXES_AMBIGUOUS" in codes
 
 
 def test_what_the_user_says_goes_before_the_faces(tmp_path: Path) -> None:
