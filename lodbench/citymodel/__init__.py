@@ -8,8 +8,9 @@ each thing goes:
 - which reader: ``read``, ``readers``; a format each in ``citygml``, ``cityjson``, ``footprints``, ``obj``,
   ``mesh_reader``. How a publisher writes CityGML that its schema does not say: names in ``gml_names``, what
   is borrowed from elsewhere in ``gml_links``, geometry in ``gml_walk``, attributes in ``gml_details``;
-- what readers hand over: ``raw``; then ``frame`` and ``crs`` (metres, east, north), ``cleaning``,
-  ``polygons``: a ``model`` with its ``objects``. All that is wrong or left out has one of ``codes``;
+- what readers hand over: ``raw``; then ``cleaning``, and ``crs``, ``axis_order``, ``handedness``, ``frame``
+  (metres, east, north), ``polygons``: a ``model`` with its ``objects``. All that is wrong or left out has one
+  of ``codes``;
 - from a model to a ``scene``: ``lods``, ``derive`` and ``extrude`` (levels), ``triangulate``, ``meshing``;
   kept by ``cache``, ``scene_file``; many tiles: ``tiling``, ``scene_join``;
 - told: ``info``, ``check`` (``plane_check``, ``shells``, ``solid_check``);

@@ -4,11 +4,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodbench.citymodel.codes import BASE_MOVED, GROUND_DEFAULTED
+from lodbench.citymodel.codes import BASE_MOVED, GROUND_DEFAULTED, OPTION_UNUSED
 from lodbench.citymodel.model import Polygons
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.terrain import ground_under
 from lodbench.findings import Findings
+
+# What formats of footprints alone are read by, and what sets buildings on the ground where that is asked for.
+_FOOTPRINTS = ("footprints", "surfaces")
+_OF_FOOTPRINTS = (
+    "layer", "height_column", "storeys_column", "storey_height_m", "ground_column", "default_height_m",
+)  # fmt: skip
+_OF_GROUND = ("ground_m", "terrain")
+
+
+def tell_unused(format: str, options: ReadOptions, findings: Findings) -> None:
+    """Adds a finding for every option that was given and that a city of this format does not hear."""
+    if format in _FOOTPRINTS:
+        return
+    unheard = {name: f"{name}: it is of footprints" for name in _OF_FOOTPRINTS}
+    if options.base != "ground":
+        unheard |= {name: f"{name}: base=ground sets buildings on the ground" for name in _OF_GROUND}
+    usual = ReadOptions()
+    for name, why in unheard.items():
+        if getattr(options, name) != getattr(usual, name):
+            findings.add(OPTION_UNUSED, "", why)
 
 
 def move_bases(

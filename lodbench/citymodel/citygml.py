@@ -15,11 +15,7 @@ from lodbench.citymodel.gml_batch import read_batch
 from lodbench.citymodel.gml_context import envelope_srs, gml_id, is_inside, owner_of
 from lodbench.citymodel.gml_details import SolidReader, read_attributes
 from lodbench.citymodel.gml_links import LinkResolver
-from lodbench.citymodel.gml_names import (
-    MEMBERS,
-    NESTED_TYPES,
-    is_citygml,
-)
+from lodbench.citymodel.gml_names import MEMBERS, NESTED_TYPES, is_citygml
 from lodbench.citymodel.gml_pictures import SurfacePictures
 from lodbench.citymodel.gml_walk import GeometryWalk
 from lodbench.citymodel.growing import GrowingArray
@@ -221,6 +217,9 @@ class _Reader:
         for name, count in sorted(self._others.items()):
             if not name.startswith("Appearance"):
                 self.findings.add(NOT_A_BUILDING, name, f"{count} of them")
+        if not self._building_ids and not self._version:
+            hint = "Of other GML, such as INSPIRE's, footprints are read once they are saved as GeoPackage."
+            raise NotACity(f"{self._source} is GML, but names nothing of CityGML.", hint)
         if not self._building_ids:
             raise NotACity(f"{self._source} has no buildings.", "Is it the building tile of the city?")
 

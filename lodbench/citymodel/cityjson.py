@@ -77,6 +77,7 @@ class _Reader:
         self._transform: Json | None = None
         self._templates: Json = {}
         self._others: Counter[str] = Counter()
+        self._template_textures: TextureReader | None = None
         self._has_textures = False
         self.repeated: list[str] = []  # keys of objects that one mapping has twice
 
@@ -133,23 +134,20 @@ class _Reader:
         """Adds the buildings of a document with objects and vertices of its own."""
         if not isinstance(document, dict) or not isinstance(document.get("CityObjects", {}), dict):
             raise CityModelError(f"{self._source} has a feature that is no CityJSON object.", _HINT)
+        appearance, textures = document.get("appearance"), None
+        self._has_textures |= isinstance(appearance, dict) and bool(appearance.get("textures"))
+        if self._collector.pictures is not None and isinstance(appearance, dict):
+            textures = TextureReader(appearance, self._collector.pictures, self._source)
+        if document.get("type") == "CityJSON":
+            self._template_textures = textures  # templates stand in headers, and so do their pictures
         objects: dict[str, Json] = document.get("CityObjects", {})
         if not objects:
             return
-        appearance = document.get("appearance")
-        self._has_textures |= isinstance(appearance, dict) and bool(appearance.get("textures"))
         vertices = self._vertices(document.get("vertices", []))
-        textures: TextureReader | None = None
-        if self._collector.pictures is not None and isinstance(appearance, dict):
-            textures = TextureReader(appearance, self._collector.pictures, self._source)
         geometry = GeometryReader(
-            self._collector,
-            vertices,
-            self._templates,
-            self._is_strict,
-            textures,
+            self._collector, vertices, self._templates, self._is_strict, textures, self._template_textures,
             is_in_degrees(self._srs_name),
-        )
+        )  # fmt: skip
         numbers = self._number_objects(objects)
         for object_id, item in objects.items():
             part = numbers.get(object_id)

@@ -28,6 +28,7 @@ class GeometryReader:
         templates: The file's ``geometry-templates``, or an empty mapping.
         is_strict: Whether a bad index is an error, or a finding that drops its polygon.
         textures: Reads which pictures lie on the surfaces; None where they are not kept.
+        template_textures: Reads those of templates.
         is_in_degrees: Whether the vertices are, where no template in metres can be set down.
     """
 
@@ -38,6 +39,7 @@ class GeometryReader:
         templates: dict[str, Any],
         is_strict: bool,
         textures: TextureReader | None = None,
+        template_textures: TextureReader | None = None,
         is_in_degrees: bool = False,
     ) -> None:
         self._collector = collector
@@ -45,6 +47,7 @@ class GeometryReader:
         self._templates = templates
         self._is_strict = is_strict
         self._textures = textures
+        self._template_textures = template_textures
         self._is_in_degrees = is_in_degrees
         self._begin()
 
@@ -193,7 +196,7 @@ class GeometryReader:
         if not np.isfinite(placed).all():
             raise ValueError("template coordinates are not finite")
         self.finish()
-        inner = GeometryReader(self._collector, placed, {}, self._is_strict)
+        inner = GeometryReader(self._collector, placed, {}, self._is_strict, self._template_textures)
         inner.read(template, building, object_id, is_interior, part)
         inner.finish()
         self._begin()

@@ -83,12 +83,15 @@ LOD_ABSENT = FindingCode(
 )
 LOD_SUBSTITUTED = FindingCode(402, _I, "The level asked for is absent; a finer name of it is used.")
 BUILDING_EMPTY = FindingCode(403, _W, "A building has no polygon at any level of detail.")
-HEIGHT_MISSING = FindingCode(405, _E, "A footprint has no height above 0; it is dropped.")
-HEIGHT_DEFAULTED = FindingCode(406, _W, "A footprint has no height above 0; the default is used.")
+HEIGHT_MISSING = FindingCode(405, _E, "A footprint has no height between 0 and 1000 m; it is dropped.")
+HEIGHT_DEFAULTED = FindingCode(
+    406, _W, "A footprint has no height between 0 and 1000 m; the default is used."
+)
 BASE_MOVED = FindingCode(407, _I, "The bottoms of buildings were moved, as asked.")
 LOD_DERIVED = FindingCode(408, _I, "Level 1 was derived from a finer level.")
 LOD_UNDERIVABLE = FindingCode(409, _W, "A building has no footprint to derive level 1 from.")
 GROUND_DEFAULTED = FindingCode(410, _W, "No column or terrain gives the ground; ground_m is used.")
+OPTION_UNUSED = FindingCode(411, _W, "An option was given that says nothing to this format.")
 INTERIOR_SKIPPED = FindingCode(404, _I, "Rooms and furniture are left out of the mesh.")
 
 SHELL_TOO_FEW_FACES = FindingCode(601, _W, "A shell of a solid has fewer than four faces.")

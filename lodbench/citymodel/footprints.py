@@ -25,7 +25,7 @@ from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.gdal import missing_bytes, read_vector
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.raw import RawCity, starts_of, take_segments
-from lodbench.citymodel.terrain import ground_under
+from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
 from lodbench.citymodel.vector_columns import Columns
 from lodbench.citymodel.vector_surfaces import surfaces_as_read
 from lodbench.citymodel.wkb import WkbPolygons
@@ -33,6 +33,8 @@ from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 from lodbench.storage.json_text import parse_json
 
+# No house is higher: heights above the sea are.
+_TALLEST_M = 1000.0
 _EXTRA_HINT = "Install it: pip install 'lodbench[vector]'."
 
 
@@ -162,7 +164,7 @@ def _without_gaps(
     findings: Findings,
 ) -> NDArray[np.float64]:
     """Returns ground heights with the default in place of what is not known, and says where."""
-    is_lost = ~np.isfinite(ground)
+    is_lost = ~((ground * unit_m > LOWEST_M) & (ground * unit_m < HIGHEST_M))
     # One word where nothing could give the ground; else those that fall through its gaps.
     for name in [""] if is_lost.all() else [ids[i] for i in np.unique(owner[is_lost])]:
         findings.add(GROUND_DEFAULTED, name, f"ground_m={options.ground_m:g}")
@@ -173,12 +175,10 @@ def _heights(
     columns: Columns, options: ReadOptions, unit_m: float, ids: list[str], findings: Findings
 ) -> NDArray[np.float64]:
     heights, where = columns.heights(options, unit_m)
-    is_missing = ~(np.isfinite(heights) & (heights > 0))
+    is_missing = ~((heights > 0) & (heights * unit_m < _TALLEST_M))
+    code = HEIGHT_MISSING if options.default_height_m is None else HEIGHT_DEFAULTED
     for i in np.flatnonzero(is_missing):
-        if options.default_height_m is None:
-            findings.add(HEIGHT_MISSING, ids[i], f"{where} is {heights[i]:g}")
-        else:
-            findings.add(HEIGHT_DEFAULTED, ids[i], f"{where} is {heights[i]:g}")
+        findings.add(code, ids[i], f"{where} is {heights[i]:g}")
     default = np.nan if options.default_height_m is None else options.default_height_m / unit_m
     return np.where(is_missing, default, heights)
 

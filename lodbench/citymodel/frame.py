@@ -7,16 +7,15 @@ first whatever their reference system says. What is decided against the declarat
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.axis_order import Order, declares_south_and_west, settle_order, try_order
 from lodbench.citymodel.codes import (
-    AXES_AMBIGUOUS,
-    AXES_SWAPPED,
     CRS_IMPLAUSIBLE,
     CRS_MAPPED,
     CRS_MISSING,
@@ -37,22 +36,8 @@ if TYPE_CHECKING:
 _CHUNK_POINTS = 1 << 16
 # Where a city lies is judged by the median of at most twice so many points, evenly spread over the file.
 _SAMPLE_POINTS = 1 << 15
-# Areas of use are bounding boxes of countries and zones; tiles at their rim reach a little out.
-_AREA_MARGIN_DEG = 0.5
 # Nobody's city is wider, whatever the outermost points are, in percent.
 _WIDEST_DEG, _WITHOUT_STRAYS = 60.0, (1.0, 99.0)
-# No town lies further south or north; it tells latitudes from longitudes where the area is the world.
-_INHABITED_LATITUDES_DEG = (-56.0, 80.0)
-
-
-@dataclass(frozen=True, slots=True)
-class _Order:
-    """One reading of the first two columns, and whether it puts the data where it should be."""
-
-    is_north_first: bool
-    is_plausible: bool
-    longitude_deg: float
-    latitude_deg: float
 
 
 def to_metres(
@@ -61,6 +46,7 @@ def to_metres(
     override: str | None,
     findings: Findings,
     axis_order: AxisOrder = "auto",
+    tells_north_first: Callable[[], bool | None] = lambda: None,
 ) -> str | None:
     """Brings points, in place, to east, north, up in metres; returns the label of their reference system.
 
@@ -70,6 +56,8 @@ def to_metres(
         override: What the user says instead, or None.
         findings: Receives every decision that the declaration alone does not settle.
         axis_order: What is known of the order of the columns.
+        tells_north_first: Asked, where both orders are plausible, whether northings stand first; None for
+            no answer.
 
     Returns:
         A name pyproj understands, or None where the system is unknown.
@@ -86,11 +74,11 @@ def to_metres(
     _strip_zone_prefix(points, known, findings)
     _require_degrees(points, known)
     # PROJ takes southings before westings, as declared; which is which, only the place on Earth tells.
-    is_south_first = _declares_south_and_west(known)
+    is_south_first = declares_south_and_west(known)
     if axis_order == "auto" or is_south_first:
-        order = _settle_order(points, known, srs_name is not None, findings)
+        order = settle_order(_middle(points), known, srs_name is not None, findings, tells_north_first)
     else:
-        order = _try_order(_middle(points), known, axis_order == "north_first")
+        order = try_order(_middle(points), known, axis_order == "north_first")
         if not order.is_plausible:
             findings.add(CRS_IMPLAUSIBLE, "", f"{known.label}, {axis_order}")
     if order.is_north_first != is_south_first:
@@ -176,7 +164,9 @@ def _strip_zone_prefix(points: NDArray[np.float64], known: KnownCrs, findings: F
             points[:, column] += prefix
         return
     column = int(np.argmax(middle))
-    if prefix <= middle[column] < prefix + 1e6:
+    # The northing of Anchorage begins with the number of its zone, too.
+    is_placed = any(try_order(middle, known, is_north).is_plausible for is_north in (False, True))
+    if not is_placed and prefix <= middle[column] < prefix + 1e6:
         findings.add(CRS_MAPPED, "", f"the eastings begin with the zone number {zone[1]}; it is removed")
         points[:, column] -= prefix
 
@@ -198,68 +188,6 @@ def _require_degrees(points: NDArray[np.float64], known: KnownCrs) -> None:
             )
 
 
-def _settle_order(
-    points: NDArray[np.float64], known: KnownCrs, is_declared: bool, findings: Findings
-) -> _Order:
-    """Returns how to read the first two columns; ``is_declared``: the file itself names a system."""
-    axes = [axis.direction.lower() for axis in known.horizontal.axis_info[:2]]
-    is_declared_north_first = axes[0].startswith("north") or axes[0] == "south"
-    middle = _middle(points)
-    declared = _try_order(middle, known, is_declared_north_first)
-    swapped = _try_order(middle, known, not is_declared_north_first)
-    if declared.is_plausible and not swapped.is_plausible:
-        return declared
-    if swapped.is_plausible and not declared.is_plausible:
-        findings.add(
-            AXES_SWAPPED, "", f"{known.label}: {'north' if swapped.is_north_first else 'east'} first"
-        )
-        return swapped
-    if not declared.is_plausible:
-        findings.add(
-            CRS_IMPLAUSIBLE,
-            "",
-            f"{known.label}: the middle ({middle[0]:.6g}, {middle[1]:.6g}) lies outside its area of use",
-        )
-        # Files of projected systems store east first more often than not.
-        return swapped if known.horizontal.is_projected and is_declared_north_first else declared
-    # Meshes name no system, and have x to the east: latitudes first are those of files that say so.
-    if is_declared_north_first and (known.horizontal.is_projected or not is_declared):
-        findings.add(
-            AXES_AMBIGUOUS, "", f"{known.label} declares north first; taken as east first, as is usual"
-        )
-        return swapped
-    return declared
-
-
-def _declares_south_and_west(known: KnownCrs) -> bool:
-    return known.counts_west and known.horizontal.axis_info[0].direction.lower() == "south"
-
-
-def _try_order(middle: NDArray[np.float64], known: KnownCrs, is_north_first: bool) -> _Order:
-    is_swapped = is_north_first != _declares_south_and_west(known)
-    east, north = (middle[1], middle[0]) if is_swapped else (middle[0], middle[1])
-    longitude, latitude = float(east), float(north)
-    if known.horizontal.is_projected:
-        from pyproj import Proj
-
-        longitude, latitude = Proj(known.horizontal)(east, north, inverse=True)
-    area = known.horizontal.area_of_use
-    low, high = _INHABITED_LATITUDES_DEG
-    is_plausible = bool(np.isfinite(longitude) and np.isfinite(latitude)) and low <= latitude <= high
-    is_plausible = is_plausible and -180.0 <= longitude <= 180.0
-    if area is not None and is_plausible:
-        is_plausible = (
-            area.south - _AREA_MARGIN_DEG <= latitude <= area.north + _AREA_MARGIN_DEG
-            and _longitude_within(longitude, area.west, area.east)
-        )
-    return _Order(is_north_first, is_plausible, longitude, latitude)
-
-
-def _longitude_within(longitude_deg: float, west_deg: float, east_deg: float) -> bool:
-    width = (east_deg - west_deg) % 360.0 or 360.0
-    return (longitude_deg - west_deg + _AREA_MARGIN_DEG) % 360.0 <= width + 2 * _AREA_MARGIN_DEG
-
-
 @lru_cache(maxsize=16)
 def _transformer(source: str, target: str) -> Transformer:
     """Returns what brings easting and northing from one system to another; tiles share theirs."""
@@ -270,7 +198,7 @@ def _transformer(source: str, target: str) -> Transformer:
     )
 
 
-def _project(points: NDArray[np.float64], known: KnownCrs, order: _Order, findings: Findings) -> str:
+def _project(points: NDArray[np.float64], known: KnownCrs, order: Order, findings: Findings) -> str:
     """Projects degrees, feet or westings, in place, to a metric system around the middle of the data.
 
     Raises:
@@ -297,3 +225,21 @@ def _project(points: NDArray[np.float64], known: KnownCrs, order: _Order, findin
     findings.add(CRS_PROJECTED, "", detail)
     points[:, 2] *= known.height_unit_m
     return label
+
+
+def brought_note(label: str, target: str) -> str:
+    """Returns what is told of a city that is brought from one reference system to another: heights stay.
+
+    Example:
+        >>> brought_note("EPSG:25832+7837", "EPSG:25833+5783")
+        'EPSG:25832+7837 brought to EPSG:25833+5783; its heights stay as they are'
+    """
+    codes = {require_crs(each).metric_vertical_code for each in (label, target)}
+    return f"{label} brought to {target}" + ("; its heights stay as they are" if len(codes) > 1 else "")
+
+
+def bring_to(points: NDArray[np.float64], label: str, target: str) -> None:
+    """Brings points from one metric system to another, in place; heights stay."""
+    if require_crs(label).horizontal != require_crs(target).horizontal:
+        transformer = _transformer(label, target)
+        points[:, 0], points[:, 1] = transformer.transform(points[:, 0], points[:, 1])

@@ -22,7 +22,7 @@ class ReadOptions:
         reader: Entry point under ``lodbench.city_readers`` to read the file with; None tells by its content.
         crs: Reference system of the coordinates, instead of the declared one.
         axis_order: Which of the first two coordinates is the easting or longitude; ``auto`` asks
-            the reference system and its area of use.
+            the reference system, its area of use, and which way the walls of houses face.
         is_strict: Whether a bad coordinate is an error, or a finding that drops its polygon.
         origin: What to subtract from the coordinates (east, north, up), metres; None chooses.
         up_axis: Axis that points up in a mesh; ``auto`` is y for glTF and z for the others.
@@ -33,7 +33,7 @@ class ReadOptions:
         storey_height_m: Height of one storey.
         ground_column: Column of ground heights, in the unit of ``height_column``; None looks for one.
         ground_m: Ground height where neither column nor terrain gives one.
-        terrain: Raster terrain model to take ground heights from.
+        terrain: Raster terrain model to take ground heights from, in the unit that its band or system names.
         default_height_m: Height of footprints without one; None drops them with a finding.
         base: ``as_given``; ``ground`` sets models with a zero base on ``terrain`` or ``ground_m``;
             ``sunk`` raises what lies within ``sunk_m`` of a building's lowest point, for walls that

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.bases import move_bases
+from lodbench.citymodel.bases import move_bases, tell_unused
 from lodbench.citymodel.cleaning import clean_polygons
 from lodbench.citymodel.codes import CRS_MIXED
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.duplicates import drop_repeats
-from lodbench.citymodel.frame import require_no_degrees, to_metres
+from lodbench.citymodel.frame import bring_to, brought_note, require_no_degrees, to_metres
+from lodbench.citymodel.handedness import faces_tell_north_first
 from lodbench.citymodel.layers import INTERIORS
 from lodbench.citymodel.model import CityModel, Polygons
 from lodbench.citymodel.naming import unique_ids, unique_objects
@@ -105,6 +107,7 @@ def _bring_to_local_frame(
     label = _bring_to_metres(polygons, srs, raw, options)
     if options.ecef_origin is not None:
         polygons.points[:] = ShiftedEcef(*options.ecef_origin).points_to_enu(polygons.points)
+    tell_unused(raw.format, options, raw.findings)
     move_bases(polygons, raw.building_ids, label, options, raw.findings)
     return label, _subtract_origin(polygons.points, label, raw, options)
 
@@ -217,30 +220,30 @@ def _bring_to_metres(
     used = np.unique(srs)
     if len({systems[n] if override is None else systems[n][1] for n in used}) <= 1:
         name, order = systems[used[0] if len(used) else 0]
-        return to_metres(points, name, override, raw.findings, order)
+        return to_metres(points, name, override, raw.findings, order, partial(_told_by_faces, raw, polygons))
     point_srs = np.repeat(srs, np.diff(polygons.ring_starts[polygons.polygon_starts]))
     first_label: str | None = None
     for number in [int(srs[0]), *(int(s) for s in used if s != srs[0])]:
         is_chosen = point_srs == number
         part = points[is_chosen]
         name, order = systems[number]
-        label = to_metres(part, name, override, raw.findings, order)
+        faces = partial(_told_by_faces, raw, polygons, srs == number)
+        label = to_metres(part, name, override, raw.findings, order, faces)
         if first_label is None:
             first_label = label
         elif label is not None and label != first_label:
-            _reproject(part, label, first_label)
-            codes = {require_crs(each).vertical_code for each in (label, first_label)}
-            heights = "; its heights stay as they are" if len(codes) > 1 else ""
-            raw.findings.add(CRS_MIXED, "", f"{label} brought to {first_label}{heights}")
+            bring_to(part, label, first_label)
+            raw.findings.add(CRS_MIXED, "", brought_note(label, first_label))
         points[is_chosen] = part
     return first_label
 
 
-def _reproject(points: NDArray[np.float64], label: str, target: str) -> None:
-    """Brings points from one metric system to another, in place; heights stay."""
-    from pyproj import Transformer
-
-    source_crs, target_crs = require_crs(label).horizontal, require_crs(target).horizontal
-    if source_crs != target_crs:
-        transformer = Transformer.from_crs(source_crs, target_crs, always_xy=True)
-        points[:, 0], points[:, 1] = transformer.transform(points[:, 0], points[:, 1])
+def _told_by_faces(
+    raw: RawCity, polygons: Polygons, is_chosen: NDArray[np.bool_] | None = None
+) -> bool | None:
+    """Tells whether northings stand first in polygons of a reference system; meshes have x to the east."""
+    if raw.lods == ("",):
+        return None
+    return faces_tell_north_first(
+        polygons if is_chosen is None else select_polygons(polygons, np.flatnonzero(is_chosen))
+    )

@@ -96,6 +96,21 @@ def choose_buildings(
     return model if is_kept.all() else keep_buildings(model, is_kept)
 
 
+def require_same_heights(model: CityModel, crs: str) -> None:
+    """Makes sure that a system to project to asks for no other heights: they stay as they are.
+
+    Raises:
+        CityModelError: It does, or is unknown.
+    """
+    target, own = require_crs(crs), None if model.crs is None else require_crs(model.crs).vertical_code
+    if own is not None and target.metric_vertical_code not in (None, own):
+        plane = target.horizontal.to_epsg()
+        raise CityModelError(
+            f"Heights stay as they are, and those of {model.crs} are not those of {crs}.",
+            f"Name the plane alone: --to-crs EPSG:{plane}." if plane else "Name the plane alone.",
+        )
+
+
 def reproject(model: CityModel, crs: str) -> CityModel:
     """Returns a city in another metric reference system; heights stay as they are.
 

@@ -9,11 +9,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.gdal import raster_driver
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
 
 _MAX_CELLS = 1 << 30
+# No land lies lower or higher, metres: what does is a mark for cells where nobody measured, -9999 mostly.
+LOWEST_M, HIGHEST_M = -500.0, 9000.0
+# What bands of rasters call their unit, metres; where they do not, it is that of their reference system.
+_UNITS_M = {
+    "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0, "ft": 0.3048, "foot": 0.3048,
+    "feet": 0.3048, "us survey foot": 1200 / 3937, "us-ft": 1200 / 3937, "ftus": 1200 / 3937,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,12 +29,12 @@ class Terrain:
     """Heights on a grid.
 
     Attributes:
-        heights_m: (rows, columns) float64, north to south; NaN where there is none.
+        heights: (rows, columns) float64, north to south, in the raster's unit; NaN where there is none.
         west, north: Outer corner of the first cell.
         cell_x, cell_y: Size of a cell, both positive.
     """
 
-    heights_m: NDArray[np.float64]
+    heights: NDArray[np.float64]
     west: float
     north: float
     cell_x: float
@@ -34,21 +42,21 @@ class Terrain:
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Returns (N,) heights at points (N, 2): those of the cells they lie in, NaN outside."""
-        rows, columns = self.heights_m.shape
+        rows, columns = self.heights.shape
         column = np.floor((points[:, 0] - self.west) / self.cell_x)
         row = np.floor((self.north - points[:, 1]) / self.cell_y)
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         heights = np.full(len(points), np.nan)
-        heights[inside] = self.heights_m[row[inside].astype(int), column[inside].astype(int)]
+        heights[inside] = self.heights[row[inside].astype(int), column[inside].astype(int)]
         return heights
 
 
 def ground_under(points: NDArray[np.float64], crs: str, options: ReadOptions) -> NDArray[np.float64]:
-    """Returns (N,) terrain heights under points given as easting or longitude first.
+    """Returns (N,) terrain heights under points given as easting or longitude first; NaN where there is none.
 
     Args:
         points: (N, 2) in ``crs``.
-        crs: Their reference system.
+        crs: Their reference system, in whose unit of height the answer is; that of an ASCII grid, too.
         options: ``terrain`` names the raster.
 
     Raises:
@@ -57,13 +65,21 @@ def ground_under(points: NDArray[np.float64], crs: str, options: ReadOptions) ->
     path = Path(str(options.terrain))
     if not path.is_file():
         raise CityModelError(f"There is no terrain model at {path}.", "Check the path.")
+    unit_m = _height_unit_m(crs)
     if path.suffix.lower() == ".asc":
-        return _read_ascii(path).at(points)
-    return _raster_heights(path, points, crs)
+        heights_m = _read_ascii(path).at(points) * unit_m
+    else:
+        heights_m = _raster_heights_m(path, points, crs)
+    return np.where((heights_m > LOWEST_M) & (heights_m < HIGHEST_M), heights_m / unit_m, np.nan)
 
 
-def _raster_heights(path: Path, points: NDArray[np.float64], crs: str) -> NDArray[np.float64]:
-    """Returns (N,) heights of a raster, of which only the part under the points is read."""
+def _height_unit_m(crs: str) -> float:
+    known = resolve_crs(crs)
+    return 1.0 if known is None else known.height_unit_m
+
+
+def _raster_heights_m(path: Path, points: NDArray[np.float64], crs: str) -> NDArray[np.float64]:
+    """Returns (N,) heights of a raster in metres; only the part of it under the points is read."""
     try:
         import rasterio
     except ImportError:
@@ -80,8 +96,10 @@ def _raster_heights(path: Path, points: NDArray[np.float64], crs: str) -> NDArra
             if step.b or step.d or step.e >= 0:
                 raise CityModelError(f"The raster {path} is turned.", "Warp it to north up (gdalwarp).")
             grid = Terrain(np.zeros((0, 0)), step.c, step.f, step.a, -step.e)
+            own_crs = crs if raster.crs is None else raster.crs.to_wkt()
             if raster.crs is not None:
-                points = _projected(points, crs, raster.crs.to_wkt())
+                points = _projected(points, crs, own_crs)
+            unit_m = _UNITS_M.get(str(raster.units[0]).strip().lower()) or _height_unit_m(own_crs)
             rows, columns = _window(grid, points, raster.shape)
             if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MAX_CELLS:
                 raise CityModelError(f"{path} has too many cells under the city.", "Warp it to larger cells.")
@@ -93,11 +111,11 @@ def _raster_heights(path: Path, points: NDArray[np.float64], crs: str) -> NDArra
         ) from None
     part = replace(
         grid,
-        heights_m=band.astype(np.float64).filled(np.nan),
+        heights=band.astype(np.float64).filled(np.nan),
         west=grid.west + columns[0] * grid.cell_x,
         north=grid.north - rows[0] * grid.cell_y,
     )
-    return part.at(points)
+    return part.at(points) * unit_m
 
 
 def _projected(points: NDArray[np.float64], crs: str, target: str) -> NDArray[np.float64]:

@@ -14,8 +14,10 @@ from lodbench.errors import CityModelError, nearest_names
 # Best first. Names are compared in lower case without separators; Shapefile cuts them at ten letters.
 _HEIGHTS = (
     "height", "hgt", "buildingheight", "bldgheight", "bldheight", "measuredheight", "heightmedian",
-    "heightmean", "heightmea", "heightmax", "meanheight", "hoehe", "hauteur", "altura", "h", "elevation",
+    "heightmean", "heightmea", "heightmax", "meanheight", "hoehe", "hauteur", "altura", "h",
 )  # fmt: skip
+# Of houses in some sources, and of the ground in others: taken where nothing else tells.
+_HEIGHTS_PERHAPS = ("elevation",)
 _ROOFS = ("b3hdak70p", "b3hdak50p", "b3hdakmax", "hdak70p", "hdak50p", "roof", "rooftop", "zroof", "hroof")
 _GROUNDS = ("b3hmaaiveld", "hmaaiveld", "ground", "groundheight", "groundz", "groundelev", "base", "zground")
 _STOREYS = (
@@ -74,6 +76,7 @@ class Columns:
         if options.height_column is not None or options.storeys_column is None:
             height = find_column(names, options.height_column, _HEIGHTS)
         storeys = find_column(names, options.storeys_column, _STOREYS)
+        height = height or (None if storeys else find_column(names, None, _HEIGHTS_PERHAPS))
         if height is None and storeys is None:
             if options.default_height_m is not None:
                 return np.full(self._count, np.nan), "default_height_m"

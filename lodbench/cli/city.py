@@ -142,9 +142,10 @@ def _from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
 
 def _chosen(asked: argparse.Namespace, model: CityModel) -> CityModel:
     """Returns the buildings asked for, in the reference system asked for."""
-    from lodbench.citymodel.subset import choose_buildings, reproject
+    from lodbench.citymodel.subset import choose_buildings, reproject, require_same_heights
 
     if asked.to_crs is not None:
+        require_same_heights(model, asked.to_crs)
         model = reproject(model, asked.to_crs)
     bbox = None if asked.bbox is None else tuple(asked.bbox)
     where = [pair.partition("=")[::2] for pair in asked.where]

@@ -38,7 +38,7 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    from lodbench.datasets.own import find_inside, shared_files
+    from lodbench.datasets.own import find_photo, shared_files
     from lodbench.harness.city import open_city
     from lodbench.harness.georeference.georeference import georeference
     from lodbench.harness.georeference.request import GeoreferenceRequest
@@ -67,7 +67,7 @@ def main(argv: Sequence[str]) -> int:
     text = json.dumps(placed.to_json(), indent=2, ensure_ascii=False) if asked.json else describe(placed)
     sys.stdout.write(text + "\n")
     if asked.sidecars:
-        files = [(find_inside(asked.images, camera.name), camera.pose) for camera in placed.cameras]
+        files = [(find_photo(asked.images, camera.name), camera.pose) for camera in placed.cameras]
         shared = shared_files(file for file, _ in files)
         own = [(file, pose) for file, pose in files if file is not None and file not in shared]
         line = write_sidecars(own, placed.crs)

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lodbench.datasets.folder import ABOUT_FILE, sealed_about, write_poses
-from lodbench.datasets.photo_files import in_pose_lines
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
@@ -68,6 +68,16 @@ def find_mask(folder: Path | None, name: str) -> Path | None:
         return None
     path = PurePosixPath(name)
     return find_inside(folder, name) or find_inside(folder, str(path.parent / f"{path.stem}.png"))
+
+
+def find_photo(folder: Path, name: str) -> Path | None:
+    """Returns the photo that a model's name means, which may lack its ending or have it in other letters."""
+    path = PurePosixPath(name)
+    is_whole = path.suffix.lower() in PHOTO_SUFFIXES
+    bare, endings = (path.with_suffix(""), (path.suffix.lower(),)) if is_whole else (path, PHOTO_SUFFIXES)
+    names = [f"{bare}{spelt}" for ending in endings for spelt in (ending, ending.upper())]
+    found = [file for file in (find_inside(folder, spelt) for spelt in names) if file is not None]
+    return find_inside(folder, name) or (found[0] if len(found) == 1 else None)
 
 
 def require_some_mask(folder: Path, names: Sequence[str]) -> None:

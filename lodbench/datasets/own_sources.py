@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import OwnImage, find_inside, find_mask
+from lodbench.datasets.own import OwnImage, find_mask, find_photo
 from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_files import find_photos, require_photos
 from lodbench.datasets.photo_metadata import read_photo_metadata
@@ -96,8 +96,10 @@ def images_from_poses(
     images: list[OwnImage] = []
     left_out: LeftOut = []
     for image in found:
+        photo = None if photos is None else find_photo(photos, image.name)
+        if photo is not None:  # matrices and Metashape's labels lack the ending
+            image = image._replace(name=str(PurePosixPath(image.name).with_name(photo.name)))
         camera = image.camera or (cameras or {}).get(Path(image.name).name)
-        photo = None if photos is None else find_inside(photos, image.name)
         if camera is None:
             left_out.append((image.name, "no camera: the format has none, or not for this image"))
         elif photos is not None and photo is None:

@@ -10,23 +10,24 @@ from lodbench.datasets.photo_tags import Dewarp
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera
 
-# Widths of sensors, millimetres, by EXIF's model: published by DJI with the drones.
-_SENSOR_WIDTH_MM = {
-    "FC220": 6.17,  # Mavic Pro, 1/2.3 inch
-    "FC330": 6.17,  # Phantom 4
-    "FC300X": 6.17,  # Phantom 3
-    "FC350": 6.17,  # Zenmuse X3
-    "FC550": 17.3,  # Zenmuse X5, 4/3 inch
-    "FC6310": 13.2,  # Phantom 4 Pro, 1 inch
-    "FC6310S": 13.2,
-    "FC6310R": 13.2,  # Phantom 4 RTK
-    "FC6510": 13.2,  # Zenmuse X4S
-    "FC6520": 17.3,  # Zenmuse X5S
-    "L1D-20C": 13.2,  # Mavic 2 Pro
-    "L2D-20C": 17.3,  # Mavic 3
-    "FC3411": 13.2,  # Air 2S
-    "M3E": 17.3,  # Mavic 3 Enterprise
-    "ZENMUSEP1": 35.9,
+# Sensors, millimetres: widths as published by DJI with the drones, heights by the shape of whole photos.
+_SMALL, _ONE_INCH, _FOUR_THIRDS, _FULL = (6.17, 4.6275), (13.2, 8.8), (17.3, 12.975), (35.9, 35.9 * 2 / 3)
+_SENSOR_MM = {  # by EXIF's model
+    "FC220": _SMALL,  # Mavic Pro, 1/2.3 inch
+    "FC330": _SMALL,  # Phantom 4
+    "FC300X": _SMALL,  # Phantom 3
+    "FC350": _SMALL,  # Zenmuse X3
+    "FC550": _FOUR_THIRDS,  # Zenmuse X5, 4/3 inch
+    "FC6310": _ONE_INCH,  # Phantom 4 Pro, 1 inch
+    "FC6310S": _ONE_INCH,
+    "FC6310R": _ONE_INCH,  # Phantom 4 RTK
+    "FC6510": _ONE_INCH,  # Zenmuse X4S
+    "FC6520": _FOUR_THIRDS,  # Zenmuse X5S
+    "L1D-20C": _ONE_INCH,  # Mavic 2 Pro
+    "L2D-20C": _FOUR_THIRDS,  # Mavic 3
+    "FC3411": _ONE_INCH,  # Air 2S
+    "M3E": _FOUR_THIRDS,  # Mavic 3 Enterprise
+    "ZENMUSEP1": _FULL,
 }
 # The diagonal of the 36 x 24 mm picture that "35 mm equivalent" means.
 _DIAGONAL_35MM = math.hypot(36.0, 24.0)
@@ -60,7 +61,7 @@ def states_focal_length(photo: PhotoMetadata) -> bool:
     """Tells whether a photo states anything that ``camera_from_photo`` can make a camera of."""
     is_whole = photo.digital_zoom == 1.0
     in_pixels = photo.dewarp is not None or (photo.calibrated_focal_px or 0.0) > 0
-    has_sensor = photo.pixel_mm is not None or photo.model.upper() in _SENSOR_WIDTH_MM
+    has_sensor = photo.pixel_mm is not None or photo.model.upper() in _SENSOR_MM
     in_mm = photo.focal_mm is not None and has_sensor
     return (is_whole and in_pixels) or in_mm or photo.focal_35mm is not None
 
@@ -141,9 +142,11 @@ def _focal_px(photo: PhotoMetadata, width: int, height: int) -> tuple[float, flo
         focal_mm = photo.focal_mm * photo.digital_zoom
         _require_own_pixels(photo, focal_mm / photo.pixel_mm[0], width, height)
         return focal_mm / photo.pixel_mm[0], focal_mm / photo.pixel_mm[1], "focal_plane"
-    sensor_mm = _SENSOR_WIDTH_MM.get(photo.model.upper())
+    sensor_mm = _SENSOR_MM.get(photo.model.upper())
     if photo.focal_mm is not None and sensor_mm is not None:
-        focal = photo.focal_mm * photo.digital_zoom / sensor_mm * max(width, height)
+        # Photos of another shape than the sensor's show all of its width or all of its height.
+        per_mm = max(max(width, height) / sensor_mm[0], min(width, height) / sensor_mm[1])
+        focal = photo.focal_mm * photo.digital_zoom * per_mm
         if _is_like_equivalent(photo, focal, width, height):
             return focal, focal, "sensor"
     equivalent = _equivalent_px(photo, width, height)

@@ -76,6 +76,14 @@ class PhotoMetadata:
         """Tells whether the photo says where it was taken (privacy: this goes with the file)."""
         return self.latitude_deg is not None and self.longitude_deg is not None
 
+    @property
+    def is_turned(self) -> bool:
+        """Tells whether a program turned the pixels by 90 degrees since: the gimbal is that of before."""
+        if self.size_when_taken is None or self.width == self.height:
+            return False
+        width, height = self.size_when_taken
+        return (width > height) == (self.width < self.height)
+
 
 def read_photo_metadata(path: str | Path) -> PhotoMetadata:
     """Returns what a photo's header states; numbers that are none are taken as absent.

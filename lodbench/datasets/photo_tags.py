@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lodbench.citymodel.xml import XmlMembers, local_name, namespace_of
+from lodbench.datasets.pictures import stored_size
 from lodbench.errors import CityModelError, DatasetError
 from lodbench.findings import Findings
 
@@ -87,7 +88,7 @@ def read_header(path: Path) -> tuple[tuple[int, int], dict[int, Any], bytes]:
                         "Take the JPEG beside it, or export it as JPEG or TIFF.",
                     )
                 tags = {**exif, _EXIF_IFD: exif.get_ifd(_EXIF_IFD), _GPS_IFD: exif.get_ifd(_GPS_IFD)}
-                size = image.size
+                size = stored_size(image)
     except Image.DecompressionBombError as error:
         raise DatasetError(f"{path} has too many pixels for a photo.", "Scale it down.") from error
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:

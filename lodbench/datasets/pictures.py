@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 
 from lodbench.errors import DatasetError
 from lodbench.storage.contents import read_content
+
+# Tags of TIFF.
+_WIDTH, _HEIGHT, _ORIENTATION = 0x0100, 0x0101, 0x0112
 
 
 def read_picture(path: Path, *, as_stored: bool = False) -> NDArray[Any] | None:
@@ -42,6 +46,7 @@ def decoded(content: bytes, *, as_stored: bool) -> NDArray[Any] | None:
 
     if not content:
         return None
+    content = _unturned(content)
     in_colour = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     flags = cv2.IMREAD_UNCHANGED if as_stored else in_colour
     try:
@@ -51,6 +56,20 @@ def decoded(content: bytes, *, as_stored: bool) -> NDArray[Any] | None:
     if picture is None:
         return None
     return np.asarray(picture) if as_stored else in_8_bits(np.asarray(picture))
+
+
+def _unturned(content: bytes) -> bytes:
+    """Returns a TIFF whose tag says that it is not turned: OpenCV turns TIFFs whatever its flags say."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(content[:4])
+    try:
+        (first,) = struct.unpack_from(f"{order}I", content, 4) if order else (0,)
+        (count,) = struct.unpack_from(f"{order}H", content, first) if order else (0,)
+        for at in range(first + 2, first + 2 + 12 * count, 12):
+            if struct.unpack_from(f"{order}H", content, at)[0] == _ORIENTATION:
+                return content[: at + 8] + struct.pack(f"{order}HH", 1, 0) + content[at + 12 :]
+    except struct.error:  # cut off, as the decoder will say
+        pass
+    return content
 
 
 def in_8_bits(picture: NDArray[Any]) -> NDArray[np.uint8]:
@@ -86,9 +105,15 @@ def picture_size(path: Path) -> tuple[int, int] | None:
 
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
-            return image.size
+            return stored_size(image)
     except Exception:  # a damaged header makes Pillow raise anything; who decodes it says what is wrong
         return None
+
+
+def stored_size(image: Any) -> tuple[int, int]:
+    """Returns width and height of Pillow's image as stored: of a TIFF it tells the size after the turn."""
+    tags = getattr(image, "tag_v2", {})
+    return int(tags.get(_WIDTH, image.width)), int(tags.get(_HEIGHT, image.height))
 
 
 def encoded(picture: NDArray[Any], suffix: str, options: Sequence[int] = ()) -> bytes:

@@ -54,7 +54,8 @@ def grid_convergence_deg(crs: str, easting: float, northing: float) -> float:
     from pyproj import CRS, Proj, Transformer
 
     projected = CRS.from_user_input(crs)
-    lon, lat = Transformer.from_crs(projected, projected.geodetic_crs, always_xy=True).transform(
-        easting, northing
-    )
-    return float(Proj(projected).get_factors(lon, lat).meridian_convergence)
+    geodetic = projected.geodetic_crs or projected
+    lon, lat = Transformer.from_crs(projected, geodetic, always_xy=True).transform(easting, northing)
+    # France, Tunis and Madagascar counted in grads from Paris; PROJ takes degrees, from there too.
+    unit_deg = math.degrees(geodetic.axis_info[0].unit_conversion_factor)
+    return float(Proj(projected).get_factors(lon * unit_deg, lat * unit_deg).meridian_convergence)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,18 @@ import numpy as np
 from lodbench.citymodel.cache import OpenCity, open_cached_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.errors import DatasetError
 from lodbench.execution import ProgressCallback
 from lodbench.geometry import Pose
 from lodbench.storage import digest_of
 
-# A camera further from the city's outline than this sees none of it.
-FURTHEST_M = 2000.0
+# A camera further from the city's outline than this sees none of it; nor one further below it than rough
+# heights are off.
+FURTHEST_M, _DEEPEST_M = 2000.0, 50.0
+_TILE_HINT = "Is it the right tile, and its reference system right? lodbench city info says where it is."
+_HEIGHT_HINT = (
+    "Its height counts from another zero than the city's: --takeoff METRES or --heights says from which."
+)
 
 
 def open_city(path: Path, lod: str | None, options: ReadOptions, roof_height: str | None) -> OpenCity:
@@ -48,3 +55,33 @@ def distance_outside_m(pose: Pose, scene: Scene) -> float:
     low, high = (corner + scene.origin for corner in scene.extent_m)
     beside = np.maximum(np.maximum(low - pose.center, pose.center - high), 0.0)[:2]
     return float(np.hypot(beside[0], beside[1]))
+
+
+def far_words(poses: Sequence[Pose], scene: Scene) -> tuple[str, str] | None:
+    """Returns how far from a city cameras are that see none of it, and what to do; None for others.
+
+    Args:
+        poses: In the city's own coordinates; their median counts.
+        scene: The city.
+    """
+    away = float(np.median([distance_outside_m(pose, scene) for pose in poses]))
+    if away > FURTHEST_M:
+        return f"{away / 1000:.1f} km outside the city model", _TILE_HINT
+    below = float(scene.extent_m[0][2] + scene.origin[2] - np.median([pose.center[2] for pose in poses]))
+    return (f"{below:.0f} m below the city model", _HEIGHT_HINT) if below > _DEEPEST_M else None
+
+
+def require_near_city(what: str, poses: Sequence[Pose], scene: Scene) -> None:
+    """Makes sure that cameras may see something of a city.
+
+    Args:
+        what: They are, and did: "The first frame was taken".
+        poses: Theirs, in the city's own coordinates.
+        scene: The city.
+
+    Raises:
+        DatasetError: They are too far off.
+    """
+    far = far_words(poses, scene)
+    if far is not None:
+        raise DatasetError(f"{what} {far[0]}.", far[1])

@@ -17,6 +17,7 @@ import numpy as np
 
 from lodbench.citymodel.cache import code_digest, source_digest
 from lodbench.citymodel.codes import CRS_MIXED, FILE_SKIPPED, LOD_ABSENT
+from lodbench.citymodel.frame import brought_note
 from lodbench.citymodel.lods import COARSEST, FINEST, choose_lod, has_lod
 from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.model import CityModel
@@ -172,7 +173,7 @@ def _mesh_tile(job: TileJob, source: Source) -> tuple[Scene, dict[str, Any]]:
         return _empty(None, ()), _extra(findings, (), error.message)
     model = finish_model(raw, job.options)
     if job.crs and model.crs is not None and model.crs != job.crs:
-        model.findings.add(CRS_MIXED, "", f"{model.crs} brought to {job.crs}")
+        model.findings.add(CRS_MIXED, "", brought_note(model.crs, job.crs))
         model = reproject(model, job.crs)
     findings.items += model.findings.items
     walled = tuple(name for name in model.lods if not name.startswith("0")) or model.lods

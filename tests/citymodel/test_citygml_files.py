@@ -27,6 +27,12 @@ from .gml_text import (
 from .models import codes, model_of
 
 BOX = box_rings()
+# As Spain's cadastre publishes buildings.
+_INSPIRE = (
+    b'<gml:FeatureCollection xmlns:gml="http://www.opengis.net/gml/3.2" '
+    b'xmlns:bu-ext2d="http://inspire.jrc.ec.europa.eu/schemas/bu-ext2d/2.0"><gml:featureMember>'
+    b'<bu-ext2d:Building gml:id="a"/></gml:featureMember></gml:FeatureCollection>'
+)
 
 
 class TestFiles:
@@ -36,7 +42,9 @@ class TestFiles:
             (b"", "is empty"),
             (b"  \n", "is empty"),
             (b"<a/>", "root element is <a>"),
-            (b"<CityModel/>", "no buildings"),
+            (b"<CityModel/>", "names nothing of CityGML"),
+            (_INSPIRE, "names nothing of CityGML"),
+            (city("").encode(), "no buildings"),
             (b"\x89PNG\r\n", "no city model that lodbench can read"),
             (b"hello world", "no city model"),
             (box_city().encode()[:900], "not well-formed"),

@@ -243,6 +243,24 @@ class TestZonePrefixes:
         assert metres[0, 0] == 32550000.0
         assert codes == ["LB306"]
 
+    @pytest.mark.parametrize(
+        ("code", "longitude", "latitude"),
+        [(26906, -149.9, 61.2), (32607, -142.0, 64.0), (32707, -139.0, -21.0)],
+    )
+    def test_northings_that_begin_with_the_number_of_their_zone(
+        self, code: int, longitude: float, latitude: float
+    ) -> None:
+        crs = f"EPSG:{code}"
+        east, north = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(longitude, latitude)
+        metres, _, codes = convert(points((east, north, 1), (east + 9, north, 1)), crs)
+        assert metres[:, :2].tolist() == [[east, north], [east + 9, north]]
+        assert codes == []
+
+    def test_a_prefix_that_the_system_has_not_is_removed(self) -> None:
+        metres, _, codes = convert(points((33392000.0, 5820000.0, 1)), "EPSG:25833")
+        assert metres[0, 0] == 392000.0
+        assert codes == ["LB306"]
+
 
 class TestScale:
     def place(self, code: int, longitude: float = 9.9, latitude: float = 52.4) -> np.ndarray:

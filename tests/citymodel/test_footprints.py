@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pyproj import Transformer
 
 from lodbench.citymodel import ReadOptions, mesh_model, open_scene, read_city_model
 from lodbench.citymodel.extrude import clean_rings, extrude
@@ -84,6 +85,8 @@ class TestReading:
             ({"height": None, "floors": 2}, 6.0),
             ({"height": "7,5 m"}, 7.5),
             ({"height_mea": 9.0, "elevation": 50.0}, 9.0),
+            ({"elevation": 50.0}, 50.0),
+            ({"levels": 3, "elevation": 515.0}, 9.0),
             ({"b3_h_dak_70p": 10.0, "b3_h_maaiveld": -1.0}, 11.0),
         ],
     )
@@ -106,6 +109,20 @@ class TestReading:
         model = self.read(tmp_path, geojson(rows), default_height_m=8.0)
         assert len(model.building_ids) == 4
         assert codes(model)["LB406"] == 3
+
+    def test_numbers_where_nobody_measured(self, tmp_path: Path) -> None:
+        measured, no_roof, no_ground = ((50.0, 40.0), (-9999.0, 40.0), (47.0, -9999.0))
+        pairs = [measured, no_roof, no_ground, (3.4e38, 40.0), (40.0, -3.4028234663852886e38)]
+        rows = [([square(i)], {"roof": top, "ground": low}) for i, (top, low) in enumerate(pairs)]
+        model = self.read(tmp_path, geojson(rows))
+        assert sorted(set(model.polygons.points[:, 2])) == [40.0, 50.0]
+        assert codes(model)["LB405"] == 4
+        rows = [([square(i)], {"height": 5.0, "ground": low}) for i, (_, low) in enumerate(pairs)]
+        model = self.read(tmp_path, geojson(rows), ground_m=38.0)
+        assert sorted(set(model.polygons.points[:, 2])) == [38.0, 40.0, 43.0, 45.0]
+        assert codes(model)["LB410"] == 2
+        with pytest.raises(CityModelError, match="no footprint with a height"):
+            self.read(tmp_path, geojson([([square()], {"elevation": 2600.0})]))
 
     def test_odd_geometries(self, tmp_path: Path) -> None:
         x, y = LON, LAT
@@ -148,6 +165,42 @@ class TestReading:
             self.read(tmp_path, text, terrain=str(tmp_path / "t.tif"))
         with pytest.raises(CityModelError, match="as a raster"):
             self.read(tmp_path, text, terrain=str(write(tmp_path / "no.tif", "II*")))
+
+    @pytest.mark.parametrize(
+        ("raster_crs", "unit", "stored"),
+        [
+            ("EPSG:2263", None, 328.083),
+            ("EPSG:2263", "metre", 100.0),
+            ("EPSG:26918", None, 100.0),
+            ("EPSG:4326", None, 100.0),
+            ("EPSG:26918", "US survey foot", 328.083),
+        ],
+    )
+    @pytest.mark.parametrize("crs", ["EPSG:2263", "EPSG:26918"])
+    def test_a_terrain_counts_in_its_own_unit(
+        self, tmp_path: Path, crs: str, raster_crs: str, unit: str | None, stored: float
+    ) -> None:
+        rasterio = pytest.importorskip("rasterio")
+        east, north = Transformer.from_crs(4326, crs, always_xy=True).transform(-73.98, 40.75)
+        ring = [[east + dx, north + dy] for dx, dy in ((0, 0), (30, 0), (30, 30), (0, 30), (0, 0))]
+        x, y = Transformer.from_crs(4326, raster_crs, always_xy=True).transform(-73.98, 40.75)
+        cell = 0.01 if raster_crs == "EPSG:4326" else 1000.0
+        shape = {"driver": "GTiff", "count": 1, "width": 2, "height": 2, "dtype": "float32"}
+        grid = rasterio.Affine(cell, 0, x - cell, 0, -cell, y + cell)
+        with rasterio.open(tmp_path / "dtm.tif", "w", crs=raster_crs, transform=grid, **shape) as raster:
+            raster.write(np.full((2, 2), stored, np.float32), 1)
+            if unit is not None:
+                raster.set_band_unit(1, unit)
+        text, terrain = geojson([([ring], {"height": 20})]), str(tmp_path / "dtm.tif")
+        model = self.read(tmp_path, text, crs=crs, terrain=terrain)
+        assert model.polygons.points[:, 2].min() == pytest.approx(100.0, abs=1e-3)
+
+    def test_cells_where_nobody_measured_are_no_ground(self, tmp_path: Path) -> None:
+        corner = f"xllcorner {LON - 1}\nyllcorner {LAT - 1}\n"
+        terrain = write(tmp_path / "d.asc", f"ncols 1\nnrows 1\n{corner}cellsize 2\nnodata_value 0\n-9999\n")
+        model = self.read(tmp_path, geojson([([square()], {"height": 5})]), terrain=str(terrain), ground_m=7)
+        assert model.polygons.points[:, 2].min() == 7.0
+        assert codes(model)["LB410"] == 1
 
     def test_override_and_projected_coordinates(self, tmp_path: Path) -> None:
         ring = [[500000, 4400000], [500010, 4400000], [500010, 4400010], [500000, 4400000]]

@@ -11,8 +11,9 @@ from lodbench.citymodel import read_city_model
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.subset import reproject
+from lodbench.cli import main
 
-from .gml_text import box_rings, city, member, polygon, solid, surface_members
+from .gml_text import box_rings, city, member, polygon, solid, surface_members, write
 from .models import model_of
 
 US_FOOT_M = 1200 / 3937
@@ -53,3 +54,16 @@ def test_a_target_in_feet_is_named_by_its_metres(tmp_path: Path) -> None:
 def test_heights_in_feet_without_a_name_in_metres_lose_theirs() -> None:
     assert require_crs("EPSG:26918+6130").metric_label == "EPSG:26918"
     assert require_crs("EPSG:25832+7837").metric_label == "EPSG:25832+7837"
+
+
+def test_heights_that_stay_are_given_no_other_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = city(member(solid(surface_members(polygon(face) for face in box_rings()))), srs="EPSG:25832+7837")
+    source, target = write(tmp_path / "a.gml", text), tmp_path / "b.gml"
+    assert main(["city", "convert", str(source), str(target), "--to-crs", "EPSG:25833+5783"]) == 2
+    assert "--to-crs EPSG:25833." in capsys.readouterr().err
+    assert not target.exists()
+    for crs in ("EPSG:25833", "EPSG:25833+7837"):
+        assert main(["city", "convert", str(source), str(target), "--to-crs", crs]) == 0
+        assert read_city_model(target).crs == "EPSG:25833+7837"

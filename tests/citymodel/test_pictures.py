@@ -265,3 +265,26 @@ def test_textures_that_do_not_fit_are_told(
     capsys.readouterr()
     convert(path, tmp_path / "out/a.gml", "--json")
     assert json.loads(capsys.readouterr().out)["left_out"] or values == [[["a"]]] * 4
+
+
+@pytest.mark.parametrize("is_sequence", [False, True])
+def test_templates_of_cityjson_have_pictures(is_sequence: bool, tmp_path: Path) -> None:
+    town = convert(write_town(tmp_path / "a"), tmp_path / "a" / "town.city.json")
+    whole = json.loads(town.read_text())
+    templates = []
+    for item in whole["CityObjects"].values():
+        for number, shape in enumerate(item.get("geometry", ())):
+            place = {"boundaries": [0], "transformationMatrix": np.eye(4).ravel().tolist()}
+            item["geometry"][number] = {"type": "GeometryInstance", "template": len(templates), **place}
+            templates.append(shape)
+    local = (np.array(whole["vertices"]) * whole["transform"]["scale"]).tolist()
+    whole["geometry-templates"] = {"templates": templates, "vertices-templates": local}
+    whole["vertices"] = [[0, 0, 0]]
+    documents = [whole]
+    if is_sequence:
+        feature = {key: whole[key] for key in ("CityObjects", "vertices")}
+        ids = {"type": "CityJSONFeature", "id": next(iter(whole["CityObjects"]))}
+        documents = [{**whole, "CityObjects": {}, "vertices": []}, {**ids, **feature}]
+    path = town.with_name("templates.city.jsonl" if is_sequence else "templates.city.json")
+    path.write_text("\n".join(map(json.dumps, documents)))
+    assert spots_of(read_city_model(path, options=OPTIONS)) == expected()

@@ -10,7 +10,7 @@ import yaml
 from lodbench.citymodel import ReadOptions, read_city_model
 from lodbench.errors import ConfigError
 
-from .gml_text import city, member, polygon, solid, surface_members, write
+from .gml_text import box_city, city, member, polygon, solid, surface_members, write
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PROFILES = sorted((_ROOT / "conf" / "source").glob("*.yaml"))
@@ -120,3 +120,19 @@ def _box() -> list[list[tuple[float, float, float]]]:
         [(*a, low), (*b, low), (*b, high), (*a, high)] for a, b in zip(plan, plan[1:] + plan[:1], strict=True)
     ]
     return [[(*p, low) for p in plan[::-1]], [(*p, high) for p in plan], *walls]
+
+
+@pytest.mark.parametrize(
+    ("words", "count"),
+    [
+        ({"ground_m": 400.0, "terrain": "nowhere.tif"}, 2),
+        ({"height_column": "H", "default_height_m": 9.0, "layer": "houses"}, 3),
+        ({"base": "ground", "ground_m": 400.0}, 0),
+        ({"storey_height_m": 3.0, "axis_order": "east_first"}, 0),
+    ],
+)
+def test_options_that_say_nothing_to_citygml_are_told(
+    tmp_path: Path, words: dict[str, Any], count: int
+) -> None:
+    model = read_city_model(write(tmp_path / "a.gml", box_city()), options=ReadOptions.from_mapping(words))
+    assert model.findings.counts().get("LB411 OPTION_UNUSED", 0) == count

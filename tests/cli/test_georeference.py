@@ -22,6 +22,8 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
 from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
+from tests.cli.test_localize import stated
+from tests.datasets.dji_photo import write_photo, xmp_packet
 
 COUNT, NOISE_M, NOISE_DEG = 6, 0.05, 0.03
 
@@ -179,3 +181,16 @@ def test_no_photo_and_no_mask_is_taken_for_two_images_of_one_name(capsys, case, 
     words = ["--city", case.city, "--masks", case.masks, "--images", images, "--out", tmp_path / "o"]
     assert main(["georeference", *map(str, (tmp_path / "two", *words))]) == 2
     assert "may be of several of the model's images" in capsys.readouterr().err
+
+
+def test_photos_are_found_whatever_the_letters_of_their_ending(capsys, case, tmp_path):
+    bare = [each._replace(name=Path(each.name).stem) for each in read_colmap(case.model)]
+    write_colmap(bare, tmp_path / "bare")
+    images = tmp_path / "images"
+    images.mkdir()
+    for name, pose in case.truth.items():
+        properties = stated(pose, "EPSG:25832+7837", False, 0.0)
+        write_photo(images / f"{Path(name).stem}.JPG", xmp=xmp_packet(properties))
+    words = ["--city", case.city, "--masks", case.masks, "--images", images, "--out", tmp_path / "o"]
+    assert main(["georeference", *map(str, (tmp_path / "bare", *words))]) == 0
+    assert f"what the photos state: {COUNT} cameras" in capsys.readouterr().out

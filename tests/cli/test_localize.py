@@ -16,6 +16,7 @@ from lodbench.citymodel import open_scene
 from lodbench.cli import main as cli
 from lodbench.cli.localize import main
 from lodbench.datasets.map_frame import MapFrame
+from lodbench.errors import DatasetError
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering import make_renderer
@@ -261,6 +262,34 @@ def test_a_photo_that_viewers_turn_is_told(capsys, tmp_path, shared_data):
     found = localize(capsys, case, tmp_path / "o", "--mask", str(case.mask))
     assert any("viewers turn" in note for note in found["notes"])
     assert pose_error(pose_of(found["pose"]), case.truth).translation_m < 2.0
+
+
+def test_a_height_above_another_zero_is_told(capsys, tmp_path, shared_data):
+    case = make_case(tmp_path, shared_data, "nrw")
+    words = [str(case.photo), "--city", str(case.city), "--out", str(tmp_path / "o")]
+    with pytest.raises(
+        DatasetError, match=r"DJI_0001.JPG was taken 1[34]\d\d m below the city model"
+    ) as fault:
+        main([*words, "--height-offset", "-1500"])
+    assert "--takeoff METRES" in fault.value.hint
+
+
+def test_a_photo_that_a_program_turned_is_told_and_found_by_its_roll(capsys, tmp_path, shared_data):
+    case = make_case(tmp_path, shared_data, "nrw")
+    content = case.photo.read_bytes()
+    packet = content[content.index(b"<?xpacket") : content.index(b'end="w"?>') + 9]
+    for path in (case.photo, case.mask):
+        pixels = np.ascontiguousarray(np.rot90(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)))
+        if path == case.photo:
+            write_photo(path, pixels, exif_of(size=(WIDTH, HEIGHT)), packet)
+        else:
+            cv2.imwrite(str(path), pixels)
+    words = "--mask", str(case.mask)
+    lost = localize(capsys, case, tmp_path / "o", *words, code=3)
+    assert any("turned since it was taken" in note and "--roll 90" in note for note in lost["notes"])
+    found = localize(capsys, case, tmp_path / "o", *words, "--roll", "90")
+    assert not any("turned since" in note for note in found["notes"])
+    assert found["trusted"]
 
 
 class TestWithoutMetadata:

@@ -195,6 +195,7 @@ def test_a_track_of_other_frames_is_not_written_over_nor_a_good_one_by_one_that_
         ("photos", ("--masks", "nowhere"), "nowhere is no folder"),
         ("photos", ("--every", "0"), "--every=0 is not at least 1"),
         ("photos", ("--center", 9e5, 0, 100), "km outside the city model"),
+        ("photos", ("--center", 0, 0, -900), "m below the city model"),
     ],
 )
 def test_bad_input_is_one_line(capsys, footage, tmp_path, source, more, said):

@@ -259,6 +259,26 @@ class TestCamera:
         # A 3:2 sensor has the shape of the 35 mm frame, so widths give the same.
         assert rounded.camera.fx == pytest.approx(24 / 36 * 5472, rel=1e-9)
 
+    @pytest.mark.parametrize(
+        ("model", "focal_mm", "size", "whole"),
+        [
+            ("FC6310", 8.8, (4864, 3648), (5472, 3648)),  # 4:3 and 16:9 of a sensor of 3:2
+            ("FC6310", 8.8, (5472, 3078), (5472, 3648)),
+            ("FC220", 4.73, (4000, 2250), (4000, 3000)),  # 16:9 and 3:2 of 4:3
+            ("L2D-20C", 12.29, (5280, 2970), (5280, 3956)),
+            ("FC6310", 8.8, (3648, 4864), (3648, 5472)),
+        ],
+    )
+    def test_a_photo_of_another_shape_than_the_sensor_s_shows_a_part_of_it(
+        self, model, focal_mm, size, whole
+    ):
+        part, all_of_it = (
+            camera_from_photo(replace(PHOTO, width=w, height=h, model=model, focal_mm=focal_mm))
+            for w, h in (size, whole)
+        )
+        assert part.source == "sensor"
+        assert part.camera.fx == pytest.approx(all_of_it.camera.fx, rel=2e-3)
+
     def test_a_digital_zoom_multiplies_exifs_focal_length_alone(self):
         zoomed = replace(PHOTO, model="FC6310R", focal_mm=8.8, digital_zoom=2.0)
         assert camera_from_photo(zoomed).camera.fx == pytest.approx(2 * 8.8 / 13.2 * 5472)

@@ -67,6 +67,37 @@ def test_metashape_s_angles_are_those_of_its_own_function(tmp_path):
     assert photo_axes(again.pose) == pytest.approx(np.array(METASHAPE_30_91_0), abs=1e-15)
 
 
+@pytest.mark.parametrize("crs", ["EPSG:6247+5778", "EPSG:5516", "EPSG:6201", None])
+def test_a_system_that_old_wkt_has_no_words_for_is_left_to_be_chosen(tmp_path, crs):
+    # Bogota's own grid is an oblique plane that only newer forms of WKT have.
+    image = FoundPose("a.jpg", "", Pose.from_euler(EulerAngles(31.0, 0.2, -40.0), CENTER))
+    write_metashape([image], tmp_path / "reference.txt", crs)
+    assert (tmp_path / "reference.txt").read_text().startswith("#Label,")
+    assert read_pose_file(tmp_path / "reference.txt", "auto")[0] == "metashape"
+
+
+def test_a_line_of_pix4d_s_that_is_cut_off_is_named(tmp_path):
+    (tmp_path / "p.txt").write_text("imageName X Y Z Omega Phi Kappa\na.jpg 1 2 3 4 5\n")
+    with pytest.raises(DatasetError, match="line 2: 6 values are too few"):
+        list(read_pix4d(tmp_path / "p.txt"))
+
+
+@pytest.mark.parametrize("name", ["DJI 0001.JPG", "IMG 0001", "Flug über Köln 2.jpg"])
+@pytest.mark.parametrize("separator", [" ", ",", "\t"])
+def test_names_with_spaces_in_pix4d_s_parameters(tmp_path, name, separator):
+    words = [name, "280950.5", "5657400.25", "160.125", "1", "2", "3"]
+    (tmp_path / "p.txt").write_text(f"imageName X Y Z Omega Phi Kappa\n{separator.join(words)}\n")
+    (found,) = read_pix4d(tmp_path / "p.txt")
+    assert found.name == name
+    assert found.pose.center == pytest.approx(CENTER)
+
+
+def test_odm_is_told_a_code_that_it_knows(tmp_path):
+    image = FoundPose("a.jpg", "", Pose.from_euler(EulerAngles(31.0, 0.2, -40.0), CENTER))
+    write_odm([image], tmp_path / "geo.txt", "IGNF:LAMB93")
+    assert (tmp_path / "geo.txt").read_text().startswith("EPSG:2154\n")
+
+
 def test_metashape_s_estimates_go_before_its_source_and_markers_are_no_cameras(tmp_path):
     head = f"{HEAD},Error_(m),X_est,Y_est,Z_est,Yaw_est,Pitch_est,Roll_est"
     rows = (

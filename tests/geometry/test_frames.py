@@ -53,7 +53,13 @@ class TestConvergence:
         assert grid_convergence_deg("EPSG:4547", 500000, 3131119) == pytest.approx(0.0, abs=1e-9)
 
     @pytest.mark.parametrize(
-        ("crs", "east", "north"), [("EPSG:25832", 280500, 5657500), ("EPSG:2056", 2.53e6, 1.15e6)]
+        ("crs", "east", "north"),
+        [
+            ("EPSG:25832", 280500, 5657500),
+            ("EPSG:2056", 2.53e6, 1.15e6),
+            ("EPSG:27572", 9.9e5, 1.84e6),  # Lambert II, in grads from Paris
+            ("EPSG:29702", 5.1e5, 7.9e5),  # Laborde's, of Madagascar
+        ],
     )
     def test_is_the_bearing_of_grid_north(self, crs, east, north):
         back = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)

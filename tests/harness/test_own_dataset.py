@@ -15,6 +15,7 @@ from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.kapture import write_kapture
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.nerfstudio import write_nerfstudio
+from lodbench.datasets.exchange.photogrammetry import write_metashape
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.exchange.tum import write_tum
 from lodbench.datasets.folder import FolderParams, open_folder
@@ -168,6 +169,7 @@ class TestFromPhotos:
             (["--images", "nowhere"], ["nowhere"]),
             (["--heights", "ellipsoid"], ["geoid", "--geoid"]),
             (["--crs", "EPSG:25833"], ["outside the city"]),
+            (["--height-offset", "-2000"], ["m below the city model", "--takeoff"]),
             (["--camera", "FISHY 9 9 1 1"], ["FISHY"]),
         ],
     )
@@ -300,6 +302,44 @@ class TestImport:
         assert read_cameras(root / "intrinsic.txt") == {"DJI_0001.JPG": pinhole_of(LENS)}
         dataset = open_folder(FolderParams(str(root), str(case.city)))
         assert any("prior=uniform" in note for note in dataset.notes)
+
+    @pytest.mark.parametrize("label", ["DJI_0001", "DJI_0001.jpg"])
+    def test_labels_find_their_photo_without_its_ending_or_in_other_letters(
+        self, capsys, tmp_path, case, label
+    ):
+        write_metashape([FoundPose(label, "", case.truth)], tmp_path / "reference.txt")
+        camera = format_camera("", LENS).strip()
+        words = ["--images", case.photo.parent, "--masks", case.mask.parent, "--camera", camera]
+        paths = tmp_path / "reference.txt", tmp_path / "town"
+        code, _, err = run(capsys, "dataset import metashape", *paths, *words)
+        assert code == 0, err
+        assert (tmp_path / "town/Query_image/DJI_0001.JPG").is_file()
+        assert (tmp_path / "town/masks/DJI_0001.png").is_file()
+        assert list(read_poses(tmp_path / "town/GT_pose.txt")) == ["DJI_0001.JPG"]
+
+    def test_blender_s_files_lack_sizes_of_pictures_and_their_endings(self, capsys, tmp_path, case):
+        write_nerfstudio([FoundPose("./flight/DJI_0001", "", case.truth, LENS)], tmp_path / "transforms.json")
+        values = json.loads((tmp_path / "transforms.json").read_text())
+        (frame,) = values["frames"]
+        kept = {key: frame[key] for key in ("file_path", "transform_matrix")}
+        values |= {"camera_angle_x": 1.2, "frames": [kept]}
+        (tmp_path / "transforms.json").write_text(json.dumps(values))
+        paths = tmp_path / "transforms.json", tmp_path / "town", "--images", case.photo.parents[1]
+        code, _, err = run(capsys, "dataset import nerfstudio", *paths)
+        assert (code, "--camera" in err) == (2, True)
+        words = "--camera", format_camera("", LENS).strip()
+        code, _, err = run(capsys, "dataset import nerfstudio", *paths, *words)
+        assert code == 0, err
+        assert list(read_poses(tmp_path / "town/GT_pose.txt")) == ["DJI_0001.JPG"]
+
+    def test_a_label_that_two_photos_have_finds_neither(self, capsys, tmp_path, case):
+        shutil.copytree(case.photo.parent, tmp_path / "photos")
+        shutil.copy(case.photo, tmp_path / "photos" / "DJI_0001.tif")
+        write_metashape([FoundPose("DJI_0001", "", case.truth)], tmp_path / "reference.txt")
+        words = ["--images", tmp_path / "photos", "--camera", format_camera("", LENS).strip()]
+        paths = tmp_path / "reference.txt", tmp_path / "town"
+        code, _, err = run(capsys, "dataset import metashape", *paths, *words)
+        assert (code, "no such photo" in err) == (2, True)
 
     def test_images_without_camera_or_photo_or_pose_are_named(self, capsys, tmp_path, case):
         images = [FoundPose(f"{i}.jpg", "", case.truth, LENS) for i in range(3)]

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from lodbench.datasets.photo_metadata import read_photo_metadata
+from lodbench.datasets.pictures import picture_size, read_picture
 from lodbench.errors import QueryFault
 from lodbench.segmentation.photos import as_rgb, read_photo
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
@@ -58,15 +60,28 @@ def test_inks_become_light(tmp_path):
     assert min(green, blue) > 215
 
 
+@pytest.mark.parametrize("ending", ["jpg", "tif", "png"])
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
-def test_a_turn_by_exif_is_not_made(tmp_path, orientation):
+def test_a_turn_by_exif_is_not_made(tmp_path, orientation, ending):
     image = Image.fromarray(np.tile(np.arange(0, 240, 10, dtype=np.uint8), (16, 1)))
     exif = Image.Exif()
     exif[0x0112] = orientation
-    image.save(tmp_path / "turned.jpg", exif=exif, quality=100)
-    photo = read_photo(tmp_path / "turned.jpg")
+    path = tmp_path / f"turned.{ending}"
+    image.save(path, exif=exif, quality=100)
+    photo, stated = read_photo(path), read_photo_metadata(path)
     assert photo.shape == (16, 24, 3)
     assert int(photo[8, 20, 0]) > int(photo[8, 2, 0]) + 100
+    assert picture_size(path) == (stated.width, stated.height) == (24, 16)
+    assert stated.orientation == orientation
+
+
+@pytest.mark.parametrize("kind", ["u1", "<u2", ">u2"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_tiff_s_pixels_are_as_stored(tmp_path, orientation, kind):
+    pixels = np.random.default_rng(0).integers(0, 255, (16, 24)).astype(kind)
+    Image.fromarray(pixels).save(tmp_path / "a.tif", tiffinfo={0x0112: orientation})
+    assert (tmp_path / "a.tif").read_bytes()[:2] == (b"MM" if kind == ">u2" else b"II")
+    assert np.array_equal(read_picture(tmp_path / "a.tif", as_stored=True), pixels)
 
 
 def test_a_photo_too_large_to_decode_is_refused(tmp_path):

@@ -89,7 +89,8 @@ def _undoing(values: Mapping[str, Any]) -> tuple[NDArray[np.float64], float]:
 
 
 def _camera(values: Mapping[str, Any]) -> Camera | None:
-    if not any(key in values for keys in _FOCAL_KEYS for key in keys):
+    # Blender's files tell the angle alone, not the size of the pictures.
+    if not any(key in values for keys in _FOCAL_KEYS for key in keys) or not {"w", "h"} <= values.keys():
         return None
     width, height = int(values["w"]), int(values["h"])
     stated = [_focal_px(values, *keys, size) for keys, size in zip(_FOCAL_KEYS, (width, height), strict=True)]

@@ -98,7 +98,8 @@ def read_pix4d(path: Path) -> Iterator[FoundPose]:
         where = f"{path}, line {number}"
         if line.strip():
             with Place(where, _PIX4D_HEAD):
-                yield _of_omega_phi_kappa(where, re.split(r"[,\s]+", line.strip()))
+                # From the right: a name may hold spaces.
+                yield _of_omega_phi_kappa(where, line.replace(",", " ").rsplit(maxsplit=6))
 
 
 def read_odm(path: Path) -> Iterator[FoundPose]:
@@ -114,10 +115,7 @@ def read_odm(path: Path) -> Iterator[FoundPose]:
         raise DatasetError(f"{where}: {head.strip()} has degrees.", _PROJECTED_HINT)
     for place, line in lines:
         with Place(place, "image_name geo_x geo_y geo_z omega phi kappa"):
-            words = line.split()
-            if len(words) < 7:
-                raise LodbenchError("there are no angles")
-            yield _of_omega_phi_kappa(place, words)
+            yield _of_omega_phi_kappa(place, line.split())
 
 
 def write_metashape(images: Sequence[FoundPose], path: Path, crs: str | None = None) -> None:
@@ -127,13 +125,23 @@ def write_metashape(images: Sequence[FoundPose], path: Path, crs: str | None = N
         DatasetError: A name has a comma, or occurs twice.
     """
     require_plain_names([image.name for image in images], ',\r\n"', "Metashape's reference text")
-    lines = [] if crs is None else [f"#CoordinateSystem: {require_crs(crs).horizontal.to_wkt('WKT1_GDAL')}"]
-    lines.append(",".join(_METASHAPE_HEAD))
+    lines = [*_coordinate_system(crs), ",".join(_METASHAPE_HEAD)]
     for image in images:
         minus_yaw, pitch, roll = _angles(image.pose, "ZXY")
         values = [*map(float, image.pose.center), -minus_yaw % 360.0, pitch, roll]
         lines.append(",".join([image.name, *map(repr, values)]))
     write_text(path, lines_to_text(lines))
+
+
+def _coordinate_system(crs: str | None) -> list[str]:
+    """Returns the line that names a reference system to Metashape, none where its WKT has no words for it."""
+    from pyproj.exceptions import CRSError
+
+    try:
+        wkt = None if crs is None else require_crs(crs).horizontal.to_wkt("WKT1_GDAL")
+    except CRSError:  # town grids of Colombia, Michigan's, the modified Krovak
+        wkt = None
+    return [] if wkt is None else [f"#CoordinateSystem: {wkt}"]
 
 
 def write_pix4d(images: Sequence[FoundPose], path: Path) -> None:
@@ -156,8 +164,8 @@ def write_odm(images: Sequence[FoundPose], path: Path, crs: str | None) -> None:
         raise DatasetError("ODM's geo.txt names a reference system, and that of the poses is not known.",
                            "Name it with --crs.")  # fmt: skip
     require_plain_names([image.name for image in images], " \t\r\n", "ODM's geo.txt")
-    code = require_crs(crs).horizontal.to_authority()
-    head = ":".join(code) if code else require_crs(crs).horizontal.to_proj4()
+    plane = require_crs(crs).horizontal
+    head = f"EPSG:{plane.to_epsg()}" if plane.to_epsg() else plane.to_proj4()
     write_text(path, lines_to_text([head, *map(_with_omega_phi_kappa, images)]))
 
 
@@ -175,6 +183,8 @@ def looks_like(path: Path) -> str | None:
 def _of_omega_phi_kappa(where: str, words: Sequence[str]) -> FoundPose:
     from scipy.spatial.transform import Rotation
 
+    if len(words) < 7:
+        raise LodbenchError(f"{len(words)} values are too few: there are no angles")
     x, y, z, *angles = (float(word) for word in words[1:7])
     turn = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
     return FoundPose(words[0], where, _pose(turn, (x, y, z)))

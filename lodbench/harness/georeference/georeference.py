@@ -17,14 +17,14 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import find_inside, find_mask, shared_files
+from lodbench.datasets.own import find_mask, find_photo, shared_files
 from lodbench.datasets.query import Entry, Query
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError, LodbenchError, QueryFault
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.similarity import FEWEST_POSES, FittedSimilarity, Similarity, fit_similarity
-from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.city import open_city, require_near_city
 from lodbench.harness.georeference.outputs import write_georeferenced
 from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
 from lodbench.harness.georeference.start import ROUGH_DEG, ROUGH_M, rough_start
@@ -54,7 +54,8 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     frame = None if city.scene.crs is None else MapFrame(city.scene.crs)
     start = rough_start(request, images, frame)
-    _require_near(images, start.similarity, city.scene)
+    roughly = [start.similarity.pose(image.pose) for image in images]
+    require_near_city("The reconstruction lies", roughly, city.scene)
     queries, left_out = _queries(request, images, start.similarity, city.scene)
     _require_enough(len(queries), len(images), left_out)
     found = _solved(request, queries, city)
@@ -101,15 +102,6 @@ def _require_enough(usable: int, count: int, left_out: Sequence[tuple[str, str]]
         )
 
 
-def _require_near(images: Sequence[FoundPose], rough: Similarity, scene: Scene) -> None:
-    away = float(np.median([distance_outside_m(rough.pose(image.pose), scene) for image in images]))
-    if away > FURTHEST_M:
-        raise DatasetError(
-            f"The reconstruction lies {away / 1000:.1f} km outside the city model.",
-            "Is it the right tile, and its reference system right? lodbench city info says where it is.",
-        )
-
-
 def _queries(
     request: GeoreferenceRequest, images: Sequence[FoundPose], rough: Similarity, scene: Scene
 ) -> tuple[dict[str, Query], list[tuple[str, str]]]:
@@ -141,7 +133,7 @@ def _file(request: GeoreferenceRequest, name: str) -> Path | None:
     """Returns an image's mask, or the photo that it is made of; None where there is neither."""
     if request.masks is not None:
         return find_mask(request.masks, name)
-    return None if request.images is None else find_inside(request.images, name)
+    return None if request.images is None else find_photo(request.images, name)
 
 
 def _mask(

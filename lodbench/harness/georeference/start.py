@@ -11,7 +11,7 @@ import numpy as np
 
 from lodbench.datasets.exchange.posed import FoundPose, Place, read_json
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.own import find_inside, shared_files
+from lodbench.datasets.own import find_photo, shared_files
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import place_notes, pose_from_photo
 from lodbench.datasets.pose_files import read_pose_file
@@ -142,7 +142,7 @@ def _stated_by_photos(
             "Name it with --crs, or give --start FILE with rough poses.",
         )
     stated = _StatedPoses({}, [], [])
-    paths = [find_inside(request.images, image.name) for image in images]
+    paths = [find_photo(request.images, image.name) for image in images]
     shared = shared_files(paths)
     for image, path in zip(images, paths, strict=True):
         if path is not None:

@@ -180,6 +180,8 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     notes += place_notes(place.frame, () if has_height else (photo.stated,), request.heights)
     if photo.stated.orientation > 1:
         notes.append("viewers turn this photo for display (EXIF): camera and mask are of the stored pixels")
+    if photo.stated.is_turned and request.given.roll_deg is None:
+        notes.append("the photo was turned since it was taken, by EXIF's size: give --roll 90, or -90")
     if view.pixels is None:
         notes.append("the photo's pixels cannot be decoded: the overlay shows none")
     if view.camera.distortion:

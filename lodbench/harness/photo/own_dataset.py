@@ -30,7 +30,7 @@ from lodbench.datasets.pose_text import read_cameras
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera
-from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.city import far_words, open_city
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,20 +207,20 @@ def _near(images: Sequence[OwnImage], scene: Scene) -> tuple[list[OwnImage], Lef
     Raises:
         DatasetError: All are far off.
     """
-    kept, far = [], []
+    kept, left_out, hint = [], [], ""
     for image in images:
         pose = image.truth or image.prior
-        away = 0.0 if pose is None else distance_outside_m(pose, scene)
-        if away > FURTHEST_M:
-            far.append((image.name, f"{away / 1000:.1f} km outside the city model"))
-        else:
+        far = None if pose is None else far_words([pose], scene)
+        if far is None:
             kept.append(image)
+        else:
+            left_out.append((image.name, far[0]))
+            hint = hint or far[1]
     if not kept:
-        raise DatasetError(
-            f"All cameras lie outside the city model; the first, {far[0][0]}, is {far[0][1]}.",
-            "Is it the right tile, its reference system right, and for poses --offset what was taken off?",
-        )
-    return kept, far
+        name, away = left_out[0]
+        hint += " For poses: is --offset what was taken off?" * (images[0].truth is not None)
+        raise DatasetError(f"No camera is near the city model; the first, {name}, is {away}.", hint)
+    return kept, left_out
 
 
 def to_json(made: OwnDataset) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from lodbench.datasets.query import Entry
 from lodbench.datasets.undistort import pinhole_of, undistorted
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.city import FURTHEST_M, distance_outside_m
+from lodbench.harness.city import require_near_city
 from lodbench.harness.photo.outputs import PhotoView
 from lodbench.harness.photo.request import PhotoRequest
 from lodbench.reporting.overlays import write_picture
@@ -57,16 +57,10 @@ class PreparedPhoto:
         """Returns the rough pose, in the city's coordinates.
 
         Raises:
-            DatasetError: Nobody states it, or it is kilometres outside the city.
+            DatasetError: Nobody states it, or it is far outside the city, or below.
         """
         prior = _prior(self.request, self.stated, frame)
-        distance = distance_outside_m(prior, scene)
-        if distance > FURTHEST_M:
-            raise DatasetError(
-                f"By its position {self.stated.name} was taken {distance / 1000:.1f} km outside the city "
-                "model.",
-                "Is it the right tile, and its reference system right? lodbench city info says where it is.",
-            )
+        require_near_city(f"By its position {self.stated.name} was taken", [prior], scene)
         return prior
 
 

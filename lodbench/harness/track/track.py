@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
-from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, write_geojson
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
@@ -25,7 +24,7 @@ from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.city import FURTHEST_M, distance_outside_m, open_city
+from lodbench.harness.city import open_city, require_near_city
 from lodbench.harness.requests import RoughRequest
 from lodbench.harness.track.folder import (
     MAP_FILE,
@@ -128,7 +127,7 @@ def track(request: TrackRequest) -> Track:
     scene = city.scene
     frame = None if scene.crs is None else MapFrame(scene.crs)
     camera, start, stated = _start(request, frame)
-    _require_near(start, scene)
+    require_near_city("The first frame was taken", [start], scene)
     pinhole = pinhole_of(camera)
     maker = MaskMaker(camera, pinhole, request.masks, request.segmenter)
     tracker = Tracker(CityMap(scene), pinhole, start.shifted(-scene.origin), request.params)
@@ -190,15 +189,6 @@ def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose,
         )
     pose = pose_from_photo(stated, frame, request.heights, request.given)
     return camera, pose, () if request.given.height_m is not None else (stated,)
-
-
-def _require_near(start: Pose, scene: Scene) -> None:
-    away = distance_outside_m(start, scene)
-    if away > FURTHEST_M:
-        raise DatasetError(
-            f"The first frame was taken {away / 1000:.1f} km outside the city model.",
-            "Is it the right tile, and its reference system right? lodbench city info says where it is.",
-        )
 
 
 def _write(frames: Sequence[TrackedFrame], request: TrackRequest, frame: MapFrame | None) -> None:

@@ -1,0 +1,103 @@
+"""Which of the first two columns of a city is the easting, and where on Earth each order puts it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.citymodel.codes import AXES_AMBIGUOUS, AXES_SWAPPED, CRS_IMPLAUSIBLE
+from lodbench.citymodel.crs import KnownCrs
+from lodbench.findings import Findings
+
+# Areas of use are bounding boxes of countries and zones; tiles at their rim reach a little out.
+_AREA_MARGIN_DEG = 0.5
+# No town lies further south or north; it tells latitudes from longitudes where the area is the world.
+_INHABITED_LATITUDES_DEG = (-56.0, 80.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """One reading of the first two columns, and whether it puts the data where it should be."""
+
+    is_north_first: bool
+    is_plausible: bool
+    longitude_deg: float
+    latitude_deg: float
+
+
+def settle_order(
+    middle: NDArray[np.float64],
+    known: KnownCrs,
+    is_declared: bool,
+    findings: Findings,
+    tells_north_first: Callable[[], bool | None],
+) -> Order:
+    """Returns how to read the first two columns.
+
+    Args:
+        middle: (2,) of the data.
+        known: Their reference system.
+        is_declared: Whether the file itself names it.
+        findings: Receives what is decided against the declaration, or not at all.
+        tells_north_first: Asked where both orders are plausible; None for no answer.
+    """
+    axes = [axis.direction.lower() for axis in known.horizontal.axis_info[:2]]
+    is_declared_north_first = axes[0].startswith("north") or axes[0] == "south"
+    declared = try_order(middle, known, is_declared_north_first)
+    swapped = try_order(middle, known, not is_declared_north_first)
+    told = None
+    if declared.is_plausible != swapped.is_plausible:
+        told = declared.is_north_first if declared.is_plausible else swapped.is_north_first
+    elif declared.is_plausible and is_declared_north_first:
+        told = tells_north_first()
+    if told == is_declared_north_first:
+        return declared
+    if told is not None:
+        findings.add(AXES_SWAPPED, "", f"{known.label}: {'north' if told else 'east'} first")
+        return swapped
+    if not declared.is_plausible:
+        where = f"({middle[0]:.6g}, {middle[1]:.6g})"
+        findings.add(CRS_IMPLAUSIBLE, "", f"{known.label}: the middle {where} lies outside its area of use")
+        # Files of projected systems store east first more often than not.
+        return swapped if known.horizontal.is_projected and is_declared_north_first else declared
+    # Meshes name no system, and have x to the east: latitudes first are those of files that say so.
+    if is_declared_north_first and (known.horizontal.is_projected or not is_declared):
+        findings.add(
+            AXES_AMBIGUOUS, "", f"{known.label} declares north first; taken as east first, as is usual"
+        )
+        return swapped
+    return declared
+
+
+def declares_south_and_west(known: KnownCrs) -> bool:
+    """Tells whether a system has southings before westings."""
+    return known.counts_west and known.horizontal.axis_info[0].direction.lower() == "south"
+
+
+def try_order(middle: NDArray[np.float64], known: KnownCrs, is_north_first: bool) -> Order:
+    """Returns where on Earth one order puts the middle of the data, (2,), and whether that may be."""
+    is_swapped = is_north_first != declares_south_and_west(known)
+    east, north = (middle[1], middle[0]) if is_swapped else (middle[0], middle[1])
+    longitude, latitude = float(east), float(north)
+    if known.horizontal.is_projected:
+        from pyproj import Proj
+
+        longitude, latitude = Proj(known.horizontal)(east, north, inverse=True)
+    area = known.horizontal.area_of_use
+    low, high = _INHABITED_LATITUDES_DEG
+    is_plausible = bool(np.isfinite(longitude) and np.isfinite(latitude)) and low <= latitude <= high
+    is_plausible = is_plausible and -180.0 <= longitude <= 180.0
+    if area is not None and is_plausible:
+        is_plausible = (
+            area.south - _AREA_MARGIN_DEG <= latitude <= area.north + _AREA_MARGIN_DEG
+            and _longitude_within(longitude, area.west, area.east)
+        )
+    return Order(is_north_first, is_plausible, longitude, latitude)
+
+
+def _longitude_within(longitude_deg: float, west_deg: float, east_deg: float) -> bool:
+    width = (east_deg - west_deg) % 360.0 or 360.0
+    return (longitude_deg - west_deg + _AREA_MARGIN_DEG) % 360.0 <= width + 2 * _AREA_MARGIN_DEG
