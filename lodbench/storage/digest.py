@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -18,3 +20,15 @@ def file_digest(path: Path) -> str:
     """Returns the SHA-256 of a file's content, hexadecimal."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def code_digest(files: Iterable[Path], libraries: Iterable[str]) -> str:
+    """Returns a digest of code and of the versions of libraries that it calls; some may not be there."""
+    return digest_of([[file_digest(file) for file in files], [_version(name) for name in libraries]])
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return ""

@@ -6,20 +6,24 @@ import inspect
 import sys
 from collections.abc import Collection, Iterator
 from functools import cache
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 from lodbench.errors import ConfigError
 from lodbench.plugins import KINDS, installed
+from lodbench.storage import digest as storage_digest
 from lodbench.storage import digest_of, file_digest
 
-# Layers whose code decides an estimate; readers are covered by the scene's digest.
-_LAYERS = (
-    "geometry", "rendering", "citymap", "segmentation", "synthesis", "matching", "methods", "harness",
-)  # fmt: skip
+# Folders whose code no answer depends on: what is left counts, and so does a folder that is yet to come.
+_IDLE = frozenset(("bench", "cli", "evaluation", "reporting", "training"))
+# Those of `baselines/`, which need not lie where the package does.
+_BASELINES = "lodbench.baselines"
 _OURS = "lodbench"
-_LIBRARIES = ("numpy", "numba", "opencv-python-headless")
+# What computes an answer. Those of extras need not be there.
+_LIBRARIES = (
+    "numpy", "numba", "opencv-python-headless", "scipy",
+    "torch", "transformers", "kornia", "romatch", "poselib", "pycolmap", "pyrender", "open3d",
+)  # fmt: skip
 
 
 def code_digest(*parts: object, names: Collection[object] = ()) -> str:
@@ -70,6 +74,7 @@ def _typed_code(part: object) -> str:
 @cache
 def _own_digest() -> str:
     package = Path(__file__).parents[2]
-    files = [file for layer in _LAYERS for file in sorted((package / layer).rglob("*.py"))]
-    files.append(package / "storage" / "streams.py")
-    return digest_of([[file_digest(file) for file in files], [version(name) for name in _LIBRARIES]])
+    files = [
+        file for file in sorted(package.rglob("*.py")) if file.relative_to(package).parts[0] not in _IDLE
+    ]
+    return storage_digest.code_digest(dict.fromkeys((*files, *_files_of(_BASELINES))), _LIBRARIES)
