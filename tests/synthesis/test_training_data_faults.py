@@ -15,10 +15,11 @@ from pathlib import Path
 import cv2
 import pytest
 
+from lodbench.citymodel.options import ReadOptions
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.synthesis.photo import LookRanges, look_ranges
-from lodbench.synthesis.training_data import view_writer
+from lodbench.synthesis.training_data import manifest, view_writer
 from lodbench.synthesis.training_data.generate import generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
 from tests.synthesis.conftest import SMALL, WHOLE
@@ -69,6 +70,18 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
     assert len([path for path in (tmp_path / "data" / "train").rglob("*.??g")]) == 7
     assert generate_training_data(params).resumed == 1
     assert files_in(tmp_path / "data") == files_in(made.out)
+
+
+def test_a_set_goes_on_neither_with_another_city_nor_with_other_code(small_set, monkeypatch):
+    """Its poses are written anew each time: views that are there already would be of others."""
+    params, made = small_set
+    before = files_in(made.out)
+    with pytest.raises(DatasetError, match="read in another way"):
+        generate_training_data(params, ReadOptions(up_axis="y"))
+    monkeypatch.setattr(manifest, "_code_digest", lambda: "other")
+    with pytest.raises(DatasetError, match="another version of lodbench"):
+        generate_training_data(params)
+    assert files_in(made.out) == before
 
 
 @pytest.mark.parametrize(

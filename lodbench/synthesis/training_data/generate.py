@@ -69,7 +69,7 @@ def generate_training_data(
     out = Path(params.out).expanduser().absolute()
     options = options or ReadOptions()
     parts, plan, notes = _prepare(params, options)
-    manifest = begin_manifest(params, parts.scene, plan, out)
+    manifest = begin_manifest(params, parts, plan, out)
     _write_layout(params, parts.scene, plan, out)
     for folder in out.glob("*/*/"):
         remove_leftovers(folder)  # what a killed run was writing
