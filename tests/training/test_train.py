@@ -143,6 +143,19 @@ def test_another_training_in_the_same_folder_is_refused(views, tmp_path, capsys)
     assert "other settings" in capsys.readouterr().err
 
 
+def test_a_mask_that_was_mended_since_is_another_training(views, tmp_path, capsys):
+    """Files of the same size: TIFF and BMP, and PNG without compression, are whatever they show."""
+    shutil.copytree(views, tmp_path / "set")
+    mask, plain = tmp_path / "set" / "train" / "masks" / "0.png", [cv2.IMWRITE_PNG_COMPRESSION, 0]
+    cv2.imwrite(str(mask), np.zeros((64, 96), np.uint8), plain)
+    size = mask.stat().st_size
+    assert train(tmp_path / "set", tmp_path / "a", "schedule.epochs=1") == 0
+    cv2.imwrite(str(mask), np.full((64, 96), 255, np.uint8), plain)
+    assert mask.stat().st_size == size
+    assert train(tmp_path / "set", tmp_path / "a", "schedule.epochs=1") == 2
+    assert "other views" in capsys.readouterr().err
+
+
 def test_faults_of_the_data(views, tmp_path, capsys):
     assert main(["train", f"data={tmp_path / 'none'}"]) == 2
     assert "There is no folder" in capsys.readouterr().err
