@@ -128,6 +128,18 @@ def test_seeds_become_one_row_with_mean_and_spread():
     assert r"94.00 $\pm$4.00" in FORMATS["latex"](table)
 
 
+def test_failures_over_seeds_are_a_mean_and_none_is_rounded_away():
+    runs = [summary("full", 90.0) for _ in range(4)]
+    for seed, run in enumerate(runs):
+        run["protocol"]["seed"] = seed
+        run["splits"]["in_place"]["num_failed"] = int(seed == 3)
+    (table,) = tables_of(runs, over_seeds=True)
+    prior, mean = (line.splits["in_place"] for line in table.lines)
+    assert (prior["failed"], mean["failed"], mean["failed spread"]) == (1, 0.25, 0.5)
+    column = table.shown()[-1]
+    assert [column.text(row) for row in (prior, mean)] == ["1", "0.2 ±0.5"]
+
+
 def test_a_seed_counts_once_in_a_mean_over_seeds():
     runs = [summary("full", value) for value in (90.0, 94.0, 94.0)]
     for seed, run in zip((0, 1, 1), runs, strict=True):
