@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib
 import re
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 
 import pytest
 
 import lodbench
+from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.errors import ConfigError
 from lodbench.harness.runs import code_digest as module
 from lodbench.harness.runs.code_digest import code_digest
@@ -40,6 +41,20 @@ def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsy
     runs = tmp_path / "runs"
     assert lodbench.run_method("contour_alignment", root, city=city, runs=runs).folder == run.folder
     assert lodbench.run_method("prior_only", root, city=city, runs=runs).folder != run.folder
+
+
+def test_a_run_whose_queries_have_spaces_in_their_names_is_read_back(tmp_path):
+    """A dataset of one's own may call them as cameras do, and copies of files: `DSC 1 (2).jpg`."""
+    root, city = write_dataset(tmp_path / "town", count=2)
+    plain = open_folder(FolderParams(str(root), str(city)))
+    names = {entry.key: f"view  {number} (2).png" for number, entry in enumerate(plain.entries)}
+    entries = tuple(replace(entry, name=names[entry.key]) for entry in plain.entries)
+    truth = {f"{entry.split}/{names[entry.key]}": plain.truth[entry.key] for entry in plain.entries}
+    run = lodbench.run_method(
+        "prior_only", replace(plain, entries=entries, truth=truth), runs=tmp_path / "runs"
+    )
+    assert list(run.poses) == list(run.queries.index) == list(truth)
+    assert run.queries["translation_error_m"].notna().all()
 
 
 def test_a_method_named_is_told_of_the_true_tilt_as_by_the_command(tmp_path):
