@@ -155,6 +155,13 @@ def test_another_training_in_the_same_folder_is_refused(views, tmp_path, capsys)
     assert "other settings" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("sides", ["schedule.crop=50", "schedule.size=70"])
+def test_sides_that_are_no_multiples_of_the_stride_are_padded(views, tmp_path, capsys, sides):
+    more = () if "crop" in sides else ("schedule.crop=0",)
+    assert train(views, tmp_path / "a", "schedule.epochs=1", "init=package", sides, *more) == 0
+    assert (tmp_path / "a" / "compact.onnx").is_file()
+
+
 def test_a_mask_that_was_mended_since_is_another_training(views, tmp_path, capsys):
     """Files of the same size: TIFF and BMP, and PNG without compression, are whatever they show."""
     shutil.copytree(views, tmp_path / "set")
