@@ -157,7 +157,7 @@ def split_samples(
     """
     if val_data is not None:
         val = [s for split in ("train", "val", "test") for s in find_samples(val_data, split, learns)]
-        _require_unseen(train, val)
+        require_unseen([sample.photo for sample in train], [sample.photo for sample in val])
         source = f"views of {val_data.name}"
     else:
         source = "val views, of regions of their own"
@@ -170,14 +170,14 @@ def split_samples(
     return train, val, source
 
 
-def _require_unseen(train: list[Sample], val: list[Sample]) -> None:
-    """Makes sure that no view that validates is trained on as well.
+def require_unseen(train: list[Path], val: list[Path]) -> None:
+    """Makes sure that no view that validates is trained on as well; both by their photos.
 
     Raises:
         ConfigError: One is: its IoU would be told as that of views the network has never seen.
     """
-    learnt = {sample.photo.resolve() for sample in train}
-    both = [sample.photo for sample in val if sample.photo.resolve() in learnt]
+    learnt = {photo.resolve() for photo in train}
+    both = [photo for photo in val if photo.resolve() in learnt]
     if both:
         raise ConfigError(
             f"{len(both)} of the {len(val)} views of val_data are trained on, the first is {both[0]}.",

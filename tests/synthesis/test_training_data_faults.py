@@ -84,6 +84,16 @@ def test_a_set_goes_on_neither_with_another_city_nor_with_other_code(small_set, 
     assert files_in(made.out) == before
 
 
+def test_the_manifest_says_how_the_city_was_read(box_file, tmp_path):
+    """Without it nobody makes the set again, or lays its map over its photos."""
+    asked = GenerateParams(str(box_file), str(tmp_path / "a"), crs="EPSG:25832", limit=1, **SMALL, **WHOLE)
+    options = ReadOptions(crs="EPSG:25833", origin=(691000.0, 5335000.0, 500.0), layers=("bridges",))
+    generate_training_data(asked, options)
+    told = json.loads((tmp_path / "a" / "manifest.json").read_text())
+    assert told["city"]["crs"] == "EPSG:25832"
+    assert ReadOptions.from_mapping(told["source"]) == replace(options, crs="EPSG:25832")
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench import __version__
+from lodbench.citymodel.options import ReadOptions, told_options
 from lodbench.citymodel.source import open_sources
 from lodbench.citymodel.texture_files import files_of_textured
 from lodbench.datasets.pictures import encoded, read_picture
@@ -41,13 +42,15 @@ _MASK_BGR = np.array([60.0, 170.0, 255.0])
 Picture = NDArray[np.uint8]
 
 
-def begin_manifest(params: GenerateParams, parts: PictureParts, plan: ViewPlan, out: Path) -> dict[str, Any]:
+def begin_manifest(
+    params: GenerateParams, options: ReadOptions, parts: PictureParts, plan: ViewPlan, out: Path
+) -> dict[str, Any]:
     """Writes the manifest of a set about to be made, unless the same is there; returns it.
 
     Raises:
         DatasetError: The folder holds another set, or something else.
     """
-    manifest = _manifest(params, parts, plan)
+    manifest = _manifest(params, options, parts, plan)
     path = out / MANIFEST_FILE
     remove_leftovers(out)
     if out.exists() and any(out.iterdir()):
@@ -68,7 +71,9 @@ def finish_manifest(manifest: dict[str, Any], out: Path) -> None:
     _write(manifest | {"state": "finished"}, out / MANIFEST_FILE)
 
 
-def _manifest(params: GenerateParams, parts: PictureParts, plan: ViewPlan) -> dict[str, Any]:
+def _manifest(
+    params: GenerateParams, options: ReadOptions, parts: PictureParts, plan: ViewPlan
+) -> dict[str, Any]:
     scene = parts.scene
     settings = {key: value for key, value in asdict(params).items() if key not in _IDLE}
     paths = {key: Path(settings[key]).expanduser() for key in _PATHS if settings[key] is not None}
@@ -79,7 +84,7 @@ def _manifest(params: GenerateParams, parts: PictureParts, plan: ViewPlan) -> di
     identity = {
         "settings": {key: value for key, value in settings.items() if key not in _PATHS},
         "inputs": {key: sorted(digests.values()) for key, digests in inputs.items()},
-        # Options of the source read another city from the same file.
+        # Other options of the source read another city from the same file.
         "cities": parts.cities_digest(),
         "code": _code_digest(),
         "schema": SCHEMA,
@@ -90,6 +95,7 @@ def _manifest(params: GenerateParams, parts: PictureParts, plan: ViewPlan) -> di
         "digest": digest_of(identity),
         "code": identity["code"],
         "settings": settings,
+        "source": told_options(options),
         "inputs": inputs,
         "versions": {"lodbench": __version__} | {name: version(name) for name in _LIBRARIES},
         "city": dict(buildings=scene.num_buildings, lod=scene.lod, crs=scene.crs, scene=scene.digest()),
