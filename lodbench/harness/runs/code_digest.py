@@ -46,6 +46,15 @@ def code_digest(*parts: object, names: Collection[object] = ()) -> str:
     return digest_of([_own_digest(), files, *typed, *elsewhere])
 
 
+def words_in(settings: object) -> Iterator[str]:
+    """Yields all words among settings, JSON values, of which some may name plug-ins."""
+    if isinstance(settings, str):
+        yield settings
+    elif isinstance(settings, dict | list | tuple):
+        for each in settings.values() if isinstance(settings, dict) else settings:
+            yield from words_in(each)
+
+
 def _files_of(module: str) -> Iterator[Path]:
     """Yields the Python files of a package, or those beside a module."""
     spec = find_spec(module)
