@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lodbench.storage import digest_of, make_folder, write_bytes
 from lodbench.storage.contents import read_content
-from lodbench.storage.digest import code_digest
+from lodbench.storage.digest import digest_of_code
 from lodbench.storage.paths import cache_root
 
 _LOGGER = logging.getLogger(__name__)
@@ -71,4 +71,4 @@ def _read(path: Path) -> NDArray[np.uint16] | None:
 @cache
 def _code_digest() -> str:
     """Returns a digest of the code that makes masks: other code makes its own."""
-    return code_digest(sorted(Path(__file__).parent.rglob("*.py")), _LIBRARIES)
+    return digest_of_code(sorted(Path(__file__).parent.rglob("*.py")), _LIBRARIES)

@@ -8,7 +8,6 @@ import math
 import shutil
 from importlib.util import find_spec
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -214,10 +213,7 @@ def test_other_code_is_another_run(tmp_path, monkeypatch, place):
     shutil.copytree(Path(module.__file__).parents[2], changed, ignore=shutil.ignore_patterns("weights"))
     shutil.copytree(Path(find_spec("lodbench.baselines").origin).parent, baselines)
     monkeypatch.setattr(module, "__file__", str(changed / "harness" / "runs" / "code_digest.py"))
-    places = {"lodbench.baselines": [str(baselines)]}
-    monkeypatch.setattr(
-        module, "find_spec", lambda name: SimpleNamespace(submodule_search_locations=places[name])
-    )
+    monkeypatch.setattr(module, "package_files", lambda name: sorted(baselines.rglob("*.py")))
     before = module._own_digest.__wrapped__()
     with (tmp_path / (place if place.startswith("baselines") else f"lodbench/{place}")).open("a") as stream:
         stream.write("# changed\n")

@@ -6,13 +6,12 @@ import inspect
 import sys
 from collections.abc import Collection, Iterator
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
 from lodbench.errors import ConfigError
 from lodbench.plugins import KINDS, installed
-from lodbench.storage import digest as storage_digest
 from lodbench.storage import digest_of, file_digest
+from lodbench.storage.digest import digest_of_code, package_files
 
 # Folders whose code no answer depends on: what is left counts, and so does a folder that is yet to come.
 _IDLE = frozenset(("bench", "cli", "evaluation", "reporting", "training"))
@@ -41,7 +40,7 @@ def code_digest(*parts: object, names: Collection[object] = ()) -> str:
     named = [each for group in KINDS for each in installed(group) if not each.is_ours and each.name in names]
     modules = {type(part).__module__ for part in parts} | {each.point.module for each in named}
     tops = sorted({module.partition(".")[0] for module in modules} - {_OURS, "__main__"})
-    files = [file_digest(file) for top in tops for file in _files_of(top)]
+    files = [file_digest(file) for top in tops for file in package_files(top)]
     typed = [_typed_code(part) for part in parts if type(part).__module__ == "__main__"]
     return digest_of([_own_digest(), files, *typed, *elsewhere])
 
@@ -53,16 +52,6 @@ def words_in(settings: object) -> Iterator[str]:
     elif isinstance(settings, dict | list | tuple):
         for each in settings.values() if isinstance(settings, dict) else settings:
             yield from words_in(each)
-
-
-def _files_of(module: str) -> Iterator[Path]:
-    """Yields the Python files of a package, or those beside a module."""
-    spec = find_spec(module)
-    if spec is not None and spec.submodule_search_locations:
-        for folder in sorted(spec.submodule_search_locations):
-            yield from sorted(Path(folder).rglob("*.py"))
-    elif spec is not None and spec.origin is not None:
-        yield from sorted(Path(spec.origin).parent.glob("*.py"))
 
 
 def _typed_code(part: object) -> str:
@@ -86,4 +75,4 @@ def _own_digest() -> str:
     files = [
         file for file in sorted(package.rglob("*.py")) if file.relative_to(package).parts[0] not in _IDLE
     ]
-    return storage_digest.code_digest(dict.fromkeys((*files, *_files_of(_BASELINES))), _LIBRARIES)
+    return digest_of_code(dict.fromkeys((*files, *package_files(_BASELINES))), _LIBRARIES)

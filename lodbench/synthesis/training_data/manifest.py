@@ -22,7 +22,7 @@ from lodbench.citymodel.texture_files import files_of_textured
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.errors import DatasetError
 from lodbench.storage import digest_of, file_digest, make_folder, remove_leftovers, write_bytes, write_text
-from lodbench.storage.digest import code_digest
+from lodbench.storage.digest import digest_of_code
 from lodbench.storage.json_text import parse_json
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, PlannedView, ViewPlan
@@ -146,7 +146,7 @@ def _code_digest() -> str:
     """Returns a digest of what plans and draws views: poses of one version suit no pictures of another."""
     package = Path(__file__).parents[2]
     files = [file for layer in _LAYERS for file in sorted((package / layer).rglob("*.py"))]
-    return code_digest(files, _LIBRARIES)
+    return digest_of_code(files, _LIBRARIES)
 
 
 def _write(manifest: dict[str, Any], path: Path) -> None:
