@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import shutil
 import sys
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
@@ -126,3 +127,50 @@ def test_no_object_prints_its_arrays(tmp_path):
     _, city = write_dataset(tmp_path / "town", count=1)
     scene = lodbench.open_scene(city)
     assert len(repr(scene)) < 200
+
+
+@pytest.fixture
+def half_known(tmp_path):
+    """Two splits of one town: `known`, where one of three poses is not, and `hidden`, which has no truth."""
+    root, city = write_dataset(tmp_path / "town", count=3)
+    both = tmp_path / "both"
+    for split in ("known", "hidden"):
+        shutil.copytree(root, both / split)
+    truth = both / "known" / "GT_pose.txt"
+    truth.write_text("".join(truth.read_text().splitlines(keepends=True)[:2]))
+    (both / "hidden" / "GT_pose.txt").unlink()
+    (both / "hidden" / "dataset.json").write_text('{"truth": false}')
+    return both, city
+
+
+def test_a_split_whose_truth_is_withheld_is_answered_beside_one_that_is_scored(half_known, tmp_path, capsys):
+    from lodbench.cli import main
+
+    root, city = half_known
+    run = lodbench.run_method("lodlocv2", root, city=city, runs=tmp_path / "runs")
+    assert set(run.poses) == {f"hidden/view_0{n}.png" for n in range(3)} | {
+        f"known/view_0{n}.png" for n in (0, 1)
+    }
+    assert run.queries["failure"]["known/view_02.png"].endswith("not asked, for it could not be scored")
+    splits = run.summary["splits"]
+    assert [splits[name]["num_queries"] for name in ("hidden", "known")] == [0, 2]
+    assert [splits[name]["num_failed"] for name in ("hidden", "known")] == [0, 0]
+    # The mean is over answers: what was not asked has drawn nothing.
+    assert splits["known"]["hypotheses_per_query"] == run.queries["hypotheses"].max()
+    assert main(["verify", str(run.folder)]) == 0, capsys.readouterr().out
+    with_tilt = lodbench.run_method("lodlocv2", root, city=city, tilt="truth", runs=tmp_path / "runs")
+    assert {key.split("/")[0] for key in with_tilt.poses} == {"known"}
+
+
+def test_the_answers_of_such_a_split_are_told(half_known, tmp_path, capsys):
+    from lodbench.cli import main
+
+    root, city = half_known
+    words = ["dataset=folder", f"dataset.root={root}", f"city={city}", "method=prior_only"]
+    assert main(["run", *words, f"paths.runs={tmp_path / 'runs'}"]) == 0
+    told = capsys.readouterr().out
+    assert "3 of 3 queries have an answer" in told
+    assert (
+        "1 x no true pose to compare with; not asked, for it could not be scored: known/view_02.png" in told
+    )
+    assert "hidden/view_00.png" in told

@@ -14,7 +14,6 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
-from lodbench.evaluation.queries import NO_TRUTH
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.runs.input_checks import require_near, require_photo
 from lodbench.rendering.raster import RasterRenderer
@@ -32,6 +31,8 @@ from lodbench.segmentation.oracle import Oracle
 Points = NDArray[np.float64]
 
 TILTS = ("prior", "truth")
+# Beside the words that there is no truth, of a query that is not answered for it.
+_NOT_ASKED = "not asked, for it could not be scored"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +79,9 @@ class Preparation:
                 photo is unreadable or of another size than the camera, or the segmenter has no mask, or
                 one that is not fit for the camera.
         """
-        # Where nothing has a truth, poses are wanted for their own sake.
-        if self.dataset.truth and entry.key not in self.dataset.truth:
-            raise QueryFault(NO_TRUTH)
+        # In a split without any truth poses are wanted for their own sake.
+        if entry.key not in self.dataset.truth and (self.tilt == "truth" or entry.split in self._scored):
+            raise QueryFault(_NOT_ASKED)
         if entry.camera is None:
             raise QueryFault("no camera in intrinsic.txt")
         if entry.camera.distortion:
@@ -117,7 +118,7 @@ class Preparation:
 
     def _true_pixels(self, entry: Entry, camera: Camera) -> Callable[[Points], Points]:
         if entry.key not in self.dataset.truth:
-            raise QueryFault(NO_TRUTH)
+            raise QueryFault(_NOT_ASKED)
         truth = self.local(self.dataset.truth[entry.key])
         return lambda points: camera.project((points - truth.center) @ truth.rotation.T)
 
@@ -152,10 +153,15 @@ class Preparation:
     def _true_view(self, oracle: Oracle, entry: Entry, camera: Camera) -> tuple[Camera, Pose]:
         """Returns the camera at an oracle's width, and the true pose in the scene's frame."""
         if entry.key not in self.dataset.truth:
-            raise QueryFault(NO_TRUTH)
+            raise QueryFault(_NOT_ASKED)
         width = min(oracle.params.width, camera.width)
         small = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
         return small, self.local(self.dataset.truth[entry.key])
+
+    @cached_property
+    def _scored(self) -> frozenset[str]:
+        """Returns the splits in which any query has a truth."""
+        return frozenset(entry.split for entry in self.dataset.entries if entry.key in self.dataset.truth)
 
     @cached_property
     def _renderer(self) -> SilhouetteRenderer:
