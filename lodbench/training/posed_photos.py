@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.citymodel.cache import open_cached_city
-from lodbench.datasets.folder import ABOUT_FILE, TRUTH_FILE, FolderParams, open_folder
+from lodbench.datasets.folder import TRUTH_FILE, FolderParams, open_folder
+from lodbench.datasets.folder_about import ABOUT_FILE
 from lodbench.datasets.pictures import encoded_mask
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError
