@@ -25,7 +25,12 @@ def file_digest(path: Path) -> str:
 
 def digest_of_code(files: Iterable[Path], libraries: Iterable[str]) -> str:
     """Returns a digest of code and of the versions of libraries that it calls; some may not be there."""
-    return digest_of([[file_digest(file) for file in files], [_version(name) for name in libraries]])
+    return digest_of([[file_digest(file) for file in files], [*versions_of(libraries).values()]])
+
+
+def versions_of(libraries: Iterable[str]) -> dict[str, str]:
+    """Returns the versions of libraries by their names; "" of one that is not there."""
+    return {name: _version(name) for name in libraries}
 
 
 def package_files(module: str) -> Iterator[Path]:

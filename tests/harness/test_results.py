@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.metadata
 import re
 import shutil
 import sys
@@ -27,6 +27,9 @@ def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsy
     assert repr(run).startswith("StoredRun(contour_alignment on folder, 2 queries")
     assert run.queries["translation_error_m"].max() < 2.0
     assert "<table" in run._repr_html_()
+    # The libraries that name its folder are told.
+    assert run.provenance["scipy"] == importlib.metadata.version("scipy")
+    assert "opencv-python-headless" in run.provenance
     (name, picture), *_ = run.overlays.items()
     assert "view_0" in name
     assert picture._repr_png_().startswith(b"\x89PNG")

@@ -19,7 +19,7 @@ _IDLE = frozenset(("bench", "cli", "evaluation", "reporting", "training"))
 _BASELINES = "lodbench.baselines"
 _OURS = "lodbench"
 # What computes an answer. Those of extras need not be there.
-_LIBRARIES = (
+LIBRARIES = (
     "numpy", "numba", "opencv-python-headless", "scipy",
     "torch", "transformers", "kornia", "romatch", "poselib", "pycolmap", "pyrender", "open3d",
 )  # fmt: skip
@@ -75,4 +75,4 @@ def _own_digest() -> str:
     files = [
         file for file in sorted(package.rglob("*.py")) if file.relative_to(package).parts[0] not in _IDLE
     ]
-    return digest_of_code(dict.fromkeys((*files, *package_files(_BASELINES))), _LIBRARIES)
+    return digest_of_code(dict.fromkeys((*files, *package_files(_BASELINES))), LIBRARIES)
