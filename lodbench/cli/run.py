@@ -17,7 +17,7 @@ from lodbench.cli.runner import made_method, offer_methods
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError
-from lodbench.evaluation.queries import ERROR, has_truth, is_answered, without_truth
+from lodbench.evaluation.queries import ERROR, has_truth, without_truth
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.remote.method import HERE, RunnerParams
@@ -212,7 +212,7 @@ def _failure_lines(run: Run) -> list[str]:
     """Returns per reason how many queries failed, the first of their names, and where code raised."""
     # Splits without a truth have said above what became of each query.
     told = run.queries.drop(without_truth(run.queries).index)
-    failed = told["failure"][~is_answered(told)].map(plain_text)
+    failed = told["failure"][told["failure"] != ""].map(plain_text)
     reasons = {reason: list(failed.index[failed == reason]) for reason in sorted(failed.unique())}
     lines = []
     for reason, keys in reasons.items():

@@ -31,8 +31,8 @@ from lodbench.segmentation.oracle import Oracle
 Points = NDArray[np.float64]
 
 TILTS = ("prior", "truth")
-# Beside the words that there is no truth, of a query that is not answered for it.
-_NOT_ASKED = "not asked, for it could not be scored"
+# Beside the words that there is no truth, of a query whose tilt, mask or matches would come from it.
+_NOT_ASKED = "not asked, for that would take the true pose"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +79,8 @@ class Preparation:
                 photo is unreadable or of another size than the camera, or the segmenter has no mask, or
                 one that is not fit for the camera.
         """
-        # In a split without any truth poses are wanted for their own sake.
-        if entry.key not in self.dataset.truth and (self.tilt == "truth" or entry.split in self._scored):
+        # Without a truth a pose is wanted for its own sake, and a photo for the others of its flight.
+        if self.tilt == "truth" and entry.key not in self.dataset.truth:
             raise QueryFault(_NOT_ASKED)
         if entry.camera is None:
             raise QueryFault("no camera in intrinsic.txt")
@@ -157,11 +157,6 @@ class Preparation:
         width = min(oracle.params.width, camera.width)
         small = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
         return small, self.local(self.dataset.truth[entry.key])
-
-    @cached_property
-    def _scored(self) -> frozenset[str]:
-        """Returns the splits in which any query has a truth."""
-        return frozenset(entry.split for entry in self.dataset.entries if entry.key in self.dataset.truth)
 
     @cached_property
     def _renderer(self) -> SilhouetteRenderer:
