@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict
@@ -13,7 +14,9 @@ from lodbench import __version__
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.extras import require
 from lodbench.storage import digest_of, file_digest, make_folder, write_text
+from lodbench.storage.arrays import file_check
 from lodbench.storage.json_text import parse_json
+from lodbench.training.samples import require_unseen
 
 from .training_params import LodLocTraining
 from .training_views import MANIFEST_HINT, TrainingView, ViewSettings, find_views
@@ -84,6 +87,7 @@ def _split(settings: LodLocTraining) -> tuple[list[TrainingView], list[TrainingV
     if settings.val_data is not None:
         other = Path(settings.val_data).expanduser()
         val, source = find_views(other, prepared, ("train", "val", "test")), f"views of {other.name}"
+        require_unseen([view.photo for view in train], [view.photo for view in val])
     else:
         val, source = find_views(data, prepared, ("val",)), "val views, of regions of their own"
         if not val:
@@ -104,8 +108,8 @@ def _record(
         "method": "lodloc",
         "settings": {name: value for name, value in asdict(settings).items() if name not in idle},
         "init": file_digest(Path(settings.init).expanduser()) if settings.init else None,
-        "views": digest_of([[v.key, v.photo.stat().st_size, v.truth.cam_from_world.tolist()] for v in views]),
-        "held out": digest_of([[v.key, v.photo.stat().st_size] for v in held_out]),
+        "views": _content(views),
+        "held out": _content(held_out),
     }
     return identity | {
         "digest": digest_of(identity),
@@ -114,6 +118,17 @@ def _record(
         "sets": _sets(Path(settings.data).expanduser()),
         "versions": {"lodbench": __version__, "torch": version("torch")},
     }
+
+
+def _content(views: list[TrainingView]) -> str:
+    """Returns a digest of photos, true poses and what the map shows: another city shows something else."""
+    shown = [[hashlib.sha256(points.tobytes()).hexdigest() for points in view.wireframes] for view in views]
+    return digest_of(
+        [
+            [view.key, file_check(view.photo), view.truth.cam_from_world.tolist(), points]
+            for view, points in zip(views, shown, strict=True)
+        ]
+    )
 
 
 def _sets(data: Path) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def _views_of_set(
     city, folder = Path(made["city"]).expanduser(), manifest.parent
     if not city.exists():
         raise DatasetError(f"The city {city} of the set {folder} is no longer there.", "Make the set again.")
-    options = ReadOptions(crs=made.get("crs"))
+    options = ReadOptions.from_mapping(made["source"])
     # Where the level is in the file, the rule is not asked.
     scene = open_cached_city(city, lod=settings.lod, options=options, roof_height="median").scene
     city_map = CityMap(scene, threads=1)
@@ -130,7 +130,12 @@ def _prepared(
 
 def _read_settings(manifest: Path) -> dict[str, Any]:
     try:
-        settings = parse_json(manifest.read_text(encoding="utf-8"))["settings"]
-        return {"city": str(settings["city"]), "crs": settings.get("crs")}
+        about = parse_json(manifest.read_text(encoding="utf-8"))
+        settings = about["settings"]
+        # Sets of older versions say of the source no more than its reference system.
+        return {
+            "city": str(settings["city"]),
+            "source": dict(about.get("source", {"crs": settings.get("crs")})),
+        }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise DatasetError(f"{manifest} is no manifest of a training set.", MANIFEST_HINT) from error

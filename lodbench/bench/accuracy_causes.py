@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lodbench.bench.accuracy_cities import drawable, name_of, share_found
+from lodbench.bench.accuracy_cities import drawable, names_of, share_found
 from lodbench.bench.figures import Figure, Progress, Report, no_progress
 from lodbench.bench.outline_limit import share_within_reach
 from lodbench.bench.views import Job, protocol_of, sweep
@@ -69,7 +69,11 @@ def measure_causes(
         DatasetError: No city is left.
     """
     drawn, left_out = drawable(cities, seeds)
-    jobs = [_job(method, views, cause) for method, views, cause in product(methods, drawn, _CAUSES)]
+    names = names_of(cities)
+    jobs = [
+        _job(method, views, cause, names[views.city_model])
+        for method, views, cause in product(methods, drawn, _CAUSES)
+    ]
     total = len(jobs) + (len(drawn) if limit_draws else 0)
     queries = sweep(jobs, lambda done, _: progress(done, total), threads)
     table = {
@@ -81,7 +85,7 @@ def measure_causes(
     }
     lines = [f"{protocol_of(drawn[0], seeds)}.", *left_out, _GLOSSARY]
     if limit_draws:
-        limits = _limits(drawn, limit_draws, lambda done: progress(len(jobs) + done, total))
+        limits = _limits(drawn, names, limit_draws, lambda done: progress(len(jobs) + done, total))
         for rows in table.values():
             for city, row in rows.items():
                 row[_LIMIT] = limits[city]
@@ -90,16 +94,18 @@ def measure_causes(
     return Report("\n".join(lines), list(_figures(table)), queries)
 
 
-def _limits(drawn: Sequence[ViewsParams], draws: int, progress: Callable[[int], None]) -> dict[str, float]:
+def _limits(
+    drawn: Sequence[ViewsParams], names: dict[str, str], draws: int, progress: Callable[[int], None]
+) -> dict[str, float]:
     """Returns the percent within reach of each city, the mean over its seeds."""
     shares: dict[str, list[float]] = {}
     for number, views in enumerate(drawn, start=1):
-        shares.setdefault(name_of(views), []).append(share_within_reach(views, draws))
+        shares.setdefault(names[views.city_model], []).append(share_within_reach(views, draws))
         progress(number)
     return {city: float(np.mean(of_seeds)) for city, of_seeds in shares.items()}
 
 
-def _job(method: Method, views: ViewsParams, cause: str) -> Job:
+def _job(method: Method, views: ViewsParams, cause: str, city: str) -> Job:
     shown = views
     if cause == "place known":
         shown = replace(shown, range_m=0.0, height_m=None)
@@ -108,7 +114,7 @@ def _job(method: Method, views: ViewsParams, cause: str) -> Job:
     if "perfect masks" in cause:
         shown = replace(shown, mask_iou=1.0)
     tilt = "truth" if cause == "true tilt" else "prior"
-    return Job(method, shown, tilt, {"city": name_of(views), "cause": cause}, views.prior(tilt))
+    return Job(method, shown, tilt, {"city": city, "cause": cause}, views.prior(tilt))
 
 
 def _row(queries: pd.DataFrame) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
@@ -48,7 +49,8 @@ def measure_cities(
         DatasetError: No city is left.
     """
     drawn, left_out = drawable(cities, seeds)
-    jobs = [Job(m, v, t, {"city": name_of(v)}) for t, m, v in product(TILTS, methods, drawn)]
+    names = names_of(cities)
+    jobs = [Job(m, v, t, {"city": names[v.city_model]}) for t, m, v in product(TILTS, methods, drawn)]
     queries = sweep(jobs, progress, threads)
     groups = [
         ((t, m.name), queries[(queries["tilt"] == t) & (queries["method"] == m.name)])
@@ -65,12 +67,12 @@ def drawable(cities: Sequence[ViewsParams], seeds: Sequence[int]) -> tuple[list[
     Raises:
         DatasetError: No city is left.
     """
-    drawn, left_out = [], []
+    names, drawn, left_out = names_of(cities), [], []
     for city in cities:
         try:
             drawn += [view for view in of_seeds(city, seeds) if open_views(view)]
         except LodbenchError as error:
-            left_out.append(f"{name_of(city)} is left out: {error}")
+            left_out.append(f"{names[city.city_model]} is left out: {error}")
     if not drawn:
         raise DatasetError("No city is left to find views in.", "; ".join(left_out))
     return drawn, left_out
@@ -104,9 +106,11 @@ def share_rejectable(queries: pd.DataFrame) -> float:
     return float(wrong[lost] / wrong[-1])
 
 
-def name_of(views: ViewsParams) -> str:
-    """Returns what a city is called in tables."""
-    return Path(views.city_model).name
+def names_of(cities: Sequence[ViewsParams]) -> dict[str, str]:
+    """Returns what tables call each city model: its file's name, or its path where others share that."""
+    files = {views.city_model: Path(views.city_model).name for views in cities}
+    counts = Counter(files.values())
+    return {model: name if counts[name] == 1 else model for model, name in files.items()}
 
 
 def share_found(queries: pd.DataFrame) -> float:

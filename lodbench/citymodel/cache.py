@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 
 from lodbench.citymodel.meshing import CityMesh, mesh_model
@@ -18,13 +17,18 @@ from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_scene, write_scene
 from lodbench.citymodel.source import Source, open_sources
 from lodbench.errors import CityModelError
+from lodbench.plugins import find_plugin
 from lodbench.storage import digest_of, file_digest, make_folder
+from lodbench.storage.digest import digest_of_code, package_files
 from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
 _LOGGER = logging.getLogger(__name__)
-# What decides the numbers besides our own code.
-_LIBRARIES = ("mapbox_earcut", "numpy", "pyproj")
+# What decides the numbers besides our own code. Those of extras need not be there.
+_LIBRARIES = (
+    "mapbox_earcut", "numpy", "pyproj", "shapely", "lxml", "trimesh", "scipy",
+    "pyogrio", "rasterio", "pyarrow",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +156,7 @@ def scene_key(path: Path, lod: str | None, options: ReadOptions, roof_height: st
             f"{error.filename or path} cannot be read: {error.strerror}.", "Check its permissions."
         ) from None
     settings = [lod, {**asdict(options), "terrain": None}, roof_height]
-    return digest_of([FORMAT_VERSION, code_digest(), digests, *settings], length=24)
+    return digest_of([FORMAT_VERSION, code_digest(options.reader), digests, *settings], length=24)
 
 
 def source_digest(source: Source) -> object:
@@ -184,10 +188,20 @@ def _load(folder: Path) -> OpenCity:
 
 
 @cache
-def code_digest() -> str:
-    """Returns a digest of the code that makes scenes: no version number has to be remembered."""
-    modules = [file_digest(file) for file in sorted(Path(__file__).parent.glob("*.py"))]
-    return digest_of([modules, [version(name) for name in _LIBRARIES]])
+def code_digest(reader: str | None) -> str:
+    """Returns a digest of the code that makes scenes: no version number has to be remembered.
+
+    Args:
+        reader: Of ``ReadOptions``; the whole package of a plug-in counts.
+
+    Raises:
+        ConfigError: There is no such reader.
+    """
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    plug_in = None if reader is None else find_plugin("city_readers", reader)
+    if plug_in is not None and not plug_in.is_ours:
+        files += package_files(plug_in.point.module.partition(".")[0])
+    return digest_of_code(files, _LIBRARIES)
 
 
 def _digest(path: Path) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -104,6 +104,12 @@ class ReadOptions:
         require_within("sunk_m", self.sunk_m, 0)
         for name in ("origin", "ground_m", "default_height_m", "ecef_origin"):
             require_within(name, getattr(self, name), -math.inf)
+
+
+def told_options(options: ReadOptions) -> dict[str, Any]:
+    """Returns the options that are not their defaults, as ``ReadOptions.from_mapping`` takes them back."""
+    default = asdict(ReadOptions())
+    return {name: value for name, value in asdict(options).items() if value != default[name]}
 
 
 def _fitting(name: str, value: Any, hint: Any) -> Any:

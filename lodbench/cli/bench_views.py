@@ -88,8 +88,9 @@ def _or_demo(city: Path | None) -> Path:
 
 def accuracy(given: argparse.Namespace, steps: ProgressCallback) -> Report:
     """Returns what methods find, of one city, of several, or with causes of errors taken away."""
-    methods = [make_method(name) for name in given.method.split(",")]
-    drawn = [_views(given, city) for city in given.city or [None]]
+    # One named twice would count its views twice.
+    methods = [make_method(name) for name in dict.fromkeys(given.method.split(","))]
+    drawn = [_views(given, city) for city in dict.fromkeys(given.city or [None])]
     seeded = _seeds(given)
     if given.limit and (not given.causes or given.limit < _FEWEST_MASKS):
         raise ConfigError(

@@ -22,10 +22,9 @@ from lodbench.reporting.calibration_figures import draw_budget
 from lodbench.reporting.comparison import agreement_text, format_comparison
 from lodbench.reporting.table_columns import COLUMNS
 from lodbench.reporting.table_formats import FORMATS, format_csv
-from lodbench.reporting.tables import names_of, tables_of
+from lodbench.reporting.tables import FREE, names_of, tables_of
 from lodbench.storage import make_folder, write_bytes, write_text
 
-_FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
 _MOST_PANELS = 4
 _EPILOG = """\
 Runs share a table if dataset, queries, city, masks, tilt, segmenter and seed agree; --free lets some of
@@ -147,7 +146,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"what to show (paper): {', '.join(sorted(COLUMNS))}, or any number by its name in CSV",
     )
     add("--thresholds", nargs="+", default=[], metavar="M/DEG", help="where to measure recall (2/2 3/3 5/5)")
-    add("--free", nargs="+", choices=_FREE, default=[], help="what may differ within a table")
+    add("--free", nargs="+", choices=FREE, default=[], help="what may differ within a table")
     add(
         "--over-seeds", action="store_true", help="one row for runs that differ in their seed: mean +- spread"
     )

@@ -17,7 +17,7 @@ from lodbench.cli.runner import made_method, offer_methods
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError
-from lodbench.evaluation.queries import ERROR, has_truth, is_without_truth
+from lodbench.evaluation.queries import ERROR, has_truth, without_truth
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.remote.method import HERE, RunnerParams
@@ -153,10 +153,11 @@ def report(runs: Sequence[Run]) -> str:
     valid = [summary for summary, is_scored in pairs if is_scored and "invalid" not in summary]
     tables = tables_of(valid)
     parts = [format_text(table) for table in tables]
+    unscored = [without_truth(run.queries) for run in runs]
     parts += [
-        format_answers(run.queries, run.predictions)
-        for run, is_scored in zip(runs, scored, strict=True)
-        if not is_scored
+        format_answers(queries, run.predictions)
+        for run, queries in zip(runs, unscored, strict=True)
+        if len(queries)
     ]
     parts += [_calibration_text(table) for table in tables if "ece_percent" in table.numbers()]
     lines = []
@@ -209,10 +210,9 @@ def _calibration_text(table: RecallTable) -> str:
 
 def _failure_lines(run: Run) -> list[str]:
     """Returns per reason how many queries failed, the first of their names, and where code raised."""
-    failed = run.queries["failure"][run.queries["failure"] != ""].map(plain_text)
-    if not run.dataset.truth:
-        # That nothing is scored is said above; no answer failed for it.
-        failed = failed[~failed.map(is_without_truth).astype(bool)]
+    # Splits without a truth have said above what became of each query.
+    told = run.queries.drop(without_truth(run.queries).index)
+    failed = told["failure"][told["failure"] != ""].map(plain_text)
     reasons = {reason: list(failed.index[failed == reason]) for reason in sorted(failed.unique())}
     lines = []
     for reason, keys in reasons.items():

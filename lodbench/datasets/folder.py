@@ -19,15 +19,13 @@ Truth and priors may be missing only where ``dataset.json`` says so: a misspelt 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
-from lodbench.datasets.exchange.posed import read_json
+from lodbench.datasets.folder_about import ABOUT_FILE, read_about, stated_city, stated_crs
 from lodbench.datasets.instance_labels import INSTANCES_FOLDER
 from lodbench.datasets.pose_text import (
     format_camera,
@@ -43,10 +41,8 @@ from lodbench.datasets.references import read_references
 from lodbench.errors import ConfigError, DatasetError, nearest_names
 from lodbench.geometry import Camera, Pose
 from lodbench.storage import write_text
-from lodbench.storage.seal import is_sealed, seal_of
 
 TRUTH_FILE, PRIOR_FILE, CAMERA_FILE = "GT_pose.txt", "GPS_pose.txt", "intrinsic.txt"
-ABOUT_FILE = "dataset.json"
 SEQUENCE_FILE, RECONSTRUCTION_FOLDER = "sequences.txt", "reconstruction"
 # What training data calls the same: nothing there was measured on the ground.
 RENDERED_TRUTH_FILE, RENDERED_IMAGES = "poses.txt", "images"
@@ -88,9 +84,8 @@ def open_folder(params: FolderParams) -> Dataset:
     names = [root.name or "all"] if folders == [root] else [folder.name for folder in folders]
     if folders != [root]:
         _require_words(root, names)
-    about = read_about(folders[0])
     if params.city_model is None:
-        city, city_notes = _stated_city(root, folders[0], about)
+        city, city_notes = stated_city(root, folders)
     else:
         city, city_notes = Path(params.city_model).expanduser(), ()
     if city is not None and not city.exists():
@@ -111,60 +106,8 @@ def open_folder(params: FolderParams) -> Dataset:
         city_hint=". ".join([*city_notes, "Set city=FILE."]),
         references=references,
         textured_map=textured,
-        crs=about.get("crs"),
+        crs=stated_crs(folders),
     )
-
-
-def read_about(folder: Path) -> dict[str, Any]:
-    """Returns what ``dataset.json`` in a folder says; nothing where there is none."""
-    return read_json(folder / ABOUT_FILE) if (folder / ABOUT_FILE).is_file() else {}
-
-
-def _stated_city(root: Path, folder: Path, about: Mapping[str, Any]) -> tuple[Path | None, tuple[str, ...]]:
-    """Returns the city model that ``dataset.json`` names, relative to its folder, and notes for the reader.
-
-    None if it is not there. What a stranger's file names outside the dataset is not so much as looked for.
-
-    Raises:
-        DatasetError: What it names cannot be a file's name.
-    """
-    stated = about.get("city_model")
-    if not isinstance(stated, str):
-        return None, ()
-    try:
-        return _found_city(root, folder, stated, about)
-    except PermissionError as error:
-        reason = f"{folder / ABOUT_FILE}: city_model {stated!r:.60} may not be looked at."
-        raise DatasetError(reason, "Ask for permission, or set city=FILE.") from error
-    except (OSError, ValueError, RuntimeError) as error:  # too long, NUL, half a character; links in a circle
-        raise DatasetError(
-            f"{folder / ABOUT_FILE}: city_model {stated!r:.60} is no name of a file.",
-            "Set city=FILE.",
-        ) from error
-
-
-def _found_city(
-    root: Path, folder: Path, stated: str, about: Mapping[str, Any]
-) -> tuple[Path | None, tuple[str, ...]]:
-    path = Path(os.path.normpath(folder.absolute() / stated))
-    if not is_sealed(_sealed_of(stated), about.get("seal")):
-        home = Path(os.path.normpath(root.absolute()))
-        # In words first: to resolve a path may mount what it leads to.
-        if not path.is_relative_to(home) or not path.resolve().is_relative_to(home.resolve()):
-            return None, (
-                f"{ABOUT_FILE} names a city model outside the dataset, {path}, which is not opened",
-            )
-    return (path if path.exists() else None), ()
-
-
-def sealed_about(about: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns what ``dataset.json`` is to say, with a seal of this user's on the city model that it names."""
-    stated = about.get("city_model")
-    return dict(about) if stated is None else {**about, "seal": seal_of(_sealed_of(str(stated)))}
-
-
-def _sealed_of(stated: str) -> list[str]:
-    return ["city model of a dataset", stated]
 
 
 def _require_words(root: Path, splits: Sequence[str]) -> None:
@@ -225,6 +168,12 @@ def _split_folders(root: Path) -> list[Path]:
     folders = sorted(child for child in root.iterdir() if _is_split(child))
     if not folders:
         raise DatasetError(f"{root} holds no {TRUTH_FILE}.", _LAYOUT_HINT)
+    for child in sorted(set(root.iterdir()) - set(folders)):
+        if found := _first_file(child, [PRIOR_FILE, CAMERA_FILE]):
+            raise DatasetError(
+                f"{child} holds {found.name} and no {TRUTH_FILE}: as a split it would be left out.",
+                f'Where its truth is not known, a {ABOUT_FILE} says so: {{"truth": false}}.',
+            )
     return folders
 
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from lodbench.datasets.folder import ABOUT_FILE, sealed_about, write_poses
+from lodbench.datasets.folder import write_poses
+from lodbench.datasets.folder_about import ABOUT_FILE, sealed_about
 from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.picture_faults import is_decodable, mask_fault

@@ -77,7 +77,7 @@ def with_uniform_priors(dataset: Dataset, prior: UniformPrior, seed: int) -> Dat
     """Returns a dataset whose priors are drawn around the truth, one random stream per query.
 
     The stream does not know the widths: a wider prior errs in the same direction, only further. A
-    query without a truth keeps its own prior; it cannot be scored anyway.
+    query without a truth has none then: its own is no such draw.
 
     Raises:
         DatasetError: No query has a truth.
@@ -87,8 +87,8 @@ def with_uniform_priors(dataset: Dataset, prior: UniformPrior, seed: int) -> Dat
     entries = []
     for entry in dataset.entries:
         truth = dataset.truth.get(entry.key)
+        drawn: tuple[Pose, ...] = ()
         if truth is not None:
-            drawn = prior.draw(truth, random_stream(seed, dataset.name, entry.key, "prior"))
-            entry = replace(entry, prior=drawn, hypotheses=(drawn,))
-        entries.append(entry)
+            drawn = (prior.draw(truth, random_stream(seed, dataset.name, entry.key, "prior")),)
+        entries.append(replace(entry, prior=drawn[0] if drawn else None, hypotheses=drawn))
     return replace(dataset, entries=tuple(entries))

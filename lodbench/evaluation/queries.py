@@ -58,6 +58,11 @@ def has_truth(queries: pd.DataFrame) -> pd.Series[bool]:
     return queries[ERROR[0]].notna()
 
 
+def without_truth(queries: pd.DataFrame) -> pd.DataFrame:
+    """Returns the rows of splits in which no query has a truth: nothing of them is scored."""
+    return queries[~has_truth(queries).groupby(queries["split"]).transform("any")]
+
+
 def is_answered(queries: pd.DataFrame) -> pd.Series[bool]:
     """Returns which queries have an estimate: without a truth that is all that is known of them."""
     return queries[ERROR[0]].lt(math.inf) | (queries["failure"] == NO_TRUTH)

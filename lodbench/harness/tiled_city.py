@@ -151,7 +151,9 @@ def _tile(job: TileJob, sources: tuple[Source, ...], n: int) -> dict[str, Any]:
     """Returns what is told of the part of a tile, which is made where it is not there yet."""
     source = sources[n]
     settings = {**asdict(replace(job, parts="", path="")), "options": asdict(job.options)}
-    key = digest_of([code_digest(), source_digest(source), source.name, settings], length=24)
+    key = digest_of(
+        [code_digest(job.options.reader), source_digest(source), source.name, settings], length=24
+    )
     # A hundred to a folder: looking for leftovers in one of ten thousand, for each, takes minutes.
     folder = Path(job.parts) / f"{n // _TILES_PER_FOLDER:04d}" / f"{n:06d}-{key}"
     if not is_scene(folder):

@@ -49,18 +49,25 @@ class Column(NamedTuple):
     def _number(self, row: Mapping[str, Any], name: str) -> str:
         text = finite_text(row.get(name, math.nan), self.spec)
         spread = row.get(f"{name} spread", math.nan)
-        return f"{text} ±{spread:{self.spec}}" if math.isfinite(spread) and text != "-" else text
+        has_spread = math.isfinite(spread) and text != "-"
+        return f"{text} ±{finite_text(spread, self.spec)}" if has_spread else text
+
+
+# A count as it is, and a mean of counts to one digit: none of five runs' failures is rounded away.
+_COUNT = "count"
 
 
 def finite_text(value: float | None, spec: str) -> str:
     """Returns a number as text, a dash where it is not finite."""
-    return format(value, spec) if value is not None and math.isfinite(value) else "-"
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{round(value, 1):.10g}" if spec == _COUNT else format(value, spec)
 
 
 def paper_columns(labels: Sequence[str]) -> tuple[Column, ...]:
     """Returns recalls, both medians in one cell, and the number of failures."""
     medians = Column("T.e./R.e.", ("median_translation_m", "median_rotation_deg"), better=-1)
-    return *_recalls(labels), medians, Column("failed", ("failed",), ".0f", -1)
+    return *_recalls(labels), medians, Column("failed", ("failed",), _COUNT, -1)
 
 
 def segmenter_columns(labels: Sequence[str]) -> tuple[Column, ...]:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _LABEL = re.compile(r"[\d.e+-]+m-[\d.e+-]+deg")
+# Parts of the protocol that may be freed to differ within a table.
+FREE = ("lod", "segmenter", "renderer", "tilt", "prior", "seed")
 # What is no number in the rows of a table.
 _WORDS = ("group", "method", "split", "is_printed")
 
@@ -195,14 +197,30 @@ def _table(title: str, members: list[dict[str, Any]], free: set[str], over_seeds
 
 
 def names_of(summaries: Sequence[dict[str, Any]], free: Collection[str] = ()) -> list[str]:
-    """Returns a name for each run: its method, and whatever sets it apart from the others; unique."""
-    names = _labels(summaries, free)
+    """Returns a name for each run: its method, and whatever sets it apart from the others; unique.
+
+    Where tilts differ all say theirs: one of them is an oracle.
+    """
+    labels = _labels(summaries, free)
+    names = []
+    for label, summary in zip(labels, summaries, strict=True):
+        peers = [other for other, theirs in zip(summaries, labels, strict=True) if theirs == label]
+        differing = [*_differing(("tilt",), summaries), *_differing(FREE, peers)]
+        words = [
+            f"{key}={summary['protocol'].get(key)}" for key in dict.fromkeys(differing) if key not in free
+        ]
+        names.append(" ".join([label, *words]))
     seen: dict[str, int] = {}
     unique = []
     for name in names:
         seen[name] = seen.get(name, 0) + 1
         unique.append(f"{name} #{seen[name]}" if names.count(name) > 1 else name)
     return unique
+
+
+def _differing(keys: Sequence[str], summaries: Sequence[dict[str, Any]]) -> list[str]:
+    """Returns the parts of the protocol that some summaries do not agree on."""
+    return [key for key in keys if len({str(each["protocol"].get(key)) for each in summaries}) > 1]
 
 
 def _natural(text: str) -> list[tuple[float, str]]:

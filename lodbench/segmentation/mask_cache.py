@@ -1,4 +1,4 @@
-"""Masks kept by content: the same photo through the same weights at the same size is read, not computed."""
+"""Masks kept by content: same photo, weights, code and size, and the mask is read, not computed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import io
 import logging
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,14 @@ from numpy.typing import NDArray
 
 from lodbench.storage import digest_of, make_folder, write_bytes
 from lodbench.storage.contents import read_content
+from lodbench.storage.digest import digest_of_code
 from lodbench.storage.paths import cache_root
 
 _LOGGER = logging.getLogger(__name__)
 Probability = NDArray[np.float32]
 _FOLDER = "segmentations"
+# What runs networks, and brings photos to their size; those of extras need not be there.
+_LIBRARIES = ("numpy", "opencv-python-headless", "torch", "transformers")
 
 
 def cached_probability(photo: Path, identity: str, compute: Callable[[bytes], Probability]) -> Probability:
@@ -28,7 +32,7 @@ def cached_probability(photo: Path, identity: str, compute: Callable[[bytes], Pr
 
     Args:
         photo: The photo's file; its content counts, not its name.
-        identity: Digest of all else the answer follows from: network, weights, size, normalisation.
+        identity: Digest of all else it follows from, but our code: network, weights, size, normalisation.
         compute: Returns (H, W) float32 in [0, 1] of the content of the photo's file.
 
     Raises:
@@ -36,7 +40,7 @@ def cached_probability(photo: Path, identity: str, compute: Callable[[bytes], Pr
         InputChanged: It is not what it was when the work began.
     """
     photo_content = read_content(photo)
-    name = digest_of([hashlib.sha256(photo_content).hexdigest(), identity], length=32)
+    name = digest_of([hashlib.sha256(photo_content).hexdigest(), identity, _code_digest()], length=32)
     path = cache_root() / _FOLDER / f"{name}.npz"
     stored = _read(path)
     if stored is None:
@@ -62,3 +66,9 @@ def _read(path: Path) -> NDArray[np.uint16] | None:
         _LOGGER.warning("The mask kept in %s is damaged (%s): it is made anew.", path, error)
         return None
     return np.asarray(stored) if stored.dtype == np.uint16 and stored.ndim == 2 else None
+
+
+@cache
+def _code_digest() -> str:
+    """Returns a digest of the code that makes masks: other code makes its own."""
+    return digest_of_code(sorted(Path(__file__).parent.rglob("*.py")), _LIBRARIES)

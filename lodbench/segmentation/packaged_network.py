@@ -21,6 +21,9 @@ from lodbench.segmentation.tiles import MemoryTiles, is_out_of_memory
 from lodbench.segmentation.working_size import padded_photo, resized_photo, working_size
 from lodbench.storage import file_digest
 
+# What a file calls the answer of a network, by what that has learnt: networks may be alike in all else.
+_ANSWERS = {"masks": "logits", "interiors": "interiors"}
+
 
 class PackagedNetwork(PhotoSegmenter):
     """Segments photos with a network whose weights come with the package, or from a training of one's own.
@@ -43,6 +46,7 @@ class PackagedNetwork(PhotoSegmenter):
     stores_half = False
     # Sides of what the network sees are multiples of this.
     stride = 32
+    learns = "masks"
 
     def __init__(self, params: Any) -> None:
         super().__init__(params)
@@ -66,13 +70,17 @@ class PackagedNetwork(PhotoSegmenter):
         """Returns OpenCV's network; read on first use.
 
         Raises:
-            ConfigError: It cannot be read, or has several outputs.
+            ConfigError: It cannot be read, has several outputs, or has learnt something else.
         """
         hint = f"lodbench train segmenter={self.name} writes one."
         net = read_onnx(self._path, hint, is_ours=self.params.weights is None, digest=self.weights_digest)
-        outputs = len(net.getUnconnectedOutLayersNames())
-        if outputs != 1:
-            raise ConfigError(f"{self._path} has {outputs} outputs instead of one.", hint)
+        outputs = net.getUnconnectedOutLayersNames()
+        if len(outputs) != 1:
+            raise ConfigError(f"{self._path} has {len(outputs)} outputs instead of one.", hint)
+        learnt = next((what for what, answer in _ANSWERS.items() if answer == outputs[0]), self.learns)
+        # The package's files were written before answers had names.
+        if learnt != self.learns and self._path.resolve() != self.packaged_weights().resolve():
+            raise ConfigError(f"{self._path} has learnt {learnt} of buildings, not {self.learns}.", hint)
         return net
 
     @abstractmethod
@@ -155,7 +163,7 @@ class PackagedNetwork(PhotoSegmenter):
         from lodbench.segmentation.nets.onnx_export import write_onnx
 
         path = folder / f"{self.weights_name}.onnx"
-        write_onnx(net, path, self.stride, half=self.stores_half)
+        write_onnx(net, path, self.stride, self.stores_half, _ANSWERS[self.learns])
         return path
 
 

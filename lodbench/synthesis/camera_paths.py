@@ -93,7 +93,7 @@ def _around_priors(params: GenerateParams, place: Place) -> Iterator[Pose]:
 
 
 def _along_trajectory(params: GenerateParams, place: Place) -> Iterator[Pose]:
-    """Yields poses along the straight lines between given centres, at these heights, looking ahead."""
+    """Yields poses along the straight lines between given centres, looking ahead; half their height apart."""
     yaws = params.yaw if params.yaw is not None else (0.0,)
     for start, end in pairwise(pose.center for pose in _given(params, place)):
         way = end - start
@@ -101,7 +101,8 @@ def _along_trajectory(params: GenerateParams, place: Place) -> Iterator[Pose]:
         if length == 0.0:
             continue
         ahead = math.degrees(math.atan2(-way[0], way[1]))
-        spacing = params.spacing_m or max(1.0, min(params.height) // 2)
+        height_m = float(start[2] - place.ground.at(start[None])[0])
+        spacing = params.spacing_m or max(1.0, height_m // 2)
         shares = np.arange(0.0, 1.0, min(1.0, spacing / length))
         for share, pitch, yaw in product(shares, params.pitches_from_nadir(), yaws):
             yield Pose.from_euler(EulerAngles(pitch, 0.0, ahead + yaw), start + share * way)

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lodbench.citymodel.cache import open_cached_city
-from lodbench.datasets.folder import ABOUT_FILE, TRUTH_FILE, FolderParams, open_folder
+from lodbench.citymodel.crs import is_same_plane
+from lodbench.datasets.folder import TRUTH_FILE, FolderParams, open_folder
+from lodbench.datasets.folder_about import ABOUT_FILE
 from lodbench.datasets.pictures import encoded_mask
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.errors import DatasetError, LodbenchError
@@ -52,7 +54,8 @@ def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Samp
 
     Raises:
         LodbenchError: The dataset is missing or broken, has no city model, no photo with camera and true
-            pose, or a camera with lens distortion.
+            pose, or a camera with lens distortion; or the map lies elsewhere, so that all would be taught
+            to be empty.
     """
     dataset = open_folder(FolderParams(root=str(folder), city_model=city, lod="finest"))
     if dataset.city_model is None:
@@ -64,7 +67,12 @@ def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Samp
     if not posed:
         raise DatasetError(f"{folder} holds no photo with a camera and a true pose.")
     scene = open_cached_city(dataset.city_model, lod=dataset.lod, options=dataset.city_options).scene
-    renderer, samples = SilhouetteRenderer(scene, threads=1), []
+    if dataset.crs is not None and scene.crs is not None and not is_same_plane(dataset.crs, scene.crs):
+        raise DatasetError(
+            f"The poses of {folder} are in {dataset.crs}, its map {dataset.city_model} in {scene.crs}.",
+            "city=FILE names the one it was made with.",
+        )
+    renderer, samples, shows_any = SilhouetteRenderer(scene, threads=1), [], False
     with Progress("silhouettes", len(posed)) as progress:
         for known in posed:
             mask = out / f"{known.entry.key}.png"
@@ -74,10 +82,16 @@ def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Samp
                 silhouette = renderer.render(camera, known.pose.shifted(-scene.origin))
             except LodbenchError as fault:
                 raise DatasetError(f"{known.entry.key}: {fault.message}", fault.hint) from fault
+            shows_any |= bool(silhouette.any())
             make_folder(mask.parent)
             write_bytes(mask, encoded_mask(silhouette, bilevel=True))
             samples.append(Sample(known.entry.key, known.photo, mask))
             progress.advance()
+    if not shows_any:
+        raise DatasetError(
+            f"The map {dataset.city_model} shows no building from any true pose of {folder}.",
+            "Is it the right tile, and its reference system right? lodbench city info says where it is.",
+        )
     return samples
 
 

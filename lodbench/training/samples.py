@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from lodbench.segmentation.compact_instances import interiors
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photos import read_photo
 from lodbench.storage import digest_of
+from lodbench.storage.arrays import file_check
 
 Photo = NDArray[np.uint8]
 # What a network may learn: where buildings are, or, from their labels, what lies well within one of them.
@@ -155,7 +157,7 @@ def split_samples(
     """
     if val_data is not None:
         val = [s for split in ("train", "val", "test") for s in find_samples(val_data, split, learns)]
-        _require_unseen(train, val)
+        require_unseen([sample.photo for sample in train], [sample.photo for sample in val])
         source = f"views of {val_data.name}"
     else:
         source = "val views, of regions of their own"
@@ -168,14 +170,14 @@ def split_samples(
     return train, val, source
 
 
-def _require_unseen(train: list[Sample], val: list[Sample]) -> None:
-    """Makes sure that no view that validates is trained on as well.
+def require_unseen(train: list[Path], val: list[Path]) -> None:
+    """Makes sure that no view that validates is trained on as well; both by their photos.
 
     Raises:
         ConfigError: One is: its IoU would be told as that of views the network has never seen.
     """
-    learnt = {sample.photo.resolve() for sample in train}
-    both = [sample.photo for sample in val if sample.photo.resolve() in learnt]
+    learnt = {photo.resolve() for photo in train}
+    both = [photo for photo in val if photo.resolve() in learnt]
     if both:
         raise ConfigError(
             f"{len(both)} of the {len(val)} views of val_data are trained on, the first is {both[0]}.",
@@ -184,5 +186,6 @@ def _require_unseen(train: list[Sample], val: list[Sample]) -> None:
 
 
 def samples_digest(samples: list[Sample]) -> str:
-    """Returns a digest of the views: names and file sizes, so that it costs no reading."""
-    return digest_of([[s.key, s.photo.stat().st_size, s.mask.stat().st_size] for s in samples])
+    """Returns a digest of the views: names and contents, each file read once however often it is learnt."""
+    content = cache(file_check)
+    return digest_of([[s.key, content(s.photo), content(s.mask)] for s in samples])

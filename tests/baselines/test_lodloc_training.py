@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 
 import cv2
 import numpy as np
@@ -72,6 +73,37 @@ def test_stopped_and_taken_up_it_ends_with_the_same_bytes(views, tmp_path, monke
     }
     assert train(views, tmp_path / "whole", "schedule.lr=0.001") == 2
     assert "other settings" in capsys.readouterr().err
+
+
+def test_views_of_two_sets_that_are_called_alike_are_told_apart(views, tmp_path, capsys):
+    """Sets of one layout share names: photos of `val_data` were given the features of trained ones."""
+    from lodbench.baselines.lodloc.nets.loop import KeptFeatures
+    from lodbench.baselines.lodloc.nets.net import start_from
+    from lodbench.baselines.lodloc.training_views import ViewSettings, find_views
+
+    other = tmp_path / "other"
+    shutil.copytree(views, other)
+    for photo in (other / "train" / "images").iterdir():
+        cv2.imwrite(str(photo), np.full((120, 160, 3), 200, np.uint8))
+    prepared = ViewSettings(96, "1", 1, 160, 1.0, 0)
+    mine, theirs = (find_views(folder, prepared, ("train",))[0] for folder in (views, other))
+    assert mine.key == theirs.key
+    features = KeptFeatures(start_from(None).eval(), 10)
+    assert not torch.equal(features(mine).half, features(theirs).half)
+    assert train(views, tmp_path / "out", f"val_data={views}") == 2
+    assert "4 of the 4 views of val_data are trained on" in capsys.readouterr().err
+
+
+def test_another_map_is_another_training(views, tmp_path, capsys):
+    shutil.copytree(views, tmp_path / "set")
+    city, manifest = tmp_path / "set" / "city.obj", tmp_path / "set" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace(str(views), str(tmp_path / "set")))
+    assert train(tmp_path / "set", tmp_path / "out", "schedule.epochs=1") == 0
+    words = [line.split() for line in city.read_text().splitlines()]
+    higher = [[*w[:3], str(1.5 * float(w[3]))] if w and w[0] == "v" else w for w in words]
+    city.write_text("\n".join(map(" ".join, higher)) + "\n")
+    assert train(tmp_path / "set", tmp_path / "out", "schedule.epochs=1") == 2
+    assert "other views" in capsys.readouterr().err
 
 
 def test_stopped_at_the_end_of_the_last_epoch_its_weights_are_there(views, tmp_path, monkeypatch, capsys):

@@ -7,7 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lodbench.bench.accuracy_cities import measure_cities, share_rejectable, share_rejected
+from lodbench.bench.accuracy_cities import measure_cities, names_of, share_rejectable, share_rejected
+from lodbench.bench.figures import Report
+from lodbench.cli import bench_views, main
 from lodbench.errors import DatasetError
 from lodbench.evaluation.queries import ERROR
 from lodbench.methods.contour_alignment import ContourAlignment
@@ -47,17 +49,32 @@ class TestRejectable:
         assert 0.3 < share_rejectable(drawn) < 0.9
 
 
+def test_cities_whose_files_are_called_alike_are_told_apart():
+    """A folder per town with a `city.gml` in each: their views were one row."""
+    cities = [ViewsParams(path) for path in ("a/city.gml", "b/city.gml", "b/other.gml")]
+    assert list(names_of(cities).values()) == ["a/city.gml", "b/city.gml", "other.gml"]
+
+
 def test_a_row_for_every_city_and_the_reason_for_one_that_has_none(city, tmp_path):
-    twin = tmp_path / f"twin{city.suffix}"
+    twin = tmp_path / city.name
     shutil.copy(city, twin)
     views = [ViewsParams(str(path), num_views=1) for path in (city, twin, tmp_path / "absent.gml")]
     report = measure_cities(views, [0], [ContourAlignment()], threads=1)
-    assert list(report.data["city"]) == 2 * [city.name, twin.name]
-    for part in (city.name, twin.name, "mean of 2", "absent.gml is left out: "):
+    assert list(report.data["city"]) == 2 * [str(city), str(twin)]
+    for part in (str(city), str(twin), "mean of 2", "absent.gml is left out: "):
         assert part in report.text
     means = {f.figure: f.value for f in report.figures if f.figure.startswith("mean recall")}
     # The same views of the same city, twice.
-    alone = {f.figure: f.value for f in report.figures if f.figure.endswith(city.name)}
+    alone = {f.figure: f.value for f in report.figures if f.figure.endswith(str(city))}
     assert list(means.values()) == list(alone.values())
     with pytest.raises(DatasetError, match="No city is left"):
         measure_cities(views[2:], [0], [ContourAlignment()])
+
+
+def test_a_city_or_a_method_named_twice_counts_once(city, monkeypatch):
+    asked = []
+    monkeypatch.setattr(bench_views, "measure_accuracy", lambda *given: asked.append(given) or Report("", []))
+    words = ["bench", "accuracy", "--city", str(city), "--city", str(city), "--method", "region,region"]
+    assert main([*words, "--views", "1"]) == 0
+    ((views, _, methods, *_),) = asked
+    assert (views.city_model, [method.name for method in methods]) == (str(city), ["region"])

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import shutil
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -204,19 +205,29 @@ def test_a_photo_that_cannot_be_read_costs_no_table(lodbench, tmp_path, content)
     assert "lodlocv2 full" in done.stdout
 
 
-def test_other_code_is_another_run(tmp_path, monkeypatch):
+@pytest.mark.parametrize("place", ["methods/protocol.py", "datasets/pictures.py", "baselines/__init__.py"])
+def test_other_code_is_another_run(tmp_path, monkeypatch, place):
     from lodbench.harness.runs import code_digest as module
 
-    before = module.code_digest()
-    changed = tmp_path / "lodbench"
-    for layer in (*module._LAYERS, "storage"):
-        shutil.copytree(Path(module.__file__).parents[2] / layer, changed / layer)
-    with (changed / "methods" / "protocol.py").open("a") as stream:
-        stream.write("# changed\n")
-    module._own_digest.cache_clear()
+    changed, baselines = tmp_path / "lodbench", tmp_path / "baselines"
+    shutil.copytree(Path(module.__file__).parents[2], changed, ignore=shutil.ignore_patterns("weights"))
+    shutil.copytree(Path(find_spec("lodbench.baselines").origin).parent, baselines)
     monkeypatch.setattr(module, "__file__", str(changed / "harness" / "runs" / "code_digest.py"))
-    assert module.code_digest() != before
-    module._own_digest.cache_clear()
+    monkeypatch.setattr(module, "package_files", lambda name: sorted(baselines.rglob("*.py")))
+    before = module._own_digest.__wrapped__()
+    with (tmp_path / (place if place.startswith("baselines") else f"lodbench/{place}")).open("a") as stream:
+        stream.write("# changed\n")
+    assert module._own_digest.__wrapped__() != before
+
+
+def test_another_scipy_is_another_run(monkeypatch):
+    from lodbench.harness.runs import code_digest as module
+    from lodbench.storage import digest
+
+    before = module._own_digest.__wrapped__()
+    there = digest.version
+    monkeypatch.setattr(digest, "version", lambda name: "0.1" if name == "scipy" else there(name))
+    assert module._own_digest.__wrapped__() != before
 
 
 def test_a_setting_names_the_same_run_however_it_is_written(lodbench, tmp_path, dataset):

@@ -120,6 +120,12 @@ def test_an_honest_run_passes(lodbench, made):
         ("summary.json", r'("queries": )"\w', r'\g<1>"x', "queries is 'x"),
         ("queries.csv", r"view_00.png,data,[\d.]+", "view_00.png,data,0.5", "view_00.png: error is 0.5 m"),
         ("queries.csv", r"(view_00.png,data,[\d.]+),[\d.]+", r"\1,0.5", "view_00.png: error is 0.5 deg"),
+        (
+            "queries.csv",
+            r"(view_00.png(?:,[^,]*){4}),\d+",
+            r"\1,99",
+            "view_00.png has another hypotheses than",
+        ),
         ("queries.csv", r"view_00.png.*\n", "", "data/view_00.png is missing"),
         ("queries.csv", r"view_00", "view_09", "data/view_09.png is no query of the dataset"),
         ("poses.txt", r" ([-\d.]+)\n", " 12.5\n", "view_00.png: error is"),

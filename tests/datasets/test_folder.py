@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -94,6 +95,38 @@ class TestSplits:
         assert select_splits(dataset, []) == ("a", "b", "c")
         with pytest.raises(ConfigError, match="no split 'd'"):
             select_splits(dataset, ["d"])
+
+    @pytest.mark.parametrize("file", ["GPS_pose.txt", "intrinsic.txt"])
+    def test_none_is_left_out_for_a_misspelt_truth(self, tmp_path, city, file):
+        root = tmp_path / "data"
+        write_split(root / "a")
+        (root / "b").mkdir()
+        (root / "b" / file).write_text(f"a.jpg {POSE}\n")
+        (root / "b" / "GT_poses.txt").write_text(f"a.jpg {POSE}\n")
+        with pytest.raises(DatasetError, match=rf"b holds {file} and no GT_pose\.txt: .* left out") as caught:
+            open_at(root, city)
+        assert '{"truth": false}' in caught.value.hint
+
+    def test_all_are_of_one_map_and_one_reference_system(self, tmp_path, city):
+        """Datasets side by side, made one by one: all were taken for those of the first one's map."""
+        root = tmp_path / "data"
+        for name, about in (
+            ("a", {}),
+            ("b", {"crs": "EPSG:25832", "city_model": "../north.obj"}),
+            ("c", {"crs": "urn:ogc:def:crs:EPSG::25832", "city_model": "../south.obj"}),
+        ):
+            write_split(root / name)
+            (root / name / "dataset.json").write_text(json.dumps(about))
+        for name in ("north.obj", "south.obj"):
+            (root / name).write_text("v 0 0 0\n")
+        assert open_at(root, city).crs == "EPSG:25832"
+        with pytest.raises(DatasetError, match=r"splits b and c are of different city models: .*south\.obj"):
+            open_folder(FolderParams(str(root)))
+        (root / "c" / "dataset.json").write_text(json.dumps({"crs": "EPSG:25833"}))
+        with pytest.raises(DatasetError, match="different reference systems: 'EPSG:25832' and 'EPSG:25833'"):
+            open_at(root, city)
+        (root / "c" / "dataset.json").unlink()
+        assert open_folder(FolderParams(str(root))).city_model == root / "north.obj"
 
 
 class TestPaths:

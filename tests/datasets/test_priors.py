@@ -82,13 +82,16 @@ def test_a_wider_prior_errs_the_same_way_only_further(tmp_path):
     assert near.truth is dataset.truth
 
 
-def test_a_query_without_truth_keeps_its_prior(tmp_path):
+def test_a_query_without_truth_has_no_prior_that_was_drawn_around_one(tmp_path):
+    """Its own would be answered under the protocol's words, `uniform around the truth`, and be none such."""
     root, city = write_dataset(tmp_path, count=2)
     dataset = open_folder(FolderParams(str(root), str(city)))
     lost = dataset.entries[0]
     known = {key: pose for key, pose in dataset.truth.items() if key != lost.key}
     drawn = with_uniform_priors(replace(dataset, truth=known), UniformPrior(), seed=0)
-    assert drawn.entries[0].prior is lost.prior
+    assert lost.prior is not None
+    assert (drawn.entries[0].prior, drawn.entries[0].hypotheses) == (None, ())
+    assert drawn.entries[1].prior is not None
 
 
 @pytest.mark.parametrize("prior", [UniformPrior(), BasinPrior()])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lodbench.cli import main
-from lodbench.datasets.folder import sealed_about
+from lodbench.datasets.folder_about import sealed_about
 from lodbench.datasets.pose_text import format_pose, lines_to_text, read_poses
 from tests.town import CAMERA, write_dataset
 

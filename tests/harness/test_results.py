@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.metadata
 import re
+import shutil
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 
 import pytest
 
 import lodbench
+from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.errors import ConfigError
 from lodbench.harness.runs import code_digest as module
 from lodbench.harness.runs.code_digest import code_digest
@@ -25,6 +27,9 @@ def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsy
     assert repr(run).startswith("StoredRun(contour_alignment on folder, 2 queries")
     assert run.queries["translation_error_m"].max() < 2.0
     assert "<table" in run._repr_html_()
+    # The libraries that name its folder are told.
+    assert run.provenance["scipy"] == importlib.metadata.version("scipy")
+    assert "opencv-python-headless" in run.provenance
     (name, picture), *_ = run.overlays.items()
     assert "view_0" in name
     assert picture._repr_png_().startswith(b"\x89PNG")
@@ -40,6 +45,20 @@ def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsy
     runs = tmp_path / "runs"
     assert lodbench.run_method("contour_alignment", root, city=city, runs=runs).folder == run.folder
     assert lodbench.run_method("prior_only", root, city=city, runs=runs).folder != run.folder
+
+
+def test_a_run_whose_queries_have_spaces_in_their_names_is_read_back(tmp_path):
+    """A dataset of one's own may call them as cameras do, and copies of files: `DSC 1 (2).jpg`."""
+    root, city = write_dataset(tmp_path / "town", count=2)
+    plain = open_folder(FolderParams(str(root), str(city)))
+    names = {entry.key: f"view  {number} (2).png" for number, entry in enumerate(plain.entries)}
+    entries = tuple(replace(entry, name=names[entry.key]) for entry in plain.entries)
+    truth = {f"{entry.split}/{names[entry.key]}": plain.truth[entry.key] for entry in plain.entries}
+    run = lodbench.run_method(
+        "prior_only", replace(plain, entries=entries, truth=truth), runs=tmp_path / "runs"
+    )
+    assert list(run.poses) == list(run.queries.index) == list(truth)
+    assert run.queries["translation_error_m"].notna().all()
 
 
 def test_a_method_named_is_told_of_the_true_tilt_as_by_the_command(tmp_path):
@@ -111,3 +130,53 @@ def test_no_object_prints_its_arrays(tmp_path):
     _, city = write_dataset(tmp_path / "town", count=1)
     scene = lodbench.open_scene(city)
     assert len(repr(scene)) < 200
+
+
+@pytest.fixture
+def half_known(tmp_path):
+    """Two splits of one town: `known`, where one of three poses is not, and `hidden`, which has no truth."""
+    root, city = write_dataset(tmp_path / "town", count=3)
+    both = tmp_path / "both"
+    for split in ("known", "hidden"):
+        shutil.copytree(root, both / split)
+    truth = both / "known" / "GT_pose.txt"
+    truth.write_text("".join(truth.read_text().splitlines(keepends=True)[:2]))
+    (both / "hidden" / "GT_pose.txt").unlink()
+    (both / "hidden" / "dataset.json").write_text('{"truth": false}')
+    return both, city
+
+
+def test_queries_without_a_truth_are_answered_beside_those_that_are_scored(half_known, tmp_path, capsys):
+    """A test split whose truth is withheld; a flight's photos of which a few are surveyed."""
+    from lodbench.cli import main
+
+    root, city = half_known
+    run = lodbench.run_method("lodlocv2", root, city=city, runs=tmp_path / "runs")
+    assert set(run.poses) == set(run.queries.index)
+    splits = run.summary["splits"]
+    assert [splits[name]["num_queries"] for name in ("hidden", "known")] == [0, 2]
+    assert [splits[name]["num_failed"] for name in ("hidden", "known")] == [0, 0]
+    assert main(["verify", str(run.folder)]) == 0, capsys.readouterr().out
+
+
+def test_what_takes_the_truth_is_not_asked_of_them_and_counts_as_no_answer(half_known, tmp_path):
+    root, city = half_known
+    run = lodbench.run_method("lodlocv2", root, city=city, tilt="truth", runs=tmp_path / "runs")
+    assert set(run.poses) == {"known/view_00.png", "known/view_01.png"}
+    assert run.queries["failure"]["known/view_02.png"].endswith(
+        "not asked, for that would take the true pose"
+    )
+    # The mean is over answers: what was not asked has drawn nothing.
+    assert run.summary["splits"]["known"]["hypotheses_per_query"] == run.queries["hypotheses"].max()
+    assert run.summary["splits"]["hidden"]["num_failed"] == 3
+
+
+def test_the_answers_of_a_split_without_a_truth_are_told(half_known, tmp_path, capsys):
+    from lodbench.cli import main
+
+    root, city = half_known
+    words = ["dataset=folder", f"dataset.root={root}", f"city={city}", "method=prior_only"]
+    assert main(["run", *words, f"paths.runs={tmp_path / 'runs'}"]) == 0
+    told = capsys.readouterr().out
+    assert "3 of 3 queries have an answer" in told
+    assert "hidden/view_00.png" in told

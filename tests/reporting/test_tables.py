@@ -8,7 +8,7 @@ import pytest
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.reporting.summaries import read_summary, with_seconds
 from lodbench.reporting.table_formats import FORMATS, format_csv, format_text
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.tables import names_of, tables_of
 
 
 def summary(variant: str, recall: float, tilt: str = "truth", queries: str = "q", masks: str = "m") -> dict:
@@ -126,6 +126,29 @@ def test_seeds_become_one_row_with_mean_and_spread():
     assert [line.label for line in table.lines] == ["Prior", "lodlocv2 full (3 seeds)"]
     assert "94.00 ±4.00" in format_text(table)
     assert r"94.00 $\pm$4.00" in FORMATS["latex"](table)
+
+
+def test_runs_of_one_method_are_named_by_what_sets_them_apart():
+    runs = [summary("full", 97.9, tilt="prior"), summary("full", 97.9), summary("no_select", 90.0)]
+    runs[1]["protocol"]["seed"] = 3
+    assert names_of(runs) == [
+        "lodlocv2 full tilt=prior seed=0",
+        "lodlocv2 full tilt=truth seed=3",
+        "lodlocv2 no select tilt=truth",
+    ]
+    assert names_of([runs[0], runs[0]]) == ["lodlocv2 full #1", "lodlocv2 full #2"]
+
+
+def test_failures_over_seeds_are_a_mean_and_none_is_rounded_away():
+    runs = [summary("full", 90.0) for _ in range(4)]
+    for seed, run in enumerate(runs):
+        run["protocol"]["seed"] = seed
+        run["splits"]["in_place"]["num_failed"] = int(seed == 3)
+    (table,) = tables_of(runs, over_seeds=True)
+    prior, mean = (line.splits["in_place"] for line in table.lines)
+    assert (prior["failed"], mean["failed"], mean["failed spread"]) == (1, 0.25, 0.5)
+    column = table.shown()[-1]
+    assert [column.text(row) for row in (prior, mean)] == ["1", "0.2 ±0.5"]
 
 
 def test_a_seed_counts_once_in_a_mean_over_seeds():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lodbench.segmentation import mask_cache
 from lodbench.segmentation.mask_cache import cached_probability
 from lodbench.storage.paths import cache_root
 
@@ -44,3 +45,17 @@ def test_flipped_bits_never_change_a_mask(photo, caplog):
         assert bool(asked) == ("is damaged" in caplog.text), place
         caplog.clear()
     assert told > 100
+
+
+@pytest.mark.parametrize("change", ["_LIBRARIES", "__file__"])
+def test_other_code_makes_its_own_mask(photo, monkeypatch, tmp_path, change):
+    mask_cache._code_digest.cache_clear()
+    cached_probability(photo, "network", lambda content: np.zeros((4, 4), np.float32))
+    (tmp_path / "photos.py").write_text("# changed\n")
+    monkeypatch.setattr(mask_cache, change, ("scipy",) if change == "_LIBRARIES" else str(tmp_path / "x.py"))
+    mask_cache._code_digest.cache_clear()
+    try:
+        found = cached_probability(photo, "network", lambda content: np.ones((4, 4), np.float32))
+    finally:
+        mask_cache._code_digest.cache_clear()
+    assert (found == 1).all()

@@ -71,6 +71,8 @@ def test_a_trajectory_is_followed_and_looks_ahead(town, tmp_path):
     path.write_text(lines_to_text(format_pose(f"{k}", pose) for k, pose in enumerate(poses)))
     along = candidates(params(sampling="trajectory", poses=str(path), spacing_m=30.0, pitch=[45.0]), place)
     assert len(along) == 3 + 2
+    # By itself half its own height apart: 110 and 120 m above the ground, which is at 20.
+    assert len(candidates(params(sampling="trajectory", poses=str(path), pitch=[45.0]), place)) == 2 + 1
     np.testing.assert_allclose(along[1].center, [0.0, 30.0, 130.0 + 10.0 / 3], atol=1e-9)
     assert along[0].euler.yaw_deg == pytest.approx(0.0, abs=1e-9)  # north
     assert along[-1].euler.yaw_deg == pytest.approx(-90.0)  # east

@@ -76,6 +76,7 @@ def test_the_manifest_says_what_it_was_made_of(small_set, box_file):
     assert manifest["settings"]["pitch"] == SMALL["pitch"]
     assert manifest["views"] == made.views
     assert manifest["state"] == "finished"
+    assert manifest["source"] == {}
     assert manifest["candidates"] == sum(made.views.values()) + sum(made.skipped.values())
 
 

@@ -15,10 +15,11 @@ from pathlib import Path
 import cv2
 import pytest
 
+from lodbench.citymodel.options import ReadOptions
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.synthesis.photo import LookRanges, look_ranges
-from lodbench.synthesis.training_data import view_writer
+from lodbench.synthesis.training_data import manifest, view_writer
 from lodbench.synthesis.training_data.generate import generate_training_data
 from lodbench.synthesis.training_data.params import GenerateParams
 from tests.synthesis.conftest import SMALL, WHOLE
@@ -71,6 +72,28 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
     assert files_in(tmp_path / "data") == files_in(made.out)
 
 
+def test_a_set_goes_on_neither_with_another_city_nor_with_other_code(small_set, monkeypatch):
+    """Its poses are written anew each time: views that are there already would be of others."""
+    params, made = small_set
+    before = files_in(made.out)
+    with pytest.raises(DatasetError, match="read in another way"):
+        generate_training_data(params, ReadOptions(up_axis="y"))
+    monkeypatch.setattr(manifest, "_code_digest", lambda: "other")
+    with pytest.raises(DatasetError, match="another version of lodbench"):
+        generate_training_data(params)
+    assert files_in(made.out) == before
+
+
+def test_the_manifest_says_how_the_city_was_read(box_file, tmp_path):
+    """Without it nobody makes the set again, or lays its map over its photos."""
+    asked = GenerateParams(str(box_file), str(tmp_path / "a"), crs="EPSG:25832", limit=1, **SMALL, **WHOLE)
+    options = ReadOptions(crs="EPSG:25833", origin=(691000.0, 5335000.0, 500.0), layers=("bridges",))
+    generate_training_data(asked, options)
+    told = json.loads((tmp_path / "a" / "manifest.json").read_text())
+    assert told["city"]["crs"] == "EPSG:25832"
+    assert ReadOptions.from_mapping(told["source"]) == replace(options, crs="EPSG:25832")
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -84,6 +107,7 @@ def test_a_full_disk_stops_with_a_clear_error_and_the_rest_follows(small_set, tm
         ({"count": 50}, "count means nothing to sampling=grid"),
         ({"sampling": "random", "spacing_m": 20.0}, "spacing_m means nothing to sampling=random"),
         ({"sampling": "priors", "poses": "a", "height": [80.0]}, "height means nothing to sampling=priors"),
+        ({"sampling": "trajectory", "poses": "a", "height": [80.0]}, "height means nothing to"),
         ({"texture_model": "a.obj", "props": "p.npz"}, "props means nothing to texture_model"),
         ({"texture_up": "y"}, "texture_up means nothing without texture_model"),
         ({"renderer": "pyrender"}, "textured meshes only"),

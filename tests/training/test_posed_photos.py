@@ -48,6 +48,22 @@ def test_labels_are_what_the_map_shows_from_the_true_poses(flight, tmp_path):
         assert expected.mean() > 0.02
 
 
+def test_a_map_that_lies_elsewhere_teaches_nothing(flight, tmp_path):
+    """All labels were empty, and a network learnt that roofs are ground."""
+    root = tmp_path / "flight"
+    shutil.copytree(flight[0], root)
+    words = [line.split() for line in flight[1].read_text().splitlines()]
+    moved = [["v", str(float(w[1]) + 9000.0), *w[2:]] if w and w[0] == "v" else w for w in words]
+    (root / "map.obj").write_text("\n".join(map(" ".join, moved)) + "\n")
+    with pytest.raises(DatasetError, match="shows no building from any true pose"):
+        posed_samples(root, tmp_path / "silhouettes")
+    about = {"city_model": "map.json", "crs": "EPSG:25833"}
+    (root / "dataset.json").write_text(json.dumps(about))
+    assert main(["city", "convert", str(flight[1]), str(root / "map.json"), "--crs", "EPSG:25832"]) == 0
+    with pytest.raises(DatasetError, match=r"in EPSG:25833, its map .* in EPSG:25832"):
+        posed_samples(root, tmp_path / "silhouettes")
+
+
 def test_a_network_is_trained_on_them(flight, tmp_path, capsys):
     pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
     pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")

@@ -13,6 +13,8 @@ import pytest
 
 from lodbench.cli import main
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.segmentation.compact import Compact, CompactParams
+from lodbench.segmentation.compact_instances import CompactInstances, CompactInstancesParams
 from lodbench.storage import random_stream
 from lodbench.training.augment import flipped, random_crop, relit
 from lodbench.training.samples import find_samples, split_samples
@@ -97,7 +99,6 @@ def test_training_learns_and_leaves_weights_curves_and_a_record(views, tmp_path,
     assert f"{record['history'][-1]['mean_iou']:.4f}" in printed
     assert cv2.imread(str(tmp_path / "a" / "curves.png")) is not None
     # The weights run where there is no torch.
-    from lodbench.segmentation.compact import Compact, CompactParams
     from lodbench.segmentation.photos import read_photo
 
     segmenter = Compact(CompactParams(weights=str(tmp_path / "a" / "compact.onnx"), size=96))
@@ -116,6 +117,8 @@ def test_a_stopped_training_ends_in_the_same_bytes(views, tmp_path, monkeypatch)
 
 
 def test_interiors_of_labelled_buildings_are_learnt(views, tmp_path, capsys):
+    from lodbench.segmentation.nets.compact import CompactNet
+
     learnt = "segmenter=compact_instances"
     assert train(views, tmp_path / "a", learnt, "schedule.epochs=1") == 2
     told = capsys.readouterr().err
@@ -132,7 +135,16 @@ def test_interiors_of_labelled_buildings_are_learnt(views, tmp_path, capsys):
     # Two halves of 15 by 28 pixels, each two pixels smaller on every side.
     assert target.sum() == 2 * 11 * 24
     assert train(labelled, tmp_path / "a", learnt, "schedule.epochs=1") == 0
-    assert (tmp_path / "a" / "compact_instances.onnx").is_file()
+    weights = tmp_path / "a" / "compact_instances.onnx"
+    photo = np.zeros((64, 96, 3), np.uint8)
+    assert CompactInstances(CompactInstancesParams(weights=str(weights))).interior(photo).any()
+    # The same layers as those of compact, to which they would be masks.
+    with pytest.raises(ConfigError, match=r"has learnt interiors of buildings, not masks"):
+        Compact(CompactParams(weights=str(weights))).probability(photo)
+    masks = Compact(CompactParams()).store(CompactNet(), tmp_path)
+    instances = CompactInstances(CompactInstancesParams(weights=str(masks)))
+    with pytest.raises(ConfigError, match=r"has learnt masks of buildings, not interiors"):
+        instances.interior(photo)
     assert train(labelled, tmp_path / "b", learnt, f"negatives=[{views}]") == 2
     assert "negatives has masks only" in capsys.readouterr().err
 
@@ -141,6 +153,26 @@ def test_another_training_in_the_same_folder_is_refused(views, tmp_path, capsys)
     assert train(views, tmp_path / "a", "schedule.epochs=1") == 0
     assert train(views, tmp_path / "a", "schedule.epochs=1", "schedule.lr=0.01") == 2
     assert "other settings" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("sides", ["schedule.crop=50", "schedule.size=70"])
+def test_sides_that_are_no_multiples_of_the_stride_are_padded(views, tmp_path, capsys, sides):
+    more = () if "crop" in sides else ("schedule.crop=0",)
+    assert train(views, tmp_path / "a", "schedule.epochs=1", "init=package", sides, *more) == 0
+    assert (tmp_path / "a" / "compact.onnx").is_file()
+
+
+def test_a_mask_that_was_mended_since_is_another_training(views, tmp_path, capsys):
+    """Files of the same size: TIFF and BMP, and PNG without compression, are whatever they show."""
+    shutil.copytree(views, tmp_path / "set")
+    mask, plain = tmp_path / "set" / "train" / "masks" / "0.png", [cv2.IMWRITE_PNG_COMPRESSION, 0]
+    cv2.imwrite(str(mask), np.zeros((64, 96), np.uint8), plain)
+    size = mask.stat().st_size
+    assert train(tmp_path / "set", tmp_path / "a", "schedule.epochs=1") == 0
+    cv2.imwrite(str(mask), np.full((64, 96), 255, np.uint8), plain)
+    assert mask.stat().st_size == size
+    assert train(tmp_path / "set", tmp_path / "a", "schedule.epochs=1") == 2
+    assert "other views" in capsys.readouterr().err
 
 
 def test_faults_of_the_data(views, tmp_path, capsys):
@@ -296,7 +328,6 @@ def test_training_goes_on_from_the_packages_weights(views, tmp_path, capsys):
     rates = ["schedule.epochs=1", "schedule.lr=1e-12", "schedule.muon_lr=1e-12", "schedule.lr_end=0"]
     assert train(views, tmp_path / "a", "init=package", *rates) == 0
     kept = json.loads((tmp_path / "a" / "training.json").read_text())
-    from lodbench.segmentation.compact import Compact, CompactParams
     from lodbench.segmentation.packaged_network import packaged_file
     from lodbench.storage import file_digest
 

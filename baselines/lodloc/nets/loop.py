@@ -31,18 +31,19 @@ class KeptFeatures:
 
     def __init__(self, net: WireframeNet, most: int) -> None:
         self._net, self._most = net, most
-        self._kept: dict[str, Features] = {}
+        # By file: views of two sets may be called alike.
+        self._kept: dict[Path, Features] = {}
 
     def __call__(self, view: TrainingView) -> Features:
         """Returns the features of a view's photo, float32, with a batch of one."""
-        kept = self._kept.get(view.key)
+        kept = self._kept.get(view.photo)
         if kept is None:
             with torch.no_grad():
                 made = self._net.features(_picture(view))
             # Rounded whether kept or not: what is learnt does not depend on what there was room for.
             kept = Features(made.quarter.half(), made.half.half())
             if len(self._kept) < self._most:
-                self._kept[view.key] = kept
+                self._kept[view.photo] = kept
         return Features(kept.quarter.float(), kept.half.float())
 
 

@@ -27,7 +27,7 @@ from lodbench.execution.one_blas_thread import on_one_blas_thread
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.remote.drawn import drawn_bytes
 from lodbench.harness.remote.wire import FAULTS, packed, unpacked
-from lodbench.harness.runs.code_digest import code_digest
+from lodbench.harness.runs.code_digest import code_digest, words_in
 from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import Estimate, Method, SupportsFlights, SupportsPrepare, SupportsTrial
 from lodbench.methods.registry import configure_method
@@ -167,6 +167,7 @@ class Served:
         """Makes the method; returns what there is to know of it."""
         configured = configure_method(settings).for_tilt(tilt)
         method = self._method = configured.make()
+        names = frozenset(words_in(asdict(configured.params)))
         return {
             "name": method.name,
             "requires": sorted(str(word) for word in method.requires),
@@ -175,7 +176,7 @@ class Served:
             "answers_flights": isinstance(method, SupportsFlights),
             "prepares": isinstance(method, SupportsPrepare),
             "weights": list(weight_files(method)),
-            "code": [code_digest(method), sys.version, version("numpy")],
+            "code": [code_digest(method, names=names), sys.version, version("numpy")],
         }
 
     def open_map(self, about: dict[str, Any]) -> None:

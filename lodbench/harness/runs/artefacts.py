@@ -14,6 +14,7 @@ from lodbench import __version__
 from lodbench.datasets.pose_text import format_pose, lines_to_text
 from lodbench.datasets.prior_sources import prior_text
 from lodbench.evaluation.queries import queries_csv, summarize_queries
+from lodbench.harness.runs.code_digest import LIBRARIES
 from lodbench.harness.runs.named_paths import named_by
 from lodbench.harness.runs.result import Result
 from lodbench.harness.runs.run import Run
@@ -21,6 +22,7 @@ from lodbench.plugins import blaming, load_plugin, of_kind
 from lodbench.reporting.leaderboard_entry import has_random_weights
 from lodbench.reporting.summaries import SUMMARY_SCHEMA
 from lodbench.storage import hide_formula, write_text
+from lodbench.storage.digest import versions_of
 from lodbench.storage.seal import seal_of
 
 
@@ -109,15 +111,11 @@ def _timings_csv(run: Result) -> str:
 
 
 def _provenance(run: Result) -> dict[str, Any]:
-    import numba
-    import numpy
-
     city = run.dataset.city_model
     return {
         "lodbench": __version__,
         "python": sys.version.split()[0],
-        "numpy": numpy.__version__,
-        "numba": numba.__version__,
+        **{name: version for name, version in versions_of(LIBRARIES).items() if version},
         "machine": platform.machine(),
         "system": platform.platform(),
         "city_model": None if city is None else str(Path(city).resolve()),

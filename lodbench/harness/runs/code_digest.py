@@ -6,20 +6,23 @@ import inspect
 import sys
 from collections.abc import Collection, Iterator
 from functools import cache
-from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 
 from lodbench.errors import ConfigError
 from lodbench.plugins import KINDS, installed
 from lodbench.storage import digest_of, file_digest
+from lodbench.storage.digest import digest_of_code, package_files
 
-# Layers whose code decides an estimate; readers are covered by the scene's digest.
-_LAYERS = (
-    "geometry", "rendering", "citymap", "segmentation", "synthesis", "matching", "methods", "harness",
-)  # fmt: skip
+# Folders whose code no answer depends on: what is left counts, and so does a folder that is yet to come.
+_IDLE = frozenset(("bench", "cli", "evaluation", "reporting", "training"))
+# Those of `baselines/`, which need not lie where the package does.
+_BASELINES = "lodbench.baselines"
 _OURS = "lodbench"
-_LIBRARIES = ("numpy", "numba", "opencv-python-headless")
+# What computes an answer. Those of extras need not be there.
+LIBRARIES = (
+    "numpy", "numba", "opencv-python-headless", "scipy",
+    "torch", "transformers", "kornia", "romatch", "poselib", "pycolmap", "pyrender", "open3d",
+)  # fmt: skip
 
 
 def code_digest(*parts: object, names: Collection[object] = ()) -> str:
@@ -37,19 +40,18 @@ def code_digest(*parts: object, names: Collection[object] = ()) -> str:
     named = [each for group in KINDS for each in installed(group) if not each.is_ours and each.name in names]
     modules = {type(part).__module__ for part in parts} | {each.point.module for each in named}
     tops = sorted({module.partition(".")[0] for module in modules} - {_OURS, "__main__"})
-    files = [file_digest(file) for top in tops for file in _files_of(top)]
+    files = [file_digest(file) for top in tops for file in package_files(top)]
     typed = [_typed_code(part) for part in parts if type(part).__module__ == "__main__"]
     return digest_of([_own_digest(), files, *typed, *elsewhere])
 
 
-def _files_of(module: str) -> Iterator[Path]:
-    """Yields the Python files of a package, or those beside a module."""
-    spec = find_spec(module)
-    if spec is not None and spec.submodule_search_locations:
-        for folder in sorted(spec.submodule_search_locations):
-            yield from sorted(Path(folder).rglob("*.py"))
-    elif spec is not None and spec.origin is not None:
-        yield from sorted(Path(spec.origin).parent.glob("*.py"))
+def words_in(settings: object) -> Iterator[str]:
+    """Yields all words among settings, JSON values, of which some may name plug-ins."""
+    if isinstance(settings, str):
+        yield settings
+    elif isinstance(settings, dict | list | tuple):
+        for each in settings.values() if isinstance(settings, dict) else settings:
+            yield from words_in(each)
 
 
 def _typed_code(part: object) -> str:
@@ -70,6 +72,7 @@ def _typed_code(part: object) -> str:
 @cache
 def _own_digest() -> str:
     package = Path(__file__).parents[2]
-    files = [file for layer in _LAYERS for file in sorted((package / layer).rglob("*.py"))]
-    files.append(package / "storage" / "streams.py")
-    return digest_of([[file_digest(file) for file in files], [version(name) for name in _LIBRARIES]])
+    files = [
+        file for file in sorted(package.rglob("*.py")) if file.relative_to(package).parts[0] not in _IDLE
+    ]
+    return digest_of_code(dict.fromkeys((*files, *package_files(_BASELINES))), LIBRARIES)

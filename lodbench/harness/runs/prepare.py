@@ -14,7 +14,6 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset, Entry, Query
 from lodbench.errors import ConfigError, QueryFault, nearest_names
-from lodbench.evaluation.queries import NO_TRUTH
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.runs.input_checks import require_near, require_photo
 from lodbench.rendering.raster import RasterRenderer
@@ -32,6 +31,8 @@ from lodbench.segmentation.oracle import Oracle
 Points = NDArray[np.float64]
 
 TILTS = ("prior", "truth")
+# Beside the words that there is no truth, of a query whose tilt, mask or matches would come from it.
+_NOT_ASKED = "not asked, for that would take the true pose"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +79,9 @@ class Preparation:
                 photo is unreadable or of another size than the camera, or the segmenter has no mask, or
                 one that is not fit for the camera.
         """
-        # Where nothing has a truth, poses are wanted for their own sake.
-        if self.dataset.truth and entry.key not in self.dataset.truth:
-            raise QueryFault(NO_TRUTH)
+        # Without a truth a pose is wanted for its own sake, and a photo for the others of its flight.
+        if self.tilt == "truth" and entry.key not in self.dataset.truth:
+            raise QueryFault(_NOT_ASKED)
         if entry.camera is None:
             raise QueryFault("no camera in intrinsic.txt")
         if entry.camera.distortion:
@@ -117,7 +118,7 @@ class Preparation:
 
     def _true_pixels(self, entry: Entry, camera: Camera) -> Callable[[Points], Points]:
         if entry.key not in self.dataset.truth:
-            raise QueryFault(NO_TRUTH)
+            raise QueryFault(_NOT_ASKED)
         truth = self.local(self.dataset.truth[entry.key])
         return lambda points: camera.project((points - truth.center) @ truth.rotation.T)
 
@@ -152,7 +153,7 @@ class Preparation:
     def _true_view(self, oracle: Oracle, entry: Entry, camera: Camera) -> tuple[Camera, Pose]:
         """Returns the camera at an oracle's width, and the true pose in the scene's frame."""
         if entry.key not in self.dataset.truth:
-            raise QueryFault(NO_TRUTH)
+            raise QueryFault(_NOT_ASKED)
         width = min(oracle.params.width, camera.width)
         small = camera.scaled(width, max(1, round(width * camera.height / camera.width)))
         return small, self.local(self.dataset.truth[entry.key])

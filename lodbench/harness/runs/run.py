@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -27,7 +27,7 @@ from lodbench.execution.executor import PROCESS, SERIAL, ExecutorParams
 from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.lock import only_one_in
 from lodbench.harness.city import open_city, scene_digest
-from lodbench.harness.runs.code_digest import code_digest
+from lodbench.harness.runs.code_digest import code_digest, words_in
 from lodbench.harness.runs.input_checks import looks_at_photos, require_pictures, require_same_place
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
@@ -78,7 +78,7 @@ class RunSettings:
 
     def names(self) -> frozenset[str]:
         """Returns all words among the settings, of which some may name plug-ins."""
-        return frozenset(_words_in(self.config)) | {self.renderer}
+        return frozenset(words_in(self.config)) | {self.renderer}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -202,14 +202,6 @@ def _answered(
                 now = _read_inputs(method, work.segmenter, work.dataset, entries)
                 _require_unchanged(work.inputs, now, folder)
     return predictions, resumed
-
-
-def _words_in(value: object) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict | list | tuple):
-        for each in value.values() if isinstance(value, dict) else value:
-            yield from _words_in(each)
 
 
 def _fixed_inputs(

@@ -166,11 +166,12 @@ def _read_poses(path: Path) -> dict[str, Pose]:
     """Returns poses by name; unlike those of a dataset the names keep their split."""
     poses: dict[str, Pose] = {}
     for number, line in enumerate(_read(path).splitlines(), start=1):
-        words = line.split()
+        # From the right: a name may hold spaces.
+        name, *numbers = line.rsplit(maxsplit=7) or [""]
         try:
-            if not words or words[0] in poses:
+            if not name or name in poses:
                 raise LodbenchError("an empty line or a name that occurs twice")
-            poses[words[0]] = parse_pose(words[1:])
+            poses[name] = parse_pose(numbers)
         except (LodbenchError, ValueError) as error:
             raise DatasetError(f"{path}, line {number}: {str(error).rstrip('.')}.", _FOLDER_HINT) from error
     return poses

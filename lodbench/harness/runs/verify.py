@@ -2,8 +2,8 @@
 
 Each on its own: the files are those the run wrote (digests in ``provenance.json``), poses are those that
 the ledger has, the errors in ``queries.csv`` follow from ``poses.txt`` and the dataset's truth, and
-``summary.json`` follows from ``queries.csv``. The errors need the data. A method's own scores and counts of
-hypotheses cannot be computed again without the method; for these the digests stand alone.
+``summary.json`` follows from ``queries.csv``. The errors need the data. A method's own scores, probabilities
+and counts of hypotheses cannot be computed again without the method; they are those of the ledger.
 """
 
 from __future__ import annotations

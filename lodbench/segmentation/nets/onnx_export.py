@@ -27,7 +27,7 @@ class _FirstOutput(nn.Module):
         return first
 
 
-def write_onnx(net: nn.Module, path: Path, stride: int, half: bool = False) -> None:
+def write_onnx(net: nn.Module, path: Path, stride: int, half: bool = False, answer: str = "logits") -> None:
     """Writes a network that takes ``photo`` (1, 3, H, W), H and W free multiples of ``stride``.
 
     Args:
@@ -35,6 +35,7 @@ def write_onnx(net: nn.Module, path: Path, stride: int, half: bool = False) -> N
         path: The file.
         stride: Least side of what the network takes, pixels.
         half: Whether weights are stored as 16 bit floats, half the bytes; it still works with 32.
+        answer: What the file calls what is answered.
 
     Raises:
         ConfigError: The package onnx is not installed.
@@ -50,8 +51,8 @@ def write_onnx(net: nn.Module, path: Path, stride: int, half: bool = False) -> N
             (example,),
             content,
             input_names=["photo"],
-            output_names=["logits"],
-            dynamic_axes={"photo": {2: "height", 3: "width"}, "logits": {2: "height", 3: "width"}},
+            output_names=[answer],
+            dynamic_axes={"photo": {2: "height", 3: "width"}, answer: {2: "height", 3: "width"}},
             opset_version=_OPSET,
             dynamo=False,
         )

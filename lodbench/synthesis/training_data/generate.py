@@ -68,8 +68,9 @@ def generate_training_data(
     # Workers elsewhere stand in other folders.
     out = Path(params.out).expanduser().absolute()
     options = options or ReadOptions()
+    options = replace(options, crs=params.crs or options.crs)
     parts, plan, notes = _prepare(params, options)
-    manifest = begin_manifest(params, parts.scene, plan, out)
+    manifest = begin_manifest(params, options, parts, plan, out)
     _write_layout(params, parts.scene, plan, out)
     for folder in out.glob("*/*/"):
         remove_leftovers(folder)  # what a killed run was writing

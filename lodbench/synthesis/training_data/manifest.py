@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,20 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodbench import __version__
-from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.options import ReadOptions, told_options
 from lodbench.citymodel.source import open_sources
 from lodbench.citymodel.texture_files import files_of_textured
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.errors import DatasetError
 from lodbench.storage import digest_of, file_digest, make_folder, remove_leftovers, write_bytes, write_text
+from lodbench.storage.digest import digest_of_code
 from lodbench.storage.json_text import parse_json
 from lodbench.synthesis.training_data.params import GenerateParams
 from lodbench.synthesis.training_data.plan_views import SPLITS, PlannedView, ViewPlan
-from lodbench.synthesis.training_data.view_writer import files_of
+from lodbench.synthesis.training_data.view_writer import PictureParts, files_of
 
 MANIFEST_FILE, SHEET_FILE = "manifest.json", "overview.png"
 SCHEMA = 1
-_LIBRARIES = ("numpy", "numba", "opencv-python-headless")
+_LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy")
+_LAYERS = ("geometry", "citymodel", "datasets", "rendering", "synthesis")
 # Settings that name files, whose content is named instead; and those that change no byte.
 _PATHS = ("city", "texture_model", "props", "terrain", "poses")
 _IDLE = ("out", "sheet", "workers")
@@ -39,13 +42,15 @@ _MASK_BGR = np.array([60.0, 170.0, 255.0])
 Picture = NDArray[np.uint8]
 
 
-def begin_manifest(params: GenerateParams, scene: Scene, plan: ViewPlan, out: Path) -> dict[str, Any]:
+def begin_manifest(
+    params: GenerateParams, options: ReadOptions, parts: PictureParts, plan: ViewPlan, out: Path
+) -> dict[str, Any]:
     """Writes the manifest of a set about to be made, unless the same is there; returns it.
 
     Raises:
         DatasetError: The folder holds another set, or something else.
     """
-    manifest = _manifest(params, scene, plan)
+    manifest = _manifest(params, options, parts, plan)
     path = out / MANIFEST_FILE
     remove_leftovers(out)
     if out.exists() and any(out.iterdir()):
@@ -66,7 +71,10 @@ def finish_manifest(manifest: dict[str, Any], out: Path) -> None:
     _write(manifest | {"state": "finished"}, out / MANIFEST_FILE)
 
 
-def _manifest(params: GenerateParams, scene: Scene, plan: ViewPlan) -> dict[str, Any]:
+def _manifest(
+    params: GenerateParams, options: ReadOptions, parts: PictureParts, plan: ViewPlan
+) -> dict[str, Any]:
+    scene = parts.scene
     settings = {key: value for key, value in asdict(params).items() if key not in _IDLE}
     paths = {key: Path(settings[key]).expanduser() for key in _PATHS if settings[key] is not None}
     inputs = {
@@ -76,13 +84,18 @@ def _manifest(params: GenerateParams, scene: Scene, plan: ViewPlan) -> dict[str,
     identity = {
         "settings": {key: value for key, value in settings.items() if key not in _PATHS},
         "inputs": {key: sorted(digests.values()) for key, digests in inputs.items()},
+        # Other options of the source read another city from the same file.
+        "cities": parts.cities_digest(),
+        "code": _code_digest(),
         "schema": SCHEMA,
     }
     counts = Counter(view.split for view in plan.views)
     return {
         "schema": SCHEMA,
         "digest": digest_of(identity),
+        "code": identity["code"],
         "settings": settings,
+        "source": told_options(options),
         "inputs": inputs,
         "versions": {"lodbench": __version__} | {name: version(name) for name in _LIBRARIES},
         "city": dict(buildings=scene.num_buildings, lod=scene.lod, crs=scene.crs, scene=scene.digest()),
@@ -116,14 +129,24 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _difference(found: dict[str, Any], wanted: dict[str, Any]) -> str:
-    """Returns the first setting that differs, for a message."""
+    """Returns the first setting that differs, or what else does, for a message."""
     old = found.get("settings")
     if not isinstance(old, dict):
         return ", or no training set at all"
     for key, value in json.loads(json.dumps(wanted["settings"])).items():
         if key not in _PATHS and old.get(key) != value:
             return f" ({key} is {old.get(key)} there)"
-    return " (of other input files)"
+    if found.get("code") != wanted["code"]:
+        return " (made by another version of lodbench or of its libraries)"
+    return " (of other input files, or read in another way)"
+
+
+@cache
+def _code_digest() -> str:
+    """Returns a digest of what plans and draws views: poses of one version suit no pictures of another."""
+    package = Path(__file__).parents[2]
+    files = [file for layer in _LAYERS for file in sorted((package / layer).rglob("*.py"))]
+    return digest_of_code(files, _LIBRARIES)
 
 
 def _write(manifest: dict[str, Any], path: Path) -> None:

@@ -11,9 +11,9 @@ from lodbench.geometry import Camera
 from lodbench.synthesis.camera_paths import CAMERA_PATHS
 from lodbench.synthesis.photo import LookRanges
 
-# Camera paths that point cameras at pitches, from heights; those laid out evenly; those drawn by chance.
-_POINTED, _EVEN = ("grid", "random", "anywhere", "trajectory"), ("grid", "trajectory")
-_DRAWN, _AROUND = ("random", "anywhere", "priors"), ("priors",)
+# Camera paths that stand at heights; that point cameras at pitches; laid out evenly; drawn by chance.
+_HIGH, _EVEN = ("grid", "random", "anywhere"), ("grid", "trajectory")
+_POINTED, _DRAWN, _AROUND = (*_HIGH, "trajectory"), ("random", "anywhere", "priors"), ("priors",)
 _MANY, _SHARE = (1, 10_000_000), (0.0, 0.9)
 
 
@@ -53,7 +53,7 @@ class GenerateParams:
     sampling: str = _setting("grid", among=tuple(CAMERA_PATHS))
     pitch: list[float] = _setting([30.0, 60.0], (0.0, 90.0), paths=_POINTED)  # noqa: RUF009
     pitch_from: str = _setting("nadir", among=("nadir", "horizon"))
-    height: list[float] = _setting([100.0, 150.0], (1.0, 5000.0), paths=_POINTED)  # noqa: RUF009
+    height: list[float] = _setting([100.0, 150.0], (1.0, 5000.0), paths=_HIGH)  # noqa: RUF009
     yaw: list[float] | None = _setting(None, (-360.0, 360.0), paths=_EVEN)  # noqa: RUF009
     spacing_m: float | None = _setting(None, (0.1, 1e5), paths=_EVEN)
     count: int = _setting(1000, _MANY, paths=_DRAWN)

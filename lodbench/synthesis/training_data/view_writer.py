@@ -41,10 +41,14 @@ class PictureParts(NamedTuple):
     # (3,) what brings the textured mesh into the scene's frame, or None without one.
     texture_offset: NDArray[np.float64] | None = None
 
+    def cities_digest(self) -> str:
+        """Returns a digest of the city as it was read, for masks and for pictures."""
+        scenes = (self.scene, self.picture_scene)
+        return digest_of([[scene.digest(), scene.origin.tolist()] for scene in scenes])
+
     def digest(self) -> str:
         """Returns a digest of every array; of a textured mesh only where it lies."""
-        scenes = [[scene.digest(), scene.origin.tolist()] for scene in (self.scene, self.picture_scene)]
-        state = xxhash.xxh3_128(digest_of(scenes).encode())
+        state = xxhash.xxh3_128(self.cities_digest().encode())
         for part in (self.props and asdict(self.props), self.cover and self.cover._asdict()):
             for name, value in (part or {}).items():
                 array = np.ascontiguousarray(value)

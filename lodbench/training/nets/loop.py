@@ -14,6 +14,7 @@ from torch import nn
 
 from lodbench.errors import ConfigError
 from lodbench.execution import Progress
+from lodbench.segmentation.nets.working import Padding
 from lodbench.training.nets.batches import batches, steps_per_epoch
 from lodbench.training.nets.checkpoints import save_checkpoint
 from lodbench.training.nets.distributed import Place
@@ -85,7 +86,7 @@ def fit(
         params: How to train.
         train: Views to train on.
         val: Views to validate on.
-        stride: Sides of whole pictures are padded to multiples of this.
+        stride: Sides of pictures are padded to multiples of this.
         place: Of this process among others.
         identity: What the checkpoint must match to be taken up.
         after_epoch: Called on rank 0 with each new row of the history.
@@ -94,7 +95,7 @@ def fit(
         ConfigError: The training diverged.
     """
     steps = steps_per_epoch(len(train), params.batch)
-    model = place.wrapped(state.net)
+    model = place.wrapped(Padding(state.net, stride))
     label = f"epochs {state.epoch + 1} to {params.epochs}"
     # One count over all of them: what is left is the training's, not an epoch's.
     with Progress(label, (params.epochs - state.epoch) * steps) as progress:

@@ -10,6 +10,7 @@ import torch
 
 from lodbench.extras import require
 from lodbench.segmentation.nets.weights import save_weights
+from lodbench.segmentation.nets.working import Padding
 from lodbench.segmentation.trainable import TrainableSegmenter
 from lodbench.training.nets.average import average_into
 from lodbench.training.nets.batches import batch_shape, batches
@@ -58,11 +59,12 @@ def run_training(
         if place.device.type == "cpu":
             net = net.to(memory_format=torch.channels_last)
         if place.device.type == "cpu":
-            require_room(net, batch_shape(train, params))
+            require_room(Padding(net, segmenter.stride), batch_shape(train, params))
         stored = load_checkpoint(out, identity) if params.resume else None
         if params.init and stored is None:
             pictures = islice(batches(train, params, 0, 0, 0, 1), _PICTURED_BATCHES)
-            adapt_norms(net, (images.to(place.device) for images, _ in pictures))
+            seen = (images.to(place.device) for images, _ in pictures)
+            adapt_norms(Padding(net, segmenter.stride), seen)
         state = make_state(net, params)
         if stored is not None:
             state.restore(stored)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from lodbench.segmentation.nets.working import padded
+from lodbench.segmentation.nets.working import Padding
 from lodbench.training.nets.batches import as_floats, as_tensors
 from lodbench.training.samples import Sample
 
@@ -36,8 +36,7 @@ def validation_iou(
     for sample in samples:
         photo, mask = sample.read(size, square)
         images, truth = as_tensors([as_floats(photo)], [mask])
-        images, (height, width) = padded(images, stride)
-        logits = net(images.to(device))[0][..., :height, :width].float().cpu()
+        logits = Padding(net, stride)(images.to(device))[0].float().cpu()
         found, wanted = logits >= 0, truth >= 0.5
         if wanted.float().mean() >= LEAST_SHARE:
             shared_counts.append(int((found & wanted).sum()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -107,3 +108,26 @@ def test_nothing_of_this_pythons_environment_goes_along(elsewhere, monkeypatch):
     method.close()
     with pytest.raises(ConfigError, match="tires"):
         remote(elsewhere, tires=3)
+
+
+def test_a_plug_in_there_that_a_setting_names_is_part_of_the_code(elsewhere, tmp_path):
+    (tmp_path / "wobble_fit.py").write_text("OFF = 1\n")
+    info = tmp_path / "wobble-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: wobble\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[lodbench.fits]\nwobble = wobble_fit:Wobble\n")
+    python = tmp_path / "python"
+    python.write_text(Path(elsewhere).read_text().replace('PYTHONPATH="', f'PYTHONPATH="{tmp_path}:'))
+    python.chmod(0o755)
+
+    def codes() -> list[list[str]]:
+        methods = [remote(str(python), mood=mood) for mood in ("fine", "wobble")]
+        for method in methods:
+            method.close()
+        return [method.remote_code for method in methods]
+
+    before = codes()
+    (tmp_path / "wobble_fit.py").write_text("OFF = 100\n")
+    after = codes()
+    assert after[0] == before[0]
+    assert after[1] != before[1]

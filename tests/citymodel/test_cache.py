@@ -1,0 +1,50 @@
+"""What names a scene in the cache: all that it follows from."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from lodbench.citymodel import cache
+from lodbench.citymodel.options import ReadOptions
+from lodbench.plugins import PlugIn
+from lodbench.storage import digest
+from tests.town import box_obj
+
+
+@pytest.fixture
+def key(tmp_path):
+    """Returns the name of a scene that some reader makes."""
+    city = tmp_path / "city.obj"
+    city.write_text(box_obj())
+
+    def of(reader: str | None = None) -> str:
+        cache.code_digest.cache_clear()
+        return cache.scene_key(city, None, ReadOptions(reader=reader), None)
+
+    yield of
+    cache.code_digest.cache_clear()
+
+
+def test_another_reader_s_code_makes_another_scene(key, tmp_path, monkeypatch):
+    """Who mends a reader of a package of their own would be given what the former one read."""
+    module = tmp_path / "packages" / "skyline_city" / "reader.py"
+    module.parent.mkdir(parents=True)
+    (module.parent / "__init__.py").write_text("")
+    module.write_text("LIFT_M = 0\n")
+    monkeypatch.syspath_prepend(tmp_path / "packages")
+    point = EntryPoint("blocks", "skyline_city.reader:read_blocks", "lodbench.city_readers")
+    blocks, find = PlugIn("city_readers", "blocks", "skyline 1.0", point), cache.find_plugin
+    monkeypatch.setattr(cache, "find_plugin", lambda group, n: blocks if n == "blocks" else find(group, n))
+    before, ours = key("blocks"), key("obj")
+    module.write_text("LIFT_M = 3\n")
+    assert key("blocks") != before
+    assert key("obj") == ours == key("obj")
+
+
+@pytest.mark.parametrize("library", ["shapely", "rasterio"])
+def test_another_version_of_what_reads_makes_another_scene(key, monkeypatch, library):
+    before, there = key(), digest.version
+    monkeypatch.setattr(digest, "version", lambda name: "0.1" if name == library else there(name))
+    assert key() != before
