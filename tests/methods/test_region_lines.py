@@ -9,11 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
+from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
 from lodbench.evaluation import pose_error
+from lodbench.methods.contour_alignment.outline import edges_in_reach
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, vector_from_pose
 from lodbench.methods.region import Params, Region
+from lodbench.methods.region.aligned import Alignment
+from lodbench.methods.region.evidence import PhotoFit
 from lodbench.methods.region.lines import LineFit, levels_of
+from lodbench.methods.region.roofs import RoofEvidence
+from lodbench.methods.region.search import Surroundings
 from lodbench.storage import random_stream
 from tests.town import CAMERA, prior_of, true_poses
 
@@ -88,6 +94,35 @@ def test_the_method_ends_nearer_with_lines(city_map, tmp_path):
             found.append(pose_error(estimate.pose, truth).translation_m)
     without, with_lines = (np.median(found) for found in errors.values())
     assert with_lines < 0.8 * without
+
+
+def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, truths, shaded):
+    """Of poses that a search may have met, regions left out: wherever the right one stands among them."""
+    params = replace(Params(), fine_width=200)
+    moves = np.array([[14, 0, 0], [0, -12, 4], [0, 0, 40], [-20, 9, -8], [0, 0, 0]], dtype=np.float64)
+    for number, (photo, query, truth) in enumerate(zip(shaded, queries, truths, strict=True)):
+        reach = scene, query.camera, query.prior, 60.0, 20.0
+        around = Surroundings(edges_in_reach(*reach), city_map, params)
+        fit = PhotoFit(photo, (200, 150), params, is_coarse=False)
+        regions_of = partial(RoofEvidence, query, fit=fit, params=params)
+        streams = partial(random_stream, 0, "test", number)
+        starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, 5))), number, axis=0)
+        found = Alignment(photo, query, regions_of, around, params, streams).from_best(starts, roofs)
+        assert int(found.evidence.argmax()) == (len(moves) - 1 + number) % len(moves)
+        assert np.linalg.norm(found.vector[:3] - truth.center) < 1.0
+        # Hopeless ones are not followed.
+        assert 1 <= np.isfinite(found.evidence).sum() < len(moves)
+
+
+def test_a_wider_prior_has_more_starts():
+    usual, wide, narrow = (
+        UniformPrior(),
+        UniformPrior(50.0, 50.0, 30.0, 30.0),
+        UniformPrior(2.0, 2.0, 5.0, 2.0),
+    )
+    counts = [Params(starts=8).for_prior(prior).num_starts() for prior in (usual, wide, narrow)]
+    assert counts[0] == counts[2] == 8
+    assert 16 <= counts[1] <= 32
 
 
 def test_a_pose_without_lines_in_view_counts_nothing(roofs, queries, truths, shaded):

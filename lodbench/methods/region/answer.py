@@ -18,7 +18,7 @@ from lodbench.methods.region.map_errors import covariance_under_map_errors
 from lodbench.methods.region.params import Params, working_size
 from lodbench.methods.region.roofs import RaisedRoofs, RoofEvidence
 from lodbench.methods.region.search import Mode, Surroundings
-from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES
+from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineSigns
 from lodbench.methods.region.uncertainty import information_at
 
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Answer(NamedTuple):
         covariance: (6, 6) of the answer's error.
         if_map_is_right: (6, 6) the same if the map had no errors.
         apart_m: How far the place by the model's lines is from the best by regions and outlines.
-        sharpness: How sharply the photo's edges fall off beside those lines.
+        lines: Nats by which edges along them are likelier than anywhere; 0 where there are none.
         evidence: (M,) the logarithm of what speaks for each top of the search, up to a constant: lines, or
             where there are none what the search says; -inf of hopeless ones. The vector comes from the best.
     """
@@ -43,7 +43,7 @@ class Answer(NamedTuple):
     covariance: Floats
     if_map_is_right: Floats
     apart_m: float
-    sharpness: float
+    lines: float
     evidence: Floats
 
 
@@ -82,33 +82,34 @@ class Answering:
         params, starts = self._params, np.array([np.append(top.cloud.mean, [0.0, 0.0]) for top in tops])
         searched = np.array([top.log_posterior for top in tops])
         if params.lines_weight <= 0:
-            return self._by_regions(starts[0], *TYPICAL_LINES, searched)
+            return self._by_regions(starts[0], TYPICAL_LINES, searched)
         # Lines say what edges say, and more: the regions join them without.
         fit = self._fit.with_edges(0.0)
         regions_of = partial(RoofEvidence, self._query, fit=fit, params=params)
         alignment = Alignment(self._photo, self._query, regions_of, self._around, params, streams)
         aligned = alignment.from_best(starts, self._roofs)
         if aligned is None:
-            return self._by_regions(starts[0], *NO_LINES, searched)
-        start, sharpness = starts[int(aligned.evidence.argmax())], aligned.sharpness
+            return self._by_regions(starts[0], NO_LINES, searched)
+        start = starts[int(aligned.evidence.argmax())]
         apart_m = float(np.linalg.norm((aligned.vector - start)[:3]))
-        if sharpness < params.least_sharpness:
-            return self._by_regions(start, apart_m, sharpness, aligned.evidence)
+        signs = LineSigns(apart_m, float(aligned.lines(aligned.vector[None])[0]))
+        if aligned.sharpness < params.least_sharpness:
+            return self._by_regions(start, signs, aligned.evidence)
         covariances = self._certainty(aligned.nats, aligned.vector, aligned.regions)
         mean = self._mean(aligned.nats, aligned.vector, covariances[0], aligned.regions)
-        return Answer(mean[:6], *covariances, apart_m, sharpness, aligned.evidence)
+        return Answer(mean[:6], *covariances, *signs, aligned.evidence)
 
-    def _by_regions(self, vector: Floats, apart_m: float, sharpness: float, evidence: Floats) -> Answer:
+    def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
         """Returns the mean of what regions and outlines leave around (8,), of a wider photo."""
         params, of_map = self._params, (self._query, self._roofs)
         fine = RoofEvidence(*of_map, self._fit, params)
         covariances = self._certainty(_of_share(fine), vector, fine)
         if params.mean_pixels <= 0:
-            return Answer(vector[:6], *covariances, apart_m, sharpness, evidence)
+            return Answer(vector[:6], *covariances, *signs, evidence)
         size = working_size(self._query.camera, params.mean_width)
         wide = RoofEvidence(*of_map, PhotoFit(self._photo, size, params, is_coarse=False), params)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
-        return Answer(mean[:6], *covariances, apart_m, sharpness, evidence)
+        return Answer(mean[:6], *covariances, *signs, evidence)
 
     def _certainty(self, nats: Nats, vector: Floats, regions: RoofEvidence) -> tuple[Floats, Floats]:
         """Returns the covariance (6, 6) of an answer's error, and the same if the map had none."""

@@ -80,7 +80,7 @@ class Region:
         signs = Signs(
             probability_within(answer.if_map_is_right, answer.vector),
             answer.apart_m,
-            answer.sharpness,
+            answer.lines,
             float(judge.fits(top[None])[0]),
             max(0.0, beyond),
         )
