@@ -16,6 +16,7 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.geometry import EulerAngles, Pose
+from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.region import Params, Region
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.evolution import Cloud, climb
@@ -84,6 +85,19 @@ class TestTheMethod:
             return
         assert estimate.probability is not None
         assert estimate.probability < 0.2
+
+    def test_an_answer_that_is_not_to_be_trusted_is_searched_for_again(self, city_map, photographed):
+        elsewhere = replace(photographed[0], image=photographed[1].image)
+        for query, is_lost in ((photographed[0], False), (elsewhere, True)):
+            once, twice = (
+                localize_query(Region(replace(FAST, more_starts=more)), query, city_map, streams())
+                for more in (1, 5)
+            )
+            assert (once.probability < 0.5) == is_lost
+            assert (twice.hypotheses > 2 * once.hypotheses) == is_lost
+            assert twice.probability >= once.probability
+            if not is_lost:
+                np.testing.assert_array_equal(twice.pose.cam_from_world, once.pose.cam_from_world)
 
     def test_an_answer_beyond_the_prior_s_range_is_said_to_be(self, city_map, photographed, truths):
         prior = truths[0].center + np.array([0.0, 0.0, 14.0])
@@ -200,7 +214,8 @@ class TestWhatIsRefused:
         "wrong",
         [
             {"coarse_width": 4}, {"fine_width": 9000}, {"range_x_m": -1.0}, {"stride_m": 0.0}, {"starts": 0},
-            {"population": 7}, {"population": 4}, {"effective_pixels": float("inf")}, {"edge_weight": -0.1},
+            {"more_starts": 0}, {"population": 7}, {"population": 4}, {"effective_pixels": float("inf")},
+            {"edge_weight": -0.1},
         ],
     )  # fmt: skip
     def test_settings_out_of_range(self, wrong):

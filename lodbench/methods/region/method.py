@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,12 @@ from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
 from lodbench.methods.contour_alignment.uncertainty import beyond_range, probability_within
 from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams
-from lodbench.methods.region.answer import Answering
+from lodbench.methods.region.answer import Answer, Answering
 from lodbench.methods.region.evidence import Evidence, PhotoFit
 from lodbench.methods.region.params import Params, working_size
 from lodbench.methods.region.roofs import RaisedRoofs
 from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged
-from lodbench.methods.region.trust import Signs, trust_of
+from lodbench.methods.region.trust import TRUSTED, Signs, trust_of
 from lodbench.methods.region.uncertainty import share_of_best
 
 
@@ -49,62 +50,97 @@ class Region:
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the mean of the poses around the most probable one, weighed by photo and prior.
 
+        Where that is not to be trusted, a second search begins from more samples (docs/adr/0055).
+
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.
         """
-        started = time.perf_counter()
-        photo = query_photo(query)
-        params = self.params
+        photo, reach = query_photo(query), _reach(self.params)
         # The rest of the city, however large, is looked at this once.
-        part = scene_in_reach(city_map.scene, query.camera, query.prior, *_reach(params))
-        edges = edges_in_reach(part, query.camera, query.prior, *_reach(params))
-        around = Surroundings(edges, city_map, params)
-        search = self._evidence(query, city_map, photo, params.coarse_width, is_coarse=True)
-        starts, best = grid_starts(query, search, params)
-        tops = climbed(starts, search, around, params.coarse_generations, params.coarse_spread_px, streams)
-        searched = time.perf_counter()
-        final = self._evidence(query, city_map, photo, params.fine_width, is_coarse=False)
-        means = np.array([top.cloud.mean for top in tops[: params.modes]])
-        modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams)
-        if not modes:
-            raise QueryFault("no outline of a building is in view of any pose that fits")
-        judge = final.with_edges(params.judging_edge_weight)
-        modes = judged(modes, judge)
-        roofs = RaisedRoofs(city_map, part)
-        answer = Answering(photo, query, roofs, around, params).answer(modes, streams)
-        ranked = [k for k in np.argsort(-answer.evidence, kind="stable") if np.isfinite(answer.evidence[k])]
-        modes = [modes[k] for k in ranked]
-        top = modes[0].cloud.mean
-        half_widths = params.half_widths()
-        beyond = float(abs(final.offsets(top[None])[0, 2]) / half_widths[2]) - 1.0
-        signs = Signs(
-            probability_within(answer.if_map_is_right, answer.vector),
-            answer.apart_m,
-            answer.lines,
-            float(judge.fits(top[None])[0]),
-            max(0.0, beyond),
+        part = scene_in_reach(city_map.scene, query.camera, query.prior, *reach)
+        around = Surroundings(edges_in_reach(part, query.camera, query.prior, *reach), city_map, self.params)
+        seen = _Seen(query, photo, city_map, RaisedRoofs(city_map, part), around)
+        found = _found(seen, self.params, streams)
+        if _probability(found) >= TRUSTED or self.params.more_starts == 1:
+            return found
+        again = _found(
+            seen, self.params.with_more_starts(), lambda stage, step: streams(f"{stage} again", step)
         )
-        finished = time.perf_counter()
-        return Estimate(
-            pose=pose_from_vector(answer.vector),
-            score=float(final.fits(answer.vector[None])[0]),
-            seconds={"coarse": searched - started, "fine": finished - searched},
-            trace={
-                "coarse": (best,),
-                "modes": tuple(answer.evidence[ranked]),
-                "signs": tuple(signs),
-            },
-            covariance=answer.covariance,
-            probability=share_of_best(answer.evidence) * trust_of(signs),
-            alternatives=tuple(pose_from_vector(mode.cloud.mean) for mode in modes[1:]),
-            notes=beyond_range(final.offsets(answer.vector[None])[0], answer.if_map_is_right, half_widths),
+        best = max(found, again, key=_probability)
+        return replace(
+            best, seconds={stage: found.seconds[stage] + again.seconds[stage] for stage in best.seconds}
         )
 
-    def _evidence(
-        self, query: Query, city_map: CityMap, photo: NDArray[np.uint8], width: int, is_coarse: bool
-    ) -> Evidence:
-        size = working_size(query.camera, width)
-        return Evidence(query, city_map, PhotoFit(photo, size, self.params, is_coarse), self.params)
+
+class _Seen(NamedTuple):
+    """A query and what there is to see of it.
+
+    Attributes:
+        query: The query.
+        photo: As of ``read_picture``.
+        city_map: The map.
+        roofs: The part of it in reach.
+        around: How its outline moves.
+    """
+
+    query: Query
+    photo: NDArray[np.uint8]
+    city_map: CityMap
+    roofs: RaisedRoofs
+    around: Surroundings
+
+    def evidence(self, params: Params, width: int, is_coarse: bool) -> Evidence:
+        """Returns what photo and prior say of poses, with silhouettes of a width, pixels."""
+        fit = PhotoFit(self.photo, working_size(self.query.camera, width), params, is_coarse)
+        return Evidence(self.query, self.city_map, fit, params)
+
+
+def _found(seen: _Seen, params: Params, streams: Streams) -> Estimate:
+    """Returns the answer that one search leads to."""
+    started, query, around = time.perf_counter(), seen.query, seen.around
+    search = seen.evidence(params, params.coarse_width, is_coarse=True)
+    starts, best = grid_starts(query, search, params)
+    tops = climbed(starts, search, around, params.coarse_generations, params.coarse_spread_px, streams)
+    searched = time.perf_counter()
+    final = seen.evidence(params, params.fine_width, is_coarse=False)
+    means = np.array([top.cloud.mean for top in tops[: params.modes]])
+    modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams)
+    if not modes:
+        raise QueryFault("no outline of a building is in view of any pose that fits")
+    judge = final.with_edges(params.judging_edge_weight)
+    modes = judged(modes, judge)
+    answer = Answering(seen.photo, query, seen.roofs, around, params).answer(modes, streams)
+    ranked = [k for k in np.argsort(-answer.evidence, kind="stable") if np.isfinite(answer.evidence[k])]
+    top, *others = (modes[k].cloud.mean for k in ranked)
+    signs = _signs(answer, judge, top, params)
+    return Estimate(
+        pose=pose_from_vector(answer.vector),
+        score=float(final.fits(answer.vector[None])[0]),
+        seconds={"coarse": searched - started, "fine": time.perf_counter() - searched},
+        trace={"coarse": (best,), "modes": tuple(answer.evidence[ranked]), "signs": tuple(signs)},
+        covariance=answer.covariance,
+        probability=share_of_best(answer.evidence) * trust_of(signs),
+        alternatives=tuple(pose_from_vector(other) for other in others),
+        notes=beyond_range(
+            final.offsets(answer.vector[None])[0], answer.if_map_is_right, params.half_widths()
+        ),
+    )
+
+
+def _signs(answer: Answer, judge: Evidence, top: NDArray[np.float64], params: Params) -> Signs:
+    """Returns what tells whether an answer is right, which comes from a top of the search, (6,)."""
+    beyond = float(abs(judge.offsets(top[None])[0, 2]) / params.half_widths()[2]) - 1.0
+    return Signs(
+        probability_within(answer.if_map_is_right, answer.vector),
+        answer.apart_m,
+        answer.lines,
+        float(judge.fits(top[None])[0]),
+        max(0.0, beyond),
+    )
+
+
+def _probability(estimate: Estimate) -> float:
+    return estimate.probability or 0.0
 
 
 def _reach(params: Params) -> tuple[float, float]:

@@ -43,6 +43,8 @@ class Params:
         starts: Distinct samples of the grid that are climbed from, for a grid of the published priors' range;
             see ``num_starts``.
         modes: Distinct tops of those that are refined.
+        more_starts: How many times as many a second search begins from, where the first one's answer is not
+            to be trusted; 1 for no second one.
         coarse_generations: Generations of each climb in the search.
         fine_generations: Generations of each refinement.
         population: Poses in a generation, even.
@@ -83,6 +85,7 @@ class Params:
     stride_yaw_deg: float = 3.75
     starts: int = 10
     modes: int = 30
+    more_starts: int = 4
     coarse_generations: int = 14
     fine_generations: int = 22
     population: int = 24
@@ -107,7 +110,9 @@ class Params:
         require_numbers(self, "method", widths, 16, GUARD_PX)
         require_numbers(self, "method", (*_RANGES, *_AT_LEAST_0), 0)
         require_numbers(self, "method", _POSITIVE, 0, ends="(]")
-        require_numbers(self, "method", ("starts", "modes", "coarse_generations", "fine_generations"), 1)
+        require_numbers(
+            self, "method", ("starts", "modes", "more_starts", "coarse_generations", "fine_generations"), 1
+        )
         if self.population < 8 or self.population % 2:
             raise ConfigError(f"method.population is even and at least 8, not {self.population}.")
 
@@ -132,6 +137,10 @@ class Params:
         usual = self.for_prior(UniformPrior())
         wider = max(1.0, len(self.grid()) / len(usual.grid()))
         return math.ceil(self.starts * math.cbrt(wider))
+
+    def with_more_starts(self) -> Params:
+        """Returns the parameters of the second search."""
+        return replace(self, starts=self.more_starts * self.starts, modes=self.more_starts * self.modes)
 
     def turns_around(self) -> bool:
         """Returns whether the search looks in all directions."""

@@ -20,6 +20,10 @@ _CONSTANT = -6.28
 _OF_ODDS, _OF_AGREEMENT, _OF_LINES, _OF_FIT, _OF_BEYOND = 0.45, 0.38, 1.71, 1.12, 24.4
 
 
+# An answer less probable than this is more likely wrong.
+TRUSTED = 0.5
+
+
 class Signs(NamedTuple):
     """What tells right answers from wrong ones.
 
