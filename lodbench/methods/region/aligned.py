@@ -7,6 +7,7 @@ size, but no edges lie along it (docs/adr/0055).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,7 +53,11 @@ class Aligned(NamedTuple):
 
     def nats(self, vectors: Floats, share: float = 1.0) -> Floats:
         """Returns the (N,) logarithm of the likelihood of such, (N, 8), of a share of the photo's nats."""
-        return self.lines(vectors, share) + share * self.regions.nats(vectors)
+        return _nats(self.lines, self.regions, vectors, share)
+
+
+def _nats(lines: LineFit, regions: RoofEvidence, vectors: Floats, share: float = 1.0) -> Floats:
+    return lines(vectors, share) + share * regions.nats(vectors)
 
 
 class _Round(NamedTuple):
@@ -64,6 +69,7 @@ class _Round(NamedTuple):
     cloud: Cloud
 
     def evidence(self) -> float:
+        """Returns the logarithm of what speaks for where it is, up to a constant that all starts share."""
         here = self.vector[None]
         regions = _REGIONS_SHARE * self.regions.nats(here) + self.regions.log_prior(here)
         return float((self.lines(here) + regions)[0])
@@ -131,8 +137,7 @@ class Alignment:
     def _ended(self, number: int, begun: _Round) -> _Round:
         """Returns where a round ends."""
         vector, lines, regions, cloud = begun
-        is_last = number == len(_ROUNDS) - 1
-        nats = Aligned(vector, lines, regions, 0.0, np.zeros(1)).nats if is_last else lines
+        nats = partial(_nats, lines, regions) if number == len(_ROUNDS) - 1 else lines
 
         def posterior(vectors: Floats) -> Floats:
             return nats(vectors) + regions.log_prior(vectors)
