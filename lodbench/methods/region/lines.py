@@ -7,6 +7,7 @@ coarse one over many.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,8 @@ _ON, _NEAR, _FAR = (-1.0, 0.0, 1.0), (-4.0, -3.0, 3.0, 4.0), (-10.0, -9.0, -8.0,
 _LEAST_CONTRAST = 0.5
 # How much higher a roof may be by itself, deviations, and how many it ends from the map at most.
 _OWN, _MOST_SIGMAS = np.arange(-3.0, 4.0), 4.0
+# Fewer poses are not worth handing over to threads.
+_FEW = 8
 # The deviation of roofs that are told not to err.
 _LEAST_SIGMA_M = 1e-9
 
@@ -103,7 +106,9 @@ class LineFit:
         points, spacing_px = _points_on_lines(roofs, step, camera, vector[:6])
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
         self._points = points._replace(buildings=buildings)
-        self._roofs, self._of_map_m = roofs, np.array([step * STEP_M, roofs.eaves_m])
+        self._roofs, self._threads = roofs, roofs.threads
+        self._pool = ThreadPoolExecutor(roofs.threads) if roofs.threads > 1 else None
+        self._of_map_m = np.array([step * STEP_M, roofs.eaves_m])
         self._weight = params.lines_weight * spacing_px
         self._sigma_m = max(params.own_roofs_m, _LEAST_SIGMA_M)
         self._own_m = params.own_roofs_m * (_OWN if params.own_roofs_m > 0 else _OWN[:1])
@@ -177,8 +182,17 @@ class LineFit:
     def _sums(self, vectors: Floats, worth: Floats, own_m: Floats, offset_px: float = 0.0) -> Floats:
         sums = np.zeros((len(vectors), len(self.buildings), len(own_m)))
         rotations, centers = rotations_from_euler(vectors[:, 3:6]), np.ascontiguousarray(vectors[:, :3])
-        view = rotations, centers, vectors[:, 6:] - self._of_map_m, self._intrinsics
-        sum_along_lines(self._points, *view, self._levels, offset_px, own_m, worth, sums)
+        of_all_m = vectors[:, 6:] - self._of_map_m
+
+        def work(part: slice) -> None:
+            view = rotations[part], centers[part], of_all_m[part], self._intrinsics
+            sum_along_lines(self._points, *view, self._levels, offset_px, own_m, worth, sums[part])
+
+        if self._pool is None or len(vectors) < _FEW:
+            work(slice(None))
+        else:
+            share = -(-len(vectors) // self._threads)
+            list(self._pool.map(work, (slice(k, k + share) for k in range(0, len(vectors), share))))
         return sums
 
 

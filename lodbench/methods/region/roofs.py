@@ -47,10 +47,11 @@ class RaisedRoofs:
     Attributes:
         own_m: (B,) how much higher than all the others each roof is, metres.
         eaves_m: How much farther than in the map all eaves stand out, metres.
+        threads: Of the map.
     """
 
     def __init__(self, city_map: CityMap, part: Scene) -> None:
-        self._map, self._part = city_map, part
+        self._map, self._part, self.threads = city_map, part, city_map.threads
         self.own_m, self.eaves_m = np.zeros(part.num_buildings), 0.0
         self._drawn: dict[int, CityMap] = {}
         boxes = building_boxes(part)
@@ -85,7 +86,7 @@ class RaisedRoofs:
             if self.eaves_m != 0.0:
                 vertices[:, :2] += (self.eaves_m * shares)[:, None] * self._outward
             # By the engine, whoever draws the map: a dozen of these live and die with each query.
-            drawn = CityMap(replace(part, vertices=vertices), threads=self._map.threads)
+            drawn = CityMap(replace(part, vertices=vertices), threads=self.threads)
             drawn.usage = self._map.usage
             self._drawn[step] = drawn
         return self._drawn[step]

@@ -14,7 +14,7 @@ from lodbench.methods.contour_alignment.outline import EdgeArrays, OutlinePoints
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, rotation_derivatives
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence
-from lodbench.methods.region.evolution import Cloud, climb
+from lodbench.methods.region.evolution import Cloud, climb_abreast
 from lodbench.methods.region.params import Params
 from lodbench.rendering import Scorer
 
@@ -84,18 +84,13 @@ def climbed(
     streams: Streams,
 ) -> list[Mode]:
     """Returns the distinct tops that climbs from some poses (N, 6) end on, best first."""
-    tops = []
-    for k, start in enumerate(starts):
-        shape = around.cloud(start, evidence, spread_px)
-        if shape is not None:
-            cloud = climb(
-                evidence.log_posterior,
-                shape,
-                generations,
-                around.population,
-                streams(f"climb {spread_px:g}", k),
-            )
-            tops.append(Mode(cloud, float(evidence.log_posterior(cloud.mean[None])[0])))
+    clouds = {k: around.cloud(start, evidence, spread_px) for k, start in enumerate(starts)}
+    shapes = {k: shape for k, shape in clouds.items() if shape is not None}
+    generators = [streams(f"climb {spread_px:g}", k) for k in shapes]
+    climbs = climb_abreast(
+        evidence.log_posterior, list(shapes.values()), generations, around.population, generators
+    )
+    tops = _modes(climbs, evidence)
     tops.sort(key=lambda top: -top.log_posterior)
     distinct: list[Mode] = []
     for top in tops:
@@ -112,8 +107,14 @@ def _is_same(one: Floats, other: Floats) -> bool:
 
 def judged(modes: list[Mode], evidence: Evidence) -> list[Mode]:
     """Returns the same tops as another evidence sees them, best first."""
-    seen = [Mode(mode.cloud, float(evidence.log_posterior(mode.cloud.mean[None])[0])) for mode in modes]
-    return sorted(seen, key=lambda mode: -mode.log_posterior)
+    return sorted(_modes([mode.cloud for mode in modes], evidence), key=lambda mode: -mode.log_posterior)
+
+
+def _modes(clouds: list[Cloud], evidence: Evidence) -> list[Mode]:
+    if not clouds:
+        return []
+    logs = evidence.log_posterior(np.array([cloud.mean for cloud in clouds]))
+    return [Mode(cloud, float(log)) for cloud, log in zip(clouds, logs, strict=True)]
 
 
 class Surroundings:
