@@ -172,8 +172,8 @@ class TestTheMethod:
         query, truth = photographed[2], truths[2]
         without_lines = replace(FAST, lines_weight=0.0)
         best, mean = (
-            Region(replace(without_lines, mean_pixels=pixels)).localize(query, city_map, streams())
-            for pixels in (0.0, 500.0)
+            Region(replace(without_lines, place_sigma_m=sigma_m)).localize(query, city_map, streams())
+            for sigma_m in (0.0, 0.8)
         )
         apart = pose_error(mean.pose, best.pose)
         assert 0.0 < apart.translation_m < 1.0

@@ -11,6 +11,10 @@ X = np.linspace(-8.0, 8.0, 4001)
 MODE, COVARIANCE = np.full(6, 0.3), np.diag([4.0, 1.0, 2.0, 0.5, 0.5, 1.0])
 
 
+def no_prior(poses):
+    return np.zeros(len(poses))
+
+
 class Independent:
     """A density of which each number is independent of the others."""
 
@@ -19,7 +23,13 @@ class Independent:
 
     def mean(self, vector=MODE, covariance=COVARIANCE):
         """Returns what is found."""
-        return posterior_mean(lambda poses: self.log_density(poses).sum(axis=1), vector, covariance)
+        return posterior_mean(
+            lambda poses, share: share * self.log_density(poses).sum(axis=1),
+            no_prior,
+            vector,
+            covariance,
+            0.0,
+        )
 
     def means(self):
         """Returns the (6,) means by integrating each axis by itself."""
@@ -77,3 +87,22 @@ def test_signs_and_order_of_axes_do_not_matter(monkeypatch):
 def test_it_draws_the_same_every_time():
     first, second = (Independent(bumpy).mean() for _ in range(2))
     np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize(("least_m", "expected_m"), [(0.1, 0.3), (0.3, 0.3), (0.8, 0.8)])
+def test_sharp_evidence_is_tempered_until_the_place_is_wide_enough(least_m, expected_m):
+    """Of a sharp Gaussian likelihood and a wide prior around another place: their weighted mean."""
+    seen, before, prior_m = np.array([0.3, 0.0, 0.0]), np.array([2.0, 0.0, 0.0]), 2.0
+    sharp_m = 0.3 / np.sqrt(3.0)
+
+    def nats(poses, share):
+        return -0.5 * share * ((poses - seen) ** 2).sum(axis=1) / sharp_m**2
+
+    def log_prior(poses):
+        return -0.5 * ((poses - before) ** 2).sum(axis=1) / prior_m**2
+
+    found = posterior_mean(nats, log_prior, seen, np.eye(3), least_m)
+    each_m = expected_m / np.sqrt(3.0)
+    share = (each_m**-2 - prior_m**-2) / sharp_m**-2
+    expected = seen + (before - seen) * (prior_m**-2 / (share / sharp_m**2 + prior_m**-2))
+    np.testing.assert_allclose(found, expected, atol=0.03)

@@ -87,7 +87,7 @@ def test_the_method_ends_nearer_with_lines(city_map, tmp_path):
         path = tmp_path / f"{number}.png"
         cv2.imwrite(str(path), shaded_photo(city_map, truth, number))
         for weight, found in errors.items():
-            told = Params(fine_width=200, starts=4, modes=2, roofs_m=0.0, mean_pixels=0.0)
+            told = Params(fine_width=200, starts=4, modes=2, roofs_m=0.0, place_sigma_m=0.0)
             query = Query(path.name, "all", CAMERA, prior_of(truth), None, path)
             method = Region(replace(told, lines_weight=weight))
             estimate = method.localize(query, city_map, partial(random_stream, 0, "test"))

@@ -104,7 +104,7 @@ class Answering:
         params, of_map = self._params, (self._query, self._roofs)
         fine = RoofEvidence(*of_map, self._fit, params)
         covariances = self._certainty(_of_share(fine), vector, fine)
-        if params.mean_pixels <= 0:
+        if params.place_sigma_m <= 0:
             return Answer(vector[:6], *covariances, *signs, evidence)
         size = working_size(self._query.camera, params.mean_width)
         wide = RoofEvidence(*of_map, PhotoFit(self._photo, size, params, is_coarse=False), params)
@@ -124,16 +124,21 @@ class Answering:
         return covariance, np.asarray(np.linalg.inv(information + prior))
 
     def _mean(self, nats: Nats, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
-        """Returns the posterior's mean around (8,), eaves as they are; of ``mean_pixels`` = 0, the point."""
-        share = self._params.mean_share()
-        if share <= 0:
+        """Returns the posterior's mean around (8,), eaves as they are; or, if so told, the point."""
+        least_m = self._params.place_sigma_m
+        if least_m <= 0:
             return vector
 
-        def posterior(vectors: Floats) -> Floats:
-            whole = np.column_stack([vectors, np.full(len(vectors), vector[7])])
-            return nats(whole, share) + regions.log_prior(whole)
+        def whole(vectors: Floats) -> Floats:
+            return np.column_stack([vectors, np.full(len(vectors), vector[7])])
 
-        return posterior_mean(posterior, vector[:7], regions.widened(covariance)[:7, :7])
+        return posterior_mean(
+            lambda vectors, share: nats(whole(vectors), share),
+            lambda vectors: regions.log_prior(whole(vectors)),
+            vector[:7],
+            regions.widened(covariance)[:7, :7],
+            least_m,
+        )
 
 
 def _of_share(evidence: RoofEvidence) -> Nats:

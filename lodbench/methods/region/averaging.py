@@ -3,44 +3,58 @@
 The fit has steps of its own below a pixel, and ridges along which tilt and place make up for each other: its
 top is one of many bumps, metres apart on a ridge. Their mean, weighed by the posterior, is nearer to the
 truth (docs/adr/0044).
+
+How much a photo's nats count is told by the photo (docs/adr/0056). Hundreds of lines seem to say a place to a
+decimetre, but err together; a few say no more than they know.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from lodbench.storage import random_stream
 
 Floats = NDArray[np.float64]
 
 # Poses of a round, even, and how many rounds there are; the mean is that of all but the first.
-_POSES, _ROUNDS = 1024, 3
+_POSES, _ROUNDS = 1024, 4
 # Draws lie a little wider than what they stand for, and part of each round's width stays from the one before:
 # tails that no draw reaches are lost.
 _WIDTH, _KEPT = 1.1, 0.3
+# The share of the nats that counts in the first draw, and the least.
+_FIRST_SHARE, _LEAST_SHARE = 0.25, 0.05
+_PLACE = slice(0, 3)
 
 
 def posterior_mean(
-    log_posterior: Callable[[Floats], Floats],
+    nats: Callable[[Floats, float], Floats],
+    log_prior: Callable[[Floats], Floats],
     vector: Floats,
     covariance: Floats,
+    least_m: float,
 ) -> Floats:
     """Returns the mean of the posterior around a point, (D,): a pose, and what else is not known.
 
     By adaptive importance sampling: poses are drawn from a Gaussian and weigh what the posterior is over its
     density; the next Gaussian is theirs (Bugallo et al., "Adaptive importance sampling", 2017).
+    The likelihood is tempered as far as the place needs to be ``least_m`` wide.
 
     Args:
-        log_posterior: (N, D) points to the (N,) logarithm of their posterior, up to a constant.
+        nats: (N, D) points and a share to the (N,) logarithm of the likelihood of such a share of the
+            photo's evidence, up to a constant.
+        log_prior: (N, D) points to the (N,) logarithm of their prior, up to a constant.
         vector: (D,) the best point.
         covariance: (D, D) how far the mean may be from it.
+        least_m: Least deviation of the place, over its three numbers together, metres.
     """
     # The same draws for every query: the answer is a function of photo, prior and map.
     generator = random_stream(0, "posterior mean of the region fit")
-    means, spread = [vector], covariance
+    means, spread, share = [vector], covariance, _FIRST_SHARE
     for _ in range(_ROUNDS):
         squares, axes = np.linalg.eigh(spread)
         half = generator.standard_normal((_POSES // 2, len(vector)))
@@ -48,10 +62,32 @@ def posterior_mean(
         # The symmetric root: it does not depend on the signs that a library of linear algebra gives axes.
         root = (axes * np.sqrt(np.maximum(squares, 0.0))) @ axes.T
         poses = means[-1] + _WIDTH * moves @ root
-        logs = log_posterior(poses) + 0.5 * (moves**2).sum(axis=1)
-        weights = np.exp(logs - logs.max())
-        weights /= weights.sum()
-        means.append(weights @ poses)
-        away = poses - means[-1]
-        spread = _KEPT * spread + (1.0 - _KEPT) * (away.T * weights) @ away
+        whole = nats(poses, share) / share
+        rest = log_prior(poses) + 0.5 * (moves**2).sum(axis=1)
+        share = _share_that_leaves(least_m, poses, whole, rest)
+        mean, own = _moments(poses, share * whole + rest)
+        means.append(mean)
+        spread = _KEPT * spread + (1.0 - _KEPT) * own
     return np.asarray(np.mean(means[2:], axis=0))
+
+
+def _share_that_leaves(least_m: float, poses: Floats, nats: Floats, rest: Floats) -> float:
+    """Returns which share of the nats leaves the place so wide, metres; all where they do."""
+
+    def excess(log_share: float) -> float:
+        _, covariance = _moments(poses, math.exp(log_share) * nats + rest)
+        return math.sqrt(float(np.trace(covariance[_PLACE, _PLACE]))) - least_m
+
+    least = math.log(_LEAST_SHARE)
+    if excess(0.0) >= 0.0:
+        return 1.0
+    return math.exp(brentq(excess, least, 0.0, xtol=0.01)) if excess(least) > 0.0 else _LEAST_SHARE
+
+
+def _moments(poses: Floats, logs: Floats) -> tuple[Floats, Floats]:
+    """Returns mean (D,) and covariance (D, D) of poses of some weights, given by logarithms."""
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    mean = weights @ poses
+    away = poses - mean
+    return mean, (away.T * weights) @ away

@@ -15,7 +15,7 @@ _CIRCLE_DEG = 360.0
 _RANGES = ("range_x_m", "range_y_m", "range_z_m", "range_yaw_deg", "range_tilt_deg")
 _AT_LEAST_0 = (
     *("beyond_m", "beyond_yaw_deg", "effective_pixels", "edge_weight", "coarse_edge_weight"),
-    *("judging_edge_weight", "roofs_m", "own_roofs_m", "eaves_m", "mean_pixels", "lines_weight"),
+    *("judging_edge_weight", "roofs_m", "own_roofs_m", "eaves_m", "place_sigma_m", "lines_weight"),
     "least_sharpness",
 )
 _POSITIVE = ("stride_m", "stride_z_m", "stride_yaw_deg", "coarse_spread_px", "fine_spread_px", "edge_blur_px")
@@ -62,8 +62,8 @@ class Params:
         eaves_m: How much farther or less far than in the map all eaves may stand out, all alike, if they do
             at all, which is as likely as not: a standard deviation, metres; 0 for a map of roof outlines.
         mean_width: Width of silhouettes where the answer becomes the mean of the posterior, pixels.
-        mean_pixels: How many independent pixels a photo is worth there, ``effective_pixels`` at most; 0
-            leaves the answer at the best pose.
+        place_sigma_m: How wide the posterior leaves the place there at least, a standard deviation, metres:
+            so far maps and edges err together; 0 leaves the answer at the best pose.
         lines_width: Width of the photo where the model's lines are laid over its edges, pixels.
         lines_weight: What a pixel of line is worth, independent pixels; 0 leaves lines out.
         least_sharpness: How sharply edges must fall off beside the lines for lines to count, 0 to 1: where a
@@ -100,7 +100,7 @@ class Params:
     own_roofs_m: float = 0.7
     eaves_m: float = 0.4
     mean_width: int = 640
-    mean_pixels: float = 500.0
+    place_sigma_m: float = 0.8
     lines_width: int = 960
     lines_weight: float = 0.07
     least_sharpness: float = 0.3
@@ -157,10 +157,6 @@ class Params:
         place = (self.range_x_m, self.range_y_m, self.range_z_m)
         turn = (self.range_tilt_deg, self.range_tilt_deg, self.range_yaw_deg)
         return (*(max(0.5 * w, 1e-3) for w in place), *(max(0.5 * w, 1e-4) for w in turn))
-
-    def mean_share(self) -> float:
-        """Returns which share of the search's nats count in the mean of the posterior."""
-        return self.mean_pixels / max(self.mean_pixels, self.effective_pixels)
 
     def prior_sigmas(self) -> tuple[float, ...]:
         """Returns the standard deviations of the prior's x, y, z, pitch, roll and yaw.
