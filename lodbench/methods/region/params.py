@@ -85,7 +85,7 @@ class Params:
     stride_yaw_deg: float = 3.75
     starts: int = 10
     modes: int = 30
-    more_starts: int = 4
+    more_starts: int = 12
     coarse_generations: int = 14
     fine_generations: int = 22
     population: int = 24
