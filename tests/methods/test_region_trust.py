@@ -33,3 +33,10 @@ def test_no_sign_alone_makes_an_answer_sure():
     assert trust_of(good._replace(beyond=0.4)) < 0.1
     assert trust_of(good._replace(lines=0.0)) < 0.5
     assert trust_of(good._replace(apart_m=30.0)) < trust_of(good) - 0.03
+
+
+def test_thousands_of_nats_outweigh_nothing_else():
+    """Towards the horizon lines find edges anywhere: what all else speaks against stays untrusted."""
+    lost = Signs(0.07, 7.5, 7500.0, 0.12, 0.0)
+    assert trust_of(lost) < 0.5
+    assert trust_of(lost) == trust_of(lost._replace(lines=300.0))

@@ -62,6 +62,11 @@ _RATIOS = _log_ratios()
 _ONES = np.ones((2, EDGE_LEVELS))
 
 
+def worth_of_levels() -> Floats:
+    """Returns (2, 16) what each level is worth on lines of either kind that stand out middling, nats."""
+    return np.asarray(_RATIOS[[len(_STRENGTHS) // 2] * 2])
+
+
 def levels_of(photo: NDArray[Any], query: Query, blur_px: float, params: Params) -> Levels:
     """Returns how strongly a photo changes, (H, W, 12) as of ``directed_edge_levels``, where lines are laid.
 
@@ -103,7 +108,7 @@ class LineFit:
         self._intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._levels = levels
         step = int(step_of(vector[6]))
-        points, spacing_px = _points_on_lines(roofs, step, camera, vector[:6])
+        points, spacing_px = points_on_lines(roofs, step, camera, vector[:6])
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
         self._points = points._replace(buildings=buildings)
         self._roofs, self._threads = roofs, roofs.threads
@@ -196,7 +201,7 @@ class LineFit:
         return sums
 
 
-def _points_on_lines(
+def points_on_lines(
     roofs: RaisedRoofs, step: int, camera: Camera, vector: Floats
 ) -> tuple[LinePoints, float]:
     """Returns points evenly along the lines seen from a pose, (6,), and their distance, pixels."""

@@ -22,9 +22,10 @@ from lodbench.methods.fits import query_photo
 from lodbench.methods.protocol import Estimate, Streams
 from lodbench.methods.region.answer import Answer, Answering
 from lodbench.methods.region.evidence import Evidence, PhotoFit
+from lodbench.methods.region.line_search import line_starts
 from lodbench.methods.region.params import Params, working_size
 from lodbench.methods.region.roofs import RaisedRoofs
-from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged
+from lodbench.methods.region.search import Surroundings, climbed, grid_starts, judged, modes_of
 from lodbench.methods.region.trust import TRUSTED, Signs, trust_of
 from lodbench.methods.region.uncertainty import share_of_best
 
@@ -64,7 +65,10 @@ class Region:
         if _probability(found) >= TRUSTED or self.params.more_starts == 1:
             return found
         again = _found(
-            seen, self.params.with_more_starts(), lambda stage, step: streams(f"{stage} again", step)
+            seen,
+            self.params.with_more_starts(),
+            lambda stage, step: streams(f"{stage} again", step),
+            by_lines=True,
         )
         best = max(found, again, key=_probability)
         return replace(
@@ -95,8 +99,8 @@ class _Seen(NamedTuple):
         return Evidence(self.query, self.city_map, fit, params)
 
 
-def _found(seen: _Seen, params: Params, streams: Streams) -> Estimate:
-    """Returns the answer that one search leads to."""
+def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False) -> Estimate:
+    """Returns the answer that one search leads to, by regions or by the map's lines as well."""
     started, query, around = time.perf_counter(), seen.query, seen.around
     search = seen.evidence(params, params.coarse_width, is_coarse=True)
     starts, best = grid_starts(query, search, params)
@@ -105,6 +109,9 @@ def _found(seen: _Seen, params: Params, streams: Streams) -> Estimate:
     final = seen.evidence(params, params.fine_width, is_coarse=False)
     means = np.array([top.cloud.mean for top in tops[: params.modes]])
     modes = climbed(means, final, around, params.fine_generations, params.fine_spread_px, streams)
+    if by_lines and params.lines_weight > 0:
+        clouds = line_starts(seen.photo, query, seen.roofs, final, params, streams)
+        modes += modes_of(clouds, final)
     if not modes:
         raise QueryFault("no outline of a building is in view of any pose that fits")
     judge = final.with_edges(params.judging_edge_weight)

@@ -10,6 +10,7 @@ from scipy.ndimage import maximum_filter
 
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
+from lodbench.geometry import PoseGrid
 from lodbench.methods.contour_alignment.outline import EdgeArrays, OutlinePoints, sample_outline
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, rotation_derivatives
 from lodbench.methods.protocol import Streams
@@ -45,9 +46,7 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
         QueryFault: The photo fits no sample at all.
     """
     grid = params.grid()
-    centers, yaws = grid.around(query.prior)
-    pitch, roll, _ = query.prior.euler
-    vectors = np.column_stack([centers, np.broadcast_to([pitch, roll], (len(yaws), 2)), yaws])
+    vectors = samples(grid, query)
     fits = evidence.fits(vectors)
     best = float(fits.max())
     if best <= 0:
@@ -55,24 +54,41 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
             "the photo fits no view of the map: the prior may be far from the city",
             "lodbench city info FILE says where the city is, and in which reference system.",
         )
-    axes = (grid.yaw, grid.x, grid.y, grid.z)
-    values = fits.reshape([axis.count for axis in axes])
-    # Tops first, one of each hill: a broad false one shall not take every start. Then the best besides.
-    # Around the whole circle, the first heading is the last one's neighbour.
-    ends = ["wrap" if params.turns_around() else "nearest", "nearest", "nearest", "nearest"]
+    return vectors[tops_of(fits, grid, params.turns_around(), params.num_starts())], best
+
+
+def samples(grid: PoseGrid, query: Query) -> Floats:
+    """Returns the (N, 6) poses of a grid around a query's prior."""
+    centers, yaws = grid.around(query.prior)
+    pitch, roll, _ = query.prior.euler
+    return np.column_stack([centers, np.broadcast_to([pitch, roll], (len(yaws), 2)), yaws])
+
+
+def tops_of(fits: Floats, grid: PoseGrid, turns_around: bool, most: int) -> list[int]:
+    """Returns which samples of a grid to climb from, best first, none another's neighbour.
+
+    Tops first, one of each hill: a broad false one shall not take every start. Then the best besides.
+
+    Args:
+        fits: (N,) of the samples.
+        grid: They are of.
+        turns_around: Whether the first heading is the last one's neighbour.
+        most: How many at most.
+    """
+    values = fits.reshape([axis.count for axis in (grid.yaw, grid.x, grid.y, grid.z)])
+    ends = ["wrap" if turns_around else "nearest", "nearest", "nearest", "nearest"]
     is_top = (values >= maximum_filter(values, size=3, mode=ends)).ravel()
     places = np.stack(np.unravel_index(np.arange(len(fits)), values.shape), axis=1)
     chosen: list[int] = []
-    num_starts = params.num_starts()
     for i in np.lexsort([-fits, ~is_top]):
         gaps = np.abs(places[chosen] - places[i])
-        if params.turns_around():
+        if turns_around:
             gaps[:, 0] = np.minimum(gaps[:, 0], grid.yaw.count - gaps[:, 0])
         if (gaps.max(axis=1, initial=0) > 1).all():
             chosen.append(int(i))
-        if len(chosen) == num_starts:
+        if len(chosen) == most:
             break
-    return vectors[chosen], best
+    return chosen
 
 
 def climbed(
@@ -90,7 +106,7 @@ def climbed(
     climbs = climb_abreast(
         evidence.log_posterior, list(shapes.values()), generations, around.population, generators
     )
-    tops = _modes(climbs, evidence)
+    tops = modes_of(climbs, evidence)
     tops.sort(key=lambda top: -top.log_posterior)
     distinct: list[Mode] = []
     for top in tops:
@@ -107,10 +123,11 @@ def _is_same(one: Floats, other: Floats) -> bool:
 
 def judged(modes: list[Mode], evidence: Evidence) -> list[Mode]:
     """Returns the same tops as another evidence sees them, best first."""
-    return sorted(_modes([mode.cloud for mode in modes], evidence), key=lambda mode: -mode.log_posterior)
+    return sorted(modes_of([mode.cloud for mode in modes], evidence), key=lambda mode: -mode.log_posterior)
 
 
-def _modes(clouds: list[Cloud], evidence: Evidence) -> list[Mode]:
+def modes_of(clouds: list[Cloud], evidence: Evidence) -> list[Mode]:
+    """Returns what an evidence says of the means of some clouds."""
     if not clouds:
         return []
     logs = evidence.log_posterior(np.array([cloud.mean for cloud in clouds]))

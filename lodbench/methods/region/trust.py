@@ -11,6 +11,8 @@ from scipy.special import expit, logit
 # what lines say by chance, nats; the least fit, nats per pixel; how far beyond the range of heights counts,
 # of its half width.
 _LEAST_PROBABILITY, _APART_M, _LEAST_LINES, _LEAST_FIT, _MOST_BEYOND = 0.02, 0.3, 10.0, 0.01, 0.5
+# Lines say no more than this: towards the horizon thousands of short ones find edges anywhere.
+_MOST_LINES = 300.0
 # Logistic regression on 236 answers, 192 of them within (2 m, 2 deg), held to the weights of docs/adr/0053:
 # thermal query, labelled and traced real photos, drawn photos in the look `hard`, seeds 102 and 103,
 # over UAVD4L-LoD1, 3DBAG, PLATEAU 52397519, North Rhine-Westphalia and Berlin; 68 of them from priors of
@@ -62,7 +64,7 @@ def trust_of(signs: Signs) -> float:
             _CONSTANT
             + _OF_ODDS * logit(probability)
             - _OF_AGREEMENT * np.log(signs.apart_m + _APART_M)
-            + _OF_LINES * np.log(max(signs.lines, 0.0) + _LEAST_LINES)
+            + _OF_LINES * np.log(np.clip(signs.lines, 0.0, _MOST_LINES) + _LEAST_LINES)
             + _OF_FIT * np.log(max(signs.fit, _LEAST_FIT))
             - _OF_BEYOND * np.clip(signs.beyond, 0.0, _MOST_BEYOND)
         )
