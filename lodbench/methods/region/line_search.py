@@ -6,6 +6,7 @@ are. Every sample of a fine grid is tried with a blurred photo (docs/adr/0057).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -74,7 +75,9 @@ def line_starts(
     return clouds
 
 
-def _posterior(lines: LineFit, evidence: Evidence) -> Any:
+def _posterior(lines: LineFit, evidence: Evidence) -> Callable[[Floats], Floats]:
+    """Returns what edges and prior say of poses (N, 6), roofs as in the map."""
+
     def value(vectors: Floats) -> Floats:
         whole = np.column_stack([vectors, np.zeros((len(vectors), 2))])
         return lines(whole) + evidence.log_prior(vectors)
