@@ -7,6 +7,7 @@ size, but no edges lie along it (docs/adr/0055).
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -126,13 +127,17 @@ class Alignment:
         """Returns what a round sees from each of (M, 8), but for those without lines in view."""
         blur_px, spread_px = _ROUNDS[number]
         levels, regions = levels_of(self._photo, self._query, blur_px, self._params), self._regions_of(roofs)
-        begun = {}
-        for k, start in enumerate(starts):
+
+        def begin(start: Floats) -> _Round | None:
             lines = LineFit(levels, self._query, roofs, start, self._params)
             cloud = self._around.cloud(start[:6], regions.at(start[6]), spread_px)
-            if len(lines) and cloud is not None:
-                begun[k] = _Round(start, lines, regions, cloud)
-        return begun
+            return _Round(start, lines, regions, cloud) if len(lines) and cloud is not None else None
+
+        # The first makes what all share.
+        first = [begin(start) for start in starts[:1]]
+        with ThreadPoolExecutor(roofs.threads) as pool:
+            begun = dict(enumerate([*first, *pool.map(begin, starts[1:])]))
+        return {k: each for k, each in begun.items() if each is not None}
 
     def _ended(self, number: int, begun: _Round) -> _Round:
         """Returns where a round ends."""
