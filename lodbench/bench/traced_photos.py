@@ -9,7 +9,7 @@ relief. Roofs that the photo's edge cuts go on beyond it; what else is there the
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import mapbox_earcut
@@ -97,9 +97,7 @@ def _beyond(mask: NDArray[np.bool_], camera: Camera) -> tuple[NDArray[np.bool_],
     Ending there, they would tell how high the photo was taken.
     """
     margin = round(_BEYOND * max(mask.shape))
-    wider = np.pad(mask, margin, mode="edge")
-    height, width = wider.shape
-    return wider, replace(camera, width=width, height=height, cx=camera.cx + margin, cy=camera.cy + margin)
+    return np.pad(mask, margin, mode="edge"), camera.with_margins(margin, margin)
 
 
 def _plates(

@@ -129,6 +129,22 @@ class Camera:
             cy=self.cy * sy,
         )
 
+    def with_margins(self, across_px: int, down_px: int) -> Camera:
+        """Returns the camera of the image with so many pixels more left and right, and at top and bottom.
+
+        Example:
+            >>> wide = Camera(1200, 900, fx=900, fy=900, cx=600, cy=450).with_margins(100, 50)
+            >>> wide.width, wide.height, wide.cx, wide.cy
+            (1400, 1000, 700, 500)
+        """
+        return replace(
+            self,
+            width=self.width + 2 * across_px,
+            height=self.height + 2 * down_px,
+            cx=self.cx + across_px,
+            cy=self.cy + down_px,
+        )
+
     def without_distortion(self) -> Camera:
         """Returns the pinhole with the same K: the camera of the undistorted image."""
         return replace(self, distortion=(), lens="OPENCV")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import cv2
@@ -138,13 +138,7 @@ class MapGuided:
         )
         order = [int(i) for i in np.argsort(-fits, kind="stable")[:_POSES]]
         margin = margin_px(self.params, width, height)
-        wide = replace(
-            camera.scaled(width, height),
-            width=width + 2 * margin,
-            height=height + 2 * margin,
-            cx=camera.cx * width / camera.width + margin,
-            cy=camera.cy * height / camera.height + margin,
-        )
+        wide = camera.scaled(width, height).with_margins(margin, margin)
         guides = [city_map.render(wide, Pose.from_center(rotations[i], centers[i])) for i in order]
         guides = [guide for guide in guides if guide.any()]
         if not guides:

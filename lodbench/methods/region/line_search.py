@@ -59,19 +59,19 @@ def line_starts(
     coarse = _with_strides(replace(params, lines_width=_WIDTH))
     levels = levels_of(photo, query, _BLUR_PX, coarse)
     grid = coarse.grid()
-    vectors = samples(grid, query)
+    vectors = samples(grid, query.prior)
     sums = _sums_at(vectors.reshape(-1, grid.z.count, 6), levels, query.camera, roofs)
     found = vectors[tops_of(sums, grid, coarse.turns_around(), _STARTS)]
-    apart = (coarse.stride_m, coarse.stride_m, coarse.stride_z_m, coarse.stride_yaw_deg)
-    sigmas = 0.5 * np.array([*apart[:3], 0.0, 0.0, apart[3]])
-    sigmas[3:5] = params.prior_sigmas()[3:5]
+    # What the grid leaves open: half a stride, and tilt.
+    half_m, half_z_m = 0.5 * coarse.stride_m, 0.5 * coarse.stride_z_m
+    tilts_deg = params.prior_sigmas()[3:5]
+    open_to_it = np.diag(np.square([half_m, half_m, half_z_m, *tilts_deg, 0.5 * coarse.stride_yaw_deg]))
     clouds = []
     for k, start in enumerate(found):
         lines = LineFit(levels, query, roofs, np.append(start, [0.0, 0.0]), coarse)
         if len(lines):
-            shape = Cloud(start, np.diag(sigmas**2))
-            value = _posterior(lines, evidence)
-            clouds.append(climb(value, shape, _GENERATIONS, params.population, streams("line start", k)))
+            value, cloud = _posterior(lines, evidence), Cloud(start, open_to_it)
+            clouds.append(climb(value, cloud, _GENERATIONS, params.population, streams("line start", k)))
     return clouds
 
 
@@ -117,15 +117,8 @@ def _sums_at(vectors: Floats, levels: Levels, photo_camera: Camera, roofs: Raise
 
 def _some_points(roofs: RaisedRoofs, camera: Camera, vector: Floats) -> tuple[LinePoints, float]:
     """Returns points of the lines in a wider view, and how many pixels of line one stands for."""
-    more_x, more_y = (round(0.5 * (_WIDER - 1.0) * size) for size in (camera.width, camera.height))
-    wide = replace(
-        camera,
-        width=camera.width + 2 * more_x,
-        height=camera.height + 2 * more_y,
-        cx=camera.cx + more_x,
-        cy=camera.cy + more_y,
-    )
-    points, spacing_px = points_on_lines(roofs, 0, wide, vector)
+    margins = (round(0.5 * (_WIDER - 1.0) * size) for size in (camera.width, camera.height))
+    points, spacing_px = points_on_lines(roofs, 0, camera.with_margins(*margins), vector)
     every = max(1, -(-len(points.kinds) // _MOST_POINTS))
-    some = LinePoints(*(np.ascontiguousarray(each[::every]) for each in points))  # type: ignore[arg-type]
+    some = LinePoints._make(np.ascontiguousarray(each[::every]) for each in points)
     return some._replace(buildings=np.zeros(len(some.kinds), dtype=np.int64)), spacing_px * every

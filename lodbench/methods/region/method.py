@@ -51,7 +51,8 @@ class Region:
     def localize(self, query: Query, city_map: CityMap, streams: Streams) -> Estimate:
         """Returns the mean of the poses around the most probable one, weighed by photo and prior.
 
-        Where that is not to be trusted, a second search begins from more samples (docs/adr/0055).
+        Where that is not to be trusted, a second search begins from more samples (docs/adr/0055), and from
+        where the map's lines lie along edges (docs/adr/0057).
 
         Raises:
             QueryFault: There is no photo, it cannot be decoded, or it fits no view of the map.

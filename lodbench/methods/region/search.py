@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter
 
 from lodbench.datasets.query import Query
 from lodbench.errors import QueryFault
-from lodbench.geometry import PoseGrid
+from lodbench.geometry import Pose, PoseGrid
 from lodbench.methods.contour_alignment.outline import EdgeArrays, OutlinePoints, sample_outline
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, rotation_derivatives
 from lodbench.methods.protocol import Streams
@@ -46,7 +46,7 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
         QueryFault: The photo fits no sample at all.
     """
     grid = params.grid()
-    vectors = samples(grid, query)
+    vectors = samples(grid, query.prior)
     fits = evidence.fits(vectors)
     best = float(fits.max())
     if best <= 0:
@@ -57,10 +57,10 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
     return vectors[tops_of(fits, grid, params.turns_around(), params.num_starts())], best
 
 
-def samples(grid: PoseGrid, query: Query) -> Floats:
-    """Returns the (N, 6) poses of a grid around a query's prior."""
-    centers, yaws = grid.around(query.prior)
-    pitch, roll, _ = query.prior.euler
+def samples(grid: PoseGrid, prior: Pose) -> Floats:
+    """Returns the (N, 6) poses of a grid around a prior, in the grid's order; metres and degrees."""
+    centers, yaws = grid.around(prior)
+    pitch, roll, _ = prior.euler
     return np.column_stack([centers, np.broadcast_to([pitch, roll], (len(yaws), 2)), yaws])
 
 

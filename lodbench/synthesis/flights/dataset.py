@@ -226,8 +226,7 @@ def _silhouette(renderer: Renderer, camera: Camera, pose: Pose, distortion: floa
     if distortion == 0.0:
         return renderer.render(camera, pose)
     margin = round(0.15 * camera.width)
-    width, height = camera.width + 2 * margin, camera.height + 2 * margin
-    wide = replace(camera, width=width, height=height, cx=camera.cx + margin, cy=camera.cy + margin)
+    wide = camera.with_margins(margin, margin)
     clean = renderer.render(wide, pose)
     u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     seen, lens = np.stack([u.ravel(), v.ravel()], axis=1), np.array([distortion, 0.0, 0.0, 0.0])
