@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lodbench.errors import ConfigError, require_within
 from lodbench.extras import require
+from lodbench.segmentation.adaptation import adapted
 from lodbench.segmentation.packaged_network import PackagedNetwork
 from lodbench.segmentation.probability import check_normalise
 from lodbench.segmentation.working_size import working_size
@@ -29,6 +30,7 @@ class EfficientUnetParams:
         size: Long side that photos are brought to, pixels.
         scales: Sizes that a photo is looked at, as shares of ``size``; the mean of the logits counts.
         mirrored: Whether it is looked at in a mirror as well.
+        own_colours: Weight of what the photo's own colours say beside the network; see ``adapted``.
         normalise: ``none``, or ``paper`` for a stretch to 0 to 1 per photo; see ``probability_of``.
         sure: Parts of the mask are dropped unless a tenth of them is at least so probable; 0 keeps all.
         weights: ONNX file of ``lodbench train segmenter=efficient_unet``; None for those in the package.
@@ -43,6 +45,7 @@ class EfficientUnetParams:
     size: int = 512
     scales: tuple[float, ...] = (0.7, 1.0, 1.5)
     mirrored: bool = True
+    own_colours: float = 0.6
     normalise: str = "none"
     sure: float | None = None
     weights: str | None = None
@@ -51,6 +54,7 @@ class EfficientUnetParams:
     def __post_init__(self) -> None:
         require_within("segmenter.size", self.size, 32, 4096)
         require_within("segmenter.scales", self.scales or [0], 0.1, 10)
+        require_within("segmenter.own_colours", self.own_colours, 0, 1)
         require_within("segmenter.sure", self.sure, 0, 1)
         check_normalise(self.normalise)
 
@@ -75,7 +79,7 @@ class EfficientUnet(PackagedNetwork):
         )
 
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Returns (h, w) logits of a (H, W, 3) RGB photo, their mean over all looks; (h, w) as of ``size``.
+        """Returns (h, w) logits of a (H, W, 3) RGB photo, as of ``size``: the mean of looks, adapted.
 
         Raises:
             ConfigError: The weights are no network of this kind.
@@ -88,7 +92,8 @@ class EfficientUnet(PackagedNetwork):
             for step in (1, -1) if self.params.mirrored else (1,):
                 found = self.logits_at(np.ascontiguousarray(photo[:, ::step]), max(32, round(scale * size)))
                 looks.append(cv2.resize(found, wanted, interpolation=cv2.INTER_LINEAR)[:, ::step])
-        return np.asarray(np.mean(looks, axis=0), np.float32)
+        mean = np.asarray(np.mean(looks, axis=0), np.float32)
+        return adapted(mean, photo, self.params.own_colours)
 
     def new_net(self, is_filled: bool) -> Any:
         """Returns the torch network, its encoder with the weights that the settings name.

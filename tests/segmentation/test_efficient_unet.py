@@ -57,7 +57,7 @@ def test_opencv_answers_as_torch_does_and_the_file_comes_back(tmp_path):
     net = random_net()
     path = EfficientUnet(EfficientUnetParams()).store(net, tmp_path)
     photo = np.random.default_rng(0).integers(0, 256, (150, 210, 3), dtype=np.uint8)
-    once = EfficientUnetParams(weights=str(path), size=128, scales=(1.0,), mirrored=False)
+    once = EfficientUnetParams(weights=str(path), size=128, scales=(1.0,), mirrored=False, own_colours=0.0)
     found = EfficientUnet(once).logits(photo)
     seen = padded_photo(resized_photo(photo, 128, 91), 32, "symmetric")
     image = seen.transpose(2, 0, 1)[None].astype(np.float32) / 255
@@ -70,7 +70,7 @@ def test_opencv_answers_as_torch_does_and_the_file_comes_back(tmp_path):
 
 
 def test_a_training_may_start_from_the_packages_weights_which_are_stored_in_16_bits():
-    packaged = EfficientUnet(EfficientUnetParams(size=96, scales=(1.0,), mirrored=False))
+    packaged = EfficientUnet(EfficientUnetParams(size=96, scales=(1.0,), mirrored=False, own_colours=0.0))
     assert packaged.packaged_weights().stat().st_size < 8e6
     photo = np.random.default_rng(3).integers(0, 256, (96, 96, 3), dtype=np.uint8)
     net = packaged.build(str(packaged.packaged_weights())).eval()
