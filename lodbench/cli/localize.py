@@ -30,10 +30,13 @@ if TYPE_CHECKING:
 
 # Exit code where there is a pose, and it is more likely wrong than right.
 NOT_TRUSTED = 3
+# The methods of one photo, by what there is of it.
+_BY_MASK, _BY_PIXELS = "contour_alignment", "region"
 
 _EXAMPLES = """\
 The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goes before it. One photo without
-a mask or a segmenter is aligned with the map by its own pixels (--method region).
+a mask or a segmenter is aligned with the map by its own pixels (--method region); where they do not tell,
+the mask of a network is asked as well, and the more probable pose is the answer.
 
 Several photos, or a folder, are flights: told apart by camera and by the clock in EXIF, and each solved as a
 whole (--method flight), with masks from --masks, from the folder's own folder masks, or from a segmenter;
@@ -128,22 +131,26 @@ def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Meth
 
     given = [name for name in ("mask", "masks", "segmenter", "segmenter_option") if getattr(asked, name)]
     named = [f"--{name.replace('_', '-')}" for name in given]
-    alone = "contour_alignment" if named or masks is not None else "region"
+    alone = _BY_MASK if named or masks is not None else _BY_PIXELS
     name = asked.method or (alone if is_one or asked.each_alone else "flight")
     method = configure_method({**option_pairs(asked.method_option), "name": name}).make()
     if named and "mask" not in method.requires:
-        hint = f"Leave {named[0]} out, or take --method contour_alignment."
+        hint = f"Leave {named[0]} out, or take --method {_BY_MASK}."
         raise ConfigError(f"Method {method.name} looks at no mask.", hint)
     return method
 
 
 def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
     from lodbench.harness.photo.request import PhotoRequest
+    from lodbench.methods.registry import configure_method
 
-    segmenter = None
+    segmenter = by_mask = None
     if asked.mask is None and masks is None and "mask" in method.requires:
         segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
-    own = {"photo": photo, "mask": asked.mask, "segmenter": segmenter, "method": method, "seed": asked.seed}
+    elif asked.method is None and method.name == _BY_PIXELS:
+        segmenter, by_mask = segmenter_of(FOR_PHOTOS), configure_method({"name": _BY_MASK}).make()
+    own = {"photo": photo, "mask": asked.mask, "segmenter": segmenter, "seed": asked.seed}
+    own |= {"method": method, "by_mask": by_mask}
     return PhotoRequest(**city_settings(asked), **rough_settings(asked), **own)
 
 

@@ -185,6 +185,30 @@ class TestFromPixels:
         assert [sigma**2 for sigma in found["sigmas"].values()] == pytest.approx(variances)
         assert cv2.imread(found["overlay"]).shape[1] == WIDTH
 
+    def test_where_pixels_do_not_tell_a_network_s_mask_is_asked(
+        self, capsys, tmp_path, shared_data, monkeypatch
+    ):
+        from lodbench.methods import Estimate
+        from lodbench.methods.region import Region
+
+        sure = [0.1]
+        monkeypatch.setattr(
+            Region, "localize", lambda self, query, *_: Estimate(query.prior, 0.1, probability=sure[0])
+        )
+        case = make_case(tmp_path, shared_data, "nrw", distorted=True)
+        found = localize(capsys, case, tmp_path / "out")
+        assert pose_error(pose_of(found["pose"]), case.truth).translation_m < 2.0
+        assert found["probability"] > 0.5
+        assert any("efficient_unet made" in note and "10 % sure" in note for note in found["notes"])
+        # What the pixels said is still there, as another place.
+        other = found["alternatives"][0]
+        assert pose_error(pose_of(other), pose_of(found["prior"])).translation_m < 1e-6
+        assert other["probability"] == sure[0]
+        # A method that was named, and an answer that is to be trusted, have no second one.
+        assert localize(capsys, case, tmp_path / "named", "--method", "region", code=3)["moved_m"] == 0.0
+        sure[0] = 0.6
+        assert localize(capsys, case, tmp_path / "sure")["moved_m"] == 0.0
+
     def test_a_photo_of_something_else_is_not_trusted(self, capsys, tmp_path, shared_data):
         case = make_case(tmp_path, shared_data, "nrw")
         tags = cv2.resize(np.random.default_rng(3).integers(0, 256, (9, 12), dtype=np.uint8), (WIDTH, HEIGHT))

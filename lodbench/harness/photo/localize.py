@@ -20,6 +20,7 @@ from lodbench.datasets.photo_pose import place_notes
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.city import open_city
+from lodbench.harness.photo.by_mask import more_probable
 from lodbench.harness.photo.outputs import PhotoView, photo_features, write_photo_overlay
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo, undistorted_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
@@ -54,7 +55,8 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
         estimate = localize(
             place.scene, photo.pinhole, prior, photo.mask, image=image, method=method, seed=request.seed
         )
-    return write_answer(photo, view, place, prior, estimate)
+    answered, estimate = more_probable(photo, place.scene, prior, estimate)
+    return write_answer(answered, view if answered is photo else answered.view(), place, prior, estimate)
 
 
 def inputs_of(method: Method) -> frozenset[str]:

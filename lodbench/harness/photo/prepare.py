@@ -75,7 +75,7 @@ def prepare_photo(request: PhotoRequest, requires: Collection[str]) -> PreparedP
     require_stated(stated, request.heights, request.given, knows_place=has_place, knows_camera=has_camera)
     camera, camera_source = _camera(request, stated)
     pinhole = pinhole_of(camera)
-    mask = _pinhole_mask(request, camera, pinhole) if Input.MASK in requires else None
+    mask = pinhole_mask(request, camera, pinhole) if Input.MASK in requires else None
     return PreparedPhoto(request, stated, camera, camera_source, pinhole, mask)
 
 
@@ -107,7 +107,7 @@ def _camera(request: PhotoRequest, photo: PhotoMetadata) -> tuple[Camera, str]:
     return camera, "given"
 
 
-def _pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:
+def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:
     """Returns the probability of building at each pixel, as the pinhole sees it."""
     if request.mask is not None:
         probability = read_mask(request.mask)

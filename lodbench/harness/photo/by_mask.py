@@ -1,0 +1,49 @@
+"""Where a photo's own pixels do not tell its pose: what the mask of a network says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from lodbench.citymodel.scene import Scene
+from lodbench.errors import QueryFault
+from lodbench.geometry import Pose
+from lodbench.harness.photo.prepare import PreparedPhoto, pinhole_mask
+from lodbench.methods import Estimate
+from lodbench.methods.localize import localize
+from lodbench.reporting.answers import TRUSTED_PROBABILITY
+
+
+def more_probable(
+    photo: PreparedPhoto, scene: Scene, prior: Pose, estimate: Estimate
+) -> tuple[PreparedPhoto, Estimate]:
+    """Returns an answer, or another one by a mask where that is more probable, and the photo with its mask.
+
+    Args:
+        photo: Its request says by which method, and who makes the mask; if it names no such method, or the
+            answer is to be trusted, nothing is made.
+        scene: The map.
+        prior: In the city's coordinates.
+        estimate: The answer without a mask, in them, too.
+    """
+    request, by_pixels = photo.request, estimate.probability or 0.0
+    if request.by_mask is None or by_pixels >= TRUSTED_PROBABILITY:
+        return photo, estimate
+    try:
+        mask = pinhole_mask(request, photo.camera, photo.pinhole)
+        found = localize(scene, photo.pinhole, prior, mask, method=request.by_mask, seed=request.seed)
+    except QueryFault:
+        return photo, estimate
+    if (found.probability or 0.0) <= by_pixels:
+        return photo, estimate
+    maker = "a segmenter" if request.segmenter is None else request.segmenter.name
+    note = (
+        f"this pose is by the mask that {maker} made (method {request.by_mask.name}): "
+        f"the photo's own pixels were {100.0 * by_pixels:.0f} % sure of another"
+    )
+    answer = replace(
+        found,
+        notes=(*found.notes, note),
+        alternatives=(estimate.pose, *found.alternatives),
+        alternative_probabilities=(by_pixels, *found.alternative_probabilities),
+    )
+    return replace(photo, mask=mask), answer
