@@ -191,22 +191,33 @@ class TestFromPixels:
         from lodbench.methods import Estimate
         from lodbench.methods.region import Region
 
-        sure = [0.1]
-        monkeypatch.setattr(
-            Region, "localize", lambda self, query, *_: Estimate(query.prior, 0.1, probability=sure[0])
-        )
+        def region_says(probability, moved_m=0.0, like=None):
+            def localize(self, query, *_):
+                rotation = query.prior.rotation if like is None else like.rotation
+                pose = Pose.from_center(rotation, query.prior.center + moved_m)
+                return Estimate(pose, 0.1, probability=probability)
+
+            monkeypatch.setattr(Region, "localize", localize)
+
         case = make_case(tmp_path, shared_data, "nrw", distorted=True)
-        found = localize(capsys, case, tmp_path / "out")
-        assert pose_error(pose_of(found["pose"]), case.truth).translation_m < 2.0
-        assert found["probability"] > 0.5
-        assert any("efficient_unet made" in note and "10 % sure" in note for note in found["notes"])
+        region_says(0.1, moved_m=20.0)
+        alone = localize(capsys, case, tmp_path / "out", code=3)
+        right, prior = pose_of(alone["pose"]), pose_of(alone["prior"])
+        assert pose_error(right, case.truth).translation_m < 2.0
+        assert any("efficient_unet made" in note and "10 % sure" in note for note in alone["notes"])
         # What the pixels said is still there, as another place.
-        other = found["alternatives"][0]
-        assert pose_error(pose_of(other), pose_of(found["prior"])).translation_m < 1e-6
-        assert other["probability"] == sure[0]
+        other = alone["alternatives"][0]
+        assert pose_of(other).center == pytest.approx(prior.center + 20.0)
+        assert other["probability"] == 0.1
+        # Two that agree are believed more than one alone.
+        region_says(0.1, moved_m=right.center - prior.center, like=right)
+        both = localize(capsys, case, tmp_path / "both")
+        assert both["pose"] == alone["pose"]
+        assert both["probability"] == pytest.approx(2.0 * alone["probability"])
         # A method that was named, and an answer that is to be trusted, have no second one.
+        region_says(0.1)
         assert localize(capsys, case, tmp_path / "named", "--method", "region", code=3)["moved_m"] == 0.0
-        sure[0] = 0.6
+        region_says(0.6)
         assert localize(capsys, case, tmp_path / "sure")["moved_m"] == 0.0
 
     def test_a_photo_of_something_else_is_not_trusted(self, capsys, tmp_path, shared_data):

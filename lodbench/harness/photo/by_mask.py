@@ -6,11 +6,17 @@ from dataclasses import replace
 
 from lodbench.citymodel.scene import Scene
 from lodbench.errors import QueryFault
+from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.harness.photo.prepare import PreparedPhoto, pinhole_mask
 from lodbench.methods import Estimate
 from lodbench.methods.localize import localize
 from lodbench.reporting.answers import TRUSTED_PROBABILITY
+
+# Two answers within 2 m and 2 degrees of the truth are no farther from each other than this.
+_TOGETHER_M, _TOGETHER_DEG = 4.0, 4.0
+# What a mask's probability is worth where the pixels say another place (docs/adr/0059).
+_ALONE = 0.5
 
 
 def more_probable(
@@ -33,15 +39,19 @@ def more_probable(
         found = localize(scene, photo.pinhole, prior, mask, method=request.by_mask, seed=request.seed)
     except QueryFault:
         return photo, estimate
-    if (found.probability or 0.0) <= by_pixels:
+    apart = pose_error(found.pose, estimate.pose)
+    agree = apart.translation_m <= _TOGETHER_M and apart.rotation_deg <= _TOGETHER_DEG
+    probability = (found.probability or 0.0) * (1.0 if agree else _ALONE)
+    if probability <= by_pixels:
         return photo, estimate
     maker = "a segmenter" if request.segmenter is None else request.segmenter.name
     note = (
         f"this pose is by the mask that {maker} made (method {request.by_mask.name}): "
-        f"the photo's own pixels were {100.0 * by_pixels:.0f} % sure of another"
+        f"the photo's own pixels were {100.0 * by_pixels:.0f} % sure of theirs"
     )
     answer = replace(
         found,
+        probability=probability,
         notes=(*found.notes, note),
         alternatives=(estimate.pose, *found.alternatives),
         alternative_probabilities=(by_pixels, *found.alternative_probabilities),
