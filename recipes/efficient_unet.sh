@@ -4,7 +4,8 @@
 # as it is until photos with traced masks come last. Two cores, no GPU, extra [torch].
 # Usage: recipes/efficient_unet.sh OUT CITIES PHOTOS NEGATIVES..., with OUT a folder for everything, CITIES that of the
 # open models, PHOTOS that of the photos that recipes/traced names, a folder per place, NEGATIVES folders of photos
-# without buildings. Given again it goes on where it stopped.
+# without buildings. Given again it goes on where it stopped. WITHOUT=bogota (or boruszyn) leaves that place's traced photos
+# out, for a network to be measured there: weights3_without_bogota.
 set -euo pipefail
 out=$1 cities=$2 photos=$3
 shift 3
@@ -73,8 +74,12 @@ large=(schedule.crop=352 schedule.batch=4 schedule.scale='[0.7,2.5]')
 train weights2 "${large[@]}" schedule.epochs="$second" schedule.muon_lr=0.015 schedule.encoder_rate=0 \
     init="$out/weights1/checkpoint.pt" average="[$out/weights1/checkpoint.pt]"
 # Real roofs, the encoder learning slowly; again the mean, which keeps what is known of other places.
-python "$(dirname "$0")/traced_masks.py" "$photos" "$out/traced"
+without=${WITHOUT:+_without_$WITHOUT}
+python "$(dirname "$0")/traced_masks.py" "$photos" "$out/traced$without"
+[ -z "$without" ] || rm -r "${out:?}/traced$without/$WITHOUT"
 drawn=$out/weights2/averaged.safetensors
-train weights3 "${large[@]}" schedule.epochs=1 schedule.muon_lr=0.004 schedule.lr=0.0006 schedule.encoder_rate=0.1 \
-    traced="[$out/traced]" traced_share=0.4 init="$drawn" average="[$drawn]"
-echo "efficient_unet.onnx and training.json (as efficient_unet.json) of $out/weights3 belong in lodbench/segmentation/weights"
+train "weights3$without" "${large[@]}" schedule.epochs=1 schedule.muon_lr=0.004 schedule.lr=0.0006 schedule.encoder_rate=0.1 \
+    traced="[$out/traced$without]" traced_share=0.4 init="$drawn" average="[$drawn]"
+if [ -z "$without" ]; then
+    echo "efficient_unet.onnx and training.json (as efficient_unet.json) of $out/weights3 belong in lodbench/segmentation/weights"
+fi

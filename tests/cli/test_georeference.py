@@ -22,7 +22,7 @@ from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
 from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
-from tests.cli.test_localize import stated
+from tests.cli.photo_case import stated
 from tests.datasets.dji_photo import write_photo, xmp_packet
 
 COUNT, NOISE_M, NOISE_DEG = 6, 0.05, 0.03

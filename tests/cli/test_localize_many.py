@@ -17,7 +17,7 @@ from lodbench.cli import main
 from lodbench.datasets.exchange.geojson import footprint_feature
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.geometry import Camera, EulerAngles, Pose
-from tests.cli.test_localize import Case, make_case
+from tests.cli.photo_case import Case, make_case
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from lodbench.datasets.pose_text import format_camera, lines_to_text, read_camer
 from lodbench.datasets.undistort import pinhole_of
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Camera
-from tests.cli.test_localize import DISTORTION, HEIGHT, PINHOLE, WIDTH, Case, make_case
+from tests.cli.photo_case import DISTORTION, HEIGHT, PINHOLE, WIDTH, Case, make_case
 from tests.datasets.dji_photo import PROPERTIES, exif_of, write_photo, xmp_packet
 
 LENS = Camera(

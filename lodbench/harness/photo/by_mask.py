@@ -30,6 +30,9 @@ def more_probable(
         scene: The map.
         prior: In the city's coordinates.
         estimate: The answer without a mask, in them, too.
+
+    Raises:
+        ConfigError: The segmenter's weights are missing or no network.
     """
     request, by_pixels = photo.request, estimate.probability or 0.0
     if request.by_mask is None or by_pixels >= TRUSTED_PROBABILITY:
@@ -37,8 +40,9 @@ def more_probable(
     try:
         mask = pinhole_mask(request, photo.camera, photo.pinhole)
         found = localize(scene, photo.pinhole, prior, mask, method=request.by_mask, seed=request.seed)
-    except QueryFault:
-        return photo, estimate
+    except QueryFault as fault:
+        note = f"a network's mask was asked as well, and says nothing: {fault.message.rstrip('.')}"
+        return photo, replace(estimate, notes=(*estimate.notes, note))
     apart = pose_error(found.pose, estimate.pose)
     agree = apart.translation_m <= _TOGETHER_M and apart.rotation_deg <= _TOGETHER_DEG
     probability = (found.probability or 0.0) * (1.0 if agree else _ALONE)

@@ -108,7 +108,17 @@ def _camera(request: PhotoRequest, photo: PhotoMetadata) -> tuple[Camera, str]:
 
 
 def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:
-    """Returns the probability of building at each pixel, as the pinhole sees it."""
+    """Returns the (H, W) float32 probability of building at each pixel, in [0, 1], as the pinhole sees it.
+
+    Args:
+        request: Has the mask, or who makes it.
+        camera: Of the photo as stored, lens included.
+        pinhole: The camera that is localised.
+
+    Raises:
+        DatasetError: There is neither, or the segmenter looks at the map.
+        QueryFault: The mask is of another aspect than the photo, or it or the photo cannot be read.
+    """
     if request.mask is not None:
         probability = read_mask(request.mask)
     elif isinstance(request.segmenter, MapGuidedSegmenter):
