@@ -7,11 +7,13 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
 from lodbench.cli.configs import config_files, read_config
 from lodbench.cli.console import check_lines, plain_check, traceback_lines
 from lodbench.cli.parser import Parser
+from lodbench.cli.source_profiles import option_pairs
 from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.plugins import KINDS, find_plugin
 
@@ -33,6 +35,12 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("kind", metavar="KIND", help=f"{', '.join(kinds)} or {_SOURCE}")
     parser.add_argument("name", metavar="NAME", help="the name of its entry point")
     parser.add_argument(
+        "settings",
+        nargs="*",
+        metavar="KIND.KEY=VALUE",
+        help="its settings, as of a run: segmenter.weights=FILE",
+    )
+    parser.add_argument(
         "--sample", type=Path, metavar="FILE", help="of a city-reader or pose-format: a file to read"
     )
     parser.add_argument("--json", action="store_true", help="one check per line, for machines")
@@ -40,11 +48,17 @@ def main(argv: Sequence[str]) -> int:
     if options.kind == "method":
         from lodbench.cli.check_method import main as check_method
 
-        return check_method([options.name, *(["--json"] if options.json else [])])
+        return check_method([options.name, *options.settings, *(["--json"] if options.json else [])])
+    from lodbench.harness.conformance.checks import CONFIGURED
+
+    if options.settings and kinds.get(options.kind) not in CONFIGURED:
+        raise ConfigError(
+            f"A {options.kind} is checked without settings.", f"Leave {options.settings[0]} out."
+        )
     if options.kind == _SOURCE:
         checks = list(_source_checks(options.name))
     elif options.kind in kinds:
-        checks = list(_checks(kinds[options.kind], options.name, options.sample))
+        checks = list(_checks(kinds[options.kind], options.name, options.settings, options.sample))
     else:
         raise ConfigError(
             f"There is no kind {options.kind!r}.", nearest_names(options.kind, [*kinds, _SOURCE])
@@ -60,7 +74,7 @@ def main(argv: Sequence[str]) -> int:
     return 1 if faults else 0
 
 
-def _checks(group: str, name: str, sample: Path | None) -> Iterator[Check]:
+def _checks(group: str, name: str, settings: Sequence[str], sample: Path | None) -> Iterator[Check]:
     from lodbench.harness.conformance.checks import CONFIGURED, check_plugin
 
     plug_in = find_plugin(group, name)
@@ -69,7 +83,17 @@ def _checks(group: str, name: str, sample: Path | None) -> Iterator[Check]:
     except ConfigError as error:
         yield Check("plug-in", "configuration", FAULT, error.message, error.hint)
         return
+    if config is not None and settings:
+        config |= _settings(settings, CONFIGURED[group])
     yield from check_plugin(plug_in, config, sample)
+
+
+def _settings(words: Sequence[str], section: str) -> dict[str, Any]:
+    """Returns the values of settings written as ``section.key=value``."""
+    for word in words:
+        if not word.startswith(f"{section}."):
+            raise ConfigError(f"{word} is no setting of a {section}.", f"Write {section}.KEY=VALUE.")
+    return option_pairs([word.removeprefix(f"{section}.") for word in words])
 
 
 def _source_checks(name: str) -> Iterator[Check]:

@@ -198,7 +198,7 @@ def _tell_many(answers: Answers, asked: argparse.Namespace) -> int:
         ]
         sys.stdout.write(_json(values) + "\n")
     else:
-        sys.stdout.write(describe_many(answers))
+        sys.stdout.write(describe_many(answers, has_masks=_masks_for(asked) is not None))
     if all(answer.found is None for answer in answers.photos):
         return 1
     is_well = all(answer.found is not None and answer.found.is_trusted for answer in answers.photos)

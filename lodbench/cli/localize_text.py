@@ -14,8 +14,13 @@ if TYPE_CHECKING:
     from lodbench.harness.photo.request import LocalizedPhoto
 
 
-def describe_many(answers: Answers) -> str:
-    """Returns what flights say, a line per photo, what failed and why, and how many are to be trusted."""
+def describe_many(answers: Answers, has_masks: bool) -> str:
+    """Returns what flights say, a line per photo, what failed and why, and how many are to be trusted.
+
+    Args:
+        answers: Of the photos.
+        has_masks: Whether masks were given, which may be mended.
+    """
     rows = [["", "latitude", "longitude", "height m", "heading deg", "pitch deg", "moved m", "sure", "trust"]]
     for answer in answers.photos:
         row = answer.row()
@@ -39,9 +44,8 @@ def describe_many(answers: Answers) -> str:
     doubted = len(answers.photos) - good - failed
     lines.append(f"{len(answers.photos)} photos: {good} found, {doubted} not to be trusted, {failed} failed")
     if doubted:
-        lines.append(
-            "Look at the overlays of those not to be trusted; a mask of each (--masks DIR) helps most."
-        )
+        helps = "mending their masks (lodbench mask PHOTO)" if has_masks else "a mask of each (--masks DIR)"
+        lines.append(f"Look at the overlays of those not to be trusted; {helps} helps most.")
     files = [("table", answers.table), ("map", answers.map)]
     files += [("page", answers.page(flight)) for flight in answers.flights]
     files += [("in 3D", answers.view)] if answers.found else []

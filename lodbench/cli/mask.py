@@ -32,12 +32,13 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
+    from lodbench.datasets.photo_files import mask_name
     from lodbench.harness.mask.files import opened_session, saved
 
-    out = asked.out or asked.photo.with_name(f"{asked.photo.stem}_mask.png")
+    out = asked.out or asked.photo.with_name(mask_name(asked.photo.stem))
     require_within("--port", asked.port, 0, 65535)
     if out.is_dir():
-        inside = shlex.quote(str(out / f"{asked.photo.stem}_mask.png"))
+        inside = shlex.quote(str(out / mask_name(asked.photo.stem)))
         raise ConfigError(f"--out {out} is a folder.", f"Name a file: --out {inside}")
     if out.suffix.lower() != ".png":
         png = shlex.quote(str(out.with_suffix(".png")))

@@ -17,15 +17,15 @@ from lodbench.cli.runner import made_method, offer_methods
 from lodbench.cli.segmenters import default_segmenter, named_segmenter
 from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError
-from lodbench.evaluation.queries import ERROR, has_truth, without_truth
+from lodbench.evaluation.queries import ERROR, has_truth, is_answered, without_truth
 from lodbench.execution.executor import ExecutorParams
 from lodbench.harness import Run, RunSettings, run_method
 from lodbench.harness.remote.method import HERE, RunnerParams
 from lodbench.harness.runs.artefacts import summary_of, write_artefacts
 from lodbench.harness.runs.gallery import chosen_queries, overlay_name, write_overlays
-from lodbench.harness.runs.method_inputs import traceback_file
 from lodbench.harness.runs.prepare import require_choices
 from lodbench.harness.runs.requirements import SEGMENTED, segmented_inputs
+from lodbench.harness.tracebacks import traceback_file
 from lodbench.params import to_params
 from lodbench.plugins import load_plugin
 from lodbench.reporting.answers import format_answers, untrusted_note
@@ -191,7 +191,8 @@ def picture_to_open(runs: Sequence[Run]) -> str:
 
     for run in sorted(runs, key=middle):
         for split in reversed(run.splits):
-            for _, row in chosen_queries(run.queries, split)["best"][:1].iterrows():
+            found = run.queries[is_answered(run.queries)]
+            for _, row in chosen_queries(found, split)["best"][:1].iterrows():
                 path = run.folder / "overlays" / overlay_name(split, "best", 1, row["query"])
                 if path.is_file():
                     name = run.config["method"]["name"]

@@ -11,7 +11,7 @@ from typing import Any
 
 from lodbench.datasets.folder import write_poses
 from lodbench.datasets.folder_about import ABOUT_FILE, sealed_about
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines, mask_name
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
@@ -64,11 +64,16 @@ class Written:
 
 
 def find_mask(folder: Path | None, name: str) -> Path | None:
-    """Returns the mask of an image: a file of its name, or of its stem as PNG."""
+    """Returns the mask of an image: of its name, of its stem as PNG, or as ``lodbench mask`` calls it."""
     if folder is None:
         return None
-    path = PurePosixPath(name)
-    return find_inside(folder, name) or find_inside(folder, str(path.parent / f"{path.stem}.png"))
+    found = (find_inside(folder, spelt) for spelt in _mask_names(PurePosixPath(name)))
+    return next((file for file in found if file is not None), None)
+
+
+def _mask_names(image: PurePosixPath) -> list[str]:
+    own = (image.name, f"{image.stem}.png", mask_name(image.stem))
+    return list(dict.fromkeys(str(image.parent / spelt) for spelt in own))
 
 
 def find_photo(folder: Path, name: str) -> Path | None:
@@ -88,8 +93,7 @@ def require_some_mask(folder: Path, names: Sequence[str]) -> None:
         DatasetError: It holds none; the hint says what the first is looked for as.
     """
     if not any(find_mask(folder, name) for name in names):
-        name = PurePosixPath(names[0])
-        wanted = " or ".join(dict.fromkeys((name.name, name.with_suffix(".png").name)))
+        wanted = " or ".join(PurePosixPath(spelt).name for spelt in _mask_names(PurePosixPath(names[0])))
         raise DatasetError(f"{folder} holds no mask of any image.", f"The first is looked for as {wanted}.")
 
 

@@ -19,6 +19,8 @@ def in_pose_lines(name: str) -> str:
 def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -> list[Path]:
     """Returns the photos of a folder and all below it, by name; or the one photo a path names.
 
+    Masks that ``lodbench mask`` put beside them are none.
+
     Args:
         folder: The folder, or one photo.
         masks: Folder of masks, whose pictures are no photos; or None.
@@ -39,7 +41,14 @@ def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -
         parent: not any(parent.resolve().is_relative_to(other) for other in aside)
         for parent in {path.parent for path in found}
     }
-    return [path for path in found if are_photos[path.parent]]
+    photos = [path for path in found if are_photos[path.parent]]
+    saved = {path.with_name(mask_name(path.stem)) for path in photos}
+    return [path for path in photos if path not in saved]
+
+
+def mask_name(stem: str) -> str:
+    """Returns what ``lodbench mask`` calls a photo's mask, which it puts beside it."""
+    return f"{stem}_mask.png"
 
 
 def require_photos(photos: Sequence[Path], source: Path) -> None:

@@ -110,7 +110,7 @@ class RoughPlace:
         require_within("--lon", self.longitude_deg, -360, 360)
         require_within("--height", self.height_m, -math.inf)
         require_within("--heading", self.heading_deg, -math.inf)
-        require_within("--pitch", self.pitch_deg, -360, 360)
+        require_within("--pitch", self.pitch_deg, -180, 180)
         require_within("--roll", self.roll_deg, -360, 360)
 
 
@@ -154,7 +154,8 @@ def require_stated(
         lacking.append(("its camera's focal length", camera_flag(photo.width, photo.height)))
     if lacking:
         what, flags = (_listed(words) for words in zip(*lacking, strict=True))
-        raise DatasetError(f"{photo.name} does not say {what}.", f"lodbench localize takes {flags}.")
+        local = "" if knows_place else " For a city without a reference system give --center EAST NORTH UP."
+        raise DatasetError(f"{photo.name} does not say {what}.", f"lodbench localize takes {flags}.{local}")
 
 
 def _listed(words: Sequence[str]) -> str:

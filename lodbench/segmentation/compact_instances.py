@@ -73,7 +73,13 @@ class CompactInstances(PackagedNetwork):
         self._compact = Compact(CompactParams(size=params.size, weights=params.mask_weights))
 
     def segment(self, entry: Entry) -> NDArray[np.float32]:
-        """Returns the mask of ``compact``."""
+        """Returns the mask of ``compact``.
+
+        Raises:
+            ConfigError: The weights hold no network of this kind: told before they are needed.
+        """
+        if self.params.weights:
+            self._net  # noqa: B018 - read once, and kept
         return self._compact.segment(entry)
 
     def probability(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:

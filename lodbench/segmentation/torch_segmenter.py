@@ -23,6 +23,8 @@ from lodbench.storage import file_digest
 RANDOM = "random"
 # The settings that weights stand in.
 SETTING, ENCODER_SETTING = "segmenter.weights", "segmenter.encoder_weights"
+# Names that end so are files, whatever else they look like.
+_WEIGHT_SUFFIXES = (".bin", ".ckpt", ".onnx", ".pt", ".pth", ".safetensors")
 
 
 class TorchSegmenter(PhotoSegmenter):
@@ -168,12 +170,18 @@ def weights_file(weights: str, name: str, setting: str = SETTING) -> Path:
         raise ConfigError(
             f"{path} holds {len(found)} safetensors files instead of one.", "Name the file itself."
         )
-    if weights.count("/") == 1 and not weights.startswith((".", "/", "~")) and not path.suffix:
+    if is_hub_id(weights):
         return weights_file(str(hub_folder(weights)), name, setting)
     raise ConfigError(
         f"There are no weights {weights} for {name}.",
         f"{setting}= takes a file, a folder with one safetensors file, or a hub id fetched before.",
     )
+
+
+def is_hub_id(weights: str) -> bool:
+    """Tells whether weights may be called like a Hugging Face repository, owner/name, and not like a file."""
+    is_like_a_file = weights.startswith((".", "/", "~")) or Path(weights).suffix in _WEIGHT_SUFFIXES
+    return weights.count("/") == 1 and not is_like_a_file
 
 
 def hub_folder(identity: str, pattern: str = "*.safetensors") -> Path:

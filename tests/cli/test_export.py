@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,8 @@ from lodbench.citymodel.cache import open_cached_scene
 from lodbench.cli import main
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.datasets.pose_text import read_poses
+from lodbench.evaluation.queries import NO_TRUTH, queries_frame
+from lodbench.harness.export.formats import queries_with_poses
 from tests.site_packages import write_package
 from tests.town import CAMERA, write_dataset
 
@@ -159,6 +162,13 @@ def test_the_table_of_queries_holds_the_poses(capsys, tmp_path, run, name):
     }
     for key, pose in expected.items():
         np.testing.assert_allclose(found.loc[key], pose.translation, atol=1e-9)
+
+
+def test_an_answer_without_a_truth_has_not_failed():
+    failures = {"1.jpg": NO_TRUTH, "2.jpg": f"{NO_TRUTH}; no mask", "3.jpg": "no mask", "4.jpg": ""}
+    rows = [{"query": name, "split": "a", "failure": failure} for name, failure in failures.items()]
+    table = queries_with_poses(SimpleNamespace(queries=queries_frame(rows), poses={}))
+    assert list(table["failure"]) == ["", "no mask", "no mask", ""]
 
 
 FORMAT = """

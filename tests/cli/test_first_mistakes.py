@@ -78,7 +78,7 @@ CASES: list[tuple[Words, str, str]] = [
     (lambda f: ["localize", f.photo, "--city", f.degrees], "look like degrees", "--crs EPSG:"),
     (lambda f: [*_at(f)[:-1], "EPSG:4326"], "are no degrees", "--crs EPSG:"),
     (lambda f: [*_at(f, f.flight), "--masks", f.empty], "no mask of any image", "DJI_00.JPG or DJI_00.png"),
-    (lambda f: [*_track(f), "--masks", f.empty], "no mask of any image", "as view_00.png."),
+    (lambda f: [*_track(f), "--masks", f.empty], "no mask of any image", "view_00.png or view_00_mask.png."),
     (lambda f: [*_track(f), "--masks", f.masks, "--fps", "nan"], "--fps=nan", ""),
     (lambda f: [*_placed(f, f.photo)], "is no folder", "folder that holds it"),
     (lambda f: [*_placed(f, f.no_cameras), "--start", f.start], "has no cameras.txt", "COLMAP model"),

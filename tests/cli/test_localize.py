@@ -162,6 +162,7 @@ def test_a_segmenter_s_mask_is_undistorted_as_a_file_s(capsys, tmp_path, shared_
 
     class Segmenter:
         params_type = Params
+        name = "mine"
 
         def __init__(self, params):
             self.params = params

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,10 @@ from shapely.geometry import Point, shape
 from lodbench.cli import main
 from lodbench.datasets.exchange.geojson import footprint_feature
 from lodbench.datasets.map_frame import MapFrame
+from lodbench.datasets.own import find_mask
+from lodbench.datasets.photo_files import find_photos
 from lodbench.geometry import Camera, EulerAngles, Pose
+from lodbench.segmentation import registry
 from tests.cli.photo_case import Case, make_case
 
 
@@ -89,6 +93,95 @@ def test_each_photo_has_its_row_its_place_and_its_own_files(capsys, case, flight
 def test_options_of_one_photo_are_not_for_many(capsys, case, flight, words, said):
     assert main(["localize", str(flight / "a"), str(flight / "b"), "--city", str(case.city), *words]) == 2
     assert said in capsys.readouterr().err
+
+
+class TestCodeOfOthers:
+    """A plug-in that raises on one photo takes no other with it, and shows where it raised."""
+
+    @pytest.fixture
+    def sometimes(self, monkeypatch, case) -> None:
+        @dataclass(frozen=True)
+        class Params:
+            name: str = "sometimes"
+
+        class Sometimes:
+            params_type, name = Params, "sometimes"
+
+            def __init__(self, params: Params) -> None:
+                self.params = params
+
+            def segment(self, entry):
+                if entry.image.name == "DJI_0002.JPG":
+                    raise IndexError("no such row")
+                return cv2.imread(str(case.mask), cv2.IMREAD_UNCHANGED).astype(np.float32) / 255
+
+        plain = registry.load_plugin
+        monkeypatch.setattr(
+            registry,
+            "load_plugin",
+            lambda group, name: (
+                Sometimes if (group, name) == ("segmenters", "sometimes") else plain(group, name)
+            ),
+        )
+
+    @pytest.fixture
+    def photos(self, case, tmp_path) -> Path:
+        (tmp_path / "flight").mkdir()
+        # The same metadata, another file: copies are left out.
+        for number in (1, 2):
+            content = case.photo.read_bytes() + bytes(number)
+            (tmp_path / "flight" / f"DJI_000{number}.JPG").write_bytes(content)
+        return tmp_path / "flight"
+
+    @pytest.mark.parametrize("alone", [("--each-alone",), ()])
+    def test_a_segmenter_that_raises_on_one_photo(self, capsys, case, photos, tmp_path, sometimes, alone):
+        out = tmp_path / "out"
+        words = [photos, "--city", case.city, "--segmenter", "sometimes", "--out", out, *alone]
+        assert main(["localize", *map(str, words)]) == 3
+        assert "segmenter sometimes raised IndexError: no such row" in capsys.readouterr().out
+        with (out / "localized.csv").open() as stream:
+            rows = list(csv.DictReader(stream))
+        assert [bool(row["failure"]) for row in rows] == [False, True]
+        assert "in segment" in (out / "tracebacks" / "DJI_0002.JPG.txt").read_text()
+
+    def test_a_method_that_raises_on_a_flight(self, capsys, case, photos, tmp_path, monkeypatch):
+        def raising(*_: object) -> None:
+            raise ZeroDivisionError("by nothing")
+
+        monkeypatch.setattr("lodbench.methods.flight.FlightMethod.localize_flight", raising)
+        words = [photos, "--city", case.city, "--out", tmp_path / "out"]
+        assert main(["localize", *map(str, words)]) == 1
+        assert "method flight raised ZeroDivisionError: by nothing" in capsys.readouterr().out
+        assert "in raising" in (tmp_path / "out/tracebacks/flight.txt").read_text()
+
+    def test_a_method_that_raises_on_the_one_photo(self, capsys, case, tmp_path, monkeypatch):
+        def raising(*_: object) -> None:
+            raise ZeroDivisionError
+
+        monkeypatch.setattr("lodbench.methods.region.Region.localize", raising)
+        out = tmp_path / "out"
+        assert main(["localize", str(case.photo), "--city", str(case.city), "--out", str(out)]) == 2
+        error = capsys.readouterr().err
+        assert error.splitlines()[0] == "lodbench: method region raised ZeroDivisionError"
+        assert str(out / "tracebacks" / f"{case.photo.name}.txt") in error
+
+
+def test_a_mask_saved_beside_its_photo_is_no_photo(capsys, case, tmp_path):
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    shutil.copy(case.photo, folder / "DJI_0001.JPG")
+    assert main(["mask", str(folder / "DJI_0001.JPG"), "--mask", str(case.mask), "--no-page"]) == 0
+    assert (folder / "DJI_0001_mask.png").is_file()
+    assert find_photos(folder) == [folder / "DJI_0001.JPG"]
+    # A picture of that name without its photo is one.
+    shutil.copy(case.mask, folder / "DJI_0002_mask.png")
+    assert len(find_photos(folder)) == 2
+    # In a folder of masks it is found by that name, too.
+    assert find_mask(folder, "DJI_0001.JPG") == folder / "DJI_0001.JPG"
+    masks = tmp_path / "others"
+    masks.mkdir()
+    shutil.move(folder / "DJI_0001_mask.png", masks)
+    assert find_mask(masks, "a/DJI_0001.JPG") == masks / "DJI_0001_mask.png"
 
 
 class TestFootprint:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lodbench.evaluation import pose_error
-from lodbench.methods.contour_alignment.alignment import signed_distance
+from lodbench.methods.contour_alignment.alignment import shortened, signed_distance
 from lodbench.methods.contour_alignment.outline import edges_in_reach, sample_outline
 from lodbench.methods.contour_alignment.pose_vector import (
     pose_from_vector,
@@ -21,6 +21,14 @@ from tests.town import CAMERA
 vectors = st.tuples(
     *[st.floats(-200, 200)] * 3, st.floats(0, 80), st.floats(-10, 10), st.floats(-180, 180)
 ).map(np.array)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_step_is_shortened_as_a_whole():
+    np.testing.assert_array_equal(shortened(np.zeros(7)), np.zeros(7))
+    small, long = np.array([1.0, -2.0, 3.0, 0.5, 0.1, 1.0, 0.2]), np.array([60.0, 0, 1.0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(shortened(small), small)
+    np.testing.assert_allclose(shortened(long), long / 10.0)
 
 
 class TestPoseVector:

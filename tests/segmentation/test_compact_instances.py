@@ -77,12 +77,15 @@ def test_the_package_s_network_fills_its_mask_with_buildings(street):
     ).fingerprint((street,))
 
 
-def test_wrong_settings_and_no_photo_are_one_line():
+def test_wrong_settings_weights_and_no_photo_are_one_line(tmp_path):
     with pytest.raises(ConfigError, match=r"segmenter\.interior=1"):
         CompactInstancesParams(interior=1.0)
     with pytest.raises(ConfigError, match=r"segmenter\.size=8"):
         CompactInstancesParams(size=8)
+    junk = tmp_path / "junk.onnx"
+    junk.write_bytes(b"junk")
+    photo = Entry("a.png", "", None, None, None, None)
+    with pytest.raises(ConfigError, match=r"junk\.onnx"):
+        CompactInstances(CompactInstancesParams(weights=str(junk))).segment(photo)
     with pytest.raises(QueryFault, match="no photo"):
-        CompactInstances(CompactInstancesParams()).segment_instances(
-            Entry("a.png", "", None, None, None, None)
-        )
+        CompactInstances(CompactInstancesParams()).segment_instances(photo)

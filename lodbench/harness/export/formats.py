@@ -145,12 +145,15 @@ class Parquet:
 
 
 def queries_with_poses(run: StoredRun) -> pd.DataFrame:
-    """Returns the table of queries with the poses, world to camera, as ``qw qx qy qz tx ty tz``."""
+    """Returns the table of queries with the poses, world to camera, as ``qw qx qy qz tx ty tz``.
+
+    An answer with nothing to compare it with has not failed.
+    """
     import pandas as pd
 
     numbers = {key: (*pose.quat_wxyz, *pose.translation) for key, pose in run.poses.items()}
     poses = pd.DataFrame.from_dict(numbers, orient="index", columns=list(_POSE_COLUMNS))
-    return run.queries.join(poses)
+    return run.queries.assign(failure=run.queries["failure"].map(own_failure)).join(poses)
 
 
 def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
@@ -163,7 +166,6 @@ def _features(run: StoredRun, frame: MapFrame) -> list[dict[str, Any]]:
             else ("score",)
         )
         stated |= {name: round(row[name], 4) for name in numbers if math.isfinite(row[name])}
-        # A pose with nothing to compare it with has not failed.
         if reason := own_failure(row["failure"]):
             stated["failure"] = reason
         pose = run.poses.get(str(key))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lodbench.errors import DatasetError
 from lodbench.harness.mask.session import MaskSession
+from lodbench.harness.tracebacks import told_as_fault
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import Segmenter, binary_mask
 from lodbench.segmentation.mask_polygons import WRITERS, polygon_file, read_polygons
@@ -25,7 +26,8 @@ def opened_session(
     """Returns the session of a photo, started from the first that is given; from an empty mask without any.
 
     Raises:
-        LodbenchError: The photo, the mask or the polygons cannot be read, or do not fit each other.
+        LodbenchError: The photo, the mask or the polygons cannot be read, or do not fit each other, or the
+            segmenter's own code raised: where is kept beside the photo.
     """
     pixels = read_photo(photo)
     height, width = pixels.shape[:2]
@@ -41,7 +43,9 @@ def opened_session(
             )
         return MaskSession(pixels, np.asarray(given >= 0.5))
     if segmenter is not None:
-        return MaskSession(pixels, binary_mask(photo_probability(segmenter, photo), width, height))
+        with told_as_fault(f"segmenter {segmenter.name}", photo.parent, photo.name):
+            probability = photo_probability(segmenter, photo)
+        return MaskSession(pixels, binary_mask(probability, width, height))
     return MaskSession(pixels, np.zeros((height, width), bool))
 
 

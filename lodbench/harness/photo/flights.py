@@ -33,6 +33,7 @@ from lodbench.harness.photo.localize import OpenMap, inputs_of, open_map, write_
 from lodbench.harness.photo.many import Answers, PhotoAnswer, numbered, write_answers
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
 from lodbench.harness.photo.request import PhotoRequest
+from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate
 from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
@@ -143,7 +144,11 @@ def _solve(
                 )
             )
         streams = [partial(random_stream, request.seed, "localize", "photo") for _ in queries]
-        found = localize_flight(method, queries, city_map, streams)
+        try:
+            with told_as_fault(f"method {method.name}", request.out, "flight"):
+                found = localize_flight(method, queries, city_map, streams)
+        except QueryFault as fault:
+            found = FlightEstimate([fault] * len(queries))
     estimates = [
         each
         if isinstance(each, QueryFault)

@@ -24,6 +24,7 @@ from lodbench.harness.photo.by_mask import more_probable
 from lodbench.harness.photo.outputs import PhotoView, photo_features, write_photo_overlay
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo, undistorted_photo
 from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
+from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate, Method
 from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
@@ -41,8 +42,8 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     """Returns the pose of a photo, and writes its overlay and map.
 
     Raises:
-        LodbenchError: The photo, its metadata, mask or camera, or the city is missing or not fit; nothing
-            is written then.
+        LodbenchError: The photo, its metadata, mask or camera, or the city is missing or not fit, or a
+            plug-in's code raised; nothing is written then but where it did.
     """
     method = request.method or LodLocV2()
     requires = inputs_of(method)
@@ -52,9 +53,10 @@ def localize_photo(request: PhotoRequest) -> LocalizedPhoto:
     prior = photo.prior(place.scene, place.frame)
     with TemporaryDirectory() as folder:
         image = undistorted_photo(view, Path(folder)) if Input.IMAGE in requires else None
-        estimate = localize(
-            place.scene, photo.pinhole, prior, photo.mask, image=image, method=method, seed=request.seed
-        )
+        with told_as_fault(f"method {method.name}", request.out, request.photo.name):
+            estimate = localize(
+                place.scene, photo.pinhole, prior, photo.mask, image=image, method=method, seed=request.seed
+            )
     answered, estimate = more_probable(photo, place.scene, prior, estimate)
     return write_answer(answered, view if answered is photo else answered.view(), place, prior, estimate)
 

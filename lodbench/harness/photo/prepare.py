@@ -23,6 +23,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import require_near_city
 from lodbench.harness.photo.outputs import PhotoView
 from lodbench.harness.photo.request import PhotoRequest
+from lodbench.harness.tracebacks import told_as_fault
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import MapGuidedSegmenter, check_mask
 from lodbench.segmentation.masks import read_mask
@@ -117,7 +118,8 @@ def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDAr
 
     Raises:
         DatasetError: There is neither, or the segmenter looks at the map.
-        QueryFault: The mask is of another aspect than the photo, or it or the photo cannot be read.
+        QueryFault: The mask is of another aspect than the photo, or it or the photo cannot be read, or the
+            segmenter's own code raised.
     """
     if request.mask is not None:
         probability = read_mask(request.mask)
@@ -128,7 +130,9 @@ def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDAr
         )
     elif request.segmenter is not None:
         entry = Entry(request.photo.name, "", camera, None, request.photo, None)
-        probability = request.segmenter.segment(entry)
+        part = f"segmenter {request.segmenter.name}"
+        with told_as_fault(part, request.out, request.photo.name):
+            probability = request.segmenter.segment(entry)
     else:
         raise DatasetError("There is no mask of the buildings.", "Give --mask FILE: white is building.")
     return np.asarray(undistorted(check_mask(probability, camera), camera, pinhole))

@@ -19,8 +19,8 @@ from lodbench.errors import ConfigError, InputChanged, LodbenchError, QueryFault
 from lodbench.evaluation.predictions import Prediction, encoded_mask
 from lodbench.execution.same_folder import staying_here
 from lodbench.geometry import Pose
-from lodbench.harness.runs.method_inputs import keep_traceback
 from lodbench.harness.runs.prepare import Preparation
+from lodbench.harness.tracebacks import keep_traceback, words_of
 from lodbench.methods import Estimate, Method
 from lodbench.methods.measured_calls import localize_flight, localize_queries, localize_query
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
@@ -144,7 +144,7 @@ def _answer_flight(
     except (Exception, SystemExit) as error:
         keep_traceback(folder, first.key, error)
         for each, _ in ready:
-            each.failure = _words(error)
+            each.failure = words_of(error)
         return
     for (each, _), answer in zip(ready, found.estimates, strict=True):
         with _failing(each, folder):
@@ -174,11 +174,7 @@ def _failing(each: Asked, folder: Path) -> Iterator[None]:
         each.failure = fault.message if isinstance(fault, QueryFault) else fault.message.rstrip(".")
     except (Exception, SystemExit) as error:
         keep_traceback(folder, each.entry.key, error)
-        each.failure = _words(error)
-
-
-def _words(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        each.failure = words_of(error)
 
 
 def _stored_mask(query: Query) -> str:

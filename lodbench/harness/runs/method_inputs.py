@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +12,12 @@ from lodbench.datasets.query import Dataset, Entry, Reference
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.execution.one_blas_thread import on_one_blas_thread
 from lodbench.execution.same_folder import staying_here
+from lodbench.harness.tracebacks import keep_traceback, words_of
 from lodbench.methods import Method
 from lodbench.methods.measured_calls import weight_files
 from lodbench.methods.protocol import SupportsFlights, SupportsPrepare
 from lodbench.methods.workspace import open_workspace
-from lodbench.storage import digest_of, make_folder, write_text
-from lodbench.storage.atomic import writable
+from lodbench.storage import digest_of
 from lodbench.storage.contents import content_digest
 
 # What a workspace's content depends on, of a run's inputs.
@@ -81,22 +80,8 @@ def prepare_method(
     except (Exception, SystemExit) as error:  # a plug-in's code may raise anything
         file = keep_traceback(folder, "prepare", error)
         raise ConfigError(
-            f"method={method.name} cannot prepare: {type(error).__name__}: {error}", f"See {file}."
+            f"method={method.name} cannot prepare: {words_of(error)}", f"See {file}."
         ) from error
-
-
-def keep_traceback(folder: Path, name: str, error: BaseException) -> Path:
-    """Writes where a plug-in's code raised to ``tracebacks`` in a run folder; returns the file."""
-    file = traceback_file(folder, name)
-    make_folder(file.parent)
-    write_text(file, writable("".join(traceback.format_exception(error))))
-    return file
-
-
-def traceback_file(folder: Path, name: str) -> Path:
-    """Returns the file that ``keep_traceback`` writes."""
-    safe = "".join(c if c.isalnum() or c in "._-" else "_" for c in name)
-    return folder / "tracebacks" / f"{safe}.txt"
 
 
 def _identity(reference: Reference) -> list[object]:

@@ -109,7 +109,7 @@ class Linearization:
 
 def shortened(step: Floats) -> Floats:
     """Returns a step of the camera's numbers, (7,), no longer than a linearisation is good for."""
-    return np.asarray(step * min(1.0, float(1.0 / np.max(np.abs(step) / _LONGEST_STEP))))
+    return np.asarray(step * (1.0 / max(1.0, float(np.max(np.abs(step) / _LONGEST_STEP)))))
 
 
 class Aligner:

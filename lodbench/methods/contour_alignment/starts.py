@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from lodbench.citymap import CityMap
 from lodbench.datasets.query import Query
-from lodbench.errors import QueryFault
 from lodbench.geometry import PoseGrid
 from lodbench.methods.contour_alignment.alignment import Aligner
 from lodbench.methods.contour_alignment.params import Params
+from lodbench.methods.fits import nothing_fits
 from lodbench.methods.lodlocv2.method import PoseScorer
 
 Floats = NDArray[np.float64]
@@ -44,7 +44,7 @@ def _best_samples(
     order = np.argsort(-particles.scores, kind="stable")[:count]
     best = float(particles.scores[order[0]])
     if best <= 0:
-        raise QueryFault("no hypothesis overlaps the mask: the prior may be far from the city")
+        raise nothing_fits("no hypothesis overlaps the mask")
     tilt = np.broadcast_to([score.pitch_deg, score.roll_deg], (len(order), 2))
     lens = np.zeros(len(order))
     return np.column_stack([particles.centers[order], tilt, particles.yaws_deg[order], lens]), best

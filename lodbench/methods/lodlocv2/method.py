@@ -13,9 +13,8 @@ from lodbench.citymap import CityMap
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.priors import UniformPrior
 from lodbench.datasets.query import Query
-from lodbench.errors import QueryFault
 from lodbench.geometry import Camera, Pose, rotations_at_yaws
-from lodbench.methods.fits import fit_input, make_fit
+from lodbench.methods.fits import fit_input, make_fit, nothing_fits
 from lodbench.methods.lodlocv2.params import Params
 from lodbench.methods.protocol import Estimate, Streams
 
@@ -83,10 +82,7 @@ class LodLocV2:
 
         found = search(scorer_at, query.prior, self.params, streams)
         if found.score <= 0:
-            raise QueryFault(
-                "no hypothesis fits the query: the prior may be far from the city",
-                "lodbench city info FILE says where the city is, and in which reference system.",
-            )
+            raise nothing_fits("no hypothesis fits the query")
         return found
 
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from lodbench.datasets.query import Query
-from lodbench.errors import QueryFault
 from lodbench.geometry import Pose, PoseGrid
 from lodbench.methods.contour_alignment.outline import EdgeArrays, OutlinePoints, sample_outline
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector, rotation_derivatives
+from lodbench.methods.fits import nothing_fits
 from lodbench.methods.protocol import Streams
 from lodbench.methods.region.evidence import Evidence
 from lodbench.methods.region.evolution import Cloud, climb_abreast
@@ -50,10 +50,7 @@ def grid_starts(query: Query, evidence: Evidence, params: Params) -> tuple[Float
     fits = evidence.fits(vectors)
     best = float(fits.max())
     if best <= 0:
-        raise QueryFault(
-            "the photo fits no view of the map: the prior may be far from the city",
-            "lodbench city info FILE says where the city is, and in which reference system.",
-        )
+        raise nothing_fits("the photo fits no view of the map")
     return vectors[tops_of(fits, grid, params.turns_around(), params.num_starts())], best
 
 
