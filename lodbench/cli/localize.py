@@ -14,9 +14,11 @@ from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import (
     add_height_options,
     add_map_options,
+    add_prior_options,
     add_rough_pose_options,
     city_settings,
     rough_settings,
+    told_prior,
 )
 from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.cli.source_profiles import option_pairs
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from lodbench.harness.photo.many import Answers
     from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
     from lodbench.methods import Method
+    from lodbench.methods.registry import ConfiguredMethod
 
 # Exit code where there is a pose, and it is more likely wrong than right.
 NOT_TRUSTED = 3
@@ -36,7 +39,9 @@ _BY_MASK, _BY_PIXELS = "contour_alignment", "region"
 _EXAMPLES = """\
 The rough pose comes from the photo (EXIF and DJI's XMP); what is given here goes before it. One photo without
 a mask or a segmenter is aligned with the map by its own pixels (--method region); where they do not tell,
-the mask of a network is asked as well, and the more probable pose is the answer.
+the mask of a network is asked as well, and the more probable pose is the answer. Both look 10 m around
+the rough pose, 30 m up and down and 7.5 degrees to either side: --prior-range, --prior-height and --prior-yaw
+say where it may be farther off.
 
 Several photos, or a folder, are flights: told apart by camera and by the clock in EXIF, and each solved as a
 whole (--method flight), with masks from --masks, from the folder's own folder masks, or from a segmenter;
@@ -51,6 +56,7 @@ examples:
   lodbench localize DJI_0001.JPG --city LoD2_32_280_5657_1_NW.gml
   lodbench localize DJI_0001.JPG --city LoD2_32_280_5657_1_NW.gml --mask DJI_0001_mask.png
   lodbench localize DJI_0001.JPG --city city.gml --mask mask.png --takeoff 61.5
+  lodbench localize DJI_0001.JPG --city city.gml --prior-range 100 --prior-yaw 180
   lodbench localize FLIGHT --city city.gml --masks MASKS --out found
   lodbench localize flight1 flight2/*.JPG --city city.gml --each-alone --out found
   lodbench localize photo.jpg --city city.obj --mask mask.png --camera 'PINHOLE 400 300 290 290 200 150' \\
@@ -133,11 +139,30 @@ def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Meth
     named = [f"--{name.replace('_', '-')}" for name in given]
     alone = _BY_MASK if named or masks is not None else _BY_PIXELS
     name = asked.method or (alone if is_one or asked.each_alone else "flight")
-    method = configure_method({**option_pairs(asked.method_option), "name": name}).make()
+    method = _for_prior(configure_method({**option_pairs(asked.method_option), "name": name}), asked).make()
     if named and "mask" not in method.requires:
         hint = f"Leave {named[0]} out, or take --method {_BY_MASK}."
         raise ConfigError(f"Method {method.name} looks at no mask.", hint)
     return method
+
+
+def _for_prior(method: ConfiguredMethod, asked: argparse.Namespace) -> ConfiguredMethod:
+    """Returns a method told how far off the rough pose may be, where that was said.
+
+    Raises:
+        ConfigError: It is one that cannot be told.
+    """
+    from lodbench.methods.protocol import SupportsPriorWidth
+
+    prior = told_prior(asked)
+    if prior is None:
+        return method
+    if not isinstance(method.make(), SupportsPriorWidth):
+        hint = (
+            "Leave --prior-range, --prior-height and --prior-yaw out; of many photos, or take --each-alone."
+        )
+        raise ConfigError(f"Method {method.kind.name} cannot be told how far off rough poses may be.", hint)
+    return method.for_prior(prior)
 
 
 def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
@@ -148,7 +173,10 @@ def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path
     if asked.mask is None and masks is None and "mask" in method.requires:
         segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
     elif asked.method is None and method.name == _BY_PIXELS:
-        segmenter, by_mask = segmenter_of(FOR_PHOTOS), configure_method({"name": _BY_MASK}).make()
+        segmenter, by_mask = (
+            segmenter_of(FOR_PHOTOS),
+            _for_prior(configure_method({"name": _BY_MASK}), asked).make(),
+        )
     own = {"photo": photo, "mask": asked.mask, "segmenter": segmenter, "seed": asked.seed}
     own |= {"method": method, "by_mask": by_mask}
     return PhotoRequest(**city_settings(asked), **rough_settings(asked), **own)
@@ -225,6 +253,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--segmenter", metavar="NAME", help=f"makes the mask, for methods that want one ({FOR_PHOTOS})")
     add("--segmenter-option", action="append", default=[], metavar="KEY=VALUE", help="may be repeated")
     add_rough_pose_options(parser, "rough pose, before what the photo says")
+    add_prior_options(parser)
     add_height_options(parser)
     add(
         "--method",

@@ -9,7 +9,8 @@ from typing import Any, get_args
 from lodbench.cli.source_profiles import load_profile
 from lodbench.datasets.photo_pose import HeightOptions, HeightSource, RoughPlace
 from lodbench.datasets.pose_text import parse_camera
-from lodbench.errors import ConfigError, LodbenchError, require_choice
+from lodbench.datasets.priors import UniformPrior
+from lodbench.errors import ConfigError, LodbenchError, require_choice, require_within
 from lodbench.geometry import Camera
 from lodbench.storage import can_write
 
@@ -93,6 +94,30 @@ def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
     add("--pitch", type=float, metavar="DEG", help="0 at the horizon, -90 straight down")
     add("--roll", type=float, metavar="DEG", help="about the optical axis")
     add("--center", type=float, nargs=3, metavar=("E", "N", "UP"), help="in the city's own coordinates")
+
+
+def add_prior_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options that say how far off the rough pose may be."""
+    add = parser.add_argument_group(
+        "how far the rough pose may be off: the wider, the longer it takes"
+    ).add_argument
+    add("--prior-range", type=float, metavar="M", help="+- east and north (10)")
+    add("--prior-height", type=float, metavar="M", help="+- up (30)")
+    add("--prior-yaw", type=float, metavar="DEG", help="+- heading (7.5; 180: not known)")
+
+
+def told_prior(asked: argparse.Namespace) -> UniformPrior | None:
+    """Returns how far off the rough pose may be; None where no option of ``add_prior_options`` says.
+
+    Raises:
+        ConfigError: A width is negative or not finite.
+    """
+    told = {"x_m": asked.prior_range, "y_m": asked.prior_range, "z_m": asked.prior_height}
+    told["yaw_deg"] = asked.prior_yaw
+    for name in ("range", "height", "yaw"):
+        require_within(f"--prior-{name}", getattr(asked, f"prior_{name}"), 0)
+    given = {name: width for name, width in told.items() if width is not None}
+    return UniformPrior(**given) if given else None
 
 
 def add_height_options(parser: argparse.ArgumentParser) -> None:

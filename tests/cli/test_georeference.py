@@ -184,13 +184,16 @@ def test_no_photo_and_no_mask_is_taken_for_two_images_of_one_name(capsys, case, 
 
 
 def test_photos_are_found_whatever_the_letters_of_their_ending(capsys, case, tmp_path):
-    bare = [each._replace(name=Path(each.name).stem) for each in read_colmap(case.model)]
+    bare = [each._replace(name=Path(each.name).stem) for each in read_colmap(case.model)][:4]
     write_colmap(bare, tmp_path / "bare")
     images = tmp_path / "images"
     images.mkdir()
-    for name, pose in case.truth.items():
+    stems = [image.name for image in bare]
+    for stem, pose in ((Path(name).stem, pose) for name, pose in case.truth.items()):
+        if stem not in stems:
+            continue
         properties = stated(pose, "EPSG:25832+7837", False, 0.0)
-        write_photo(images / f"{Path(name).stem}.JPG", xmp=xmp_packet(properties))
+        write_photo(images / f"{stem}.JPG", xmp=xmp_packet(properties))
     words = ["--city", case.city, "--masks", case.masks, "--images", images, "--out", tmp_path / "o"]
     assert main(["georeference", *map(str, (tmp_path / "bare", *words))]) == 0
-    assert f"what the photos state: {COUNT} cameras" in capsys.readouterr().out
+    assert f"what the photos state: {len(bare)} cameras" in capsys.readouterr().out

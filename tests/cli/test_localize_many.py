@@ -166,6 +166,33 @@ class TestCodeOfOthers:
         assert str(out / "tracebacks" / f"{case.photo.name}.txt") in error
 
 
+class TestFartherOff:
+    """How far off the rough pose may be is told by those options, to the method by pixels and by mask."""
+
+    @pytest.fixture
+    def far(self, case, tmp_path) -> list[str]:
+        place = case.frame.place_of(case.truth)
+        north = ["--lat", str(place.latitude_deg + 120.0 / 111_200.0), "--lon", str(place.longitude_deg)]
+        return [str(case.photo), "--city", str(case.city), "--out", str(tmp_path), "--json", *north]
+
+    @pytest.mark.parametrize("by_mask", [False, True])
+    def test_a_place_120_m_off_is_found_where_that_is_told(self, capsys, case, far, by_mask):
+        words = ["localize", *far, *(["--mask", str(case.mask)] if by_mask else [])]
+        if by_mask:
+            assert main(words) == 3
+            assert any("--prior-range" in note for note in json.loads(capsys.readouterr().out)["notes"])
+        assert main([*words, "--prior-range", "150"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert np.linalg.norm(np.array(found["pose"]["center_m"]) - case.truth.center) < 2.0
+
+    def test_what_cannot_be_told(self, capsys, far, flight, case):
+        assert main(["localize", *far, "--prior-range", "-5"]) == 2
+        assert "--prior-range=-5 is not" in capsys.readouterr().err
+        words = [str(flight / "a"), str(flight / "b"), "--city", str(case.city), "--prior-yaw", "180"]
+        assert main(["localize", *words]) == 2
+        assert "take --each-alone" in capsys.readouterr().err
+
+
 def test_a_mask_saved_beside_its_photo_is_no_photo(capsys, case, tmp_path):
     folder = tmp_path / "flight"
     folder.mkdir()

@@ -201,7 +201,8 @@ def _warning(estimate: Estimate, has_mask: bool) -> str:
     else:
         reason = f"this pose is right with a probability of {estimate.probability:.2f} only: do not trust it"
     mask = f"{'mend' if has_mask else 'make'} the mask (lodbench mask PHOTO) and give --mask FILE"
-    return f"{reason}; look at the overlay, give a better place, --height or --heading, or {mask}"
+    better = "give a better place, --height or --heading, or say how far off it may be (--prior-range)"
+    return f"{reason}; look at the overlay, {better}, or {mask}"
 
 
 def _sigmas(estimate: Estimate) -> tuple[float, ...] | None:
