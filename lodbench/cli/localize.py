@@ -18,7 +18,7 @@ from lodbench.cli.place_options import (
     add_rough_pose_options,
     city_settings,
     rough_settings,
-    told_prior,
+    with_prior_width,
 )
 from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
 from lodbench.cli.source_profiles import option_pairs
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from lodbench.harness.photo.many import Answers
     from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
     from lodbench.methods import Method
-    from lodbench.methods.registry import ConfiguredMethod
 
 # Exit code where there is a pose, and it is more likely wrong than right.
 NOT_TRUSTED = 3
@@ -139,30 +138,13 @@ def _method(asked: argparse.Namespace, is_one: bool, masks: Path | None) -> Meth
     named = [f"--{name.replace('_', '-')}" for name in given]
     alone = _BY_MASK if named or masks is not None else _BY_PIXELS
     name = asked.method or (alone if is_one or asked.each_alone else "flight")
-    method = _for_prior(configure_method({**option_pairs(asked.method_option), "name": name}), asked).make()
+    method = with_prior_width(
+        configure_method({**option_pairs(asked.method_option), "name": name}), asked
+    ).make()
     if named and "mask" not in method.requires:
         hint = f"Leave {named[0]} out, or take --method {_BY_MASK}."
         raise ConfigError(f"Method {method.name} looks at no mask.", hint)
     return method
-
-
-def _for_prior(method: ConfiguredMethod, asked: argparse.Namespace) -> ConfiguredMethod:
-    """Returns a method told how far off the rough pose may be, where that was said.
-
-    Raises:
-        ConfigError: It is one that cannot be told.
-    """
-    from lodbench.methods.protocol import SupportsPriorWidth
-
-    prior = told_prior(asked)
-    if prior is None:
-        return method
-    if not isinstance(method.make(), SupportsPriorWidth):
-        hint = (
-            "Leave --prior-range, --prior-height and --prior-yaw out; of many photos, or take --each-alone."
-        )
-        raise ConfigError(f"Method {method.kind.name} cannot be told how far off rough poses may be.", hint)
-    return method.for_prior(prior)
 
 
 def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path | None) -> PhotoRequest:
@@ -173,10 +155,8 @@ def _request(asked: argparse.Namespace, photo: Path, method: Method, masks: Path
     if asked.mask is None and masks is None and "mask" in method.requires:
         segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
     elif asked.method is None and method.name == _BY_PIXELS:
-        segmenter, by_mask = (
-            segmenter_of(FOR_PHOTOS),
-            _for_prior(configure_method({"name": _BY_MASK}), asked).make(),
-        )
+        segmenter = segmenter_of(FOR_PHOTOS)
+        by_mask = with_prior_width(configure_method({"name": _BY_MASK}), asked).make()
     own = {"photo": photo, "mask": asked.mask, "segmenter": segmenter, "seed": asked.seed}
     own |= {"method": method, "by_mask": by_mask}
     return PhotoRequest(**city_settings(asked), **rough_settings(asked), **own)

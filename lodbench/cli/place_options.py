@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from lodbench.cli.source_profiles import load_profile
 from lodbench.datasets.photo_pose import HeightOptions, HeightSource, RoughPlace
@@ -13,6 +13,9 @@ from lodbench.datasets.priors import UniformPrior
 from lodbench.errors import ConfigError, LodbenchError, require_choice, require_within
 from lodbench.geometry import Camera
 from lodbench.storage import can_write
+
+if TYPE_CHECKING:
+    from lodbench.methods.registry import ConfiguredMethod
 
 
 def add_city_options(parser: argparse.ArgumentParser) -> None:
@@ -98,15 +101,31 @@ def add_rough_pose_options(parser: argparse.ArgumentParser, title: str) -> None:
 
 def add_prior_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say how far off the rough pose may be."""
-    add = parser.add_argument_group(
-        "how far the rough pose may be off: the wider, the longer it takes"
-    ).add_argument
+    group = parser.add_argument_group("how far the rough pose may be off: the wider, the longer it takes")
+    add = group.add_argument
     add("--prior-range", type=float, metavar="M", help="+- east and north (10)")
     add("--prior-height", type=float, metavar="M", help="+- up (30)")
     add("--prior-yaw", type=float, metavar="DEG", help="+- heading (7.5; 180: not known)")
 
 
-def told_prior(asked: argparse.Namespace) -> UniformPrior | None:
+def with_prior_width(method: ConfiguredMethod, asked: argparse.Namespace) -> ConfiguredMethod:
+    """Returns a method told how far off the rough pose may be, where that was said.
+
+    Raises:
+        ConfigError: It is one that cannot be told.
+    """
+    from lodbench.methods.protocol import SupportsPriorWidth
+
+    prior = _told_prior(asked)
+    if prior is None:
+        return method
+    if not isinstance(method.make(), SupportsPriorWidth):
+        hint = "Leave --prior-range, --prior-height and --prior-yaw out; or take --each-alone."
+        raise ConfigError(f"Method {method.kind.name} cannot be told how far off rough poses may be.", hint)
+    return method.for_prior(prior)
+
+
+def _told_prior(asked: argparse.Namespace) -> UniformPrior | None:
     """Returns how far off the rough pose may be; None where no option of ``add_prior_options`` says.
 
     Raises:
