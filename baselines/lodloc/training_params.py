@@ -50,7 +50,7 @@ class LodLocTraining:
     data: str
     val_data: str | None = None
     out: str = "training"
-    epochs: int = 12
+    epochs: int = 14
     batch: int = 4
     lr: float = 3e-3
     size: int = 416

@@ -28,6 +28,7 @@ from lodbench.harness.tracebacks import told_as_fault
 from lodbench.methods import Estimate, Method
 from lodbench.methods.localize import localize
 from lodbench.methods.lodlocv2 import LodLocV2
+from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.reporting.answers import TRUSTED_OVERLAP, is_trusted
 from lodbench.segmentation import notes_of
@@ -191,17 +192,20 @@ def _notes(photo: PreparedPhoto, place: OpenMap, view: PhotoView, estimate: Esti
     if view.camera.distortion:
         notes.append(f"the lens distortion ({view.camera.lens}) was undone before localising")
     if not is_trusted(estimate.probability, estimate.score, view.mask is not None):
-        notes.append(_warning(estimate, view.mask is not None))
+        notes.append(
+            _warning(estimate, view.mask is not None, isinstance(request.method, SupportsPriorWidth))
+        )
     return tuple(notes)
 
 
-def _warning(estimate: Estimate, has_mask: bool) -> str:
+def _warning(estimate: Estimate, has_mask: bool, can_look_farther: bool) -> str:
     if has_mask and estimate.score < TRUSTED_OVERLAP:
         reason = f"mask and model overlap by {estimate.score:.2f} only: do not trust this pose"
     else:
         reason = f"this pose is right with a probability of {estimate.probability:.2f} only: do not trust it"
     mask = f"{'mend' if has_mask else 'make'} the mask (lodbench mask PHOTO) and give --mask FILE"
-    better = "give a better place, --height or --heading, or say how far off it may be (--prior-range)"
+    farther = ", say how far off it may be (--prior-range)" if can_look_farther else ""
+    better = f"give a better place, --height or --heading{farther}"
     return f"{reason}; look at the overlay, {better}, or {mask}"
 
 
