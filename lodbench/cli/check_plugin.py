@@ -38,7 +38,7 @@ def main(argv: Sequence[str]) -> int:
         "settings",
         nargs="*",
         metavar="KIND.KEY=VALUE",
-        help="its settings, as of a run: segmenter.weights=FILE",
+        help="of a segmenter, dataset or prior, as of a run: segmenter.weights=FILE",
     )
     parser.add_argument(
         "--sample", type=Path, metavar="FILE", help="of a city-reader or pose-format: a file to read"
@@ -49,20 +49,19 @@ def main(argv: Sequence[str]) -> int:
         from lodbench.cli.check_method import main as check_method
 
         return check_method([options.name, *options.settings, *(["--json"] if options.json else [])])
-    from lodbench.harness.conformance.checks import CONFIGURED
-
-    if options.settings and kinds.get(options.kind) not in CONFIGURED:
-        raise ConfigError(
-            f"A {options.kind} is checked without settings.", f"Leave {options.settings[0]} out."
-        )
-    if options.kind == _SOURCE:
-        checks = list(_source_checks(options.name))
-    elif options.kind in kinds:
-        checks = list(_checks(kinds[options.kind], options.name, options.settings, options.sample))
-    else:
+    if options.kind not in (*kinds, _SOURCE):
         raise ConfigError(
             f"There is no kind {options.kind!r}.", nearest_names(options.kind, [*kinds, _SOURCE])
         )
+    from lodbench.harness.conformance.checks import CONFIGURED
+
+    if options.settings and kinds.get(options.kind) not in CONFIGURED:
+        hint = f"Leave {options.settings[0]} out."
+        raise ConfigError(f"A {options.kind} is checked without settings.", hint)
+    if options.kind == _SOURCE:
+        checks = list(_source_checks(options.name))
+    else:
+        checks = list(_checks(kinds[options.kind], options.name, options.settings, options.sample))
     faults = [check for check in checks if check.status != OK]
     if options.json:
         lines = [json.dumps(asdict(check)) for check in checks]

@@ -21,6 +21,8 @@ _FLAGS = {
     "dataset.lod": "--lod",
 }
 _OPTIONS = {field.name: f"--option {field.name}" for field in fields(ReadOptions)}
+# These take settings as ``KEY=VALUE`` alone.
+_CHECKS = ("check-method", "check-plugin")
 # Settings of these are words of one option.
 _OF_PART = re.compile(r"(?<![\w.])(method|segmenter)\.(?=\w+=)")
 _ANY_SETTING = re.compile(r"(?<![\w./'\"-])([a-z][\w.]*)=(?=[^\s=])")
@@ -64,7 +66,11 @@ def in_syntax_of(words: Sequence[str], hint: str) -> str:
         'Give --root FOLDER.'
         >>> in_syntax_of(["localize", "a.jpg"], "Set segmenter=NAME, or: lodbench run method=region.")
         'Give --segmenter NAME, or: lodbench run method=region.'
+        >>> in_syntax_of(["check-plugin", "segmenter", "mine"], "Set segmenter.weights=FILE.")
+        'Set segmenter.weights=FILE.'
     """
+    if words[0] in _CHECKS:
+        return hint
     if words[0] in SETTINGS_COMMANDS:
         return _as_long_flags(words[0], hint) if has_flags_alone(words[1:]) else hint
     # Another command that a hint names in full keeps its own syntax.

@@ -190,8 +190,8 @@ def picture_to_open(runs: Sequence[Run]) -> str:
         return float(run.queries[ERROR[0]].fillna(math.inf).median())
 
     for run in sorted(runs, key=middle):
+        found = run.queries[is_answered(run.queries)]
         for split in reversed(run.splits):
-            found = run.queries[is_answered(run.queries)]
             for _, row in chosen_queries(found, split)["best"][:1].iterrows():
                 path = run.folder / "overlays" / overlay_name(split, "best", 1, row["query"])
                 if path.is_file():
