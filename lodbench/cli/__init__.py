@@ -95,11 +95,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     import logging
 
-    from lodbench.cli.console import PlainFormatter, report_fault
+    from lodbench.cli.console import PlainFormatter, SaidOnce, report_fault
     from lodbench.errors import LodbenchError
 
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(PlainFormatter())
+        logging.lastResort.filters[:] = [SaidOnce()]
     try:
         return _run(words)
     except LodbenchError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,11 @@ from lodbench.bench.budget import measure_budget
 from lodbench.bench.figures import Report
 from lodbench.bench.options import SEED
 from lodbench.bench.wide_priors import measure_wide_priors
+from lodbench.datasets.inputs import Input
 from lodbench.errors import ConfigError
 from lodbench.execution import ProgressCallback
 from lodbench.methods.registry import make_method
+from lodbench.synthesis.photo import look_ranges
 from lodbench.synthesis.views_dataset import AREAS, ViewsParams, World
 
 _WORLD = (
@@ -36,6 +39,8 @@ def add_views(actions: Any) -> None:
     accuracy.add_argument("--causes", action="store_true", help=why)
     limit = "with --causes: what the best estimate finds that knows map and noise, from so many masks a view"
     accuracy.add_argument("--limit", type=int, default=0, metavar="MASKS", help=limit)
+    looked = "draw photos in this look: plain, varied or hard (none), for methods that look at photos"
+    accuracy.add_argument("--look", help=looked)
     several = "city model, repeat for a table of several; the demo town"
     accuracy.add_argument("--city", type=Path, action="append", help=several)
     budget = actions.add_parser("budget", help="recall of both methods over the hypotheses they may render")
@@ -90,7 +95,12 @@ def accuracy(given: argparse.Namespace, steps: ProgressCallback) -> Report:
     """Returns what methods find, of one city, of several, or with causes of errors taken away."""
     # One named twice would count its views twice.
     methods = [make_method(name) for name in dict.fromkeys(given.method.split(","))]
-    drawn = [_views(given, city) for city in dict.fromkeys(given.city or [None])]
+    blind = [method.name for method in methods if Input.IMAGE in method.requires]
+    if blind and given.look is None:
+        raise ConfigError(f"{blind[0]} looks at photos, and no photos are drawn.", "Add --look hard.")
+    if given.look is not None:
+        look_ranges(given.look)  # not known: told before any city is read
+    drawn = [replace(_views(given, city), look=given.look) for city in dict.fromkeys(given.city or [None])]
     seeded = _seeds(given)
     if given.limit and (not given.causes or given.limit < _FEWEST_MASKS):
         raise ConfigError(

@@ -39,6 +39,21 @@ class PlainFormatter(logging.Formatter):
         return f"lodbench: {plain_text(record.getMessage())}"
 
 
+class SaidOnce(logging.Filter):
+    """Lets a warning pass once: what a command does city by city it need not say for each."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._said: set[str] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Returns whether a record's line is a new one."""
+        line = record.getMessage()
+        is_new = line not in self._said
+        self._said.add(line)
+        return is_new
+
+
 def report_fault(fault: LodbenchError) -> None:
     """Writes a fault to standard error: a line, or the lines it has, and its hint below."""
     sys.stderr.write(f"lodbench: {plain_lines(fault.message)}\n")

@@ -13,6 +13,7 @@ from lodbench.cli import bench_views, main
 from lodbench.errors import DatasetError
 from lodbench.evaluation.queries import ERROR
 from lodbench.methods.contour_alignment import ContourAlignment
+from lodbench.methods.registry import make_method
 from lodbench.synthesis.views_dataset import ViewsParams
 
 
@@ -75,6 +76,32 @@ def test_a_city_or_a_method_named_twice_counts_once(city, monkeypatch):
     asked = []
     monkeypatch.setattr(bench_views, "measure_accuracy", lambda *given: asked.append(given) or Report("", []))
     words = ["bench", "accuracy", "--city", str(city), "--city", str(city), "--method", "region,region"]
-    assert main([*words, "--views", "1"]) == 0
+    assert main([*words, "--views", "1", "--look", "hard"]) == 0
     ((views, _, methods, *_),) = asked
     assert (views.city_model, [method.name for method in methods]) == (str(city), ["region"])
+    assert views.look == "hard"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            ["--method", "contour_alignment,region"],
+            "region looks at photos, and no photos are drawn.\n  hint: Add --look hard.",
+        ),
+        (["--look", "pretty"], "There is no look pretty."),
+    ],
+)
+def test_methods_that_look_at_photos_need_a_look_that_there_is(options, said, capsys):
+    """A look that is not known left out one city after the other."""
+    assert main(["bench", "accuracy", "--city", "absent.gml", "--city", "gone.gml", *options]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_pixels_and_masks_are_measured_side_by_side_on_the_same_views(city):
+    views = ViewsParams(str(city), num_views=1, look="plain")
+    report = measure_cities([views], [0], [make_method("region"), ContourAlignment()], threads=1)
+    table = report.data.set_index(["tilt", "method"])
+    assert set(table.index) == {(t, m) for t in ("truth", "prior") for m in ("region", "contour_alignment")}
+    for _, of_tilt in table.groupby("tilt"):
+        assert of_tilt["prior_translation_error_m"].nunique() == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 from pathlib import Path
 
@@ -174,3 +175,18 @@ def test_a_closed_pipe_is_no_error(lodbench, tmp_path):
         text=True,
     )
     assert "Traceback" not in done.stderr
+
+
+def test_a_warning_is_said_once_in_a_command_and_again_in_the_next(capsys, monkeypatch):
+    """A table of thirteen cities said of each city's masks that they are scaled."""
+
+    def warn(words):
+        for number in (1, 1, 2):
+            logging.getLogger("lodbench.somewhere").warning("%d masks are scaled", number)
+        return 0
+
+    monkeypatch.setattr("lodbench.cli.status.main", warn)
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])  # pytest's: the command line has none
+    for _ in range(2):
+        assert main(["status"]) == 0
+        assert capsys.readouterr().err == "lodbench: 1 masks are scaled\nlodbench: 2 masks are scaled\n"
