@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from lodbench.harness.photo.many import Answers
     from lodbench.harness.photo.request import LocalizedPhoto
 
+# Lines about single answers that are not to be trusted: more stand in the table.
+_MOST_DOUBTS = 10
+
 
 def describe_many(answers: Answers, has_masks: bool) -> str:
     """Returns what flights say, a line per photo, what failed and why, and how many are to be trusted.
@@ -21,35 +24,51 @@ def describe_many(answers: Answers, has_masks: bool) -> str:
         answers: Of the photos.
         has_masks: Whether masks were given, which may be mended.
     """
-    rows = [["", "latitude", "longitude", "height m", "heading deg", "pitch deg", "moved m", "sure", "trust"]]
-    for answer in answers.photos:
-        row = answer.row()
-        cells = [
-            *((name, ".7f") for name in ("latitude_deg", "longitude_deg")),
-            *((name, ".2f") for name in ("height_m", "heading_deg", "pitch_deg", "moved_m", "probability")),
-        ]
-        texts = ["-" if row[name] is None else format(row[name], spec) for name, spec in cells]
-        rows.append([plain_text(str(answer.photo)), *texts, answer.trust])
     lines = [] if not answers.flights else [*_flight_lines(answers), ""]
-    lines += [format_columns(rows), ""]
+    lines += [_photo_table(answers), ""]
     lines += [
         f"failed: {plain_text(str(a.photo))}: {plain_text(a.failure)}"
         for a in answers.photos
         if a.found is None
     ]
-    shared = [set(answer.found.notes) for answer in answers.photos if answer.found is not None]
+    shared = [set(found.notes) for found in answers.found]
     lines += [f"note: {note}" for note in sorted(set.intersection(*shared))] if shared else []
-    good = sum(answer.found is not None and answer.found.is_trusted for answer in answers.photos)
-    failed = sum(answer.found is None for answer in answers.photos)
-    doubted = len(answers.photos) - good - failed
+    lines += _doubt_lines(answers)
+    doubted = sum(not found.is_trusted for found in answers.found)
+    good, failed = len(answers.found) - doubted, len(answers.photos) - len(answers.found)
     lines.append(f"{len(answers.photos)} photos: {good} found, {doubted} not to be trusted, {failed} failed")
     if doubted:
         helps = "mending their masks (lodbench mask PHOTO)" if has_masks else "a mask of each (--masks DIR)"
-        lines.append(f"Look at the overlays of those not to be trusted; {helps} helps most.")
+        # Flights look as far as they must.
+        farther = (
+            "" if answers.flights else " say so if they may be farther off (--prior-range, --prior-yaw);"
+        )
+        lines.append(f"Look at the overlays of those not to be trusted;{farther} {helps} helps most.")
     files = [("table", answers.table), ("map", answers.map)]
     files += [("page", answers.page(flight)) for flight in answers.flights]
     files += [("in 3D", answers.view)] if answers.found else []
     return "\n".join([*lines, *(f"{name + ':':<9} {path}" for name, path in files)]) + "\n"
+
+
+def _photo_table(answers: Answers) -> str:
+    rows = [["", "latitude", "longitude", "height m", "heading deg", "pitch deg", "moved m", "sure", "trust"]]
+    cells = [
+        *((name, ".7f") for name in ("latitude_deg", "longitude_deg")),
+        *((name, ".2f") for name in ("height_m", "heading_deg", "pitch_deg", "moved_m", "probability")),
+    ]
+    for answer in answers.photos:
+        row = answer.row()
+        texts = ["-" if row[name] is None else format(row[name], spec) for name, spec in cells]
+        rows.append([plain_text(str(answer.photo)), *texts, answer.trust])
+    return format_columns(rows)
+
+
+def _doubt_lines(answers: Answers) -> list[str]:
+    """Returns what the method says of answers that are not to be trusted: why they may be wrong."""
+    doubted = [(a.photo, a.found) for a in answers.photos if a.found is not None and not a.found.is_trusted]
+    lines = [plain_text(f"{photo}: {note}") for photo, found in doubted for note in found.method_notes]
+    more = len(lines) - _MOST_DOUBTS
+    return lines if more <= 0 else [*lines[:_MOST_DOUBTS], f"and {more} more such notes in the table"]
 
 
 def _flight_lines(answers: Answers) -> list[str]:

@@ -248,3 +248,33 @@ def test_the_map_s_footprint_holds_what_the_middle_of_the_picture_shows(capsys, 
     (footprint,) = (shape(f["geometry"]) for f in features if f["properties"].get("kind") == "footprint")
     (view,) = (f for f in features if f["properties"].get("kind") == "view")
     assert footprint.buffer(1e-4).contains(Point(view["geometry"]["coordinates"][-1]))
+
+
+def test_why_answers_are_not_to_be_trusted_is_said_photo_by_photo(
+    capsys, case, flight, tmp_path, monkeypatch
+):
+    """Of many photos only the probability was told; that a heading was 25 degrees off stood in each JSON."""
+    monkeypatch.setattr("lodbench.cli.localize_text._MOST_DOUBTS", 1)
+    out, masks = tmp_path / "out", flight / "masks"
+    heading = case.frame.place_of(case.truth).heading_deg + 25.0
+    words = [
+        flight / "a",
+        flight / "b",
+        "--city",
+        case.city,
+        "--masks",
+        masks,
+        "--out",
+        out,
+        "--heading",
+        heading,
+    ]
+    assert main(["localize", *map(str, words), "--each-alone"]) == 3
+    told = capsys.readouterr().out
+    assert "3 photos: 0 found, 2 not to be trusted, 1 failed" in told
+    assert f"{flight}/a/DJI_0001.JPG: the answer lies beyond the range" in told
+    assert "and 1 more such notes in the table" in told
+    assert "may be farther off (--prior-range, --prior-yaw); mending their masks" in told
+    with (out / "localized.csv").open() as stream:
+        notes = [row["notes"] for row in csv.DictReader(stream)]
+    assert [note.count("yaw") for note in notes] == [1, 1, 0]

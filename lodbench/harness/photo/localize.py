@@ -144,6 +144,7 @@ def write_answer(
         overlay=overlay,
         geojson=geojson,
         notes=_notes(photo, place, view, estimate),
+        method_notes=estimate.notes,
         features=tuple(features),
         thumbnail=view.thumbnail(),
     )

@@ -22,7 +22,7 @@ from lodbench.storage import hide_formula, make_folder, write_text
 TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
 COLUMNS = (
     "photo", "latitude_deg", "longitude_deg", "height_m", "heading_deg", "pitch_deg", "roll_deg", "crs",
-    "east", "north", "up", "score", "probability", "trust", "moved_m", "failure", "flight",
+    "east", "north", "up", "score", "probability", "trust", "moved_m", "failure", "flight", "notes",
 )  # fmt: skip
 
 
@@ -56,6 +56,7 @@ class PhotoAnswer:
             values |= {} if self.found.place is None else self.found.place._asdict()
             values |= dict(zip(("east", "north", "up"), map(float, self.found.pose.center), strict=True))
             values |= {"crs": self.found.crs, "score": self.found.score}
+            values["notes"] = "; ".join(self.found.method_notes)
             values |= {"probability": self.found.probability, "moved_m": self.found.moved.translation_m}
         return values
 
@@ -173,7 +174,8 @@ def _write_table(path: Path, answers: Sequence[PhotoAnswer]) -> None:
     import pandas as pd
 
     frame = pd.DataFrame([answer.row() for answer in answers], columns=list(COLUMNS))
-    frame[["photo", "failure"]] = frame[["photo", "failure"]].map(hide_formula)
+    texts = ["photo", "failure", "notes"]
+    frame[texts] = frame[texts].fillna("").map(hide_formula)
     write_text(path, str(frame.to_csv(index=False, lineterminator="\n")))
 
 

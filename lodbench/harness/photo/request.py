@@ -64,6 +64,7 @@ class LocalizedPhoto:
         overlay: Picture written.
         geojson: Map written, or None without a reference system.
         notes: What the reader should know.
+        method_notes: Those of them that the method gives to this very answer.
         features: Of the map.
         thumbnail: A small JPEG of the photo as the pinhole sees it; None where it cannot be decoded.
     """
@@ -87,6 +88,7 @@ class LocalizedPhoto:
     overlay: Path
     geojson: Path | None
     notes: tuple[str, ...]
+    method_notes: tuple[str, ...] = ()
     features: tuple[dict[str, Any], ...] = ()
     thumbnail: bytes | None = None
 
