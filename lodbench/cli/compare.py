@@ -15,7 +15,7 @@ from lodbench.harness.results import summary_at
 from lodbench.harness.runs.budget import budget_panels
 from lodbench.harness.runs.compare import agreement, paired_comparison, require_same_queries
 from lodbench.harness.runs.comparison_page import comparison_page
-from lodbench.harness.runs.stored import StoredRun, read_run
+from lodbench.harness.runs.stored import StoredRun, read_whole_run, require_writable
 from lodbench.harness.runs.verify import changed_files
 from lodbench.reporting.answers import format_answers
 from lodbench.reporting.calibration_figures import draw_budget
@@ -40,7 +40,8 @@ these differ, and the rows then say which they have. Examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
-    runs = [read_run(folder) for folder in options.runs]
+    require_writable(options.out, options.runs)
+    runs = [read_whole_run(folder) for folder in options.runs]
     for run in runs:
         for line in changed_files(run):
             sys.stderr.write(f"lodbench: {run.folder}: {line}: edited by hand?\n")

@@ -11,10 +11,10 @@ from lodbench.citymodel.scene import Scene
 from lodbench.cli.parser import Parser
 from lodbench.cli.verify import add_path_options, reopen_dataset
 from lodbench.datasets.query import Dataset
-from lodbench.errors import DatasetError
+from lodbench.errors import ConfigError, DatasetError
 from lodbench.harness.city import open_city
 from lodbench.harness.export.export import CITY, CRS, Export, Exported, export_run, make_format
-from lodbench.harness.runs.stored import read_run
+from lodbench.harness.runs.stored import read_whole_run, require_writable
 from lodbench.plugins import blaming, plugin_names
 
 _EPILOG = """\
@@ -28,9 +28,14 @@ frame; `rerun FILE` opens it.
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    run = read_run(asked.run)
+    require_writable(None if asked.out is None or asked.out.is_dir() else asked.out, [asked.run])
+    run = read_whole_run(asked.run)
     form = make_format(asked.format)
     needs = set(form.requires) - ({CRS} if asked.crs is not None else set())
+    if not needs and (asked.dataset_root or asked.city_model):
+        raise ConfigError(
+            f"--format {asked.format} needs poses alone.", "Leave --dataset-root and --city out."
+        )
     dataset = reopen_dataset(asked.run, asked.dataset_root, asked.city_model) if needs else None
     city = None
     if dataset is not None and (CITY in needs or (CRS in needs and dataset.city_model is not None)):

@@ -20,6 +20,8 @@ _FLAGS = {
     "dataset.crs": "--crs",
     "dataset.lod": "--lod",
 }
+# Commands that read a finished run: where the data lies now is not what they are about.
+_OF_RUNS = ("verify", "report", "export", "leaderboard")
 _OPTIONS = {field.name: f"--option {field.name}" for field in fields(ReadOptions)}
 # These take settings as ``KEY=VALUE`` alone.
 _CHECKS = ("check-method", "check-plugin")
@@ -68,6 +70,8 @@ def in_syntax_of(words: Sequence[str], hint: str) -> str:
         'Give --segmenter NAME, or: lodbench run method=region.'
         >>> in_syntax_of(["check-plugin", "segmenter", "mine"], "Set segmenter.weights=FILE.")
         'Set segmenter.weights=FILE.'
+        >>> in_syntax_of(["verify", "RUN"], "Set dataset.root=FOLDER.")
+        'Give --dataset-root FOLDER.'
     """
     if words[0] in _CHECKS:
         return hint
@@ -75,7 +79,8 @@ def in_syntax_of(words: Sequence[str], hint: str) -> str:
         return _as_long_flags(words[0], hint) if has_flags_alone(words[1:]) else hint
     # Another command that a hint names in full keeps its own syntax.
     own, named, rest = _NAMED.split(hint, maxsplit=1) if _NAMED.search(hint) else (hint, "", "")
-    return in_flags(own) + named + rest
+    own = in_flags(own)
+    return (own.replace("--root ", "--dataset-root ") if words[0] in _OF_RUNS else own) + named + rest
 
 
 def _as_long_flags(command: str, hint: str) -> str:

@@ -233,6 +233,11 @@ def explained(error: Exception, config_name: str) -> ConfigError:
         return ConfigError(
             f"{merged[1]} is of another kind than its setting.", f"lodbench {config_name} --help"
         )
+    several = re.search(r"Ambiguous value for argument '([^'=]+)=([^']*)'", text)
+    if several:
+        name, values = several.groups()
+        hint = f"Add --multirun for a run of each, or write {name}=[{values}] for a list."
+        return ConfigError(f"{name}={values} has several values.", hint)
     if isinstance(error, OverrideParseException):
         for word in sys.argv[1:]:
             if not word.startswith("-") and not _is_override(word):

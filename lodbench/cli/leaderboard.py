@@ -16,7 +16,14 @@ from lodbench.evaluation.queries import has_truth
 from lodbench.harness.runs.result import split_digest
 from lodbench.harness.runs.verify import Verdict
 from lodbench.reporting.leaderboard import build_leaderboard
-from lodbench.reporting.leaderboard_entry import entry_path, entry_text, measured_entry, reasons_against
+from lodbench.reporting.leaderboard_entry import (
+    Entry,
+    entry_path,
+    entry_text,
+    measured_entry,
+    read_entries,
+    reasons_against,
+)
 from lodbench.storage import make_folder, write_text
 
 
@@ -25,6 +32,8 @@ def main(argv: Sequence[str]) -> int:
     options = _parser().parse_args(argv)
     if options.action == "build":
         return _build(options.root, options.check)
+    for run in options.runs:
+        read_config(run)  # all of them are runs, or nothing is stored
     return max(_add(run, options) for run in options.runs)
 
 
@@ -70,10 +79,27 @@ def _add(run: Path, options: argparse.Namespace) -> int:
         reasons=reasons,
     )
     text, path = entry_text(entry), entry_path(options.root, entry)
+    twin = _twin(options.root, path, entry)
+    if twin is not None:
+        raise DatasetError(f"{run} is a copy of a run that has an entry: {twin}.", "An answer ranks once.")
     make_folder(path.parent)
     write_text(path, text)
     sys.stdout.write(f"{path}\n" + "".join(f"  kept out of the ranking: {reason}\n" for reason in reasons))
     return 0
+
+
+def _twin(root: Path, path: Path, entry: Entry) -> Path | None:
+    """Returns another entry of the very same files, or None."""
+    files = entry["provenance"]["files"]
+    for other in read_entries(root) if (root / "entries").is_dir() else ():
+        place = path.with_name(other["file"])
+        if (
+            place != path
+            and other["dataset"] == entry["dataset"]
+            and other["provenance"].get("files") == files
+        ):
+            return place
+    return None
 
 
 def _sizes(verdict: Verdict) -> dict[str, int] | None:

@@ -83,7 +83,10 @@ class Parser(argparse.ArgumentParser):
             ConfigError: Always.
         """
         text = message.replace("the following arguments are required:", "these words are missing:")
-        raise ConfigError(f"{self.prog}: {text.rstrip('.')}.", f"{self.prog} --help says how it is used.")
+        # An option of several words takes those after it as well.
+        first = "They come before the options. " if "missing: " in text and "missing: -" not in text else ""
+        hint = f"{first}{self.prog} --help says how it is used."
+        raise ConfigError(f"{self.prog}: {text.rstrip('.')}.", hint)
 
 
 class OldName(argparse.Action):

@@ -12,6 +12,7 @@ from lodbench.harness.runs.answer import FLIGHTS_FOLDER
 from lodbench.harness.runs.flight_pages import flight_findings, pages_of_run
 from lodbench.harness.runs.places import scene_of, view_of_run
 from lodbench.harness.runs.report import run_report, title_of
+from lodbench.harness.runs.stored import require_writable
 from lodbench.storage import write_text
 
 
@@ -27,6 +28,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (report.html in the run folder)")
     add_path_options(parser)
     options = parser.parse_args(argv)
+    require_writable(options.out, [options.run])
     verdict = verify_folder(options.run, options.dataset_root, options.city_model)
     out = options.out or options.run / "report.html"
     tilt = str(read_config(options.run)["tilt"])

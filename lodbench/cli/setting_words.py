@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 
 from lodbench.cli.parser import tell_old_name
@@ -40,7 +41,8 @@ def settings_of(command: str, words: Sequence[str]) -> list[str]:
 def _as_setting(command: str, word: str, rest: list[str]) -> str:
     """Returns ``--key value`` and ``--key=value`` as ``key=value``; takes the value from the words left."""
     name, equals, value = word.lstrip("-").partition("=")
-    if not word.startswith("--") or not name:
+    is_misspelt = not equals and difflib.get_close_matches(word, _FLAGS, n=1, cutoff=0.8)
+    if not word.startswith("--") or not name or is_misspelt:
         raise ConfigError(f"lodbench {command} has no option {word}.", nearest_names(word, _FLAGS))
     if not equals:
         if not rest or rest[0].startswith("--"):

@@ -6,22 +6,32 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from lodbench.cli.console import report_fault
 from lodbench.cli.parser import Parser
+from lodbench.errors import DatasetError
 from lodbench.execution.progress import format_seconds
 from lodbench.harness.runs.status import RunStatus, find_runs, read_status
 from lodbench.reporting.safe_text import plain_text
 
 
 def main(argv: Sequence[str]) -> int:
-    """Runs the command; returns the exit code."""
+    """Runs the command; returns the exit code: 2 if a folder holds no run that can be read."""
     parser = Parser("lodbench status", description="Say how far runs are; they may be going on meanwhile.")
     parser.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="run folders, or one that holds them"
     )
+    code = 0
     for folder in parser.parse_args(argv).runs:
         for run in find_runs(folder):
-            sys.stdout.write(describe(read_status(run)))
-    return 0
+            try:
+                sys.stdout.write(describe(read_status(run)))
+            except DatasetError as fault:
+                if run == folder:
+                    raise
+                # One that is damaged is no reason to hide those beside it.
+                report_fault(fault)
+                code = 2
+    return code
 
 
 def describe(status: RunStatus) -> str:

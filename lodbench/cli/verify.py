@@ -16,7 +16,7 @@ from lodbench.cli.parser import OldName, Parser
 from lodbench.cli.run_dataset import with_prior, with_source
 from lodbench.datasets.query import Dataset
 from lodbench.datasets.registry import dataset_settings, open_dataset
-from lodbench.errors import DatasetError, LodbenchError
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.evaluation.queries import has_truth
 from lodbench.harness.runs.named_paths import is_own, without_paths
 from lodbench.harness.runs.status import PLAN_FILE
@@ -55,6 +55,7 @@ def verify_folder(folder: Path, dataset_root: str | None = None, city_model: str
         LodbenchError: The run cannot be read, or the data at a given place cannot.
     """
     config = read_config(folder)
+    _require_useful(config, dataset_root, city_model)
     opened = _opened(folder, config, dataset_root, city_model)
     try:
         dataset = _reopen(folder, opened.config, opened.root, opened.city_if_there())
@@ -76,7 +77,9 @@ def reopen_dataset(folder: Path, dataset_root: str | None = None, city_model: st
     Raises:
         LodbenchError: The run or the data cannot be read, or only a stranger's run names their place.
     """
-    opened = _opened(folder, read_config(folder), dataset_root, city_model)
+    config = read_config(folder)
+    _require_useful(config, dataset_root, city_model)
+    opened = _opened(folder, config, dataset_root, city_model)
     try:
         return _reopen(folder, opened.config, opened.root, opened.city)
     except LodbenchError as error:
@@ -85,9 +88,26 @@ def reopen_dataset(folder: Path, dataset_root: str | None = None, city_model: st
         raise DatasetError(f"{folder} names paths that were not opened.", f"{_NOT_OWN}.") from error
 
 
+def _require_useful(config: dict[str, Any], root: str | None, city: str | None) -> None:
+    """Checks the places that are said to be the data's now.
+
+    Raises:
+        ConfigError: The run's dataset has none there to be.
+        DatasetError: There is nothing.
+    """
+    known = dataset_settings(config["dataset"]["name"])
+    for option, path, setting in (("--dataset-root", root, "root"), ("--city", city, "city_model")):
+        if path is not None and setting not in known:
+            raise ConfigError(
+                f"{option} is of no use: dataset={config['dataset']['name']} is built in.", "Leave it out."
+            )
+        if path is not None and not Path(path).exists():
+            raise DatasetError(f"{path} does not exist.", f"Check the path after {option}.")
+
+
 _NOT_OWN = (
     "the run was made elsewhere or by an older version, so no path that it names was opened; "
-    "--dataset-root and --city-model name them"
+    "--dataset-root and --city name them"
 )
 
 

@@ -57,7 +57,8 @@ def match_poses(found: Sequence[FoundPose], entries: Sequence[Entry], format_nam
             if key in places:
                 raise DatasetError(f"{where}: {key} has a pose already, from {places[key]}.")
             places[key], poses[key] = where, pose
-    return Matched(poses, _note_unknown(unknown))
+    loose = [pose for pose in found if pose.name not in index and pose not in unknown]
+    return Matched(poses, (*_note_loose(loose, index), *_note_unknown(unknown)))
 
 
 def suspect_convention(
@@ -127,6 +128,14 @@ def _by_order(found: Sequence[FoundPose], entries: Sequence[Entry]) -> Matched:
         raise DatasetError("The timestamps do not increase, and they are no names of queries.")
     poses = {entry.key: pose.pose for entry, pose in zip(entries, found, strict=True)}
     return Matched(poses, ("the timestamps are no names: poses were taken in the order of the queries",))
+
+
+def _note_loose(loose: Sequence[FoundPose], index: Mapping[str, list[str]]) -> tuple[str, ...]:
+    if not loose:
+        return ()
+    first = loose[0].name
+    example = f"{first} as {_candidates(index, first)[0]}"
+    return (f"{len(loose)} of the file's names were taken by their file name alone: {example}",)
 
 
 def _note_unknown(unknown: Sequence[FoundPose]) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 from uuid import uuid4
 
-from lodbench.errors import WorkersGone
+from lodbench.errors import ConfigError, WorkersGone
 from lodbench.execution.fan_out import KEEP_DYING, KEEP_DYING_HINT, begin
 from lodbench.extras import require
 
@@ -109,7 +109,7 @@ def dask_workers(
     """Opens the cluster at an address, or one of its own on this machine.
 
     Raises:
-        ConfigError: Dask is not installed.
+        ConfigError: Dask is not installed, or the address is none.
         WorkersGone: The scheduler is not there.
     """
     distributed = require("distributed", "cluster", "executor=dask")
@@ -117,8 +117,19 @@ def dask_workers(
     try:
         if address is None:
             own = _own_cluster(distributed, workers)
+        else:
+            # Of a scheduler that goes it logs tracebacks beside the one line that says so.
+            for name in ("distributed", "distributed.client", "distributed.core"):
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             client = distributed.Client(address or own, timeout=_CONNECT_S)
+        except (TypeError, ValueError) as error:
+            if address is None:
+                raise
+            raise ConfigError(
+                f"executor.address={address} is no address of a Dask scheduler: {error}.",
+                "It looks like tcp://HOST:8786; `dask scheduler` prints its own.",
+            ) from error
         except OSError as error:
             if address is None or error.errno is not None:
                 raise

@@ -14,13 +14,13 @@ from lodbench.datasets.registry import dataset_opener
 from lodbench.errors import ConfigError, nearest_names
 from lodbench.evaluation.queries import has_truth, summarize_queries
 from lodbench.evaluation.recall import DEFAULT_THRESHOLDS, Threshold
-from lodbench.harness.runs.stored import StoredRun, read_run
+from lodbench.harness.runs.stored import StoredRun, read_whole_run
 from lodbench.methods import Method
 from lodbench.methods.registry import configure_method
 from lodbench.reporting.leaderboard import blocks_of, leaderboard_frame
 from lodbench.reporting.leaderboard_entry import read_entries, slug
 from lodbench.reporting.summaries import with_seconds
-from lodbench.reporting.tables import tables_of
+from lodbench.reporting.tables import frame_of, tables_of
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.choice import chosen_segmenter
 from lodbench.segmentation.registry import make_segmenter
@@ -36,7 +36,7 @@ def load_run(folder: str | Path) -> StoredRun:
     Raises:
         DatasetError: The folder holds no run, or a file of it cannot be read.
     """
-    return read_run(folder)
+    return read_whole_run(folder)
 
 
 def run_method(
@@ -90,7 +90,7 @@ def run_method(
     # Through JSON: tuples are lists in a file.
     write_artefacts(done, yaml.safe_dump(json.loads(json.dumps(config)), sort_keys=True, allow_unicode=True))
     write_overlays(done, done.preparation, done.scorer)
-    return read_run(done.folder)
+    return read_whole_run(done.folder)
 
 
 def _opened(dataset: str | Path | Dataset, city: str | Path | None) -> tuple[Dataset, dict[str, Any]]:
@@ -138,13 +138,10 @@ def compare(
     Raises:
         DatasetError: A folder holds no run.
     """
-    import pandas as pd
-
-    stored = [run if isinstance(run, StoredRun) else read_run(run) for run in runs]
+    stored = [run if isinstance(run, StoredRun) else read_whole_run(run) for run in runs]
     if not stored:
         raise ConfigError("There are no runs to compare.")
-    tables = tables_of([summary_at(run, thresholds) for run in stored])
-    return pd.concat([table.frame().assign(protocol=table.title) for table in tables], ignore_index=True)
+    return frame_of(tables_of([summary_at(run, thresholds) for run in stored]))
 
 
 def leaderboard(dataset: str, root: str | Path = "leaderboard") -> pd.DataFrame:

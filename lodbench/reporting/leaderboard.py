@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lodbench.citymodel.lods import lod_in_words
 from lodbench.reporting.leaderboard_entry import Entry, read_entries, slug
 from lodbench.reporting.page import facts, markup, rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
@@ -187,7 +188,8 @@ def _block(key: tuple[int, str, str], members: list[Entry]) -> Block:
         title = f"Reported by the paper, {name}; not measured here, not ranked"
         return Block(title, tuple(members), (None,) * len(members))
     protocol = members[0]["protocol"]
-    said = f"tilt={protocol['tilt']} · segmenter={protocol['segmenter']} · protocol {name}"
+    lod = f"{lod_in_words(str(protocol['lod']))} · " if protocol.get("lod") else ""
+    said = f"{lod}tilt={protocol['tilt']} · segmenter={protocol['segmenter']} · protocol {name}"
     members = sorted(members, key=_standing)
     if kind == 1:
         return Block(f"Kept apart: {reasons} · {said}", tuple(members), (None,) * len(members))
@@ -219,7 +221,18 @@ def _standing(entry: Entry) -> tuple[float | str, ...]:
 
 def _table(block: Block) -> RecallTable:
     lines = [_line(entry, rank) for entry, rank in zip(block.entries, block.ranks, strict=True)]
+    words = [line.label.partition(". ")[2] or line.label for line in lines]
+    lines = [
+        line if line.group or words.count(word) == 1 else line._replace(label=f"{line.label} [{_own(entry)}]")
+        for line, word, entry in zip(lines, words, block.entries, strict=True)
+    ]
     return RecallTable(plain_text(block.title), tuple(lines), _columns(block))
+
+
+def _own(entry: Entry) -> str:
+    """Returns what tells an entry from others of its method: the run's folder, and its seeds."""
+    seeds = " ".join(map(str, entry["protocol"]["seeds"]))
+    return plain_text(f"{entry['provenance']['run']}, seed {seeds}" if seeds else entry["provenance"]["run"])
 
 
 def _page_table(block: Block) -> RecallTable:

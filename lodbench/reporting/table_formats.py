@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from lodbench.reporting.page import rendered
 from lodbench.reporting.safe_text import csv_cell, plain_text
 from lodbench.reporting.table_columns import Column
-from lodbench.reporting.tables import Line, RecallTable
+from lodbench.reporting.tables import Line, RecallTable, frame_of
 
 
 def format_text(table: RecallTable) -> str:
@@ -44,9 +44,7 @@ def format_markdown(table: RecallTable) -> str:
 
 def format_csv(*tables: RecallTable) -> str:
     """Returns tables as one CSV, a line per method and split, every number to ten digits, under one head."""
-    import pandas as pd
-
-    frame = pd.concat([table.frame().assign(protocol=table.title) for table in tables], ignore_index=True)
+    frame = frame_of(tables)
     frame.insert(0, "protocol", frame.pop("protocol"))
     words = ["protocol", "group", "method", "split"]
     frame[words] = frame[words].map(csv_cell)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lodbench.citymodel.lods import lod_in_words
 from lodbench.reporting.safe_text import plain_text
 from lodbench.reporting.split_numbers import mean_numbers, numbers_of, require_one_run_a_seed
 from lodbench.reporting.table_columns import Column, columns_named, paper_columns
+from lodbench.storage import digest_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,11 +52,14 @@ class RecallTable:
         title: What the lines have in common: dataset, tilt, segmenter, seed.
         lines: Top to bottom; the priors' first, where there is one.
         columns: Columns of each split; empty for the paper's.
+        protocol: The title and a digest of all that the lines share, where that is more: only rows of one
+            protocol compare.
     """
 
     title: str
     lines: tuple[Line, ...]
     columns: tuple[Column, ...] = ()
+    protocol: str = ""
 
     def __repr__(self) -> str:
         return f"RecallTable({self.title}, {len(self.lines)} lines)"
@@ -91,19 +95,18 @@ class RecallTable:
         Raises:
             ConfigError: There is neither.
         """
-        return RecallTable(self.title, self.lines, columns_named(name, self.labels(), self.numbers()))
+        return replace(self, columns=columns_named(name, self.labels(), self.numbers()))
 
     def by_split(self) -> list[RecallTable]:
         """Returns a table of each split."""
         return [
-            RecallTable(
-                self.title,
-                tuple(
+            replace(
+                self,
+                lines=tuple(
                     line._replace(splits={split: line.splits[split]})
                     for line in self.lines
                     if split in line.splits
                 ),
-                self.columns,
             )
             for split in self.splits
         ]
@@ -149,7 +152,18 @@ def tables_of(
         inputs = [str(summary["dataset"].get(name, "")) for name in _fixed_inputs(summary, free)]
         renderer = "" if "renderer" in free else str(summary["protocol"].get("renderer", ""))
         groups.setdefault((title_of(summary, free), renderer, *inputs), []).append(summary)
-    return [_table(title, members, free, over_seeds) for (title, *_), members in groups.items()]
+    return [
+        replace(_table(shared[0], members, free, over_seeds), protocol=f"{shared[0]} · {digest_of(shared)}")
+        for shared, members in groups.items()
+    ]
+
+
+def frame_of(tables: Sequence[RecallTable]) -> pd.DataFrame:
+    """Returns every number of some tables: those of ``RecallTable.frame``, and the column ``protocol``."""
+    import pandas as pd
+
+    frames = [table.frame().assign(protocol=table.protocol or table.title) for table in tables]
+    return pd.concat(frames, ignore_index=True)
 
 
 def title_of(summary: dict[str, Any], free: Collection[str] = ()) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -84,3 +85,25 @@ def test_an_empty_leaderboard_is_one_line(lodbench):
     done = lodbench("leaderboard", "build")
     assert done.returncode == 2
     assert "holds no entries" in done.stderr
+
+
+def test_copies_rank_once_and_seeds_are_told_apart(lodbench, tmp_path, data):
+    """Three copies of a run were ranked 1, 1, 1, and the next one 4th."""
+    honest = run(lodbench, tmp_path, data)
+    other = run(lodbench, tmp_path, data, "seed=1")
+    twin = shutil.copytree(tmp_path / honest, tmp_path / "twin")
+    assert lodbench("leaderboard", "add", str(honest), str(other)).returncode == 0
+    done = lodbench("leaderboard", "add", str(twin))
+    assert done.returncode == 2
+    assert "is a copy of a run that has an entry" in done.stderr
+    assert len(entries(tmp_path)) == 2
+    assert lodbench("leaderboard", "build").returncode == 0
+    text = (tmp_path / "leaderboard" / "folder.md").read_text()
+    assert "seed 0]" in text
+    assert "seed 1]" in text
+
+
+def test_nothing_is_added_where_one_of_the_words_is_no_run(lodbench, tmp_path, data):
+    honest = run(lodbench, tmp_path, data)
+    assert lodbench("leaderboard", "add", str(honest), "nosuch").returncode == 2
+    assert entries(tmp_path) == []

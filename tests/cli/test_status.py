@@ -46,3 +46,13 @@ def test_an_answer_of_another_form_is_one_line(lodbench, tmp_path):
     ledger.record("a", {**Prediction(None, "no mask").to_json(), "failure": [[]]})
     done = lodbench("status", str(tmp_path))
     assert (done.returncode, "a is no prediction" in done.stderr) == (2, True)
+
+
+def test_a_damaged_run_does_not_hide_those_after_it(lodbench, tmp_path):
+    for name, text in (("a", "{"), ("b", '{"queries": ["x"]}')):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "plan.json").write_text(text)
+    done = lodbench("status", str(tmp_path / "runs"))
+    assert done.returncode == 2
+    assert "a holds no run" in done.stderr
+    assert "b: 0 of 1 queries, unfinished" in done.stdout

@@ -237,3 +237,86 @@ def test_one_file_name_in_two_splits_is_read_back(lodbench, tmp_path):
         assert second[split]["num_queries"] == 2
         assert second[split]["num_failed"] == 0
         assert second[split]["median_translation_m"] == pytest.approx(first[split]["median_translation_m"])
+
+
+@pytest.mark.parametrize("left", ["", None], ids=["empty", "gone"])
+def test_a_run_without_its_ledger_is_not_wholly_verified_and_does_not_rank(lodbench, run, tmp_path, left):
+    """Probabilities of 1 everywhere were verified, and ranked."""
+    ledger = run / "predictions.jsonl"
+    ledger.unlink() if left is None else ledger.write_text(left)
+    done = lodbench("verify", str(run))
+    assert done.returncode == 0
+    assert "note: predictions.jsonl is missing: scores, probabilities and masks are those of" in done.stdout
+    added = lodbench("leaderboard", "add", str(run), "--root", str(tmp_path / "board"))
+    assert "kept out of the ranking: not wholly verified: predictions.jsonl is missing" in added.stdout
+
+
+@pytest.mark.parametrize("command", ["verify", "report", "compare"])
+@pytest.mark.parametrize(
+    ("pattern", "new", "said"),
+    [
+        (r"(view_00.png.*\n)", r"\1\1", "queries.csv: data/view_00.png occurs twice."),
+        (r"(view_00.png,data),[\d.]+", r"\1,-5", "line 2: -5 is not a finite number from 0 to inf."),
+    ],
+)
+def test_rows_that_no_run_writes_are_one_line(lodbench, run, command, pattern, new, said):
+    change(run / "queries.csv", pattern, new)
+    done = lodbench(command, str(run))
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert said in done.stderr
+
+
+@pytest.mark.parametrize("words", [["compare", "RUN"], ["export", "RUN", "--format", "csv"]])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("queries.csv", "has 2 queries of data with a truth, summary.json counts 3."),
+        ("poses.txt", "poses.txt: view_09.png is no query of queries.csv."),
+    ],
+)
+def test_a_run_that_lacks_rows_makes_no_table_and_no_export(lodbench, run, words, name, said):
+    """24 of 40 rows were compared with 40 of another run, and exported without a word."""
+    if name == "queries.csv":
+        change(run / name, r"view_00.png.*\n", "")
+    else:
+        change(run / name, r"view_00", "view_09")
+    done = lodbench(*(str(run) if word == "RUN" else word for word in words))
+    assert done.returncode == 2, done.stdout
+    assert said in done.stderr
+    assert not (run / "export").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "out", "said"),
+    [
+        (["compare"], "summary.json", "is what the run itself wrote"),
+        (["report"], "poses.txt", "is what the run itself wrote"),
+        (["export", "--format", "csv"], "queries.csv", "is what the run itself wrote"),
+        (["report"], ".", "is a folder"),
+        (["compare"], "", "is a folder"),
+    ],
+)
+def test_a_run_s_own_files_are_not_written_over(lodbench, run, words, out, said):
+    before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    target = str(run / out) if out else ""
+    done = lodbench(words[0], str(run), *words[1:], "--out", target)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ["verify", "RUN", "--city", "nosuch.gml"],
+            "nosuch.gml does not exist.",
+        ),
+        (["report", "RUN", "--dataset-root", "nosuch"], "Check the path after --dataset-root."),
+        (["export", "RUN", "--format", "tum", "--city", "nosuch"], "--format tum needs poses alone."),
+    ],
+)
+def test_a_place_that_is_not_there_or_of_no_use_is_refused(lodbench, run, words, said):
+    done = lodbench(*(str(run) if word == "RUN" else word for word in words))
+    assert done.returncode == 2, done.stdout
+    assert said in done.stderr

@@ -127,10 +127,12 @@ class TestMatching:
     def test_missing_names_are_simply_not_there(self):
         assert list(match_poses(self.found("view_01.png"), ENTRIES, "lines").poses) == ["all/view_01.png"]
 
-    def test_folders_before_a_name_are_dropped(self):
-        assert list(match_poses(self.found("query/view_01.png"), ENTRIES, "lines").poses) == [
-            "all/view_01.png"
-        ]
+    def test_folders_before_a_name_are_dropped_and_that_is_said(self):
+        matched = match_poses(self.found("query/view_01.png", "all/view_00.png"), ENTRIES, "lines")
+        assert list(matched.poses) == ["all/view_01.png", "all/view_00.png"]
+        assert matched.notes == (
+            "1 of the file's names were taken by their file name alone: query/view_01.png as all/view_01.png",
+        )
 
     def test_a_double_name_is_refused_with_both_lines(self):
         with pytest.raises(DatasetError, match=r"line 2.*from p.txt, line 1"):

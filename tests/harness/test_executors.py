@@ -125,6 +125,9 @@ def test_a_scheduler_that_is_not_there(serial, capsys, monkeypatch) -> None:
     more = ["segmenter=masks", f"paths.runs={serial[0] / 'none'}", "executor=dask"]
     assert main(["run", "dataset=folder", *words, *more, "executor.address=tcp://127.0.0.1:9"]) == 2
     assert "scheduler tcp://127.0.0.1:9 does not answer" in capsys.readouterr().err
+    for address in ("foo", "tcp://", "http://x:1"):
+        assert main(["run", "dataset=folder", *words, *more, f"executor.address={address}"]) == 2
+        assert f"executor.address={address} is no address" in capsys.readouterr().err
 
 
 @dataclass

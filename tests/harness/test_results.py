@@ -180,3 +180,17 @@ def test_the_answers_of_a_split_without_a_truth_are_told(half_known, tmp_path, c
     told = capsys.readouterr().out
     assert "3 of 3 queries have an answer" in told
     assert "hidden/view_00.png" in told
+
+
+def test_rows_of_other_queries_have_another_protocol(tmp_path):
+    """A run of one query and one of two were of one `protocol`: their recalls looked alike."""
+    root, city = write_dataset(tmp_path / "town", count=2)
+    runs = [
+        lodbench.run_method(name, root, city=city, runs=tmp_path / "runs", limit=limit)
+        for name, limit in (("prior_only", None), ("prior_only", 1), ("lodlocv2", None))
+    ]
+    table = lodbench.compare(runs)
+    protocols = table[table["method"] != "Prior"].groupby("method")["protocol"].agg(set)
+    alone, other = protocols["prior_only"], protocols[protocols.index != "prior_only"].item()
+    assert len(alone) == 2
+    assert other < alone

@@ -17,10 +17,16 @@ TOLERANCE_M, TOLERANCE_DEG = 1e-6, 1e-6
 _SAID = ("score", "hypotheses", "probability")
 
 
+def is_without_ledger(stored: StoredRun) -> bool:
+    """Tells whether nothing is left of what the method said, which every run but of a pose file stores."""
+    ledger = open_predictions(stored.folder, read_only=True)
+    return "poses" not in stored.summary["dataset"] and not len(ledger) and not ledger.damaged
+
+
 def changed_answers(stored: StoredRun) -> list[str]:
     """Returns a line for each answer that is damaged, missing, or another than in ``poses.txt`` and rows.
 
-    A run without a ledger has none: poses may have been made elsewhere.
+    A run without a ledger has none, which ``is_without_ledger`` tells: poses may have been made elsewhere.
 
     Raises:
         DatasetError: A line of the ledger is whole and holds no answer.

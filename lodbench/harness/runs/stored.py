@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lodbench.datasets.pose_text import parse_pose
-from lodbench.errors import DatasetError, LodbenchError
+from lodbench.errors import ConfigError, DatasetError, LodbenchError
 from lodbench.evaluation.predictions import Prediction
 from lodbench.evaluation.queries import (
     COLUMNS,
+    ERROR,
+    PRIOR_ERROR,
     TEXTS,
     fill_failures,
     has_truth,
@@ -35,9 +37,20 @@ from lodbench.storage.json_text import parse_json
 if TYPE_CHECKING:
     import pandas as pd
 
+# What a run wrote itself, and is read back from.
+_OWN_FILES = (
+    "config.yaml", "ledger.jsonl", "plan.json", "poses.txt", "predictions.jsonl", "priors.txt",
+    "provenance.json", "queries.csv", "summary.json",
+)  # fmt: skip
 _FOLDER_HINT = "Name a folder that `lodbench run` or `lodbench evaluate` made."
 # Columns that runs of older versions do not have.
 _LATER = {"probability", "covariance"}
+# What no run writes anything beyond.
+_BOUNDS = {
+    **dict.fromkeys((ERROR[0], PRIOR_ERROR[0], "hypotheses"), (0.0, math.inf)),
+    **dict.fromkeys((ERROR[1], PRIOR_ERROR[1]), (0.0, 180.0)),
+    **dict.fromkeys(("probability", "mask_iou"), (0.0, 1.0)),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +118,44 @@ class StoredRun:
             key: replace(prediction, pose=self.poses.get(key), failure=self.queries["failure"][key])
             for key, prediction in known.items()
         }
+
+
+def require_writable(out: Path | None, folders: Sequence[Path]) -> None:
+    """Checks that a file to be written is none that runs are read from.
+
+    Raises:
+        ConfigError: It is one of a run's own files, or a folder.
+    """
+    if out is None:
+        return
+    if out.is_dir() or not out.name:
+        raise ConfigError(f"--out {str(out)!r} is a folder.", "Name a file with --out.")
+    if out.name in _OWN_FILES and out.resolve().parent in [folder.resolve() for folder in folders]:
+        raise ConfigError(f"{out} is what the run itself wrote.", "Name another file with --out.")
+
+
+def read_whole_run(folder: str | Path) -> StoredRun:
+    """Returns the content of a run folder whose rows are those that its summary counts.
+
+    Raises:
+        DatasetError: As ``read_run``, or rows are missing, or there are more of them.
+    """
+    run = read_run(folder)
+    rows = run.queries["split"][has_truth(run.queries)].value_counts()
+    counts = {split: numbers["num_queries"] for split, numbers in run.summary["splits"].items()}
+    for split in dict.fromkeys([*counts, *run.queries["split"]]):
+        if rows.get(split, 0) != counts.get(split):
+            raise DatasetError(
+                f"{run.folder / 'queries.csv'} has {rows.get(split, 0)} queries of {split} with a truth, "
+                f"summary.json counts {counts.get(split, 'none')}.",
+                f"lodbench verify {run.folder} says what else is not as it was written.",
+            )
+    if run.strays:
+        raise DatasetError(
+            f"{run.folder / 'poses.txt'}: {run.strays[0]} is no query of queries.csv.",
+            f"lodbench verify {run.folder} says what else is not as it was written.",
+        )
+    return run
 
 
 def read_run(folder: str | Path) -> StoredRun:
@@ -191,20 +242,27 @@ def _read_queries(path: Path) -> pd.DataFrame:
         raise DatasetError(f"{path} has rows of different lengths.", _FOLDER_HINT)
     columns = {name: cells[name] if name in cells else pd.Series("", cells.index) for name in COLUMNS}
     columns |= {name: columns[name].map(show_formula) for name in ("query", "split", "failure")}
-    numbers = {name: _numbers(list(column), path) for name, column in columns.items() if name not in TEXTS}
+    numbers = {
+        name: _numbers(list(column), path, *_BOUNDS.get(name, (-math.inf, math.inf)))
+        for name, column in columns.items()
+        if name not in TEXTS
+    }
     frame = queries_frame(pd.DataFrame({**columns, **numbers}))
+    if frame.index.has_duplicates:
+        raise DatasetError(f"{path}: {frame.index[frame.index.duplicated()][0]} occurs twice.", _FOLDER_HINT)
     return fill_failures(frame, ~frame["failure"].map(is_without_truth).astype(bool))
 
 
-def _numbers(cells: Sequence[str], path: Path) -> list[float]:
-    """Returns the finite numbers of a column's cells, NaN where a cell is empty."""
+def _numbers(cells: Sequence[str], path: Path, least: float, most: float) -> list[float]:
+    """Returns the finite numbers within bounds of a column's cells, NaN where a cell is empty."""
     numbers = []
     for line, cell in enumerate(cells, start=2):
         try:
             number = float(cell) if cell else math.nan
         except ValueError as error:
             raise DatasetError(f"{path}, line {line}: {error}.", _FOLDER_HINT) from error
-        if cell and not math.isfinite(number):
-            raise DatasetError(f"{path}, line {line}: {cell} is not a finite number.", _FOLDER_HINT)
+        if cell and not (math.isfinite(number) and least <= number <= most):
+            within = "" if math.isinf(least) else f" from {least:g} to {most:g}"
+            raise DatasetError(f"{path}, line {line}: {cell} is not a finite number{within}.", _FOLDER_HINT)
         numbers.append(number)
     return numbers

@@ -24,7 +24,13 @@ from lodbench.evaluation.queries import ERROR, NO_TRUTH, PARTS, PRIOR_ERROR, has
 from lodbench.geometry import wrap_deg
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.artefacts import summary_of
-from lodbench.harness.runs.changed_answers import TOLERANCE_DEG, TOLERANCE_M, changed_answers
+from lodbench.harness.runs.changed_answers import (
+    TOLERANCE_DEG,
+    TOLERANCE_M,
+    changed_answers,
+    is_without_ledger,
+)
+from lodbench.harness.runs.predict import PREDICTIONS_FILE
 from lodbench.harness.runs.prepare import prior_of
 from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
 from lodbench.harness.runs.stored import StoredRun, read_run
@@ -93,6 +99,10 @@ def verify_run(
     stored = read_run(folder)
     differences = [*changed_files(stored), *_changed_rows(stored, config), *changed_answers(stored)]
     notes = [] if "files" in stored.provenance else ["provenance.json holds no digests of the files"]
+    if is_without_ledger(stored):
+        notes.append(
+            f"{PREDICTIONS_FILE} is missing: scores, probabilities and masks are those of queries.csv"
+        )
     entries: tuple[Entry, ...] = ()
     inputs, lod = _inputs(stored), stored.summary["protocol"].get("lod")
     told = _stand_in(stored)
@@ -166,9 +176,6 @@ def _changed_rows(stored: StoredRun, config: dict[str, Any]) -> list[str]:
     """Returns contradictions between the rows, the poses and the configuration."""
     queries = stored.queries
     lines = [f"poses.txt: {name} is no query of queries.csv" for name in stored.strays]
-    lines += [
-        f"queries.csv: {key} occurs twice" for key in queries.index[queries.index.duplicated()].unique()
-    ]
     for key, failure, error_m in zip(queries.index, queries["failure"], queries[ERROR[0]], strict=True):
         is_answered = key in stored.poses
         # A pose with nothing to compare it with is an answer all the same.
@@ -187,7 +194,7 @@ def _changed_errors(
     stored: StoredRun, entries: tuple[Entry, ...], dataset: Dataset, tilt: str, scorer: Scorer | None
 ) -> list[str]:
     """Returns where the rows' errors do not follow from the poses, the masks and the truth."""
-    rows = stored.queries[~stored.queries.index.duplicated()]
+    rows = stored.queries
     keys = [entry.key for entry in entries]
     lines = [f"queries.csv: {key} is missing" for key in keys if key not in rows.index]
     lines += [f"queries.csv: {key} is no query of the dataset" for key in rows.index.difference(keys)]
