@@ -84,6 +84,7 @@ def _settings(schedule: dict[str, Any], others: dict[str, Any], kind: type[T]) -
         name = re.match(r"\w+", fault.message)
         if name is not None and name[0] in schedule:
             fault.message = f"schedule.{fault.message}"
+            fault.hint = re.sub(rf"\b{name[0]}=", f"schedule.{name[0]}=", fault.hint)
         raise
 
 
