@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
-from typing import Any, TypeVar, cast
+from dataclasses import fields, is_dataclass
+from types import UnionType
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from lodbench.errors import ConfigError, nearest_names
 
@@ -14,7 +15,7 @@ T = TypeVar("T")
 def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T:
     """Returns a frozen Params made from plain values; what they leave out keeps its default.
 
-    One name stands for a list of one: ``split=in_place``, or ``split=1``.
+    One value stands for a list of one: ``split=in_place``, or ``pitch=30``.
 
     Args:
         values: Settings by name.
@@ -22,7 +23,7 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
         prefix: What settings are called with on a command line, as ``method`` in ``method.steps``.
 
     Raises:
-        ConfigError: A name is unknown or a value has the wrong type.
+        ConfigError: A name is unknown, or a value has the wrong type or too few or too many parts.
     """
     from omegaconf import OmegaConf
     from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
@@ -31,7 +32,7 @@ def to_params(values: Mapping[str, Any], params_type: type[T], prefix: str) -> T
     for name in values:
         if name not in types:
             raise ConfigError(f"{_dotted(prefix, name)} is not a setting.", nearest_names(name, types))
-    given = {name: _as_typed(value, types[name]) for name, value in values.items()}
+    given = _as_typed(values, params_type, prefix)
     try:
         merged = OmegaConf.merge(_writable(OmegaConf.structured(params_type)), _literal(given))
         return cast(T, OmegaConf.to_object(merged))
@@ -50,11 +51,42 @@ def read_settings(text: str) -> dict[str, Any]:
     return cast(dict[str, Any], OmegaConf.to_container(OmegaConf.create(text)))
 
 
-def _as_typed(value: Any, wanted: object) -> Any:
-    """Returns a value with words as they were typed: a ``true`` where a name is wanted is no boolean."""
-    if isinstance(value, bool) and wanted in ("str", "str | None", "list[str]"):
-        value = str(value).lower()
-    return [str(value)] if isinstance(value, str | int | float) and wanted == "list[str]" else value
+def _as_typed(values: Mapping[str, Any], params_type: type, prefix: str) -> dict[str, Any]:
+    """Returns values, those of groups too, with words as they were typed, and lists of the right length."""
+    hints, typed = get_type_hints(params_type), {}
+    for name, value in values.items():
+        wanted, dotted = hints.get(name, Any), _dotted(prefix, name)
+        is_group = isinstance(value, Mapping) and isinstance(wanted, type) and is_dataclass(wanted)
+        typed[name] = _as_typed(value, wanted, dotted) if is_group else _typed(value, wanted, dotted)
+    return typed
+
+
+def _typed(value: Any, wanted: Any, name: str) -> Any:
+    """Returns one value; raises ConfigError if it has not as many parts as a tuple of so many."""
+    if isinstance(value, bool) and wanted in (str, str | None, list[str]):
+        value = str(value).lower()  # a ``true`` where a name is wanted is no boolean
+    parts, is_one = _parts(wanted), isinstance(value, str | int | float)
+    if not parts or not (is_one or isinstance(value, list | tuple)):
+        return value
+    if parts[-1] is ...:
+        return [str(value) if parts[0] is str else value] if is_one else value
+    count = 1 if is_one else len(value)
+    if count != len(parts):
+        told = value if is_one else str(list(value)).replace(" ", "")
+        example = ",".join(["VALUE"] * len(parts))
+        raise ConfigError(
+            f"{name}={told} has {count} {'value' if count == 1 else 'values'}, not {len(parts)}.",
+            f"Give it as a list: {name}=[{example}]",
+        )
+    return value
+
+
+def _parts(wanted: Any) -> tuple[Any, ...]:
+    """Returns the types of a list's parts, ``...`` last where any number will do; none of what is no list."""
+    for kind in get_args(wanted) if get_origin(wanted) in (Union, UnionType) else (wanted,):
+        if get_origin(kind) in (list, tuple):
+            return (*get_args(kind), ...) if get_origin(kind) is list else get_args(kind)
+    return ()
 
 
 def _dotted(prefix: str, name: str) -> str:

@@ -77,6 +77,7 @@ SCALE_OFF = FindingCode(
 HEIGHTS_ELLIPSOIDAL = FindingCode(
     310, _I, "Heights are above the ellipsoid, not above the sea; they stay as they are."
 )
+FAR_AWAY = FindingCode(311, _W, "A building lies over 500 km from most others; its places are rounded.")
 
 LOD_ABSENT = FindingCode(
     401, _W, "A building, or a part of one, has nothing at the level of detail asked for."

@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.model import Polygons
 
+# What is narrower is a line: there and back by rounding.
+_LINE_M = 1e-3
+
 
 def newell(polygons: Polygons) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Returns the outlines' Newell vectors (N, 3), of twice their area, and the areas less holes (N,)."""
@@ -22,6 +25,22 @@ def newell(polygons: Polygons) -> tuple[NDArray[np.float64], NDArray[np.float64]
     outlines = polygons.polygon_starts[:-1]
     total = np.add.reduceat(ring_areas, outlines)
     return ring_vectors[outlines], np.maximum(2.0 * ring_areas[outlines] - total, 0.0)
+
+
+def enclosed_area(ring: NDArray[np.float64]) -> float:
+    """Returns what a ring, (n, 3), goes round in its mean plane: of a bow tie both halves, of a line nothing.
+
+    Newell's area of a symmetric bow tie is nothing either, for its halves run opposite ways.
+    """
+    centred = ring - ring.mean(axis=0)
+    _, lengths, axes = np.linalg.svd(centred, full_matrices=False)
+    if lengths[1] <= _LINE_M:
+        return 0.0
+    import shapely
+
+    edges = shapely.unary_union(shapely.linearrings(centred @ axes[:2].T))
+    area = float(shapely.area(shapely.polygonize(shapely.get_parts(edges))))
+    return area if area > _LINE_M * shapely.length(edges) else 0.0
 
 
 def points_per_polygon(polygons: Polygons) -> NDArray[np.int64]:

@@ -24,6 +24,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.pictures import Pictures
 from lodbench.citymodel.raw import RawCity
 from lodbench.citymodel.selection import select_polygons
+from lodbench.citymodel.strays import frame_origin, tell_strays
 from lodbench.errors import CityModelError
 from lodbench.geometry.frames import ShiftedEcef
 
@@ -39,7 +40,7 @@ def finish_model(raw: RawCity, options: ReadOptions | None = None) -> CityModel:
     Args:
         raw: What a reader found; it is used up.
         options: Reference system, axis order and origin where the user names them. By default the
-            origin is in whole metres at the south-west corner, its height 0.
+            origin is in whole metres at the south-west corner, its height 0; a stray does not move it.
 
     Raises:
         CityModelError: Coordinates are not finite, or their reference system cannot be settled.
@@ -109,7 +110,7 @@ def _bring_to_local_frame(
         polygons.points[:] = ShiftedEcef(*options.ecef_origin).points_to_enu(polygons.points)
     tell_unused(raw.format, options, raw.findings)
     move_bases(polygons, raw.building_ids, label, options, raw.findings)
-    return label, _subtract_origin(polygons.points, label, raw, options)
+    return label, _subtract_origin(polygons, label, raw, options)
 
 
 def _renumbered(
@@ -177,9 +178,10 @@ def _check_reach(points: NDArray[np.float64], source: str) -> None:
 
 
 def _subtract_origin(
-    points: NDArray[np.float64], label: str | None, raw: RawCity, options: ReadOptions
+    polygons: Polygons, label: str | None, raw: RawCity, options: ReadOptions
 ) -> NDArray[np.float64]:
     """Returns the origin of the local frame, taken off the points in place."""
+    points = polygons.points
     _check_reach(points, raw.source)
     if options.origin is not None:
         origin = np.asarray(options.origin, np.float64)
@@ -187,10 +189,11 @@ def _subtract_origin(
             points -= origin
         # Else the format has a frame of its own, and the origin is where the user says it lies.
         return origin
-    origin = np.zeros(3)
-    if len(points) and (label is not None or _largest(points) > _MAX_LOCAL_M):
-        origin[:2] = np.floor(points[:, :2].min(axis=0))
-        points -= origin
+    if not len(points) or (label is None and _largest(points) <= _MAX_LOCAL_M):
+        return np.zeros(3)
+    tell_strays(polygons, raw.building_ids, raw.findings)
+    origin = frame_origin(points)
+    points -= origin
     return origin
 
 

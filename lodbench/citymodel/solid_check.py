@@ -37,15 +37,12 @@ def check_solids(model: CityModel, findings: Findings) -> None:
         findings: Receives at most one finding per pair of shells, with a place.
     """
     solids = model.solids
-    if solids is None or len(solids.faces) == 0:
+    if solids is None or not (solids.faces >= 0).any():
         return
     faces = faces_of(model, solids)
     shell_solid = np.repeat(np.arange(len(solids.part)), np.diff(solids.shell_starts))
     report = ShellReport(model, findings, solids.part[shell_solid])
-    of_shell = solids.face_starts[:-1]
-    lod = np.full(len(shell_solid), -1, np.int64)
-    filled = np.flatnonzero(np.diff(solids.face_starts))
-    lod[filled] = model.polygons.lod[np.maximum(solids.faces[of_shell[filled]], 0)]
+    lod = _lods(model, solids)
     part = solids.part[shell_solid].astype(np.int64)
     seen: set[tuple[int, int]] = set()
     for first, second, point in _crossings(faces, part, lod):
@@ -64,6 +61,15 @@ def check_solids(model: CityModel, findings: Findings) -> None:
     overlapping = {(int(shell_solid[a]), int(shell_solid[b])) for a, b in seen}
     check_composites(report, faces, solids, shell_solid, overlapping)
     check_insides(report, faces, solids, seen)
+
+
+def _lods(model: CityModel, solids: Solids) -> Ints:
+    """Returns the level of each shell: of its first face that is there, -1 without any."""
+    lod = np.full(len(solids.face_starts) - 1, -1, np.int64)
+    kept = np.flatnonzero(solids.faces >= 0)
+    shells, first = np.unique(np.searchsorted(solids.face_starts, kept, side="right") - 1, return_index=True)
+    lod[shells] = model.polygons.lod[solids.faces[kept[first]]]
+    return lod
 
 
 def _crossings(faces: SolidFaces, part: Ints, lod: Ints) -> Iterator[tuple[int, int, int]]:

@@ -15,6 +15,7 @@ from lodbench.citymodel.lods import has_lod, polygons_at
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.raw import take_segments
 from lodbench.citymodel.selection import select_polygons
+from lodbench.citymodel.strays import frame_origin
 from lodbench.errors import CityModelError, nearest_names
 from lodbench.findings import Findings
 
@@ -136,8 +137,7 @@ def reproject(model: CityModel, crs: str) -> CityModel:
     points[:, 0], points[:, 1] = transformer.transform(points[:, 0], points[:, 1])
     if not np.isfinite(points).all():
         raise CityModelError(f"Some coordinates cannot be projected to {crs}.", "Does it cover the city?")
-    origin = np.zeros(3)
-    origin[:2] = np.floor(points[:, :2].min(axis=0))
+    origin = frame_origin(points)
     label = target.metric_label  # heights are in metres, whatever unit the name has
     if target.vertical_code is None and source.vertical_code is not None:
         label = f"{label}+{source.vertical_code}"

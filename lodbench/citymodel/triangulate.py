@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.codes import AREA_MISMATCH, FAR_FROM_PLANAR, NOT_PLANAR, ZERO_AREA
 from lodbench.citymodel.model import Polygons
-from lodbench.citymodel.newell import deviation, local_points, newell, points_per_polygon, project
+from lodbench.citymodel.newell import (
+    deviation,
+    enclosed_area,
+    local_points,
+    newell,
+    points_per_polygon,
+    project,
+)
 from lodbench.citymodel.raw import take_segments
 from lodbench.citymodel.selection import slice_polygons
 from lodbench.findings import Findings
@@ -39,7 +46,7 @@ class Triangulation:
     Attributes:
         triangles: (T, 3) int64 indices into the polygons' points.
         polygon: (T,) int64 polygon of each triangle, ascending.
-        area_m2: (N,) Newell area, holes taken off.
+        area_m2: (N,) Newell area, holes taken off; where it cancels out, what the outline goes round.
         meshed_m2: (N,) summed area of the triangles.
         covered_m2: (N,) the same, seen along the polygon's normal: what the triangles cover of it.
         deviation_m: (N,) largest distance of a corner from the mean plane.
@@ -114,11 +121,27 @@ def _triangulate(polygons: Polygons) -> Triangulation:
     return Triangulation(
         triangles,
         owner,
-        area_m2=areas,
+        area_m2=_with_knots(areas, is_flat & (point_counts <= MAX_CORNERS), polygons, normals),
         meshed_m2=_sum_by(owner, np.linalg.norm(vectors, axis=1), len(polygons)),
         covered_m2=_sum_by(owner, covered, len(polygons)),
         deviation_m=deviation(polygons, local, unit, point_counts),
     )
+
+
+def _with_knots(
+    areas: NDArray[np.float64],
+    is_flat: NDArray[np.bool_],
+    polygons: Polygons,
+    normals: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Returns the areas with those of outlines among the flat ones whose parts cancel each other out."""
+    told = areas.copy()
+    is_asked = is_flat & (np.linalg.norm(normals, axis=1) < 2 * _MIN_AREA_M2)
+    for n in np.flatnonzero(is_asked).tolist():
+        ring = polygons.polygon_starts[n]
+        outline = polygons.points[polygons.ring_starts[ring] : polygons.ring_starts[ring + 1]]
+        told[n] = max(told[n], enclosed_area(outline))
+    return told
 
 
 def _sum_by(owner: NDArray[np.int64], weights: NDArray[np.float64], size: int) -> NDArray[np.float64]:

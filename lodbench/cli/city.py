@@ -65,6 +65,8 @@ def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
     from lodbench.citymodel.check_report import findings_geojson, format_report
     from lodbench.storage import write_bytes
 
+    if asked.geojson is not None:
+        _require_other(asked.geojson, [asked.file])
     start = time.perf_counter()
     model = _read([asked.file], replace(options, is_strict=False, has_details=True))
     read_seconds = time.perf_counter() - start
@@ -123,7 +125,7 @@ def _from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
     """Returns the files to convert and the one to write, whose folder is there then.
 
     Raises:
-        CityModelError: There is nothing to convert, or the target is no format, or the city itself.
+        CityModelError: There is nothing to convert, or the target is no format or may be one of the cities.
     """
     from lodbench.citymodel.convert import check_target
 
@@ -135,9 +137,28 @@ def _from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
     if asked.tiles is not None and out.parent.parent.is_dir():
         make_folder(out.parent)
     check_target(out)
+    _require_other(out, files)
+    if asked.out is None and _may_be_a_tile(out, files):
+        raise CityModelError(
+            f"{out} is there already, and may be one of the tiles: nothing is written over it.",
+            f"Name a new file, -o OUT, or say that it is meant: -o {out}.",
+        )
+    return files, out
+
+
+def _require_other(out: Path, files: Sequence[Path]) -> None:
+    """Raises CityModelError if a file to write is one of those to read."""
     if any(out.resolve() == file.resolve() for file in files):
         raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
-    return files, out
+
+
+def _may_be_a_tile(out: Path, files: Sequence[Path]) -> bool:
+    """Tells whether the last word is a city of which no -o says that it is written: ``*.gml`` ends so."""
+    from lodbench.citymodel.source import is_city_file
+
+    first = files[0]
+    is_neighbour = out.suffix == first.suffix and out.resolve().parent == first.resolve().parent
+    return is_city_file(out) and (len(files) > 1 or is_neighbour)
 
 
 def _chosen(asked: argparse.Namespace, model: CityModel) -> CityModel:

@@ -11,7 +11,7 @@ from typing import Any
 
 from lodbench.cli.named_dataset import add_dataset_options, open_named
 from lodbench.cli.parser import Parser
-from lodbench.datasets.prior_sources import prior_digest, prior_text
+from lodbench.datasets.prior_sources import is_prior_text, prior_digest, prior_text
 from lodbench.datasets.registry import draw_priors, make_priors
 from lodbench.errors import ConfigError, LodbenchError
 from lodbench.harness.dataset_check import prior_errors_in_words
@@ -48,6 +48,10 @@ def main(argv: Sequence[str]) -> int:
     options = parser.parse_args(argv[1:])
     if options.out.is_dir():
         raise ConfigError(f"{options.out} is a folder.", "Name a file.")
+    if options.out.exists() and not is_prior_text(options.out):
+        raise ConfigError(
+            f"{options.out} is there already, and no file of this command.", "Name another file: --out FILE."
+        )
     with _in_own_words():
         settings = dict(map(_pair, options.set))
         priors = make_priors(options.kind, settings, "--set")

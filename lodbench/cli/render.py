@@ -23,7 +23,7 @@ def task(config: DictConfig) -> None:
     """Renders one configuration."""
     values = plain(config)
     source = profile_of(values.pop("source"))
-    params = to_params(values, RenderParams, "render")
+    params = to_params(values, RenderParams, "")
     rendered = render_poses(params if params.lod else replace(params, lod=source.lod), source.options)
     for note in rendered.notes:
         sys.stdout.write(f"note: {note}\n")

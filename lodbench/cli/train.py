@@ -15,6 +15,7 @@ from lodbench.params import to_params
 from lodbench.plugins import blaming, load_plugin
 from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.registry import make_segmenter
+from lodbench.training.samples import LEAST_SHARE
 from lodbench.training.train import Trained, train_network
 from lodbench.training.train_params import TrainParams
 
@@ -65,7 +66,7 @@ def task(config: DictConfig) -> None:
     if not hasattr(load_plugin("segmenters", name), "build"):
         raise ConfigError(
             f"segmenter={name} has no network to train.",
-            "Trainable: compact, efficient_unet, sam2_unet, sam1_adapter.",
+            "Trainable: compact, compact_instances, efficient_unet, sam2_unet, sam1_adapter.",
         )
     # Loading torch and the first step take a while: what is going on is said before.
     _tell(f"training {name} on {params.data} into {params.out}")
@@ -84,6 +85,7 @@ def _settings(schedule: dict[str, Any], others: dict[str, Any], kind: type[T]) -
         name = re.match(r"\w+", fault.message)
         if name is not None and name[0] in schedule:
             fault.message = f"schedule.{fault.message}"
+            fault.hint = re.sub(rf"\b{name[0]}=", f"schedule.{name[0]}=", fault.hint)
         raise
 
 
@@ -99,10 +101,13 @@ def report(trained: Trained) -> str:
     stored = trained.averaged or last
     iou = f"mean per view {stored['mean_iou']:.4f}, pooled {stored['pooled_iou']:.4f}"
     alone = f" ({last['mean_iou']:.4f} before averaging)" if trained.averaged else ""
+    over = f"{iou}{alone}, over {last['views']:.0f} {trained.validated_on}"
+    if not last["views"]:
+        over = f"none, for no view to validate on has {100 * LEAST_SHARE:.0f} % buildings or more"
     before = f" ({trained.started_at} were there already)" if trained.started_at else ""
     return (
         f"epochs:  {len(trained.history)}{before} over {trained.views} views, last loss {last['loss']:.4f}\n"
-        f"val IoU: {iou}{alone}, over {last['views']:.0f} {trained.validated_on}\n"
+        f"val IoU: {over}\n"
         f"weights: {trained.weights}\n"
         f"curves:  {trained.weights.parent / 'curves.png'}\n"
     )

@@ -25,6 +25,9 @@ from lodbench.findings import Findings
 from lodbench.geometry import Pose
 from lodbench.storage import digest_of
 
+# How a file of priors begins.
+_HEAD = "# priors "
+
 
 class Priors(Protocol):
     """Gives each query of a dataset its prior; a frozen dataclass of settings."""
@@ -178,12 +181,18 @@ class BasinPrior:
         return self.widths.describe()
 
 
+def is_prior_text(file: Path) -> bool:
+    """Tells whether a file begins as ``prior_text`` does."""
+    with file.open("rb") as stream:
+        return stream.read(len(_HEAD)) == _HEAD.encode()
+
+
 def prior_text(entries: Sequence[Entry], describe: str, seed: int) -> str:
     """Returns priors as the text of a file, with how they were made and their digest in its head.
 
     A query with several hypotheses has a line for each, its prior first, as it is read back.
     """
-    head = [f"# priors {describe}; seed {seed}; digest {prior_digest(entries)}"]
+    head = [f"{_HEAD}{describe}; seed {seed}; digest {prior_digest(entries)}"]
     lines = [
         format_pose(entry.key, pose)
         for entry in entries

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from lodbench.rendering.silhouette import SilhouetteRenderer
 from lodbench.storage import make_folder, write_bytes
 from lodbench.training.samples import Sample
 
+_LOGGER = logging.getLogger(__name__)
 # Silhouettes are drawn at most so wide: networks look at less.
 _WIDTH = 1024
 
@@ -96,9 +98,17 @@ def posed_samples(folder: Path, out: Path, city: str | None = None) -> list[Samp
 
 
 def _posed(dataset: Dataset) -> list[_Posed]:
-    """Returns the entries that have all that a label takes."""
-    return [
-        _Posed(entry, entry.image, entry.camera, dataset.truth[entry.key])
-        for entry in dataset.entries
-        if entry.image is not None and entry.camera is not None and entry.key in dataset.truth
-    ]
+    """Returns the entries that have all that a label takes; says of how many something is missing."""
+    posed, lacking = [], []
+    for entry in dataset.entries:
+        pose = dataset.truth.get(entry.key)
+        if entry.image is None or entry.camera is None or pose is None:
+            lacks = {"photo": entry.image, "camera": entry.camera, "true pose": pose}
+            named = " and ".join(f"no {what}" for what, value in lacks.items() if value is None)
+            lacking.append(f"{entry.key} has {named}")
+        else:
+            posed.append(_Posed(entry, entry.image, entry.camera, pose))
+    if posed and lacking:
+        what = f"{len(lacking)} of {len(dataset.entries)} photos of {dataset.root} cannot be learnt from"
+        _LOGGER.warning("%s: %s%s", what, lacking[0], ", ..." if len(lacking) > 1 else "")
+    return posed

@@ -172,7 +172,7 @@ def _pseudo_labelled(segmenter: TrainableSegmenter, params: TrainParams, out: Pa
 
 
 def _epoch_line(row: dict[str, float], epochs: int) -> str:
-    iou = f", val IoU {row['mean_iou']:.3f}" if "mean_iou" in row else ""
+    iou = f", val IoU {row['mean_iou']:.3f}" if row.get("views") else ""
     return f"epoch {row['epoch']:.0f} of {epochs}: loss {row['loss']:.4f}{iou}"
 
 

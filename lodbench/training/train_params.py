@@ -79,6 +79,10 @@ class TrainParams:
             require_choice(name, getattr(self, name), choices)
         for name, (low, high) in _BOUNDS.items():
             require_within(name, getattr(self, name), low, high)
+        if self.scale[0] > self.scale[1]:
+            raise ConfigError(
+                f"scale=[{self.scale[0]:g},{self.scale[1]:g}] is no ascending range.", "scale=[LOW,HIGH]"
+            )
         if self.unlabelled and self.init is None:
             raise ConfigError(
                 "unlabelled photos need a network that labels them.", "init=FILE.onnx, or package."

@@ -10,6 +10,7 @@ from pyproj import CRS, Transformer
 from lodbench.citymodel import read_city_model
 from lodbench.citymodel.crs import crs_label, require_crs, resolve_crs
 from lodbench.citymodel.frame import to_metres
+from lodbench.citymodel.meshing import mesh_model
 from lodbench.citymodel.subset import reproject
 from lodbench.errors import CityModelError
 from lodbench.findings import Findings
@@ -321,6 +322,20 @@ def test_one_height_out_of_this_world_is_no_fault_of_the_plane(tmp_path: Path) -
     with pytest.raises(CityModelError, match="has 1 of 24 heights nowhere on Earth") as raised:
         read_city_model(write(tmp_path / "a.gml", text))
     assert "not at fault" in raised.value.hint
+
+
+def test_a_building_at_zero_is_told_and_leaves_the_frame_at_the_city(tmp_path: Path) -> None:
+    """The frame began at 0, 0, where float32 has a place every half metre."""
+    houses = [
+        member(solid(surface_members(map(polygon, box_rings(x=x, y=y)))), f"b{n}")
+        for n, (x, y) in enumerate([(0.0, 0.0), (500000.37, 5600000.0), (500200.0, 5600100.0)])
+    ]
+    model = read_city_model(write(tmp_path / "a.gml", city("".join(houses))))
+    assert model.origin.tolist() == [500000.0, 5600000.0, 0.0]
+    assert [(f.code.code, f.object_id) for f in model.findings.items] == [("LB311", "b0")]
+    easts = mesh_model(model).scene.vertices[:, 0]
+    assert float(easts[easts > 0].min()) == pytest.approx(0.37, abs=1e-6)
+    assert reproject(model, "EPSG:25833").origin[1] > 5e6
 
 
 def test_a_file_whose_polygons_all_fall_keeps_its_system(tmp_path: Path) -> None:

@@ -65,5 +65,5 @@ def test_heights_that_stay_are_given_no_other_name(
     assert "--to-crs EPSG:25833." in capsys.readouterr().err
     assert not target.exists()
     for crs in ("EPSG:25833", "EPSG:25833+7837"):
-        assert main(["city", "convert", str(source), str(target), "--to-crs", crs]) == 0
+        assert main(["city", "convert", str(source), "-o", str(target), "--to-crs", crs]) == 0
         assert read_city_model(target).crs == "EPSG:25833+7837"

@@ -46,6 +46,11 @@ def test_sound_solids_stay_unreported(tmp_path: Path) -> None:
     assert defects(tmp_path, solids([BOX, turned(SMALL)])) == {}  # a hole in its middle
 
 
+def test_a_solid_of_which_no_face_is_left(tmp_path: Path) -> None:
+    nowhere: list[Ring] = [[(X, Y, float("nan"))] * 4 for _ in range(6)]
+    assert list(defects(tmp_path, solids([nowhere]))) == ["LB107"]
+
+
 def test_solids_that_cut_each_other(tmp_path: Path) -> None:
     found = defects(tmp_path, solids([BOX], [moved(BOX, x=5, y=3, z=2)]))
     assert list(found) == ["LB613"]

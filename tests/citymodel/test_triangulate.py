@@ -116,6 +116,13 @@ class TestFindings:
     def test_crossing_rings(self, outline: NDArray[np.float64]) -> None:
         assert "LB106 AREA_MISMATCH" in mesh([outline])[1]
 
+    def test_halves_that_cancel_out_are_lost_and_ways_there_and_back_are_not(self) -> None:
+        bow_tie, way = ring((0, 0), (4, 4), (4, 0), (0, 4)), ring((0, 0), (4, 0), (4, 4), (4, 0))
+        result, counts = mesh([bow_tie], [way], [SQUARE])
+        assert counts == {"LB104 ZERO_AREA": 1, "LB106 AREA_MISMATCH": 1}
+        assert result.area_m2.tolist() == pytest.approx([8.0, 0.0, 16.0])
+        assert result.lost_m2 == pytest.approx(8.0)
+
     def test_hole_outside(self) -> None:
         assert "LB106 AREA_MISMATCH" in mesh([SQUARE, 0.5 * SQUARE + 10.0 * EAST])[1]
 

@@ -113,6 +113,12 @@ class TestCheck:
         is_clear(lodbench("city", "convert", str(path), "a.obj"), "house-7")
         assert not (tmp_path / "a.obj").exists()
 
+    def test_findings_never_replace_the_city(self, lodbench, tmp_path):
+        path = write(tmp_path / "a.gml", box_city())
+        before = path.read_bytes()
+        is_clear(lodbench("city", "check", "a.gml", "--geojson", "./a.gml"), "a.gml is the city itself")
+        assert path.read_bytes() == before
+
 
 class TestConvert:
     @pytest.mark.parametrize("suffix", ["obj", "ply", "glb", "json", "scene"])
@@ -152,6 +158,20 @@ class TestConvert:
         is_clear(lodbench("city", "convert", str(path), target), *words)
         assert path.read_text() == box_city()
         assert [file.name for file in tmp_path.iterdir()] == ["a.gml"]
+
+    @pytest.mark.parametrize("words", [["a.gml", "b.gml"], ["a.gml", "b.gml", "c.obj"]])
+    def test_the_last_of_many_tiles_is_not_taken_for_what_to_write(self, lodbench, tmp_path, words):
+        for name in ("a.gml", "b.gml", "c.obj"):
+            write(tmp_path / name, box_city())
+        done = lodbench("city", "convert", *words)
+        is_clear(done, f"{words[-1]} is there already")
+        assert "-o OUT" in done.stderr
+        assert (tmp_path / words[-1]).read_text() == (tmp_path / "a.gml").read_text()
+        assert lodbench("city", "convert", "a.gml", "-o", words[-1]).returncode == 0
+
+    def test_what_one_city_became_is_written_again(self, lodbench, tmp_path):
+        write(tmp_path / "a.gml", box_city())
+        assert [lodbench("city", "convert", "a.gml", "a.obj").returncode for _ in range(2)] == [0, 0]
 
     def test_a_folder_that_is_no_scene_is_left_alone(self, lodbench, tmp_path):
         write(tmp_path / "a.gml", box_city())

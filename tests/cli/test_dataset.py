@@ -181,6 +181,16 @@ class TestPriors:
             verified = lodbench("verify", str(run))
             assert verified.returncode == 0, verified.stdout
 
+    def test_poses_that_a_dataset_came_with_are_not_replaced(self, lodbench, tmp_path):
+        root, _ = write_dataset(tmp_path / "town")
+        own = root / "GPS_pose.txt"
+        before = own.read_bytes()
+        done = lodbench("dataset", "prior", str(root), "--kind", "uniform", "--out", str(own))
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "GPS_pose.txt is there already" in done.stderr
+        assert "--out FILE" in done.stderr
+        assert own.read_bytes() == before
+
     def test_a_changed_file_of_priors_is_found(self, lodbench, tmp_path):
         root, city = write_dataset(tmp_path / "town")
         assert lodbench("run", *self.words(root, city), "prior=uniform").returncode == 0

@@ -43,6 +43,13 @@ def test_the_help_shows_them(capsys):
     assert next(line for line in lines if "dataset.num_views=100" in line).split()[1:]
 
 
+def test_no_example_of_train_sets_the_weights_that_it_refuses(lodbench):
+    told = lodbench("train", "--help").stdout.splitlines()
+    examples = [line for line in told if line.startswith("  lodbench train")]
+    assert "segmenter.encoder_weights=" in examples[-1]
+    assert not [line for line in examples if "segmenter.weights=" in line]
+
+
 def test_the_groups_are_those_of_the_configuration():
     kinds = {group.folder for group in GROUPS}
     assert {"method", "dataset", "segmenter", "prior", "source", "executor", "schedule", "training"} <= kinds

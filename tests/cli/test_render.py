@@ -123,6 +123,24 @@ def test_overlay_over_photos_and_over_grey(render, tmp_path, layers):
     assert len(np.unique(read(out / "view_01.png").reshape(-1, 3), axis=0)) > 1
 
 
+def test_photos_and_other_pictures_are_never_replaced(render, tmp_path, layers):
+    out = tmp_path / "out, (1)"
+    out.mkdir()
+    for name in layers:
+        cv2.imwrite(str(out / f"{name}.png"), np.full((240, 320, 3), (9, 90, 200), dtype=np.uint8))
+    photo = (out / "view_00.png").read_bytes()
+    for words, expected in (
+        (["kind=overlay", f"images={out}"], "holds the photos"),
+        (["kind=depth"], "view_00.png is there already"),
+        ([], "view_00.png is there already"),
+    ):
+        done, _ = render(*words)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert expected in done.stderr
+        assert "out=DIR" in done.stderr
+        assert (out / "view_00.png").read_bytes() == photo
+
+
 @pytest.mark.parametrize("renderer", ["reference", "raster"])
 def test_silhouettes_are_the_same_bytes_whatever_the_renderer(render, renderer):
     done, out = render()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import pytest
 
 from lodbench.cli.setting_help import Setting, settings_in
 from lodbench.cli.setting_words import settings_of
 from lodbench.errors import ConfigError
+from lodbench.params import to_params
 from tests.town import write_dataset
 
 
@@ -59,6 +62,13 @@ def test_a_run_takes_flags_and_tells_the_former_name(lodbench, tmp_path):
         ("run --datset folder", "datset is not a setting", "dataset"),
         ("run prior=uniform prior.foo=3", "prior.foo is not a setting", "x_m"),
         ("run runner=subprocess runner.foo=3", "runner.foo is not a setting", "python"),
+        ("generate-training-data city=x size=[128]", "size=[128] has 1 value, not 2", "size=[VALUE,VALUE]"),
+        ("generate-training-data --city x --size 9", "size=9 has 1 value, not 2", "--size [VALUE,VALUE]"),
+        ("generate-training-data city=x look.noise=[0.01]", "look.noise=[0.01] has 1", "look.noise=[VALUE"),
+        ("generate-training-data city=x sampling=priors poses=p prior_m=[1,2]", "prior_m=[1,2] has 2", "[V"),
+        ("render city=x poses=p intrinsics=i out=o size=[1,2,3]", "size=[1,2,3] has 3", "size=[VALUE,VALUE]"),
+        ("train data=x schedule.scale=[1]", "schedule.scale=[1] has 1 value", "schedule.scale=[VALUE,VALUE]"),
+        ("train data=x schedule.scale=[2,1]", "schedule.scale=[2,1] is no asc", "schedule.scale=[LOW,HIGH]"),
     ],
 )
 def test_a_slip_is_one_line_and_a_hint(lodbench, words, said, hint):
@@ -67,6 +77,25 @@ def test_a_slip_is_one_line_and_a_hint(lodbench, words, said, hint):
     assert said in done.stderr
     assert hint in done.stderr.splitlines()[1]
     assert len(done.stderr.splitlines()) == 2
+
+
+@dataclass(frozen=True)
+class _Inner:
+    ends: tuple[float, float] = (0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class _Outer:
+    names: tuple[str, ...] = ()
+    angles: list[float] | None = None
+    inner: _Inner = field(default_factory=_Inner)
+
+
+def test_one_value_stands_for_a_list_of_one_and_a_pair_in_a_group_is_counted():
+    made = to_params({"names": 7, "angles": 30}, _Outer, "")
+    assert (list(made.names), made.angles) == (["7"], [30.0])
+    with pytest.raises(ConfigError, match=r"world\.inner\.ends=\[1\] has 1 value, not 2\."):
+        to_params({"inner": {"ends": [1]}}, _Outer, "world")
 
 
 def test_the_former_flag_of_a_city_works_and_tells_the_new_one(lodbench, tmp_path):

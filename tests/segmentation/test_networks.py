@@ -1,5 +1,7 @@
 """The paper's networks with random weights: shapes, names of published weights, faults, memory."""
 
+import pickle
+
 import cv2
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ pytest.importorskip("transformers", reason="transformers is not installed (extra
 
 from lodbench.segmentation.nets import hiera, sam2_unet  # noqa: E402
 from lodbench.segmentation.nets.sam1_adapter import Sam1Adapter, fill_sam, high_frequencies  # noqa: E402
-from lodbench.segmentation.nets.weights import save_weights  # noqa: E402
+from lodbench.segmentation.nets.weights import read_weights, save_weights  # noqa: E402
 from lodbench.segmentation.sam2_unet import Sam2UNetParams, Sam2UNetSegmenter  # noqa: E402
 from lodbench.segmentation.semantic import Semantic, SemanticParams  # noqa: E402
 
@@ -130,6 +132,13 @@ def test_wrong_weights_get_a_report_of_shapes(small, tmp_path):
     params = Sam2UNetParams(encoder="tiny", size=64, weights=str(tmp_path / "toy.safetensors"))
     with pytest.raises(ConfigError, match=r"missing: .* shape: encoder\.pos_embed is \[1, 16, 7, 7\]"):
         Sam2UNetSegmenter(params).logits(photo_of(64, 64))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_pickle_is_refused_without_a_word_of_torch(tmp_path):
+    (tmp_path / "w.pt").write_bytes(pickle.dumps({"a": [1]}, protocol=4))
+    with pytest.raises(ConfigError, match=r"w\.pt cannot be read as weights \(UnpicklingError\)"):
+        read_weights(tmp_path / "w.pt")
 
 
 def test_missing_hub_access_is_told_in_one_line():

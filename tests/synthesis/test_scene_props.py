@@ -63,5 +63,7 @@ def test_a_damaged_file_is_named(tmp_path, content):
     path = tmp_path / "props.npz"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(RenderingError, match=r"props\.npz"):
+    with pytest.raises(RenderingError, match=r"props\.npz") as told:
         read_props(path)
+    assert "pickle" not in told.value.message
+    assert "props=FILE" in told.value.hint

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lodbench.citymodel.building_boxes import building_boxes
+from lodbench.errors import DatasetError
 from lodbench.storage import random_stream
 from lodbench.synthesis.objects.mesh_builder import MeshBuilder
 from lodbench.synthesis.objects.scene_props import SurfaceClass
@@ -35,6 +38,14 @@ def test_trees_cars_and_clutter_keep_clear_of_buildings(made, city):
             points[:, None, :2] < boxes.high[:, :2] - 0.5
         )
         assert not inside.all(axis=2).any(), kind
+
+
+def test_a_city_with_a_house_at_zero_gets_no_land(city):
+    """Memory was asked for by the hundred gigabytes."""
+    vertices = city.vertices.copy()
+    vertices[:8] += np.float32(5e6)
+    with pytest.raises(DatasetError, match=r"5,000 km wide: land is made up for at most 60 km"):
+        make_surroundings(replace(city, vertices=vertices), seed=3)
 
 
 def test_everything_stands_on_the_ground(made):

@@ -1,6 +1,7 @@
 """Posed photos over a map as a training set: labels are silhouettes, the rest is as for any set."""
 
 import json
+import math
 import shutil
 
 import cv2
@@ -9,11 +10,13 @@ import pytest
 
 from lodbench.citymodel import open_scene
 from lodbench.cli import main
+from lodbench.cli.train import report
 from lodbench.datasets.pose_text import read_cameras, read_poses
 from lodbench.errors import DatasetError
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.segmentation.masks import read_mask
 from lodbench.training.posed_photos import is_posed, posed_samples
+from lodbench.training.train import Trained
 from tests.town import write_dataset
 
 
@@ -64,6 +67,17 @@ def test_a_map_that_lies_elsewhere_teaches_nothing(flight, tmp_path):
         posed_samples(root, tmp_path / "silhouettes")
 
 
+def test_photos_that_are_missing_are_told(flight, tmp_path, caplog):
+    root = tmp_path / "flight"
+    shutil.copytree(flight[0], root)
+    (root / "Query_image" / "view_01.png").unlink()
+    samples = posed_samples(root, tmp_path / "silhouettes")
+    assert [sample.photo.name for sample in samples] == ["view_00.png", "view_02.png"]
+    (line,) = caplog.messages
+    assert line.startswith("1 of 3 photos of ")
+    assert line.endswith("cannot be learnt from: flight/view_01.png has no photo")
+
+
 def test_a_network_is_trained_on_them(flight, tmp_path, capsys):
     pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
     pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")
@@ -72,6 +86,14 @@ def test_a_network_is_trained_on_them(flight, tmp_path, capsys):
     told = capsys.readouterr()
     assert "2 views to train on, 1 to validate on" in told.err
     assert (tmp_path / "net" / "compact.onnx").is_file()
+    assert "val IoU: mean per view" in told.out
+
+
+def test_views_with_few_buildings_leave_no_iou_and_the_reason_is_told(tmp_path):
+    row = {"loss": 0.5, "mean_iou": math.nan, "pooled_iou": math.nan, "views": 0}
+    told = report(Trained(tmp_path / "compact.onnx", [row], "val views", 7, 0, {}))
+    assert "val IoU: none, for no view to validate on has 5 % buildings or more\n" in told
+    assert "nan" not in told
 
 
 def test_without_a_map_or_photos_there_is_nothing_to_learn(tmp_path):

@@ -31,6 +31,8 @@ from lodbench.storage import write_bytes, write_text
 
 # The largest value of a 16-bit PNG.
 _MOST = 65535
+# What the header of a PNG says of its pixels, where it says it: bits, and grey or colour.
+_PIXELS_AT, _GREY, _COLOUR = 24, 0, 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +68,7 @@ class Kind:
         write: Draws and writes a view; returns its files.
         check: Raises a LodbenchError if a scene cannot be drawn so.
         prepare: Writes what all views of a scene share to the folder; returns its files.
+        pixels: Bits and colour type of its PNGs, as their headers say them; None where it writes none.
     """
 
     default: str
@@ -73,6 +76,14 @@ class Kind:
     write: Callable[[View], list[Path]]
     check: Callable[[Scene], None] = lambda _scene: None
     prepare: Callable[[Scene, Path], list[Path]] = lambda _scene, _out: []
+    pixels: tuple[int, int] | None = None
+
+    def may_replace(self, file: Path) -> bool:
+        """Tells whether a file is absent, or a picture with the pixels of this kind: an earlier one of it."""
+        if self.pixels is None or not file.exists():
+            return True
+        with file.open("rb") as stream:
+            return stream.read(_PIXELS_AT + 2)[_PIXELS_AT:] == bytes(self.pixels)
 
 
 def choose_renderer(kind: str, renderer: str | None) -> str:
@@ -178,10 +189,10 @@ def _write_png(view: View, picture: NDArray[np.uint8] | NDArray[np.uint16]) -> l
 
 
 KINDS = {
-    "silhouette": Kind("silhouette", "render", _write_silhouette),
-    "depth": Kind("raster", DEPTH, _write_depth),
-    "label": Kind("raster", LAYERS, _write_label, _check_labels, _write_label_names),
-    "colour": Kind("raster", LAYERS, _write_colour),
-    "overlay": Kind("silhouette", "render", _write_overlay),
+    "silhouette": Kind("silhouette", "render", _write_silhouette, pixels=(8, _GREY)),
+    "depth": Kind("raster", DEPTH, _write_depth, pixels=(16, _GREY)),
+    "label": Kind("raster", LAYERS, _write_label, _check_labels, _write_label_names, (16, _GREY)),
+    "colour": Kind("raster", LAYERS, _write_colour, pixels=(8, _COLOUR)),
+    "overlay": Kind("silhouette", "render", _write_overlay, pixels=(8, _COLOUR)),
     "instance": Kind("silhouette", INSTANCES, _write_instances),
 }

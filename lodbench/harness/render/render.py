@@ -22,7 +22,7 @@ from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.harness.city import open_city
-from lodbench.harness.render.kinds import KINDS, View, choose_renderer
+from lodbench.harness.render.kinds import KINDS, Kind, View, choose_renderer
 from lodbench.plugins import blaming
 from lodbench.rendering import open_renderer
 from lodbench.rendering.projection import require_pinhole
@@ -90,7 +90,8 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
 
     Raises:
         LodbenchError: An input is missing or malformed, a pose has no camera or no photo, the renderer
-            cannot draw the kind, or the textured map lies elsewhere; nothing is written then.
+            cannot draw the kind, the textured map lies elsewhere, or pictures are in the way that are not
+            of the kind; nothing is written then.
     """
     if params.textured_map is not None and (params.kind, params.renderer) not in _TEXTURED:
         raise ConfigError(
@@ -98,7 +99,8 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
         )
     name = choose_renderer(params.kind, None if params.textured_map else params.renderer)
     kind = KINDS[params.kind]
-    shots = _shots(params)
+    shots, out = _shots(params), Path(params.out).expanduser()
+    _require_room(shots, out, kind)
     options = options or ReadOptions()
     options = options if params.crs is None else replace(options, crs=params.crs)
     options = replace(options, layers=tuple(params.layers)) if params.layers else options
@@ -108,9 +110,8 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
     if params.textured_map is not None:
         mesh = open_textured_map(Path(params.textured_map).expanduser(), city.scene, options=options)
         textured = PyrenderTextured(mesh) if params.renderer == "pyrender" else TexturedRenderer(mesh)
-        drawn = _draw_textured(textured, shots, city.scene.origin, Path(params.out).expanduser())
+        drawn = _draw_textured(textured, shots, city.scene.origin, out)
         return Rendered(drawn, city.notes() + mesh.notes)
-    out = Path(params.out).expanduser()
     make_folder(out)
     files = kind.prepare(city.scene, out)
     with Progress(f"{params.kind} pictures", len(shots)) as progress:
@@ -120,6 +121,17 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
                 files += kind.write(View(renderer, shot.camera, pose, path, shot.photo))
             progress.advance()
     return Rendered(tuple(files), city.notes())
+
+
+def _require_room(shots: list[Shot], out: Path, kind: Kind) -> None:
+    """Raises ConfigError where photos would be replaced, or pictures that are not of the kind drawn."""
+    hint = "Name another folder: out=DIR."
+    for shot in shots:
+        if shot.photo is not None and shot.photo.resolve().parent == out.resolve():
+            raise ConfigError(f"{out} holds the photos: pictures drawn would replace them.", hint)
+        file = out / f"{Path(shot.name).stem}.png"
+        if not kind.may_replace(file):
+            raise ConfigError(f"{file} is there already, and is no such picture.", hint)
 
 
 def _draw_textured(

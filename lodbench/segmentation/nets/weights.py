@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -39,7 +40,7 @@ def read_weights(path: Path) -> Weights:
             from safetensors.torch import load_file
 
             return dict(load_file(path))
-        stored = torch.load(path, map_location="cpu", weights_only=True)
+        stored = read_torch_file(path)
     except Exception as error:
         raise ConfigError(
             f"{path} cannot be read as weights ({type(error).__name__}).",
@@ -51,6 +52,18 @@ def read_weights(path: Path) -> Weights:
     if not isinstance(stored, dict) or not all(isinstance(v, Tensor) for v in stored.values()):
         raise ConfigError(f"{path} holds no weights by name.", "A torch file of a state_dict is wanted.")
     return {str(name).removeprefix("module."): value for name, value in stored.items()}
+
+
+def read_torch_file(path: Path) -> Any:
+    """Returns what a torch file holds, on the CPU: tensors and plain values, nothing else is unpickled.
+
+    Raises:
+        Exception: It is missing, damaged or holds something else; of which kind is up to torch.
+    """
+    with warnings.catch_warnings():
+        # It warns of old pickles before it refuses them, and the fault says all.
+        warnings.simplefilter("ignore", UserWarning)
+        return torch.load(path, map_location="cpu", weights_only=True)
 
 
 def fill(net: nn.Module, weights: Weights, source: str) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from pathlib import Path
@@ -127,7 +128,9 @@ def read_props(path: Path) -> SceneProps:
         with np.load(path, allow_pickle=False) as arrays:
             values = {name: arrays[name] for name in _FIELDS}
         return SceneProps(**{**values, "num_buildings": int(values["num_buildings"])})
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or "damaged, or another file"
         raise RenderingError(
-            f"{path} holds no scene props ({error}).", "Delete it and make it anew."
+            f"{path} holds no scene props ({reason}).",
+            "props=FILE names what lodbench made; without it surroundings are made up.",
         ) from None

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.building_boxes import building_boxes
 from lodbench.citymodel.scene import Scene
+from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
 from lodbench.rendering.raster import RasterRenderer
 from lodbench.synthesis.objects.scene_props import SurfaceClass
@@ -20,6 +21,7 @@ Grid = NDArray[np.float32]
 
 MARGIN_M = 220.0  # land beyond the outermost buildings
 _LEAST_CELL_M, _MAX_SIDE = 0.5, 3000
+_MAX_SPAN_M = 60_000.0  # cells of 20 m: no street is told on wider ones, and trees take the memory
 _ABOVE_M = 20_000.0  # the camera that looks down on the city, so far that its rays are parallel
 
 _JOINED_M = 11.0  # buildings nearer than this share a block
@@ -68,9 +70,19 @@ class TopView(NamedTuple):
 
 
 def look_down(scene: Scene) -> TopView:
-    """Returns a city from above: its highest surfaces, drawn from straight above."""
+    """Returns a city from above: its highest surfaces, drawn from straight above.
+
+    Raises:
+        DatasetError: It is so wide that no land can be made up for it.
+    """
     low, high = scene.extent_m
     span = high[:2] - low[:2] + 2 * MARGIN_M
+    if span.max() > _MAX_SPAN_M:
+        wide_km, most_km = span.max() / 1000, _MAX_SPAN_M / 1000
+        raise DatasetError(
+            f"The city is {wide_km:,.0f} km wide: land is made up for at most {most_km:.0f} km.",
+            "lodbench city check FILE names strays; lodbench city convert --bbox W S E N FILE OUT cuts.",
+        )
     cell = max(_LEAST_CELL_M, float(span.max()) / _MAX_SIDE)
     columns, rows = (int(length / cell) + 1 for length in span)
     west, south = (float(value) for value in low[:2] - MARGIN_M)

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from lodbench.errors import ConfigError
+from lodbench.segmentation.nets.weights import read_torch_file
 from lodbench.storage import write_bytes
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -45,7 +46,7 @@ def load_checkpoint(folder: Path, identity: str) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        state: dict[str, Any] = read_torch_file(path)
         found = state["identity"]
     except Exception as error:
         raise ConfigError(

@@ -10,10 +10,7 @@ from torch import nn
 
 from lodbench.segmentation.nets.working import Padding
 from lodbench.training.nets.batches import as_floats, as_tensors
-from lodbench.training.samples import Sample
-
-# Views with fewer buildings say little: one wrong shed halves their IoU.
-LEAST_SHARE = 0.05
+from lodbench.training.samples import LEAST_SHARE, Sample
 
 
 @torch.no_grad()
