@@ -37,7 +37,7 @@ examples:
 _IMPORT_EPILOG = """\
 FORMAT: colmap (text or binary), kapture, nerfstudio, tum, lines (visuallocalization.net), c2w; Metashape's
 exported reference (metashape), Pix4D's calibrated external camera parameters (pix4d), ODM's geo.txt (odm),
-all three in the city's projected coordinates; or auto.
+all three in projected coordinates, the city's or those that the file declares; or auto.
 The poses become the truth; kapture's and COLMAP's images without a pose are not part of it.
 
 examples:
