@@ -113,13 +113,23 @@ def test_a_model_is_placed_within_decimetres_and_handed_on(capsys, case, tmp_pat
     frame = MapFrame("EPSG:25832+7837")
     east, north = frame.east_north(*shape(cameras[0]["geometry"]).coords[0][::-1])
     assert (east, north) == pytest.approx(case.truth[cameras[0]["properties"]["name"]].center[:2], abs=1.0)
-    # What was found is a start of its own.
+    # What was found is a start of its own, and of this model.
     code, told = georeference(
-        capsys, case, tmp_path / "again", "--masks", case.masks, "--start", tmp_path / "similarity.json"
+        capsys, case, tmp_path, "--masks", case.masks, "--start", tmp_path / "similarity.json"
     )
     assert code == 0
     assert "the similarity in" in told
-    assert np.median(errors_m(read_colmap(tmp_path / "again" / "colmap"), case.truth)) < 0.6
+    assert np.median(errors_m(read_colmap(tmp_path / "colmap"), case.truth)) < 0.6
+
+
+@pytest.mark.parametrize("text", ['{"model": "elsewhere"}', "{}", "no JSON"])
+def test_the_result_of_another_model_is_not_written_over(capsys, case, tmp_path, text):
+    (tmp_path / "similarity.json").write_text(text)
+    code, told = georeference(capsys, case, tmp_path, "--masks", case.masks, "--start", case.rough)
+    assert code == 2
+    assert "similarity.json is not of" in told
+    assert "--out OTHER" in told
+    assert [file.name for file in tmp_path.iterdir()] == ["similarity.json"]
 
 
 @pytest.mark.parametrize(
