@@ -10,7 +10,7 @@ from lodbench.citymodel.texture_pictures import TextureFolder
 from lodbench.errors import DatasetError
 from lodbench.storage.json_text import parse_json
 
-_TRANSFORM = "KHR_texture_transform"
+_TRANSFORM, _WEBP = "KHR_texture_transform", "EXT_texture_webp"
 # A transform that leaves every place where it is.
 _STAYS = {"offset": [0, 0], "scale": [1, 1], "rotation": 0, "texCoord": 0}
 _GLB_HEAD = struct.Struct("<4sIIII")
@@ -96,8 +96,8 @@ def _named_by_gltf(path: Path) -> tuple[list[str], list[str]]:
         content = _gltf_content(path)
         found = [[str(entry.get("uri", "")) for entry in content.get(k, [])] for k in ("buffers", "images")]
         for material in content.get("materials", []):
-            _require_plain(material, path.name)
-    except (ValueError, AttributeError, TypeError, struct.error):
+            _require_plain(material, content, path.name)
+    except (ValueError, AttributeError, TypeError, LookupError, struct.error):
         return [], []  # the reader says what is wrong
     others, pictures = ([uri for uri in uris if uri and not uri.startswith("data:")] for uris in found)
     return sorted(set(others)), sorted(set(pictures))
@@ -115,18 +115,25 @@ def _gltf_content(path: Path) -> dict[str, Any]:
     return content
 
 
-def _require_plain(material: dict[str, Any], source: str) -> None:
-    """Makes sure that a picture lies by the first texture coordinates, as they stand.
+def _require_plain(material: dict[str, Any], content: dict[str, Any], source: str) -> None:
+    """Makes sure that a picture lies by the first texture coordinates, as they stand, and is of a kind read.
 
     Raises:
-        DatasetError: It lies by others, or they are moved first.
+        DatasetError: It is of another, lies by others, or they are moved first.
     """
     texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
     transform = texture.get("extensions", {}).get(_TRANSFORM, {})
     is_moved = any(transform.get(key, stays) != stays for key, stays in _STAYS.items())
-    if texture.get("texCoord", 0) != 0 or is_moved:
-        what = f"moves its picture ({_TRANSFORM})" if is_moved else "lies by its second texture coordinates"
-        raise DatasetError(
-            f"{source}: material {str(material.get('name', ''))!r} {what}, which is not read.",
-            "Export it with one set of texture coordinates, applied as they are meant.",
-        )
+    found: dict[str, Any] = content["textures"][texture["index"]] if texture else {"source": 0}
+    faults = {
+        f"moves its picture ({_TRANSFORM})": is_moved,
+        "lies by its second texture coordinates": texture.get("texCoord", 0) != 0,
+        # KTX2 stands in an extension alone.
+        "has no PNG, JPEG or WebP": not ("source" in found or _WEBP in found.get("extensions", {})),
+    }
+    for what, is_so in faults.items():
+        if is_so:
+            raise DatasetError(
+                f"{source}: material {str(material.get('name', ''))!r} {what}, which is not read.",
+                "Export it with PNG or JPEG, and one set of texture coordinates that stand as they lie.",
+            )

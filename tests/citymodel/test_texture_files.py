@@ -369,6 +369,16 @@ def test_pictures_that_lie_by_other_coordinates_are_refused(tmp_path, write, tex
         read_textured(write(tmp_path, change=change))
 
 
+def test_pictures_of_another_kind_are_refused(tmp_path):
+    write_picture(tmp_path / "roof.png")
+
+    def change(content):
+        content["textures"] = [{"extensions": {"KHR_texture_basisu": {"source": 0}}}]
+
+    with pytest.raises(DatasetError, match="has no PNG, JPEG or WebP"):
+        read_textured(write_gltf(tmp_path, change=change))
+
+
 def test_a_transform_that_moves_nothing_is_none(tmp_path):
     write_picture(tmp_path / "roof.png")
     same = {"KHR_texture_transform": {"offset": [0.0, 0.0], "scale": [1.0, 1.0]}}
