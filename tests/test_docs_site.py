@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import lodbench
+
 pytest.importorskip("mkdocs")
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -29,6 +31,13 @@ def test_every_page_is_there_and_the_api_has_its_docstrings(site):
     for name in ("localize", "open_scene", "run_method", "StoredRun", "Estimate", "QueryFault"):
         assert f">{name}<" in api or f'title="{name}' in api, name
     assert "cam_from_world" in api
+
+
+def test_the_api_page_names_all_that_the_package_offers():
+    named = re.findall(r"^::: ([\w.]+)$", (ROOT / "docs/api.md").read_text(), re.MULTILINE)
+    for name in lodbench.__all__[1:]:
+        home = getattr(lodbench, name).__module__
+        assert {home, f"{home}.{name}"} & set(named), name
 
 
 def test_no_page_asks_for_anything_from_elsewhere(site):

@@ -119,6 +119,7 @@ def convert_city(
             chunks = writer.chunks()
     else:
         mesh = mesh_model(model, lod, roof_height=roof_height)
+        left_out = (_LOST_NAMES,) if suffix in _NAMELESS_SUFFIXES else ()
         findings.items += mesh.findings.items
         chunks = () if suffix == ".scene" else (_MESH_WRITERS[suffix](mesh.scene),)
     try:
@@ -214,5 +215,8 @@ _MESH_WRITERS: dict[str, Callable[[Scene], bytes]] = {
     ".glb": glb_bytes,
 }
 _TEXTURED_SUFFIXES = (".glb", ".obj")
+# What is read again from these is a building where it hangs together; OBJ has the names for other programs.
+_NAMELESS_SUFFIXES = (".obj", ".ply")
+_LOST_NAMES = "names of buildings where lodbench reads it again: what hangs together is one (.glb keeps them)"
 _CITYGML_SUFFIXES = (".gml", ".xml", ".citygml")
 FORMATS = (*_MESH_WRITERS, *_CITYJSON_WRITERS, *_CITYGML_SUFFIXES, ".scene")

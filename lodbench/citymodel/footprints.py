@@ -109,7 +109,7 @@ def _blocks(
     heights = _heights(columns, options, unit_m, ids, findings)
     rings, ring_starts, polygon_starts, owner = _kept_polygons(polygons, heights, ids, findings)
     if len(owner) == 0:
-        raise CityModelError(f"{source} has no footprint with a height.", "See `lodbench city check FILE`.")
+        raise _no_height(source, findings)
     if not np.isfinite(rings).all():
         raise CityModelError(
             f"{source} has coordinates that are not finite numbers.", "Repair or export the file again."
@@ -174,13 +174,24 @@ def _without_gaps(
 def _heights(
     columns: Columns, options: ReadOptions, unit_m: float, ids: list[str], findings: Findings
 ) -> NDArray[np.float64]:
-    heights, where = columns.heights(options, unit_m)
+    heights, names = columns.heights(options, unit_m)
     is_missing = ~((heights > 0) & (heights * unit_m < _TALLEST_M))
     code = HEIGHT_MISSING if options.default_height_m is None else HEIGHT_DEFAULTED
     for i in np.flatnonzero(is_missing):
-        findings.add(code, ids[i], f"{where} is {heights[i]:g}")
+        findings.add(code, ids[i], columns.written(names, int(i)))
     default = np.nan if options.default_height_m is None else options.default_height_m / unit_m
     return np.where(is_missing, default, heights)
+
+
+def _no_height(source: str, findings: Findings) -> CityModelError:
+    """Returns the error of a file without a usable footprint, with what the first lacks."""
+    lost = next((item for item in findings.items if item.code is HEIGHT_MISSING), None)
+    if lost is None:
+        return CityModelError(f"{source} has no footprint with an area.", "Repair or export the file again.")
+    return CityModelError(
+        f"{source} has no footprint with a height; of {lost.object_id}, {lost.detail}.",
+        "Heights are metres, below 1000: name their column, height_column=..., or give default_height_m=...",
+    )
 
 
 def _kept_polygons(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.codes import SCALE_OFF
-from lodbench.citymodel.crs import KnownCrs
+from lodbench.citymodel.axis_order import try_order
+from lodbench.citymodel.codes import CRS_IMPLAUSIBLE, SCALE_OFF
+from lodbench.citymodel.crs import KnownCrs, metric_crs
+from lodbench.errors import CityModelError
 from lodbench.findings import Findings
 
 _MAX_SCALE_ERROR = 1e-3
@@ -27,6 +29,25 @@ def is_true_to_scale(known: KnownCrs, middle: NDArray[np.float64], findings: Fin
     is_kept = worst <= _MAX_KEPT_SCALE_ERROR
     findings.add(SCALE_OFF, "", f"{known.label}: {factors}{'' if is_kept else '; projected anew'}")
     return is_kept
+
+
+def require_true_to_scale(target: KnownCrs, middle: NDArray[np.float64], findings: Findings) -> None:
+    """Makes sure that a system can be measured in where a city, (east, north), is brought to.
+
+    What is off by more than a thousandth is told, as is a place outside of the system's area.
+
+    Raises:
+        CityModelError: Its metres are off by more than a hundredth.
+    """
+    place = try_order(middle, target, is_north_first=False)
+    if not place.is_plausible:
+        findings.add(CRS_IMPLAUSIBLE, "", f"{target.label}: the city lies outside its area of use")
+    if not is_true_to_scale(target, middle, findings):
+        better = metric_crs(target, place.longitude_deg, place.latitude_deg)
+        raise CityModelError(
+            f"A metre of {target.label} is off by more than a hundredth at the city.",
+            f"Name a system that is made for the place, such as {better}.",
+        )
 
 
 def _scales(known: KnownCrs, middle: NDArray[np.float64]) -> tuple[float, float]:

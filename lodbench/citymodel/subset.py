@@ -14,6 +14,7 @@ from lodbench.citymodel.duplicates import drop_repeats
 from lodbench.citymodel.lods import has_lod, polygons_at
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.raw import take_segments
+from lodbench.citymodel.scale import require_true_to_scale
 from lodbench.citymodel.selection import select_polygons
 from lodbench.citymodel.strays import frame_origin
 from lodbench.errors import CityModelError, nearest_names
@@ -115,12 +116,15 @@ def require_same_heights(model: CityModel, crs: str) -> None:
 def reproject(model: CityModel, crs: str) -> CityModel:
     """Returns a city in another metric reference system; heights stay as they are.
 
+    Its findings say if it lies outside the area of that system, or where metres are off by a thousandth.
+
     Args:
         model: With a reference system.
         crs: Name of the other one, projected, in metres to the east and north.
 
     Raises:
-        CityModelError: Either system is unknown, the other is not in metres, or points cannot be projected.
+        CityModelError: Either system is unknown, the other is not in metres, or its metres are off by more
+            than a hundredth at the city, or points cannot be projected.
     """
     from pyproj import Transformer
 
@@ -137,11 +141,15 @@ def reproject(model: CityModel, crs: str) -> CityModel:
     points[:, 0], points[:, 1] = transformer.transform(points[:, 0], points[:, 1])
     if not np.isfinite(points).all():
         raise CityModelError(f"Some coordinates cannot be projected to {crs}.", "Does it cover the city?")
+    findings = Findings(list(model.findings.items))
+    if len(points):
+        require_true_to_scale(target, np.median(points[:, :2], axis=0), findings)
     origin = frame_origin(points)
     label = target.metric_label  # heights are in metres, whatever unit the name has
     if target.vertical_code is None and source.vertical_code is not None:
         label = f"{label}+{source.vertical_code}"
-    return replace(model, crs=label, origin=origin, polygons=replace(model.polygons, points=points - origin))
+    polygons = replace(model.polygons, points=points - origin)
+    return replace(model, crs=label, origin=origin, polygons=polygons, findings=findings)
 
 
 def footprint_boxes(model: CityModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,12 +16,12 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.pictures import PictureTable, counted_lines
 from lodbench.citymodel.polygons import finish_model
 from lodbench.citymodel.scene import Scene
+from lodbench.citymodel.texture_names import named_files, picture_name
 from lodbench.citymodel.texture_pictures import MAX_ALL_PIXELS, TextureFolder, pixels_of
 from lodbench.citymodel.textured_mesh import TexturedMesh, join_textured, offset_to_city
 from lodbench.citymodel.textured_model import textured_model
 from lodbench.errors import DatasetError
 from lodbench.findings import Severity
-from lodbench.storage.json_text import parse_json
 
 _MESHES = (".obj", ".glb", ".gltf", ".ply")
 _CITIES = (".gml", ".xml", ".citygml")
@@ -81,12 +81,12 @@ def files_of_textured(path: Path) -> list[Path]:
     """Returns the files that a textured mesh is read from: its own, and those it names that are there.
 
     Raises:
-        DatasetError: It names one outside of its folder.
+        DatasetError: As for ``named_files``.
     """
     if path.is_dir():
         return sorted(file for file in path.rglob("*") if file.is_file())
     folder = TextureFolder(path.parent, path.parent)
-    others, pictures = _named_files(path, folder)
+    others, pictures = named_files(path, folder)
     found = (folder.path(name) for name in (*others, *pictures))
     return [path, *(file for file in found if file is not None)]
 
@@ -115,7 +115,7 @@ def _read_city(path: Path, folder: TextureFolder, options: ReadOptions) -> Textu
 
 
 def _read_mesh(path: Path, folder: TextureFolder) -> TexturedMesh:
-    others, pictures = _named_files(path, folder)
+    others, pictures = named_files(path, folder)
     missing = [name for name in (*others, *pictures) if folder.path(name) is None]
     if missing:
         raise DatasetError(
@@ -140,7 +140,7 @@ def _resolver(folder: TextureFolder) -> Any:
             pass
 
         def get(self, key: str) -> bytes:
-            return folder.read(key)
+            return folder.read(picture_name(key, "a material"))
 
         def write(self, name: str, data: Any) -> None:
             raise NotImplementedError
@@ -152,41 +152,6 @@ def _resolver(folder: TextureFolder) -> Any:
             return []
 
     return FolderResolver()
-
-
-def _named_files(path: Path, folder: TextureFolder) -> tuple[list[str], list[str]]:
-    """Returns the files that a mesh file names: materials and buffers, and pictures."""
-    suffix = path.suffix.lower()
-    if suffix == ".gltf":
-        try:
-            content = parse_json(path.read_text(encoding="utf-8"))
-            found = [
-                [str(entry.get("uri", "")) for entry in content.get(k, [])] for k in ("buffers", "images")
-            ]
-        except (ValueError, AttributeError, TypeError):
-            return [], []  # the reader says what is wrong
-        others, pictures = ([uri for uri in uris if uri and not uri.startswith("data:")] for uris in found)
-        return sorted(set(others)), sorted(set(pictures))
-    if suffix != ".obj":
-        return [], []
-    libraries, named = sorted(set(_after(path, "mtllib"))), set()
-    for library in libraries:
-        file = folder.path(library)
-        textures = [] if file is None else _after(file, "map_Kd")
-        parent = PurePosixPath(library.replace("\\", "/")).parent.as_posix()
-        named |= {name if parent == "." else f"{parent}/{name}" for name in textures}
-    return libraries, sorted(named)
-
-
-def _after(path: Path, keyword: str) -> list[str]:
-    """Returns what follows a keyword on its lines; of a texture with options, the last word."""
-    found = []
-    with path.open(encoding="latin-1") as stream:
-        for line in stream:
-            words = line.strip().split(maxsplit=1)
-            if len(words) == 2 and words[0] == keyword:
-                found.append(words[1].split()[-1] if words[1].startswith("-") else words[1])
-    return found
 
 
 def _part(loaded: Any, node: str) -> TexturedMesh:
@@ -203,7 +168,8 @@ def _part(loaded: Any, node: str) -> TexturedMesh:
         blank = np.zeros((count, 3, 3), dtype=np.uint8)
         coordinates = np.asarray(uv, np.float64)[:, :2][faces]
         numbers = np.zeros(count, np.int32)
-        return TexturedMesh(corners[faces], coordinates, numbers, blank, (pixels_of(image, name),))
+        picture = _tinted(pixels_of(image, name), getattr(material, "baseColorFactor", None))
+        return TexturedMesh(corners[faces], coordinates, numbers, blank, (picture,))
     if material is not None:
         colours = np.broadcast_to(np.asarray(material.main_color)[:3], (count, 3, 3))
     elif part.visual.defined:
@@ -212,3 +178,15 @@ def _part(loaded: Any, node: str) -> TexturedMesh:
         colours = np.full((count, 3, 3), _GREY)
     none: NDArray[np.int32] = np.full(count, -1, dtype=np.int32)
     return TexturedMesh(corners[faces], np.zeros((count, 3, 2)), none, colours.astype(np.uint8), ())
+
+
+def _tinted(picture: NDArray[np.uint8], factor: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+    """Returns a picture, (H, W, 3) sRGB, times a material's colour, RGBA, which multiplies light."""
+    if factor is None or (factor[:3] == 255).all():
+        return picture
+    shades = np.arange(256) / 255.0
+    light = np.where(shades <= 0.04045, shades / 12.92, ((shades + 0.055) / 1.055) ** 2.4)
+    light = light * (factor[:3, None] / 255.0)
+    table = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    found = [own[picture[..., k]] for k, own in enumerate(np.rint(255.0 * table).astype(np.uint8))]
+    return np.stack(found, axis=-1)

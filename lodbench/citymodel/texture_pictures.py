@@ -137,8 +137,16 @@ def require_size(image: Any, name: str) -> None:
 def pixels_of(image: Any, name: str) -> NDArray[np.uint8]:
     """Returns the (H, W, 3) RGB pixels of a Pillow image, which is decoded only now.
 
+    Of 16 bits the upper 8 are kept.
+
     Raises:
-        DatasetError: It has too many pixels.
+        DatasetError: It has too many pixels, or numbers of 32 bits, of which none is known to be white.
     """
     require_size(image, name)
+    # Pillow would cut off at 255 what has more than 8 bits. Older ones call grey PNGs of 16 bits "I".
+    if image.mode.startswith("I;16") or (image.mode == "I" and image.format == "PNG"):
+        grey = (np.asarray(image) >> 8).astype(np.uint8)
+        return np.repeat(grey[..., None], 3, axis=-1)
+    if image.mode in ("I", "F"):
+        raise DatasetError(f"{name[:120]!r} has pixels of 32 bits.", "Save it with 8 bits a colour.")
     return np.asarray(image.convert("RGB"), dtype=np.uint8)

@@ -57,8 +57,8 @@ class Columns:
         self._table = table
         self._count = count
 
-    def heights(self, options: ReadOptions, unit_m: float = 1.0) -> tuple[NDArray[np.float64], str]:
-        """Returns (N,) heights above ground in the columns' unit, NaN where there is none, and where from.
+    def heights(self, options: ReadOptions, unit_m: float = 1.0) -> tuple[NDArray[np.float64], list[str]]:
+        """Returns (N,) heights above ground in the columns' unit, NaN where there is none, and the columns.
 
         Args:
             options: Which columns; the height of a storey, metres.
@@ -71,7 +71,7 @@ class Columns:
         if options.height_column is None and options.storeys_column is None:
             roof, ground = (find_column(names, None, known) for known in (_ROOFS, _GROUNDS))
             if roof is not None and ground is not None:
-                return self._numbers(roof) - self._numbers(ground), f"{roof} - {ground}"
+                return self._numbers(roof) - self._numbers(ground), [roof, ground]
         height = None
         if options.height_column is not None or options.storeys_column is None:
             height = find_column(names, options.height_column, _HEIGHTS)
@@ -79,7 +79,7 @@ class Columns:
         height = height or (None if storeys else find_column(names, None, _HEIGHTS_PERHAPS))
         if height is None and storeys is None:
             if options.default_height_m is not None:
-                return np.full(self._count, np.nan), "default_height_m"
+                return np.full(self._count, np.nan), []
             raise CityModelError(
                 f"No column of heights or storeys among: {', '.join(names) or 'no columns at all'}.",
                 "Name it: height_column=..., storeys_column=... or default_height_m=...",
@@ -88,7 +88,15 @@ class Columns:
         if storeys is not None:
             from_storeys = self._numbers(storeys) * (options.storey_height_m / unit_m)
             values = np.where(np.isfinite(values) & (values > 0), values, from_storeys)
-        return values, " or ".join(name for name in (height, storeys) if name is not None)
+        return values, [name for name in (height, storeys) if name is not None]
+
+    def written(self, names: Sequence[str], row: int) -> str:
+        """Returns what stands in some columns of a footprint: ``height is '33 ft'``."""
+        values = [self._table[name][row : row + 1].tolist()[0] for name in names]
+        return ", ".join(
+            f"{name} is {'empty' if value is None else repr(value)}"
+            for name, value in zip(names, values, strict=True)
+        )
 
     def has_heights(self, options: ReadOptions) -> bool:
         """Tells whether ``heights`` finds any."""

@@ -82,10 +82,10 @@ def conversion_summary(target: str, done: Conversion) -> dict[str, Any]:
         "buildings": len(model.building_ids),
         "parts": model.num_parts,
         "crs": model.crs,
+        "left_out": list(done.left_out),
     }
     if mesh is None:
-        levels = {"lods": list(model.lods), "polygons": len(model.polygons), "left_out": list(done.left_out)}
-        return summary | levels | findings
+        return summary | {"lods": list(model.lods), "polygons": len(model.polygons)} | findings
     return summary | {
         "lod": mesh.scene.lod,
         "origin": mesh.scene.origin.tolist(),
@@ -105,7 +105,6 @@ def format_conversion(summary: dict[str, Any]) -> str:
         parts = f", {summary['parts']:,} parts" if summary["parts"] else ""
         what = f"LoD {lods}, {summary['buildings']:,} buildings{parts}, {summary['polygons']:,} polygons"
         lines = [f"{summary['written']}: {what}", f"CRS {crs_in_words(summary['crs'])}"]
-        lines += [f"left out: {line}" for line in summary["left_out"]]
     else:
         lod = f"{lod_in_words(summary['lod'])}, " if summary["lod"] else ""
         what = f"{lod}{summary['buildings']:,} buildings, {summary['triangles']:,} triangles"
@@ -117,6 +116,7 @@ def format_conversion(summary: dict[str, Any]) -> str:
             areas,
             f"origin {origin}, CRS {crs_in_words(summary['crs'])}",
         ]
+    lines += [f"left out: {line}" for line in summary["left_out"]]
     return "\n".join([*lines, *_finding_lines(summary["findings"], summary["finding_objects"])])
 
 

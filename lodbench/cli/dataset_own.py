@@ -37,7 +37,7 @@ examples:
 _IMPORT_EPILOG = """\
 FORMAT: colmap (text or binary), kapture, nerfstudio, tum, lines (visuallocalization.net), c2w; Metashape's
 exported reference (metashape), Pix4D's calibrated external camera parameters (pix4d), ODM's geo.txt (odm),
-all three in the city's projected coordinates; or auto.
+all three in projected coordinates, the city's or those that the file declares; or auto.
 The poses become the truth; kapture's and COLMAP's images without a pose are not part of it.
 
 examples:
@@ -185,7 +185,9 @@ def _describe(made: OwnDataset, asked: argparse.Namespace) -> str:
         # dataset.json names the city that is known.
         "" if asked.city else "city=FILE",
         "" if made.num_priors else "prior=uniform",
-        "method=contour_alignment" if asked.masks else "method=region",
+        "method=contour_alignment" if asked.masks or asked.images is None else "method=region",
+        # Without photos the only masks are those of the city at the true poses.
+        "segmenter=oracle" if asked.images is None else "",
         # The run must read the city as it was read here.
         f"dataset.crs={asked.crs}" if asked.crs else "",
         f"source={asked.source}" if asked.source != "folder" else "",

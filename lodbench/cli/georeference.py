@@ -27,7 +27,8 @@ flight).
 
 Written to --out: colmap/ (the model, its points and tracks, moved), metashape_reference.txt,
 calibrated_external_camera_parameters.txt (Pix4D), geo.txt (ODM), cameras.geojson with heights and footprints,
-map_findings.geojson (buildings whose height the photos contradict), similarity.json.
+map_findings.geojson (buildings whose height the photos contradict), similarity.json;
+refused where it holds those of another model.
 
 examples:
   lodbench georeference sparse/0 --city city.gml --images PHOTOS --masks MASKS

@@ -43,7 +43,11 @@ _WORDS = {
         "Put labels (0 = none, one value per building) in each split's folder instances, or name a segmenter "
         "that makes them: segmenter=NAME.",
     ),
-    Input.IMAGE: ("photos", "Put them in Query_image; segmenter=masks and segmenter=oracle need none."),
+    Input.IMAGE: (
+        "photos",
+        "Put them in Query_image; "
+        "method=contour_alignment needs none with segmenter=masks or segmenter=oracle.",
+    ),
     Input.REFERENCES: ("posed pictures of the place", "Set dataset.references=FOLDER."),
     Input.TEXTURED_MAP: ("a textured map", "Set dataset.textured_map=FILE."),
     Input.TILT: ("a measured pitch and roll of the priors", "Take a method that finds them."),

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import OwnImage, find_mask, find_photo
@@ -15,7 +13,7 @@ from lodbench.datasets.photo_camera import camera_from_photo
 from lodbench.datasets.photo_files import find_photos, require_photos
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.photo_pose import HeightOptions, pose_from_photo, require_stated
-from lodbench.errors import ConfigError, DatasetError, LodbenchError
+from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Camera
 
 LeftOut = list[tuple[str, str]]
@@ -73,26 +71,19 @@ def images_from_poses(
     photos: Path | None = None,
     masks: Path | None = None,
     cameras: dict[str, Camera] | None = None,
-    offset_m: Sequence[float] = (0.0, 0.0, 0.0),
     frame: MapFrame | None = None,
     heights: HeightOptions | None = None,
 ) -> tuple[list[OwnImage], LeftOut]:
     """Returns posed images, their poses as the truth, with priors from the photos where these state one.
 
     Args:
-        found: Images of another program's model.
+        found: Images of another program's model, in the city's coordinates.
         photos: Folder that the image names are relative to, or None for poses alone.
         masks: Folder of masks of the photos as stored, or None.
         cameras: Intrinsics by image name, where the model has none.
-        offset_m: Added to positions: what was taken off the city's coordinates (east, north, up).
         frame: The city's coordinates, to read the photos' own positions; None for no priors.
         heights: How the drone's heights become the city's.
-
-    Raises:
-        ConfigError: The offset is not finite.
     """
-    if not np.isfinite(offset_m).all():
-        raise ConfigError("The offset has values that are not finite.")
     images: list[OwnImage] = []
     left_out: LeftOut = []
     for image in found:
@@ -105,8 +96,7 @@ def images_from_poses(
         elif photos is not None and photo is None:
             left_out.append((image.name, f"no such photo in {photos}"))
         else:
-            mask, truth = find_mask(masks, image.name), image.pose.shifted(offset_m)
-            own = OwnImage(image.name, camera, None, truth, photo, mask)
+            own = OwnImage(image.name, camera, None, image.pose, photo, find_mask(masks, image.name))
             images.append(own if frame is None else _with_stated_prior(own, frame, heights))
     return images, left_out
 

@@ -57,6 +57,19 @@ def camera_flag(width: int, height: int) -> str:
     return f"--camera 'SIMPLE_PINHOLE {width} {height} FOCAL_PX {width / 2:g} {height / 2:g}'"
 
 
+def require_photo_size(camera: Camera, name: str, width: int, height: int) -> None:
+    """Makes sure that intrinsics are of a photo or a frame as it is stored.
+
+    Raises:
+        DatasetError: They are of a picture of another size.
+    """
+    if (camera.width, camera.height) != (width, height):
+        raise DatasetError(
+            f"The camera is of {camera.width} x {camera.height} pixels, {name} has {width} x {height}.",
+            "Give the intrinsics of the photo as it is stored.",
+        )
+
+
 def states_focal_length(photo: PhotoMetadata) -> bool:
     """Tells whether a photo states anything that ``camera_from_photo`` can make a camera of."""
     is_whole = photo.digital_zoom == 1.0

@@ -76,6 +76,8 @@ def _guess(path: Path, known: Collection[str]) -> str:
         return named
     where, line = next(content(path), (str(path), ""))
     words = line.split()
+    if not words:
+        raise DatasetError(f"{path} holds no poses.", "A line of a pose file is a name and numbers.")
     if len(words) >= 10 and words[0].isdigit() and words[8].isdigit():
         return "colmap"
     if len(words) == 8 and words[0] not in known and is_number(words[0]):
@@ -84,7 +86,7 @@ def _guess(path: Path, known: Collection[str]) -> str:
         return "lines"
     raise DatasetError(
         f"{where} is of no known pose format.",
-        f"Set format to one of {', '.join(plugin_names('pose_formats'))}.",
+        f"Known formats: {', '.join(plugin_names('pose_formats'))}.",
     )
 
 

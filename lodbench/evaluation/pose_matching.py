@@ -49,7 +49,7 @@ def match_poses(found: Sequence[FoundPose], entries: Sequence[Entry], format_nam
         )
     places: dict[str, str] = {}
     poses: dict[str, Pose] = {}
-    for name, where, pose, _ in found:
+    for name, where, pose, *_ in found:
         keys = _candidates(index, name)
         if len(keys) > 1:
             raise DatasetError(f"{where}: {name} may be any of {', '.join(keys)}.", "Write split/name.")

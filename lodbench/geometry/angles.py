@@ -27,7 +27,11 @@ _STEEP = 1.0 - 1e-12
 
 
 class EulerAngles(NamedTuple):
-    """Camera attitude in degrees: pitch from nadir, roll, yaw counter-clockwise from grid north."""
+    """Camera attitude in degrees: pitch from nadir, roll, yaw counter-clockwise from grid north.
+
+    Pitch turns about the picture's right side, roll about the level axis ahead, then yaw about the vertical.
+    So the right side dips by roll and points yaw from east; where roll is 0, the view goes yaw from north.
+    """
 
     pitch_deg: float
     roll_deg: float

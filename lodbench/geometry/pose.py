@@ -22,6 +22,8 @@ UNIT_TOLERANCE = 1e-3
 class Pose:
     """A camera pose: ``x_cam = rotation @ x_world + translation``.
 
+    Made as it stands, as searches make many; ``from_center`` and its like look at what they are given.
+
     Attributes:
         rotation: (3, 3) float64 cam_from_world rotation, determinant +1.
         translation: (3,) float64, metres.
@@ -75,14 +77,26 @@ class Pose:
 
     @classmethod
     def from_center(cls, rotation: Matrix, center: Sequence[float] | Matrix) -> Pose:
-        """Returns the pose of a camera at a world position with a cam_from_world rotation."""
+        """Returns the pose of a camera at a world position with a cam_from_world rotation.
+
+        Raises:
+            LodbenchError: The rotation is not orthonormal with determinant +1.
+        """
         rotation = np.array(rotation, dtype=np.float64)
+        _require_rotation(rotation)
         return cls(rotation, -rotation @ np.asarray(center, dtype=np.float64))
 
     @classmethod
     def from_euler(cls, angles: EulerAngles, center: Sequence[float] | Matrix) -> Pose:
-        """Returns the pose of a camera at a world position with pitch, roll and yaw in degrees."""
-        return cls.from_center(rotation_from_euler(angles), center)
+        """Returns the pose of a camera at a world position with pitch, roll and yaw in degrees.
+
+        Raises:
+            LodbenchError: An angle is not finite.
+        """
+        if not all(map(math.isfinite, angles)):
+            raise LodbenchError("A pitch, roll or yaw is not finite.")
+        rotation = rotation_from_euler(angles)
+        return cls(rotation, -rotation @ np.asarray(center, dtype=np.float64))
 
     @classmethod
     def from_matrix(cls, cam_from_world: Matrix) -> Pose:
@@ -96,11 +110,7 @@ class Pose:
         rotation = np.array(matrix[:3, :3])
         if not np.isfinite(matrix).all():
             raise LodbenchError("A pose matrix has values that are not finite.")
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > UNIT_TOLERANCE or np.linalg.det(rotation) < 0:
-            raise LodbenchError(
-                "A pose matrix holds no rotation (orthonormal, determinant +1).",
-                "Check the row order and whether axes were mirrored.",
-            )
+        _require_rotation(rotation)
         return cls(rotation, np.array(matrix[:3, 3]))
 
     @classmethod
@@ -124,6 +134,16 @@ class Pose:
         tilt = other.euler
         angles = EulerAngles(tilt.pitch_deg, tilt.roll_deg, self.euler.yaw_deg)
         return Pose.from_euler(angles, self.center)
+
+
+def _require_rotation(rotation: Matrix) -> None:
+    # The other way round NaN would pass.
+    is_orthonormal = np.abs(rotation @ rotation.T - np.eye(3)).max() <= UNIT_TOLERANCE
+    if not is_orthonormal or np.linalg.det(rotation) < 0:
+        raise LodbenchError(
+            "A pose matrix holds no rotation (orthonormal, determinant +1).",
+            "Check the row order and whether axes were mirrored.",
+        )
 
 
 def rotation_from_quaternion(quat_wxyz: Sequence[float]) -> Matrix:

@@ -17,6 +17,7 @@ from lodbench.geometry import Camera, Pose
 from lodbench.methods.lodlocv2 import LodLocV2
 from lodbench.methods.measured_calls import localize_query
 from lodbench.methods.protocol import Estimate, Method, SupportsPrepare
+from lodbench.methods.registry import make_method
 from lodbench.methods.workspace import Workspace
 from lodbench.segmentation import check_mask
 from lodbench.storage import random_stream
@@ -28,8 +29,8 @@ def localize(
     prior: Pose,
     mask: NDArray[np.float32] | NDArray[np.bool_] | None = None,
     *,
-    image: Path | None = None,
-    method: Method | None = None,
+    image: str | Path | None = None,
+    method: str | Method | None = None,
     seed: int = 0,
     threads: int | None = None,
 ) -> Estimate:
@@ -42,18 +43,22 @@ def localize(
         mask: (H, W) probability of building in [0, 1], or bool; any size of the photo's aspect; None
             for a method that requires none.
         image: The photo's file, lens distortion undone, for a method that looks at it.
-        method: How; LoD-Loc v2 with the paper's parameters by default. One that prepares does so anew.
+        method: How, or the name of a method with its settings as they are; LoD-Loc v2 with the paper's
+            parameters by default. One that prepares does so anew.
         seed: Seed of the search.
         threads: Threads of the renderer, None for one per core; never changes the answer.
 
     Raises:
         QueryFault: The mask is not as described or holds no building, or no building is near the prior.
+        LodbenchError: The prior is no pose, or the method is not known.
     """
+    prior = Pose.from_matrix(prior.cam_from_world)
+    photo = None if image is None else Path(image)
     probability = None if mask is None else check_mask(mask, camera)
-    query = Query("photo", "", camera, prior.shifted(-scene.origin), probability, image)
+    query = Query("photo", "", camera, prior.shifted(-scene.origin), probability, photo)
     city_map = CityMap(scene, threads=threads)
     streams = partial(random_stream, seed, "localize", "photo")
-    method = method or LodLocV2()
+    method = make_method(method) if isinstance(method, str) else method or LodLocV2()
     with TemporaryDirectory() as folder:
         if isinstance(method, SupportsPrepare):
             method.prepare(city_map, (), Workspace(Path(folder)))

@@ -259,8 +259,12 @@ class TestReading:
         with pytest.raises(CityModelError, match="no column 'hight'") as caught:
             self.read(tmp_path, geojson([([square()], {"height": 3})]), height_column="hight")
         assert "height" in caught.value.hint
-        with pytest.raises(CityModelError, match="no footprint with a height"):
+        with pytest.raises(CityModelError, match="no footprint with a height; of footprint-1, height is 0"):
             self.read(tmp_path, geojson([([square()], {"height": 0})]))
+        text = geojson([([square()], {"id": "a", "height": "33 ft", "floors": None})])
+        with pytest.raises(CityModelError, match="of a, height is '33 ft', floors is empty") as caught:
+            self.read(tmp_path, text)
+        assert "height_column=" in caught.value.hint
         with pytest.raises(CityModelError, match="is no GeoJSON file"):
             self.read(tmp_path, "not json at all")
         with pytest.raises(CityModelError, match="cannot be read as a vector file"):

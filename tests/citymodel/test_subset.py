@@ -61,5 +61,16 @@ def test_reprojection(row: CityModel) -> None:
     expected = np.stack(transformer.transform(before[:, 0], before[:, 1]), axis=1)
     assert np.allclose(placed[:, :2], expected, atol=1e-6)
     assert np.array_equal(placed[:, 2], before[:, 2])
+    assert not other.findings.counts()
     with pytest.raises(CityModelError, match="is not in metres"):
         reproject(row, "EPSG:4326")
+
+
+def test_a_target_that_is_not_made_for_the_place_is_told_or_refused(row: CityModel) -> None:
+    other = reproject(row, "EPSG:25834")
+    assert list(other.findings.counts()) == ["LB303 CRS_IMPLAUSIBLE", "LB309 SCALE_OFF"]
+    assert not row.findings.counts()
+    # Mercator of the whole world: a metre on the ground is 1.6 of its metres there.
+    with pytest.raises(CityModelError, match="A metre of EPSG:3857 is off") as caught:
+        reproject(row, "EPSG:3857")
+    assert "EPSG:32632" in caught.value.hint

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.citymodel.gml_text import box_city, city, member, multi_surface, polygon, surface_members, write
+from tests.town import box_obj
 
 from .test_faults import is_clear
 
@@ -312,9 +313,15 @@ def test_bench_for_machines(lodbench, tmp_path):
     assert figures[0]["ratio"] > 0
 
 
-def test_a_converted_scene_is_told_from_a_city(lodbench, tmp_path):
-    from tests.town import box_obj
+def test_a_mesh_that_keeps_no_names_of_buildings_is_told(lodbench, tmp_path):
+    (tmp_path / "town.obj").write_text(box_obj())
+    for name, is_told in (("a.obj", True), ("a.ply", True), ("a.glb", False), ("a.scene", False)):
+        values = json.loads(lodbench("city", "convert", "town.obj", name, "--json").stdout)
+        assert bool(values["left_out"]) == is_told, name
+    assert "left out: names of buildings" in lodbench("city", "convert", "town.obj", "a.ply").stdout
 
+
+def test_a_converted_scene_is_told_from_a_city(lodbench, tmp_path):
     (tmp_path / "town.obj").write_text(box_obj())
     assert lodbench("city", "convert", "town.obj", "town.scene").returncode == 0
     done = lodbench("city", "check", "town.scene")

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from lodbench.datasets.exchange.posed import inverted
+from lodbench.datasets.declared_crs import brought
+from lodbench.datasets.exchange.photogrammetry import write_odm
+from lodbench.datasets.exchange.posed import FoundPose, inverted
 from lodbench.datasets.pose_text import read_poses
 from tests.datasets.test_pose_files import lines
 from tests.town import write_dataset
@@ -50,6 +52,23 @@ def test_a_file_is_scored_without_a_city_and_verifies(lodbench, tmp_path, data):
     text = (folder / "queries.csv").read_text()
     (folder / "queries.csv").write_text(text.replace("no pose in the pose file", ""))
     assert lodbench("verify", str(folder)).returncode == 1
+
+
+def test_poses_in_another_system_than_the_dataset_s_are_brought_there(lodbench, tmp_path):
+    data, _ = write_dataset(tmp_path / "town", count=2)
+    (data / "dataset.json").write_text('{"crs": "EPSG:25832"}')
+    truth = {
+        name: pose.shifted([281000.0, 5657000.0, 0.0])
+        for name, pose in read_poses(data / "GT_pose.txt").items()
+    }
+    (data / "GT_pose.txt").write_text(lines(truth))
+    found = [FoundPose(name, "", pose, crs="EPSG:25832") for name, pose in truth.items()]
+    write_odm(brought(found, "EPSG:25833")[0], tmp_path / "geo.txt", "EPSG:25833")
+    done = lodbench(*evaluate(data, tmp_path / "geo.txt", "method_name=ours"))
+    assert done.returncode == 0, done.stderr
+    assert "poses in EPSG:25833 brought to EPSG:25832" in done.stdout
+    summary = json.loads((run_folder(tmp_path, "ours") / "summary.json").read_text())
+    assert summary["splits"]["data"]["recall"]["2m-2deg"] == 100.0
 
 
 def test_the_wrong_direction_is_said_and_not_mended(lodbench, tmp_path, data):

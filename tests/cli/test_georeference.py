@@ -13,14 +13,19 @@ from scipy.spatial.transform import Rotation
 from shapely.geometry import shape
 
 from lodbench.cli import main
+from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.colmap import read_colmap, write_colmap
 from lodbench.datasets.exchange.lines import write_lines
+from lodbench.datasets.exchange.photogrammetry import write_odm
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.pose_files import read_pose_file
 from lodbench.evaluation import pose_error
 from lodbench.geometry import Pose
 from lodbench.geometry.similarity import Similarity
+from lodbench.harness.georeference.request import GeoreferenceRequest
+from lodbench.harness.georeference.start import rough_start
+from lodbench.methods.registry import make_method
 from lodbench.synthesis.flights.dataset import FlightsParams, open_flights
 from tests.cli.photo_case import stated
 from tests.datasets.dji_photo import write_photo, xmp_packet
@@ -113,13 +118,40 @@ def test_a_model_is_placed_within_decimetres_and_handed_on(capsys, case, tmp_pat
     frame = MapFrame("EPSG:25832+7837")
     east, north = frame.east_north(*shape(cameras[0]["geometry"]).coords[0][::-1])
     assert (east, north) == pytest.approx(case.truth[cameras[0]["properties"]["name"]].center[:2], abs=1.0)
-    # What was found is a start of its own.
+    # What was found is a start of its own, and of this model.
     code, told = georeference(
-        capsys, case, tmp_path / "again", "--masks", case.masks, "--start", tmp_path / "similarity.json"
+        capsys, case, tmp_path, "--masks", case.masks, "--start", tmp_path / "similarity.json"
     )
     assert code == 0
     assert "the similarity in" in told
-    assert np.median(errors_m(read_colmap(tmp_path / "again" / "colmap"), case.truth)) < 0.6
+    assert np.median(errors_m(read_colmap(tmp_path / "colmap"), case.truth)) < 0.6
+
+
+def test_rough_poses_in_another_system_are_brought_to_the_city_s(case, tmp_path):
+    rough = [pose._replace(crs="EPSG:25832") for pose in read_pose_file(case.rough, "lines")[1]]
+    write_odm(brought(rough, "EPSG:25833")[0], tmp_path / "geo.txt", "EPSG:25833")
+    request = GeoreferenceRequest(
+        city=case.city,
+        out=tmp_path,
+        model=case.model,
+        method=make_method("flight"),
+        start=tmp_path / "geo.txt",
+    )
+    images = list(read_colmap(case.model))
+    start = rough_start(request, images, MapFrame("EPSG:25832+7837"))
+    assert "poses in EPSG:25833 brought to EPSG:25832+7837" in start.notes[0]
+    placed = [image._replace(pose=start.similarity.pose(image.pose)) for image in images]
+    assert max(errors_m(placed, case.truth)) < 30.0
+
+
+@pytest.mark.parametrize("text", ['{"model": "elsewhere"}', "{}", "no JSON"])
+def test_the_result_of_another_model_is_not_written_over(capsys, case, tmp_path, text):
+    (tmp_path / "similarity.json").write_text(text)
+    code, told = georeference(capsys, case, tmp_path, "--masks", case.masks, "--start", case.rough)
+    assert code == 2
+    assert "similarity.json is not of" in told
+    assert "--out OTHER" in told
+    assert [file.name for file in tmp_path.iterdir()] == ["similarity.json"]
 
 
 @pytest.mark.parametrize(

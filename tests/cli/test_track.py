@@ -186,6 +186,35 @@ def test_a_track_of_other_frames_is_not_written_over_nor_a_good_one_by_one_that_
     assert main(footage.words("flight.avi", *masks, *out)) == 0
 
 
+@pytest.mark.parametrize("source", ["flight.avi", "photos"])
+def test_fewer_of_its_frames_do_not_replace_a_track(capsys, footage, tmp_path, source):
+    masks, out = ("--masks", footage.folder / "masks"), ("--fps", 4, "--out", tmp_path)
+    assert main(footage.words(source, *masks, *out)) == 0
+    written = (tmp_path / "track.csv").read_bytes()
+    assert main(footage.words(source, *masks, *out, "--every", 2)) == 2
+    assert "is not of these frames of" in capsys.readouterr().err
+    assert (tmp_path / "track.csv").read_bytes() == written
+    assert main(footage.words(source, *masks, *out)) == 0
+
+
+@pytest.mark.parametrize("source", ["flight.avi", "photos"])
+def test_a_camera_of_another_size_is_refused_as_by_localize(capsys, footage, tmp_path, source):
+    words = footage.words(source, "--masks", footage.folder / "masks", "--out", tmp_path / "out")
+    words[words.index("--camera") + 1] = "PINHOLE 160 120 115 114 80.5 59.25"
+    assert main(words) == 2
+    assert "The camera is of 160 x 120 pixels" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_masks_of_no_frame_of_a_video_are_refused(capsys, footage, tmp_path):
+    (tmp_path / "frame_1.png").write_bytes((footage.folder / "masks" / "photo_1.png").read_bytes())
+    assert main(footage.words("flight.avi", "--masks", tmp_path, "--out", tmp_path / "out")) == 2
+    told = capsys.readouterr().err
+    assert "holds no mask of any image" in told
+    assert "frame_000000.png" in told
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("source", "more", "said"),
     [

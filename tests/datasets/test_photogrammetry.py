@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pyproj import CRS
 
 from lodbench.datasets.exchange.photogrammetry import (
     read_metashape,
@@ -51,9 +52,9 @@ def photo_axes(pose: Pose) -> np.ndarray:
     return np.column_stack([right, -down, -ahead])
 
 
-def metashape_file(tmp_path, rows: str, head: str = HEAD):
+def metashape_file(tmp_path, rows: str, head: str = HEAD, system: str = "PROJCS[...]"):
     path = tmp_path / "reference.txt"
-    path.write_text(f"#CoordinateSystem: PROJCS[...]\n#Cameras (1)\n{head}\n{rows}")
+    path.write_text(f"#CoordinateSystem: {system}\n#Cameras (1)\n{head}\n{rows}")
     return path
 
 
@@ -108,6 +109,41 @@ def test_metashape_s_estimates_go_before_its_source_and_markers_are_no_cameras(t
     (found,) = read_metashape(metashape_file(tmp_path, rows, head))
     assert found.pose.center == pytest.approx(CENTER)
     assert photo_axes(found.pose) == pytest.approx(np.array(METASHAPE_30_91_0), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("name", "crs"),
+    [
+        ("EPSG:25833", "EPSG:25833"),
+        ("EPSG:25832+7837", "EPSG:25832"),
+        ("EPSG:32632+5773", "EPSG:32632"),
+    ],
+)
+def test_metashape_s_system_goes_along(tmp_path, name, crs):
+    system = CRS(name).to_wkt("WKT1_GDAL")
+    (found,) = read_metashape(metashape_file(tmp_path, "a.jpg,1,2,3,4,5,6\n", system=system))
+    assert found.crs == crs
+
+
+@pytest.mark.parametrize("system", ["PROJCS[...]", 'LOCAL_CS["Local Coordinates (m)"]'])
+def test_local_coordinates_of_metashape_s_name_no_system(tmp_path, system):
+    (found,) = read_metashape(metashape_file(tmp_path, "a.jpg,1,2,3,4,5,6\n", system=system))
+    assert found.crs is None
+
+
+@pytest.mark.parametrize(
+    ("head", "crs"),
+    [
+        ("EPSG:23032", "EPSG:23032"),
+        ("WGS84 UTM 32N", "EPSG:32632"),
+        ("WGS84 UTM 5S", "EPSG:32705"),
+        ("+proj=utm +zone=33 +ellps=GRS80 +units=m +no_defs", "EPSG:25833"),
+    ],
+)
+def test_odm_s_system_goes_along(tmp_path, head, crs):
+    (tmp_path / "geo.txt").write_text(f"{head}\na.jpg 280950.5 5657400.25 160.125 1 2 3\n")
+    (found,) = read_odm(tmp_path / "geo.txt")
+    assert found.crs == crs
 
 
 @pytest.mark.parametrize("read", [read_pix4d, read_odm])

@@ -176,7 +176,12 @@ def test_wrong_settings_and_files_are_refused(tmp_path):
     with pytest.raises(DatasetError, match="does not exist"):
         read_pose_file(tmp_path / "none.txt", "auto")
     (tmp_path / "p.txt").write_text("a b c\n")
-    with pytest.raises(DatasetError, match="no known pose format"):
+    with pytest.raises(DatasetError, match="no known pose format") as caught:
+        read_pose_file(tmp_path / "p.txt", "auto")
+    # Not every command that reads poses takes a format.
+    assert caught.value.hint.startswith("Known formats: ")
+    (tmp_path / "p.txt").write_text("")
+    with pytest.raises(DatasetError, match=r"p\.txt holds no poses"):
         read_pose_file(tmp_path / "p.txt", "auto")
     with pytest.raises(DatasetError, match="is a file"):
         read_pose_file(tmp_path / "p.txt", "c2w")

@@ -85,6 +85,13 @@ class TestDatasetAngles:
         for rotation, yaw in zip(rotations, yaws, strict=True):
             np.testing.assert_allclose(rotation, scipy_rotation(pitch, roll, yaw), atol=1e-14)
 
+    def test_the_right_side_dips_by_roll_and_points_yaw_from_east(self):
+        right, _, ahead = rotation_from_euler(EulerAngles(60.0, 10.0, 30.0))
+        assert math.degrees(math.asin(-right[2])) == pytest.approx(10.0)
+        assert math.degrees(math.atan2(right[1], right[0])) == pytest.approx(30.0)
+        # Roll is about the level axis ahead, so the view leaves yaw.
+        assert math.degrees(math.atan2(-ahead[0], ahead[1])) == pytest.approx(35.73, abs=0.01)
+
     def test_no_yaws_give_no_rotations(self):
         assert rotations_at_yaws(10.0, 0.0, np.zeros(0)).shape == (0, 3, 3)
 

@@ -97,3 +97,15 @@ class TestPose:
     def test_a_scaled_matrix_is_refused(self):
         with pytest.raises(LodbenchError, match="no rotation"):
             Pose.from_matrix(np.diag([2.0, 2.0, 2.0, 1.0]))
+
+    @pytest.mark.parametrize(
+        "rotation", [2.0 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)]
+    )
+    def test_what_is_no_rotation_stands_at_no_place(self, rotation):
+        with pytest.raises(LodbenchError, match="no rotation"):
+            Pose.from_center(rotation, (1, 2, 3))
+
+    @pytest.mark.parametrize("angles", [(math.nan, 0, 0), (0, math.inf, 0), (0, 0, math.nan)])
+    def test_angles_that_are_not_finite_are_refused(self, angles):
+        with pytest.raises(LodbenchError, match="not finite"):
+            Pose.from_euler(EulerAngles(*angles), (1, 2, 3))

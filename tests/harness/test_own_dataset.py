@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.kapture import write_kapture
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.nerfstudio import write_nerfstudio
-from lodbench.datasets.exchange.photogrammetry import write_metashape
+from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.exchange.tum import write_tum
 from lodbench.datasets.folder import FolderParams, open_folder
@@ -331,6 +332,32 @@ class TestImport:
         code, _, err = run(capsys, "dataset import nerfstudio", *paths, *words)
         assert code == 0, err
         assert list(read_poses(tmp_path / "town/GT_pose.txt")) == ["DJI_0001.JPG"]
+
+    def test_without_photos_the_next_command_is_one_that_runs(self, capsys, tmp_path, case):
+        write_odm([FoundPose("a.jpg", "", case.truth)], tmp_path / "geo.txt", "EPSG:25832")
+        words = ["--city", case.city, "--camera", format_camera("", PINHOLE).strip()]
+        _, out, _ = run(capsys, "dataset import odm", tmp_path / "geo.txt", tmp_path / "town", *words)
+        command = shlex.split(out.splitlines()[-1].removeprefix("Next: lodbench "))
+        assert "method=contour_alignment" in command
+        runs = f"paths.runs={tmp_path / 'runs'}"
+        code, _, err = run(capsys, "", *command, runs)
+        assert code == 0, err
+        # What the hint of a method that looks at photos names is the same.
+        code, _, err = run(capsys, "run method=region", *command[1:3], "prior=uniform", runs)
+        assert code == 2
+        assert "method=contour_alignment needs none with segmenter=masks or segmenter=oracle" in err
+
+    def test_poses_in_another_system_than_the_city_s_are_brought_there(self, capsys, tmp_path, case):
+        write_odm([FoundPose("a.jpg", "", case.truth)], tmp_path / "geo.txt", "EPSG:25832")
+        text = (tmp_path / "geo.txt").read_text().replace("EPSG:25832", "EPSG:23032")
+        (tmp_path / "geo.txt").write_text(text)
+        words = ["--city", case.city, "--camera", format_camera("", LENS).strip()]
+        code, out, err = run(capsys, "dataset import odm", tmp_path / "geo.txt", tmp_path / "town", *words)
+        assert code == 0, err
+        assert "note: poses in EPSG:23032 brought to EPSG:25832" in out
+        (truth,) = read_poses(tmp_path / "town/GT_pose.txt").values()
+        # What European Datum 1950 lies beside ETRS89 there.
+        assert truth.center - case.truth.center == pytest.approx([-81.2, -202.5, 0.0], abs=2.0)
 
     def test_a_label_that_two_photos_have_finds_neither(self, capsys, tmp_path, case):
         shutil.copytree(case.photo.parent, tmp_path / "photos")

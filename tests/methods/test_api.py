@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import lodbench
-from lodbench.errors import QueryFault
+from lodbench.datasets.pictures import encoded
+from lodbench.errors import ConfigError, LodbenchError, QueryFault
 from lodbench.evaluation import pose_error
 from lodbench.methods.lodlocv2 import LodLocV2, Params
 from tests.town import CAMERA, prior_of
@@ -36,3 +37,20 @@ class TestLocalize:
             lodbench.localize(
                 scene, CAMERA, prior_of(truths[0]), change(queries[0].building_probability), method=QUICK
             )
+
+    def test_a_photo_by_its_path_as_text_and_a_method_by_its_name(self, scene, truths, tmp_path):
+        photo = tmp_path / "a.png"
+        photo.write_bytes(encoded(np.full((120, 160, 3), 200, np.uint8), ".png"))
+        camera, prior = CAMERA.scaled(160, 120), prior_of(truths[0]).shifted(scene.origin)
+        found = lodbench.localize(scene, camera, prior, image=str(photo), method="prior_only")
+        assert pose_error(found.pose, prior).translation_m < 1e-6
+        # It is opened: one shade all over is no city.
+        with pytest.raises(QueryFault, match="the photo fits no view"):
+            lodbench.localize(scene, camera, prior, image=str(photo), method="region")
+        with pytest.raises(ConfigError, match="method"):
+            lodbench.localize(scene, camera, prior, image=photo, method="regions")
+
+    def test_a_prior_that_is_no_pose_is_refused(self, scene, queries):
+        prior = lodbench.Pose(2.0 * np.eye(3), np.zeros(3))
+        with pytest.raises(LodbenchError, match="no rotation"):
+            lodbench.localize(scene, CAMERA, prior, queries[0].building_probability, method=QUICK)

@@ -21,14 +21,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lodbench.citymodel.crs import require_crs
+from lodbench.citymodel.crs import KnownCrs, require_crs, resolve_crs
 from lodbench.datasets.exchange.posed import FoundPose, Place, content, read_text, require_plain_names
 from lodbench.datasets.pose_text import lines_to_text
-from lodbench.errors import CityModelError, DatasetError, LodbenchError
+from lodbench.errors import DatasetError, LodbenchError
 from lodbench.geometry import Pose
 from lodbench.storage import write_text
 
 _PIX4D_HEAD = "imageName X Y Z Omega Phi Kappa"
+_METASHAPE_SYSTEM = "#CoordinateSystem:"
 _METASHAPE_HEAD = ("#Label", "X/Easting", "Y/Northing", "Z/Altitude", "Yaw", "Pitch", "Roll")
 # What is read, by the heads of the source values; the estimated ones are called x_est, yaw_est, ...
 _METASHAPE_COLUMNS = {
@@ -47,10 +48,15 @@ def read_metashape(path: Path) -> Iterator[FoundPose]:
             malformed.
     """
     columns: dict[str, int] = {}
+    crs: str | None = None
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         where = f"{path}, line {number}"
         if line.startswith("#Label"):
             columns = _metashape_columns(where, line)
+        elif line.startswith(_METASHAPE_SYSTEM):
+            # A chunk without one has local coordinates there, and its WKT means no place on Earth.
+            known = resolve_crs(line.removeprefix(_METASHAPE_SYSTEM))
+            crs = None if known is None else _plane_label(known)
         elif line.startswith(("#Markers", "#Scalebars")):
             return
         elif line.strip() and not line.startswith("#"):
@@ -65,7 +71,7 @@ def read_metashape(path: Path) -> Iterator[FoundPose]:
                     continue
                 *place, yaw, pitch, roll = (float(cells[columns[name]]) for name in _METASHAPE_COLUMNS)
                 pose = _pose(_rotation_of_ypr(yaw, pitch, roll), place)
-            yield FoundPose(cells[columns["label"]], where, pose)
+            yield FoundPose(cells[columns["label"]], where, pose, crs=crs)
 
 
 def _metashape_columns(where: str, line: str) -> dict[str, int]:
@@ -111,11 +117,10 @@ def read_odm(path: Path) -> Iterator[FoundPose]:
     """
     lines = content(path)
     where, head = next(lines, (str(path), ""))
-    if _is_in_degrees(where, head.strip()):
-        raise DatasetError(f"{where}: {head.strip()} has degrees.", _PROJECTED_HINT)
+    crs = _odm_crs(where, head.strip())
     for place, line in lines:
         with Place(place, "image_name geo_x geo_y geo_z omega phi kappa"):
-            yield _of_omega_phi_kappa(place, line.split())
+            yield _of_omega_phi_kappa(place, line.split())._replace(crs=crs)
 
 
 def write_metashape(images: Sequence[FoundPose], path: Path, crs: str | None = None) -> None:
@@ -141,7 +146,7 @@ def _coordinate_system(crs: str | None) -> list[str]:
         wkt = None if crs is None else require_crs(crs).horizontal.to_wkt("WKT1_GDAL")
     except CRSError:  # town grids of Colombia, Michigan's, the modified Krovak
         wkt = None
-    return [] if wkt is None else [f"#CoordinateSystem: {wkt}"]
+    return [] if wkt is None else [f"{_METASHAPE_SYSTEM} {wkt}"]
 
 
 def write_pix4d(images: Sequence[FoundPose], path: Path) -> None:
@@ -216,18 +221,23 @@ def _pose(world_from_photo: NDArray[np.float64], center: Sequence[float]) -> Pos
     return Pose.from_center((world_from_photo @ _PHOTO_AXES).T, center)
 
 
-def _is_in_degrees(where: str, head: str) -> bool:
-    """Tells whether the reference system of ODM's first line counts in degrees.
+def _odm_crs(where: str, head: str) -> str:
+    """Returns the reference system that ODM's first line names.
 
     Raises:
-        DatasetError: The line names none.
+        DatasetError: The line names none, or one in degrees.
     """
-    from pyproj import CRS
-    from pyproj.exceptions import CRSError
-
     zone = re.fullmatch(r"WGS84 UTM (\d{1,2})([NS])", head, re.IGNORECASE)
-    try:
-        known = CRS.from_user_input(head) if head.startswith("+") else None
-        return zone is None and not (known or require_crs(head).horizontal).is_projected
-    except (CRSError, CityModelError) as error:
-        raise DatasetError(f"{where}: {head!r} names no reference system.", "ODM wants one there.") from error
+    name = head if zone is None else f"EPSG:{326 if zone[2] in 'Nn' else 327}{int(zone[1]):02d}"
+    known = resolve_crs(name)
+    if known is None:
+        raise DatasetError(f"{where}: {head!r} names no reference system.", "ODM wants one there.")
+    if not known.horizontal.is_projected:
+        raise DatasetError(f"{where}: {head} has degrees.", _PROJECTED_HINT)
+    return _plane_label(known)
+
+
+def _plane_label(known: KnownCrs) -> str:
+    """Returns the short name of a system's plane; its own where that has none. Heights stay as they are."""
+    code = known.horizontal.to_epsg()
+    return known.label if code is None else f"EPSG:{code}"

@@ -19,12 +19,14 @@ class FoundPose(NamedTuple):
         where: The file and line it stood at.
         pose: World to camera.
         camera: Intrinsics of the picture, lens distortion included; None where the format has none.
+        crs: Reference system of the pose as its file declares it; None where it declares none.
     """
 
     name: str
     where: str
     pose: Pose
     camera: Camera | None = None
+    crs: str | None = None
 
 
 def inverted(pose: Pose) -> Pose:

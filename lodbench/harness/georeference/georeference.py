@@ -25,7 +25,7 @@ from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
 from lodbench.geometry.similarity import FEWEST_POSES, FittedSimilarity, Similarity, fit_similarity
 from lodbench.harness.city import open_city, require_near_city
-from lodbench.harness.georeference.outputs import write_georeferenced
+from lodbench.harness.georeference.outputs import require_no_other, write_georeferenced
 from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
 from lodbench.harness.georeference.start import ROUGH_DEG, ROUGH_M, rough_start
 from lodbench.methods import Estimate
@@ -48,8 +48,10 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
     as one flight; the similarity that lays the model on these poses is the answer.
 
     Raises:
-        LodbenchError: The model, the city or the rough poses cannot be read, or too few photos can be used.
+        LodbenchError: The model, the city or the rough poses cannot be read, too few photos can be used, or
+            the folder to be written holds the result of another model.
     """
+    require_no_other(request.out, request.model)
     images = list(read_colmap(request.model))
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     frame = None if city.scene.crs is None else MapFrame(city.scene.crs)

@@ -11,15 +11,40 @@ from lodbench.citymodel.scene import Scene
 from lodbench.datasets.exchange.colmap_moved import write_moved_colmap
 from lodbench.datasets.exchange.geojson import camera_feature, footprint_feature, view_feature, write_geojson
 from lodbench.datasets.exchange.photogrammetry import write_metashape, write_odm, write_pix4d
+from lodbench.datasets.exchange.posed import read_json
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.undistort import pinhole_of
-from lodbench.errors import LodbenchError
+from lodbench.errors import DatasetError, LodbenchError
 from lodbench.harness.flights.map_findings import contradiction_features
 from lodbench.harness.georeference.request import Georeferenced, GeoreferenceRequest
 from lodbench.harness.photo.outputs import ground_below_m
 from lodbench.storage import make_folder, write_text
 
 SIMILARITY_FILE = "similarity.json"
+
+
+def require_no_other(out: Path, model: Path) -> None:
+    """Refuses a folder that holds the result of another model.
+
+    Args:
+        out: The folder, which need not be there.
+        model: What is to be placed.
+
+    Raises:
+        DatasetError: It does, or its file is of somebody else.
+    """
+    file = out / SIMILARITY_FILE
+    if file.exists() and _model_of(file) != str(model.resolve()):
+        raise DatasetError(
+            f"{file} is not of {model} and would be written over.", "Name another folder: --out OTHER"
+        )
+
+
+def _model_of(file: Path) -> object:
+    try:
+        return read_json(file).get("model")
+    except DatasetError:
+        return None
 
 
 def write_georeferenced(
@@ -57,7 +82,8 @@ def write_georeferenced(
             notes.append(f"{name} was not written: {fault.message}")
     files["similarity"] = out / SIMILARITY_FILE
     written = replace(placed, files=files, notes=tuple(notes))
-    text = json.dumps(written.to_json(), indent=1, ensure_ascii=False)
+    values = {"model": str(request.model.resolve()), **written.to_json()}
+    text = json.dumps(values, indent=1, ensure_ascii=False)
     write_text(files["similarity"], text + "\n")
     return written
 

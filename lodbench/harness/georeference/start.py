@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.posed import FoundPose, Place, read_json
 from lodbench.datasets.map_frame import MapFrame
 from lodbench.datasets.own import find_photo, shared_files
@@ -67,8 +68,10 @@ def rough_start(
             found = _stated_similarity(values["similarity"], request.start)
             return RoughStart(found, f"the similarity in {request.start}")
     if request.start is not None:
-        known, source = _by_name(images, read_pose_file(request.start, "auto")[1]), str(request.start)
-        notes: tuple[str, ...] = ()
+        listed, notes = brought(
+            read_pose_file(request.start, "auto")[1], None if frame is None else frame.crs
+        )
+        known, source = _by_name(images, listed), str(request.start)
         _require_enough(len(known), len(images), source, [])
     else:
         stated = _stated_by_photos(request, images, frame)

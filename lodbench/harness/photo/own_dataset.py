@@ -11,6 +11,7 @@ from typing import Any
 from lodbench import __version__
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
+from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.kapture import unposed_images
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
@@ -45,7 +46,8 @@ class OwnRequest:
         masks: Folder of building masks of the photos as they are stored, or None.
         cameras: Camera file by image name, for formats without cameras; or None.
         camera: Intrinsics of all images, or None.
-        offset_m: Added to the positions of ``poses`` (east, north, up).
+        offset_m: Added to the positions of ``poses`` (east, north, up), before they are brought from the
+            reference system that their file declares to the city's.
         city: City model, or None to trust that the poses are in its coordinates.
         lod: Level of detail, or None.
         options: How to read the city.
@@ -88,7 +90,7 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
         if path is not None and not path.exists():
             raise DatasetError(f"{path} does not exist.", "Check the path.")
     scene, frame = _open_frame(request)
-    images, left_out, kind = _images(request, frame)
+    images, left_out, kind, told = _images(request, frame)
     if request.masks is not None:
         require_some_mask(request.masks, [image.name for image in images])
     if scene is not None:
@@ -103,7 +105,7 @@ def make_own_dataset(request: OwnRequest) -> OwnDataset:
     with Progress(f"writing {request.folder.name}", len(images)) as progress:
         written = write_dataset(images, request.folder, about, progress.advance, left_out)
     kept = [image for image in images if image.file_name in set(written.names)]
-    notes = _prior_notes(kept, frame, request.heights)
+    notes = [*told, *_prior_notes(kept, frame, request.heights)]
     if request.masks is not None:
         notes += _mask_notes(request.masks, kept)
     priors = sum(image.prior is not None for image in kept)
@@ -167,16 +169,20 @@ def _open_frame(request: OwnRequest) -> tuple[Scene | None, MapFrame | None]:
     return scene, None
 
 
-def _images(request: OwnRequest, frame: MapFrame | None) -> tuple[list[OwnImage], LeftOut, str]:
-    """Returns the images, those left out, and what they were read from."""
+def _images(
+    request: OwnRequest, frame: MapFrame | None
+) -> tuple[list[OwnImage], LeftOut, str, tuple[str, ...]]:
+    """Returns the images, those left out, what they were read from, and what the reader should know of it."""
     if request.poses is not None:
         kind, found = read_pose_file(request.poses, request.format)
+        placed, told = brought(
+            [_as_asked(image, request) for image in found], None if frame is None else frame.crs
+        )
         images, left_out = images_from_poses(
-            [_with_camera(image, request.camera) for image in found],
+            placed,
             photos=request.photos,
             masks=request.masks,
             cameras=None if request.cameras is None else read_cameras(request.cameras),
-            offset_m=request.offset_m,
             frame=frame,
             heights=request.heights,
         )
@@ -188,17 +194,18 @@ def _images(request: OwnRequest, frame: MapFrame | None) -> tuple[list[OwnImage]
             if "no such photo" in reason:
                 hint = "--images is the folder of the photos that the poses are of."
             raise DatasetError(f"No image can be used; the first is {name}: {reason}.", hint)
-        return images, left_out, kind
+        return images, left_out, kind, told
     if request.photos is None or frame is None:
         raise ConfigError("There are no photos and no poses.", "Give --images DIR, --city FILE, or a model.")
     images, left_out = images_from_photos(
         request.photos, frame, request.heights, masks=request.masks, camera=request.camera
     )
-    return images, left_out, "photos"
+    return images, left_out, "photos", ()
 
 
-def _with_camera(image: FoundPose, camera: Camera | None) -> FoundPose:
-    return image if camera is None else image._replace(camera=camera)
+def _as_asked(image: FoundPose, request: OwnRequest) -> FoundPose:
+    """Returns an image with the camera and the offset that were given."""
+    return image._replace(camera=request.camera or image.camera, pose=image.pose.shifted(request.offset_m))
 
 
 def _near(images: Sequence[OwnImage], scene: Scene) -> tuple[list[OwnImage], LeftOut]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.inputs import Input
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.photo_camera import camera_from_photo, require_photo_size
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import pose_at, pose_from_photo, require_stated
 from lodbench.datasets.pictures import read_picture
@@ -98,14 +98,8 @@ def _camera(request: PhotoRequest, photo: PhotoMetadata) -> tuple[Camera, str]:
     if request.camera is None:
         found = camera_from_photo(photo)
         return found.camera, found.source
-    camera = request.camera
-    if (camera.width, camera.height) != (photo.width, photo.height):
-        raise DatasetError(
-            f"The camera is of {camera.width} x {camera.height} pixels, {photo.name} has "
-            f"{photo.width} x {photo.height}.",
-            "Give the intrinsics of the photo as it is stored.",
-        )
-    return camera, "given"
+    require_photo_size(request.camera, photo.name, photo.width, photo.height)
+    return request.camera, "given"
 
 
 def pinhole_mask(request: PhotoRequest, camera: Camera, pinhole: Camera) -> NDArray[np.float32]:

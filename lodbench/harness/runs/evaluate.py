@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from lodbench.datasets.declared_crs import brought
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import select_splits
 from lodbench.datasets.pose_files import read_pose_file
@@ -65,11 +66,12 @@ def evaluate_poses(dataset: Dataset, settings: EvaluateSettings) -> Result:
     splits = select_splits(dataset, settings.splits)
     entries = chosen_entries(dataset, splits, settings.limit)
     known = {word for entry in dataset.entries for word in (entry.name, entry.key)}
-    kind, found = read_pose_file(settings.poses, settings.format, known)
+    kind, listed = read_pose_file(settings.poses, settings.format, known)
+    found, moved = brought(listed, dataset.crs)
     # Matched with all queries: a name of another split is no unknown name.
     matched = match_poses(found, dataset.entries, kind)
     suspicion = suspect_convention(matched.poses, _references(dataset), kind != "c2w")
-    notes = matched.notes + ((suspicion,) if suspicion else ())
+    notes = moved + matched.notes + ((suspicion,) if suspicion else ())
     inputs = {"queries": queries_digest(dataset, entries), "poses": _poses_digest(found)}
     config = {
         **settings.config,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections import Counter, deque
@@ -9,7 +10,6 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import datetime
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -88,6 +88,21 @@ class Footage:
         """
         return self._of_photos() if self.source.is_dir() else self._of_video()
 
+    def names(self) -> Iterator[str]:
+        """Yields what the frames are called; of a video without end, as it may state no length."""
+        if self.source.is_dir():
+            return (photo.name for photo in self.photos()[:: self.every])
+        return map(_frame_name, itertools.count(step=self.every))
+
+    def video_size(self) -> tuple[int, int] | None:
+        """Returns width and height of a video's first frame, None where that cannot be decoded.
+
+        Raises:
+            DatasetError: It is no video, or has no frames.
+        """
+        pixels = next(self._of_video()).pixels
+        return None if pixels is None else (pixels.shape[1], pixels.shape[0])
+
     def first_photo(self) -> Path | None:
         """Returns the first photo of a folder; None for a video."""
         return self.photos()[0] if self.source.is_dir() else None
@@ -122,7 +137,7 @@ class Footage:
                 time_s = stamp_s if is_told else (number / rate if self.rate else time_s + 1.0 / rate)
                 if number % self.every == 0:
                     is_whole, pixels = video.retrieve()
-                    yield Shot(f"frame_{number:06d}.png", time_s, np.asarray(pixels) if is_whole else None)
+                    yield Shot(_frame_name(number), time_s, np.asarray(pixels) if is_whole else None)
                 number += 1
         finally:
             video.release()
@@ -134,6 +149,10 @@ class Footage:
             )
 
 
+def _frame_name(number: int) -> str:
+    return f"frame_{number:06d}.png"
+
+
 def _clocks(photos: list[Path]) -> list[float] | None:
     """Returns when photos were taken, seconds after the first; None where clocks lack or stand still."""
     try:
@@ -143,7 +162,7 @@ def _clocks(photos: list[Path]) -> list[float] | None:
     except (ValueError, LodbenchError):
         return None
     seconds = [(taken - times[0]).total_seconds() for taken in times]
-    return seconds if all(later > sooner for sooner, later in pairwise(seconds)) else None
+    return seconds if all(later > sooner for sooner, later in itertools.pairwise(seconds)) else None
 
 
 @dataclass(slots=True)

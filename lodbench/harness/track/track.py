@@ -16,7 +16,8 @@ from lodbench.datasets.exchange.geojson import camera_feature, nowhere_feature, 
 from lodbench.datasets.exchange.lines import write_lines
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.map_frame import MapFrame
-from lodbench.datasets.photo_camera import camera_from_photo
+from lodbench.datasets.own import require_some_mask
+from lodbench.datasets.photo_camera import camera_from_photo, require_photo_size
 from lodbench.datasets.photo_files import in_pose_lines
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.photo_pose import place_notes, pose_at, pose_from_photo
@@ -122,7 +123,7 @@ def track(request: TrackRequest) -> Track:
         LodbenchError: The frames, the city or what is known of the first cannot be read, or the folder to be
             written holds something else.
     """
-    require_no_other(request.out, request.footage.source)
+    require_no_other(request.out, request.footage.source, request.footage.names())
     city = open_city(request.city, request.lod, request.options, request.roof_height)
     scene = city.scene
     frame = None if scene.crs is None else MapFrame(scene.crs)
@@ -149,6 +150,8 @@ def track(request: TrackRequest) -> Track:
                 # The first is searched for: what it takes says nothing of the rate.
                 started, cpu, masks_s, poses_s = time.perf_counter(), time.process_time(), maker.seconds, 0.0
             progress.advance()
+    if request.masks is not None:
+        require_some_mask(request.masks, [each.name for each in frames])
     seconds = {"total": time.perf_counter() - started, "masks": maker.seconds - masks_s, "poses": poses_s}
     notes = city.notes() + (notes_of(request.segmenter) if request.masks is None else ())
     notes += place_notes(frame, stated, request.heights) + tuple(request.footage.notes)
@@ -174,9 +177,12 @@ def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose,
             raise ConfigError(
                 "A video does not say its camera.", "Give --camera 'SIMPLE_PINHOLE W H FOCAL_PX CX CY'."
             )
-        stated = PhotoMetadata(request.footage.source.name, request.camera.width, request.camera.height)
+        size = request.footage.video_size() or (request.camera.width, request.camera.height)
+        stated = PhotoMetadata(request.footage.source.name, *size)
     else:
         stated = read_photo_metadata(first)
+    if request.camera is not None:
+        require_photo_size(request.camera, stated.name, stated.width, stated.height)
     camera = request.camera or camera_from_photo(stated).camera
     if request.center is not None:
         east, north, _ = request.center
