@@ -19,13 +19,12 @@ def points():
 
 def test_covariance_is_the_sum_of_what_is_shared(points):
     pixels, rises, feet, buildings = points
-    matrix = error_covariance(*points, (2.0, 0.5, 1.5), (30.0, 60.0, 100.0), (4.0, 9.0, 2.5))
+    matrix = error_covariance(*points, (2.0, 0.5), (30.0, 60.0), (4.0, 9.0, 2.5))
     apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
     own = np.outer(rises, rises) * (4.0 + 9.0 * np.exp(-apart / 60.0)) + 2.5 * np.outer(feet, feet)
     same = buildings[:, None] == buildings[None]
-    near, far = np.sqrt(3.0) * apart / 30.0, np.sqrt(3.0) * apart / 100.0
-    outline = 2.0 * (1.0 + near) * np.exp(-near) + 1.5 * (1.0 + far) * np.exp(-far)
-    expected = outline + np.where(same, own, 0.0) + 0.5 * np.eye(40)
+    lags = np.sqrt(3.0) * apart / 30.0
+    expected = 2.0 * (1.0 + lags) * np.exp(-lags) + np.where(same, own, 0.0) + 0.5 * np.eye(40)
     np.testing.assert_allclose(matrix, np.tril(expected), rtol=1e-12)
 
 

@@ -18,16 +18,16 @@ def error_covariance(pixels, rises, feet, buildings, noise, lengths, errors):  #
     """Returns the lower half of the points' error covariance, (N, N) square pixels.
 
     The mask's outline errs alike at points near each other in the picture: a curve that bends, without
-    kinks (Matern's correlation of order 3/2), and so by patches that it misses or adds. A building's roof
-    errs as a whole, and by parts: alike at points near each other. So does where its walls end, as a whole.
+    kinks (Matern's correlation of order 3/2). A building's roof errs as a
+    whole, and by parts: alike at points near each other. So does where its walls end, as a whole.
 
     Args:
         pixels: (N, 2) points.
         rises: (N,) how a distance changes per metre that the roof is higher.
         feet: (N,) how it changes per metre that the base is.
         buildings: (N,) which.
-        noise: Square pixels of the outline's error that goes together, of its rest, and of patches.
-        lengths: Pixels over which the outline's error goes together, a roof's, and that of patches.
+        noise: Square pixels of the outline's error that goes together, and of its rest.
+        lengths: Pixels over which the outline's error goes together, and a roof's.
         errors: Square metres of a roof's error as a whole, by parts, and of a base's.
     """
     count = len(pixels)
@@ -38,9 +38,6 @@ def error_covariance(pixels, rises, feet, buildings, noise, lengths, errors):  #
             apart = np.sqrt(dx * dx + dy * dy)
             lags = np.sqrt(3.0) * apart / lengths[0]
             value = noise[0] * (1.0 + lags) * np.exp(-lags)
-            if noise[2] > 0.0:
-                lags = np.sqrt(3.0) * apart / lengths[2]
-                value += noise[2] * (1.0 + lags) * np.exp(-lags)
             if buildings[i] == buildings[j]:
                 value += rises[i] * rises[j] * (errors[0] + errors[1] * np.exp(-apart / lengths[1]))
                 value += feet[i] * feet[j] * errors[2]

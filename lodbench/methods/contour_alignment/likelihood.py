@@ -29,7 +29,7 @@ _BAND_PX = 90.0
 # The outline's noise is looked for among points nearer than this, and is never less or more than that, px.
 _FAR_PX = 20.0
 _NOISE_PX = (0.5, 6.0)
-# An outline as good as traced by hand hides nothing and lacks no patches; one as rough as a network's does.
+# An outline as good as traced by hand hides nothing; one as rough as a network's does.
 _FINE_PX, _ROUGH_PX = 1.75, 2.75
 # Points that agree less with the mask's direction say nothing about its noise.
 _AGREES = 0.3
@@ -130,9 +130,8 @@ def sum_up(points: Points, world: WorldErrors, shared: Floats, params: Params, a
     distances, noise_px, weights = _judged(points, world, shared, params)
     information, gradient, log_density = np.zeros((10, 10)), np.zeros(10), -anywhere
     roofs_and_bases = (world.roof_m**2, world.part_m**2, world.base_m**2)
-    patches = params.patch_share * _roughness(noise_px)
     for chunk in points.chunks:
-        matrix = _covariance(points, chunk, noise_px, roofs_and_bases, patches, params)
+        matrix = _covariance(points, chunk, noise_px, roofs_and_bases, params)
         # Outliers have an error of their own beside the shared one.
         matrix[np.diag_indices(len(chunk))] += noise_px**2 * (1.0 / weights[chunk] - 1.0)
         columns = np.ascontiguousarray(np.column_stack([slopes[chunk], distances[chunk]]))
@@ -157,9 +156,9 @@ def density_anywhere(points: Points, world: WorldErrors, shared: Floats, params:
         params: The method's.
     """
     distances, noise_px, weights = _judged(points, world, shared, params)
-    log_density, patches = 0.0, params.patch_share * _roughness(noise_px)
+    log_density = 0.0
     for chunk in points.chunks:
-        matrix = _covariance(points, chunk, _ANYWHERE_PX, (0.0, 0.0, 0.0), patches, params)
+        matrix = _covariance(points, chunk, _ANYWHERE_PX, (0.0, 0.0, 0.0), params)
         matrix[np.diag_indices(len(chunk))] += noise_px**2 * (1.0 / weights[chunk] - 1.0)
         residuals = np.ascontiguousarray(distances[chunk][:, None])
         log_determinant = float(whiten(matrix, residuals))
@@ -172,7 +171,6 @@ def _covariance(
     chunk: NDArray[np.int64],
     noise_px: float,
     roofs_and_bases: tuple[float, float, float],
-    patches: float,
     params: Params,
 ) -> Floats:
     return np.asarray(
@@ -181,16 +179,11 @@ def _covariance(
             points.slopes[chunk, CAMERA],
             points.slopes[chunk, CAMERA + 1],
             points.here.points.buildings[chunk],
-            tuple(noise_px**2 * share for share in (1.0 - _OWN_SHARE, _OWN_SHARE, patches)),
-            (params.outline_px, params.roof_part_px, params.patch_px),
+            ((1.0 - _OWN_SHARE) * noise_px**2, _OWN_SHARE * noise_px**2),
+            (params.outline_px, params.roof_part_px),
             roofs_and_bases,
         )
     )
-
-
-def _roughness(noise_px: float) -> float:
-    """Returns how much an outline is one of a network's: 0 as good as traced by hand, to 1."""
-    return float(np.clip((noise_px - _FINE_PX) / (_ROUGH_PX - _FINE_PX), 0.0, 1.0))
 
 
 def _judged(
@@ -209,7 +202,7 @@ def _weights(
     """Returns (N,) in (0, 1]: little for points far beyond what the hypothesis expects."""
     expected = max(noise_px, 1.0) ** 2 + (slopes[:, CAMERA] ** 2) * (world.roof_m**2 + world.part_m**2)
     expected += (slopes[:, CAMERA + 1] * world.base_m) ** 2
-    rough = _roughness(noise_px)
+    rough = float(np.clip((noise_px - _FINE_PX) / (_ROUGH_PX - _FINE_PX), 0.0, 1.0))
     hidden_sigmas = (1.0 - rough) * params.outlier_sigmas + rough * params.hidden_sigmas
     sigmas = np.where(distances < 0, hidden_sigmas, params.outlier_sigmas)
     kernel = 1.0 / (1.0 + distances**2 / (sigmas**2 * expected))

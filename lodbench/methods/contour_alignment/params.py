@@ -24,7 +24,6 @@ _POSITIVE = (
     "noise_px",
     "correlation_px",
     "outline_px",
-    "patch_px",
     "outlier_sigmas",
     "hidden_sigmas",
     "roof_part_px",
@@ -73,8 +72,6 @@ class Params:
             steps find it from the view.
         correlation_px: Length of outline that counts as one observation until then, pixels.
         outline_px: Distance over which the errors of a mask's outline go together, pixels of the fine size.
-        patch_px: The same of what patches move that a mask misses or adds.
-        patch_share: The variance of that in a rough mask, as a share of the outline's own; 0 knows of none.
         outlier_sigmas: Scale of the robust kernel in the final steps, in standard deviations of the outline.
         hidden_sigmas: The same where the map's outline lies outside a rough mask: networks miss parts of
             buildings, behind trees and in shadows, more often than they take anything else for one.
@@ -115,8 +112,6 @@ class Params:
     noise_px: float = 2.0
     correlation_px: float = 16.0
     outline_px: float = 40.0
-    patch_px: float = 120.0
-    patch_share: float = 0.6
     outlier_sigmas: float = 3.0
     hidden_sigmas: float = 1.8
     roof_m: float = 2.0
@@ -130,7 +125,7 @@ class Params:
 
     def __post_init__(self) -> None:
         set_sizes(self, ("coarse_size", "fine_size"), least_px=8)
-        require_numbers(self, "method", (*_RANGES, "roof_m", "patch_share"), 0)
+        require_numbers(self, "method", (*_RANGES, "roof_m"), 0)
         require_numbers(self, "method", _POSITIVE, 0, ends="(]")
         require_numbers(self, "method", _PROBABILITIES, 0, 1, "()")
         require_choice("method.search", self.search, SEARCHES)

@@ -182,8 +182,8 @@ def _covariance(
         np.ascontiguousarray(seen.slopes[chosen, _TOP]),
         np.ascontiguousarray(seen.slopes[chosen, _FOOT]),
         seen.buildings[chosen],
-        ((1.0 - _OWN_SHARE) * noise_px**2, _OWN_SHARE * noise_px**2, 0.0),
-        (params.outline_px, params.roof_part_px, 1.0),
+        ((1.0 - _OWN_SHARE) * noise_px**2, _OWN_SHARE * noise_px**2),
+        (params.outline_px, params.roof_part_px),
         (0.0, view_roof_m**2, 0.0),
     )
     # Outliers have an error of their own beside the shared one.

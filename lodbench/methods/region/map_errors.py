@@ -71,8 +71,8 @@ def _variance_of_pulls(pulls: Floats, slopes: Floats, pixels: Floats, buildings:
         np.ascontiguousarray(slopes[:, _ROOF]),
         np.ascontiguousarray(slopes[:, _BASE]),
         np.ascontiguousarray(buildings),
-        (_TOGETHER_PX**2, _OWN_PX**2, 0.0),
-        (_NEAR_PX, _PART_PX, 1.0),
+        (_TOGETHER_PX**2, _OWN_PX**2),
+        (_NEAR_PX, _PART_PX),
         (_ROOF_M**2, _PART_M**2, _BASE_M**2),
     )
     # Not by a library whose sums depend on how many threads it has.
