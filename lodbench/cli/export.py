@@ -28,7 +28,7 @@ frame; `rerun FILE` opens it.
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
-    require_writable(None if asked.out is None or asked.out.is_dir() else asked.out, [asked.run])
+    require_writable(asked.out, [asked.run], may_be_folder=True)
     run = read_whole_run(asked.run)
     form = make_format(asked.format)
     needs = set(form.requires) - ({CRS} if asked.crs is not None else set())

@@ -98,9 +98,8 @@ def _require_useful(config: dict[str, Any], root: str | None, city: str | None) 
     known = dataset_settings(config["dataset"]["name"])
     for option, path, setting in (("--dataset-root", root, "root"), ("--city", city, "city_model")):
         if path is not None and setting not in known:
-            raise ConfigError(
-                f"{option} is of no use: dataset={config['dataset']['name']} is built in.", "Leave it out."
-            )
+            name = config["dataset"]["name"]
+            raise ConfigError(f"{option} is of no use: dataset={name} knows its own place.", "Leave it out.")
         if path is not None and not Path(path).exists():
             raise DatasetError(f"{path} does not exist.", f"Check the path after {option}.")
 

@@ -57,7 +57,7 @@ def match_poses(found: Sequence[FoundPose], entries: Sequence[Entry], format_nam
             if key in places:
                 raise DatasetError(f"{where}: {key} has a pose already, from {places[key]}.")
             places[key], poses[key] = where, pose
-    loose = [pose for pose in found if pose.name not in index and pose not in unknown]
+    loose = [pose for pose in found if pose.name not in index and _candidates(index, pose.name)]
     return Matched(poses, (*_note_loose(loose, index), *_note_unknown(unknown)))
 
 

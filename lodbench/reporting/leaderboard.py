@@ -221,10 +221,10 @@ def _standing(entry: Entry) -> tuple[float | str, ...]:
 
 def _table(block: Block) -> RecallTable:
     lines = [_line(entry, rank) for entry, rank in zip(block.entries, block.ranks, strict=True)]
-    words = [line.label.partition(". ")[2] or line.label for line in lines]
+    names = [_line(entry, None).label for entry in block.entries]
     lines = [
-        line if line.group or words.count(word) == 1 else line._replace(label=f"{line.label} [{_own(entry)}]")
-        for line, word, entry in zip(lines, words, block.entries, strict=True)
+        line if line.group or names.count(name) == 1 else line._replace(label=f"{line.label} [{_own(entry)}]")
+        for line, name, entry in zip(lines, names, block.entries, strict=True)
     ]
     return RecallTable(plain_text(block.title), tuple(lines), _columns(block))
 

@@ -11,7 +11,7 @@ import pytest
 from lodbench.citymodel.texture_files import read_textured
 from lodbench.cli import main
 
-from .test_texture_files import write_gml
+from .textured_case import write_gml
 
 
 @pytest.mark.parametrize("ending", [".glb", ".obj"])

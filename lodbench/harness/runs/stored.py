@@ -120,15 +120,20 @@ class StoredRun:
         }
 
 
-def require_writable(out: Path | None, folders: Sequence[Path]) -> None:
-    """Checks that a file to be written is none that runs are read from.
+def require_writable(out: Path | None, folders: Sequence[Path], may_be_folder: bool = False) -> None:
+    """Checks that what is to be written is none of the files that runs are read from.
+
+    Args:
+        out: What is to be written; None for what is beside them by default.
+        folders: Of the runs.
+        may_be_folder: Whether it may be a folder that is there.
 
     Raises:
-        ConfigError: It is one of a run's own files, or a folder.
+        ConfigError: It is one of a run's own files, or a folder where a file is meant.
     """
     if out is None:
         return
-    if out.is_dir() or not out.name:
+    if not may_be_folder and (out.is_dir() or not out.name):
         raise ConfigError(f"--out {str(out)!r} is a folder.", "Name a file with --out.")
     if out.name in _OWN_FILES and out.resolve().parent in [folder.resolve() for folder in folders]:
         raise ConfigError(f"{out} is what the run itself wrote.", "Name another file with --out.")
@@ -143,18 +148,17 @@ def read_whole_run(folder: str | Path) -> StoredRun:
     run = read_run(folder)
     rows = run.queries["split"][has_truth(run.queries)].value_counts()
     counts = {split: numbers["num_queries"] for split, numbers in run.summary["splits"].items()}
+    hint = f"lodbench verify {run.folder} says what else is not as it was written."
     for split in dict.fromkeys([*counts, *run.queries["split"]]):
         if rows.get(split, 0) != counts.get(split):
             raise DatasetError(
                 f"{run.folder / 'queries.csv'} has {rows.get(split, 0)} queries of {split} with a truth, "
                 f"summary.json counts {counts.get(split, 'none')}.",
-                f"lodbench verify {run.folder} says what else is not as it was written.",
+                hint,
             )
     if run.strays:
-        raise DatasetError(
-            f"{run.folder / 'poses.txt'}: {run.strays[0]} is no query of queries.csv.",
-            f"lodbench verify {run.folder} says what else is not as it was written.",
-        )
+        stray = run.strays[0]
+        raise DatasetError(f"{run.folder / 'poses.txt'}: {stray} is no query of queries.csv.", hint)
     return run
 
 
