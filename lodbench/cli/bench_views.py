@@ -64,6 +64,10 @@ def _add_drawing(add: Any) -> None:
     add("--tilt-width", "--tilt-deg", type=float, default=1.0, help=tilt)
     add("--prior-range", type=float, help="prior's error along x, y and z, +- metres (10, 10, 30)")
     add("--prior-height", type=float, help="prior's error along z, +- metres")
+    heights = "of the cameras above the ground, metres (100,160); lower over a village"
+    add("--camera-height", type=_pair, default=(100.0, 160.0), metavar="LOW,HIGH", help=heights)
+    shares = "of buildings in a picture; other views are drawn again (0.1,0.8)"
+    add("--building-share", type=_pair, default=(0.1, 0.8), metavar="LOW,HIGH", help=shares)
     add("--area", choices=AREAS, help="half of the city to look at (all of it)")
     drawn = "level of detail that views and masks are drawn from, or finest (the map's)"
     add("--mask-lod", help=drawn)
@@ -132,6 +136,8 @@ def _views(given: argparse.Namespace, city: Path | None) -> ViewsParams:
         tilt_deg=given.tilt_width,
         range_m=given.prior_range,
         height_m=given.prior_height,
+        camera_height_m=given.camera_height,
+        building_share=given.building_share,
         area=given.area,
         lod=given.map_lod,
         mask_lod=given.mask_lod,
@@ -163,3 +169,18 @@ def seeds(text: str) -> list[int]:
         ConfigError: One is no whole number.
     """
     return whole_numbers("Seeds", text, "Write --seeds 0,1,2")
+
+
+def _pair(text: str) -> tuple[float, float]:
+    """Returns two numbers as typed, in brackets or not, as settings have them.
+
+    Raises:
+        ConfigError: They are not two numbers.
+    """
+    try:
+        low, high = map(float, text.strip("[]").split(","))
+    except ValueError as error:
+        raise ConfigError(
+            f"{text!r} is not two numbers.", "Write LOW,HIGH, as --camera-height 40,80"
+        ) from error
+    return low, high

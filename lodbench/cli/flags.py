@@ -19,6 +19,8 @@ _FLAGS = {
     "dataset.root": "--root",
     "dataset.crs": "--crs",
     "dataset.lod": "--lod",
+    "dataset.camera_height_m": "--camera-height",
+    "dataset.building_share": "--building-share",
 }
 # Commands that read a finished run: where the data lies now is not what they are about.
 _OF_RUNS = ("verify", "report", "export", "leaderboard")

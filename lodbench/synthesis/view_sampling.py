@@ -29,7 +29,7 @@ _CLEARANCE_M = 15.0
 _TARGET_SPREAD_M = 20.0
 # Roll of a camera, and yaw, counter-clockwise from grid north.
 _ROLL_DEG, _YAW_DEG = (-1.0, 1.0), (-180.0, 180.0)
-_LIMITS = {"height_m": (0.0, 1e5), "pitch_deg": (0.0, 85.0), "building_share": (0.0, 1.0)}
+_LIMITS = {"camera_height_m": (0.0, 1e5), "pitch_deg": (0.0, 85.0), "building_share": (0.0, 1.0)}
 # Give up when fewer than one draw in this many is accepted.
 _MAX_DRAWS_PER_VIEW = 200
 
@@ -43,7 +43,7 @@ class ViewSampling:
     """
 
     # Camera height above the ground at the view's centre, metres.
-    height_m: tuple[float, float] = (100.0, 160.0)
+    camera_height_m: tuple[float, float] = (100.0, 160.0)
     pitch_deg: tuple[float, float] = (20.0, 60.0)  # from nadir, degrees: 0 looks straight down
     building_share: tuple[float, float] = (0.10, 0.80)  # accepted share of building pixels in the picture
     # West, south, east and north bounds of the view centres, local metres, or None for the whole city.
@@ -98,7 +98,7 @@ def sample_views(
             raise DatasetError(
                 f"{_MAX_DRAWS_PER_VIEW} views in a row show less than {low:.0%} or more than {high:.0%} "
                 "buildings, or stand among them.",
-                "Widen building_share or lower height_m.",
+                "Set dataset.camera_height_m=[40,80] to fly lower, or dataset.building_share=[0.02,0.8].",
             )
         poses.append(pose)
     return SampledViews(tuple(poses), rejections)
@@ -159,6 +159,6 @@ class ViewCheck:
 def _draw_view(sampling: ViewSampling, ground: NDArray[np.float64], generator: np.random.Generator) -> Pose:
     """Draws one view whose centre lies on the ground near one of the buildings, (B, 3) metres."""
     target = target_near(ground, generator)
-    ranges = (sampling.height_m, sampling.pitch_deg, _ROLL_DEG, _YAW_DEG)
+    ranges = (sampling.camera_height_m, sampling.pitch_deg, _ROLL_DEG, _YAW_DEG)
     height, *angles = (generator.uniform(*bounds) for bounds in ranges)
     return view_of(target, height, EulerAngles(*angles))

@@ -111,6 +111,8 @@ class ViewsParams:
     tilt_deg: float = 1.0
     range_m: float | None = None
     height_m: float | None = None
+    camera_height_m: tuple[float, float] = (100.0, 160.0)
+    building_share: tuple[float, float] = (0.1, 0.8)
     area: str | None = None
     views_seed: int = 0
     look: str | None = None
@@ -130,6 +132,17 @@ class ViewsParams:
         require_numbers(self, "dataset", ("range_m", "height_m"), 0)
         if self.area is not None and self.area not in AREAS:
             raise ConfigError(f"dataset.area is one of {', '.join(AREAS)}, not {self.area}.")
+        self.sampling()
+
+    def sampling(self) -> ViewSampling:
+        """Returns which views are drawn, all over the city.
+
+        Raises:
+            ConfigError: A range is empty, or beyond what a view can have.
+        """
+        return ViewSampling(
+            tuple(self.camera_height_m), building_share=tuple(self.building_share), seed=self.views_seed
+        )
 
     def prior(self, tilt: str = "prior") -> UniformPrior:
         """Returns what is told of the priors' errors: the published ones, with this tilt and range.
@@ -153,7 +166,7 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
     """
     camera = RGB_CAMERA.scaled(*FINE_SIZE)
     seed = params.views_seed
-    sampling = ViewSampling(seed=seed, area_m=_area_m(scene, params.area))
+    sampling = replace(params.sampling(), area_m=_area_m(scene, params.area))
     views = sample_views(scene, renderer, camera, sampling, params.num_views, "accuracy")
     world, told = params.world, params.prior()
     seen = world.seen(scene)

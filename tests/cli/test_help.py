@@ -102,6 +102,7 @@ SLIPS = [
     *(["bench", name, "--seed", "many"] for name in ("silhouettes", "accuracy", "scale", "evaluation")),
     ["bench", "silhouete"],
     ["bench", "accuracy", "--area", "nort"],
+    ["bench", "accuracy", "--camera-height", "40"],
     ["mask", "a.jpg", "--export", "geo"],
     ["city", "inof", "a"],
     ["leaderboard", "bild"],

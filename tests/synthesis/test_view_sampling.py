@@ -24,7 +24,7 @@ def test_rgb_camera_scales_to_the_fine_size():
 
 
 def test_views_lie_in_the_asked_ranges(city, renderer):
-    sampling = ViewSampling(height_m=(100, 160), pitch_deg=(20, 60), building_share=(0.1, 0.8), seed=4)
+    sampling = ViewSampling(camera_height_m=(100, 160), pitch_deg=(20, 60), building_share=(0.1, 0.8), seed=4)
     views = sample_views(city, renderer, CAMERA, sampling, 12, "test")
     assert len(views.poses) == 12
     assert views.rejections == renderer.calls - 12
@@ -83,7 +83,8 @@ def test_view_of_meets_its_target():
 
 
 @pytest.mark.parametrize(
-    "ranges", [{"pitch_deg": (60, 20)}, {"building_share": (0.1, 1.8)}, {"height_m": (float("nan"), 160)}]
+    "ranges",
+    [{"pitch_deg": (60, 20)}, {"building_share": (0.1, 1.8)}, {"camera_height_m": (float("nan"), 160)}],
 )
 def test_bad_ranges_are_named(ranges):
     with pytest.raises(ConfigError, match=next(iter(ranges))):

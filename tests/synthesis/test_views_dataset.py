@@ -55,6 +55,25 @@ def test_priors_lie_in_the_asked_ranges(city):
     assert (prior.pitch_deg, prior.roll_deg) == (0.0, 0.0)
 
 
+def test_a_lone_house_is_seen_from_lower_down(tmp_path):
+    house = tmp_path / "house.obj"
+    house.write_text(box_obj([(0, 0, 10, 8, 0, 6)]))
+    with pytest.raises(DatasetError, match="200 views in a row") as fault:
+        open_views(ViewsParams(str(house), num_views=1))
+    assert "dataset.camera_height_m=" in fault.value.hint
+    low = ViewsParams(str(house), num_views=3, camera_height_m=(30.0, 50.0), building_share=(0.02, 0.8))
+    dataset = open_views(low)
+    heights = [dataset.truth[entry.key].center[2] for entry in dataset.entries]
+    assert len(heights) == 3
+    assert all(30.0 <= height <= 50.0 for height in heights)
+
+
+@pytest.mark.parametrize("setting", [{"camera_height_m": (80, 40)}, {"building_share": (0.5, 2.0)}])
+def test_ranges_that_cannot_be_are_told_before_the_city_is_read(setting):
+    with pytest.raises(ConfigError, match=next(iter(setting))):
+        ViewsParams("absent.gml", **setting)
+
+
 def test_an_area_holds_what_its_views_look_at(city):
     scene = open_scene(city)
     middle_x = 0.5 * (scene.vertices[:, 0].min() + scene.vertices[:, 0].max())
