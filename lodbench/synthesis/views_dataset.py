@@ -140,9 +140,8 @@ class ViewsParams:
         Raises:
             ConfigError: A range is empty, or beyond what a view can have.
         """
-        return ViewSampling(
-            tuple(self.camera_height_m), building_share=tuple(self.building_share), seed=self.views_seed
-        )
+        share, seed = self.building_share, self.views_seed
+        return ViewSampling(self.camera_height_m, building_share=share, seed=seed)
 
     def prior(self, tilt: str = "prior") -> UniformPrior:
         """Returns what is told of the priors' errors: the published ones, with this tilt and range.

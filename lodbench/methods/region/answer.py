@@ -35,6 +35,7 @@ class Answer(NamedTuple):
         if_map_is_right: (6, 6) the same if the map had no errors.
         apart_m: How far the place by the model's lines is from the best by regions and outlines.
         lines: Nats by which edges along them are likelier than anywhere; 0 where there are none.
+        sharpness: Whether edges lie on them or beside them, as of ``LineFit``.
         evidence: (M,) the logarithm of what speaks for each top of the search, up to a constant: lines, or
             where there are none what the search says; -inf of hopeless ones. The vector comes from the best.
     """
@@ -44,6 +45,7 @@ class Answer(NamedTuple):
     if_map_is_right: Floats
     apart_m: float
     lines: float
+    sharpness: float
     evidence: Floats
 
 
@@ -92,7 +94,8 @@ class Answering:
             return self._by_regions(starts[0], NO_LINES, searched)
         start = starts[int(aligned.evidence.argmax())]
         apart_m = float(np.linalg.norm((aligned.vector - start)[:3]))
-        signs = LineSigns(apart_m, float(aligned.lines(aligned.vector[None])[0]))
+        lines = float(aligned.lines(aligned.vector[None])[0])
+        signs = LineSigns(apart_m, lines, aligned.sharpness)
         if aligned.sharpness < params.least_sharpness:
             return self._by_regions(start, signs, aligned.evidence)
         covariances = self._certainty(aligned.nats, aligned.vector, aligned.regions)

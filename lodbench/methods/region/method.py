@@ -142,7 +142,7 @@ def _signs(answer: Answer, judge: Evidence, top: NDArray[np.float64], params: Pa
         probability_within(answer.if_map_is_right, answer.vector),
         answer.apart_m,
         answer.lines,
-        float(judge.fits(top[None])[0]),
+        answer.sharpness,
         max(0.0, beyond),
     )
 

@@ -8,18 +8,16 @@ import numpy as np
 from scipy.special import expit, logit
 
 # Probabilities by the covariance are not believed beyond this; what places are apart by chance, metres;
-# what lines say by chance, nats; the least fit, nats per pixel; how far beyond the range of heights counts,
-# of its half width.
-_LEAST_PROBABILITY, _APART_M, _LEAST_LINES, _LEAST_FIT, _MOST_BEYOND = 0.02, 0.3, 10.0, 0.01, 0.5
+# what lines say by chance, nats; how far beyond the range of heights counts, of its half width.
+_LEAST_PROBABILITY, _APART_M, _LEAST_LINES, _MOST_BEYOND = 0.02, 0.3, 10.0, 0.5
 # Lines say no more than this: towards the horizon thousands of short ones find edges anywhere.
 _MOST_LINES = 300.0
-# Logistic regression on 236 answers, 192 of them within (2 m, 2 deg), held to the weights of docs/adr/0053:
-# thermal query, labelled and traced real photos, drawn photos in the look `hard`, seeds 102 and 103,
-# over UAVD4L-LoD1, 3DBAG, PLATEAU 52397519, North Rhine-Westphalia and Berlin; 68 of them from priors of
-# +-50 m and +-30 deg. Labelled photos weigh three times as much. Each weight was held to one sign.
-# docs/adr/0055 says what it does on what it has not seen.
-_CONSTANT = -6.28
-_OF_ODDS, _OF_AGREEMENT, _OF_LINES, _OF_FIT, _OF_BEYOND = 0.45, 0.38, 1.71, 1.12, 24.4
+# Logistic regression on 684 answers, 531 of them within (2 m, 2 deg): drawn photos in the look `hard`, seeds
+# 103 and 104, over thirteen files; thermal query, labelled and traced real photos, 122 of these from priors
+# of +-50 m and +-30 deg. Labelled photos weigh three times as much. Each weight was held to one sign.
+# docs/adr/0060 says what it does on what it has not seen.
+_CONSTANT = -18.62
+_OF_ODDS, _OF_AGREEMENT, _OF_LINES, _OF_SHARPNESS, _OF_BEYOND = 0.63, 0.19, 3.2, 7.06, 44.39
 
 
 # An answer less probable than this is more likely wrong.
@@ -34,26 +32,27 @@ class Signs(NamedTuple):
             the one and the map is right.
         apart_m: How far the place by the model's lines is from the best by regions and outlines.
         lines: Nats by which the photo's edges along the lines are likelier than anywhere.
-        fit: Of regions and outlines as tops are chosen by, nats per pixel.
+        sharpness: Whether edges lie on the lines or beside them, as of ``LineFit``: whether the map is exact.
         beyond: How far the height is beyond the prior's range, in half widths of it; 0 within.
     """
 
     probability: float
     apart_m: float
     lines: float
-    fit: float
+    sharpness: float
     beyond: float
 
 
 class LineSigns(NamedTuple):
-    """What the model's lines tell of an answer: two of its signs."""
+    """What the model's lines tell of an answer: three of its signs."""
 
     apart_m: float
     lines: float
+    sharpness: float
 
 
 # Of an answer that no line was laid over: as the median answer has it; and where none is in view.
-TYPICAL_LINES, NO_LINES = LineSigns(1.1, 150.0), LineSigns(3.0, 0.0)
+TYPICAL_LINES, NO_LINES = LineSigns(1.1, 150.0, 0.5), LineSigns(3.0, 0.0, 0.0)
 
 
 def trust_of(signs: Signs) -> float:
@@ -65,7 +64,7 @@ def trust_of(signs: Signs) -> float:
             + _OF_ODDS * logit(probability)
             - _OF_AGREEMENT * np.log(signs.apart_m + _APART_M)
             + _OF_LINES * np.log(np.clip(signs.lines, 0.0, _MOST_LINES) + _LEAST_LINES)
-            + _OF_FIT * np.log(max(signs.fit, _LEAST_FIT))
+            + _OF_SHARPNESS * np.clip(signs.sharpness, 0.0, 1.0)
             - _OF_BEYOND * np.clip(signs.beyond, 0.0, _MOST_BEYOND)
         )
     )
