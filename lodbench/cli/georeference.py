@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lodbench.cli.localize import NOT_TRUSTED
 from lodbench.cli.parser import Parser
 from lodbench.cli.place_options import add_height_options, add_map_options, city_settings, height_flags
 from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
@@ -28,7 +29,7 @@ flight).
 Written to --out: colmap/ (the model, its points and tracks, moved), metashape_reference.txt,
 calibrated_external_camera_parameters.txt (Pix4D), geo.txt (ODM), cameras.geojson with heights and footprints,
 map_findings.geojson (buildings whose height the photos contradict), similarity.json;
-refused where it holds those of another model.
+refused where it holds those of another model. Exit code 3: it is more likely wrong than right.
 
 examples:
   lodbench georeference sparse/0 --city city.gml --images PHOTOS --masks MASKS
@@ -71,9 +72,9 @@ def main(argv: Sequence[str]) -> int:
         files = [(find_photo(asked.images, camera.name), camera.pose) for camera in placed.cameras]
         shared = shared_files(file for file, _ in files)
         own = [(file, pose) for file, pose in files if file is not None and file not in shared]
-        line = write_sidecars(own, placed.crs)
+        line = write_sidecars(own if placed.is_trusted else [], placed.crs)
         sys.stderr.write(f"lodbench: sidecars: {line}\n")
-    return 0
+    return 0 if placed.is_trusted else NOT_TRUSTED
 
 
 def _require_given(asked: argparse.Namespace) -> None:
@@ -109,13 +110,23 @@ def describe(placed: Georeferenced) -> str:
         ("scale", f"{fitted.similarity.scale:.6g} m per unit, +-{100 * share:.2f} %"),
         ("middle", f"{east:.2f} {north:.2f} {up:.2f} m in {placed.crs or 'the frame of the city model'}"),
         ("sigmas", f"{_three(shift)} m; {_three(turn)} deg about east, north and up"),
-        ("photos", f"{away:.2f} m in the median from where the model has them"),
+        ("photos", f"{away:.2f} m in the median from where the model has them{_doubted(placed)}"),
         *((name, str(path)) for name, path in placed.files.items()),
     ]
     lines = [f"{name:<13} {plain_text(text)}" for name, text in rows]
     lines += [f"left out: {plain_text(name)}: {plain_text(reason)}" for name, reason in placed.left_out]
     lines += [f"note: {plain_text(note)}" for note in placed.notes]
+    if not placed.is_trusted:
+        lines.append(
+            "do not trust: most photos' outlines fit the map badly where this puts them. What helps: masks "
+            "that show the buildings (lodbench mask PHOTO), a better --start, the right city"
+        )
     return "\n".join(lines)
+
+
+def _doubted(placed: Georeferenced) -> str:
+    count = len(placed.untrusted)
+    return f"; {count} of {len(placed.used)} are not to be trusted" if count else ""
 
 
 def _three(numbers: Iterable[float]) -> str:
@@ -135,7 +146,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--start", type=Path, metavar="FILE", help="rough poses, or similarity.json")
     add_height_options(parser)
     add("--method", default="flight", metavar="NAME", help="solves flights (flight)")
-    add("--sidecars", action="store_true", help="write PHOTO.xmp beside each of --images")
+    add("--sidecars", action="store_true", help="write PHOTO.xmp beside each of --images, if trusted")
     add("--seed", type=int, default=0, help="of all that is drawn by chance (0)")
     add("--out", type=Path, default=Path("georeferenced"), metavar="DIR", help="(georeferenced)")
     add("--json", action="store_true", help="for machines")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -125,6 +126,22 @@ def test_a_model_is_placed_within_decimetres_and_handed_on(capsys, case, tmp_pat
     assert code == 0
     assert "the similarity in" in told
     assert np.median(errors_m(read_colmap(tmp_path / "colmap"), case.truth)) < 0.6
+
+
+def test_a_model_that_its_masks_do_not_place_is_not_to_be_trusted(capsys, case, tmp_path):
+    masks = sorted(case.masks.iterdir())
+    (tmp_path / "masks").mkdir()
+    for mask, other in zip(masks, [*masks[3:], *masks[:3]], strict=True):
+        shutil.copy(other, tmp_path / "masks" / mask.name)
+    code, told = georeference(
+        capsys, case, tmp_path / "out", "--masks", tmp_path / "masks", "--start", case.rough
+    )
+    said = json.loads((tmp_path / "out" / "similarity.json").read_text())
+    assert max(errors_m(read_colmap(tmp_path / "out" / "colmap"), case.truth)) > 2.0
+    assert code == 3
+    assert f"{len(said['untrusted'])} of {len(said['used'])} are not to be trusted" in told
+    assert "do not trust" in told
+    assert not said["trusted"]
 
 
 def test_rough_poses_in_another_system_are_brought_to_the_city_s(case, tmp_path):

@@ -31,6 +31,7 @@ from lodbench.harness.georeference.start import ROUGH_DEG, ROUGH_M, rough_start
 from lodbench.methods import Estimate
 from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
+from lodbench.reporting.answers import is_trusted
 from lodbench.segmentation import check_mask, notes_of, resized
 from lodbench.segmentation.masks import read_mask
 from lodbench.storage import random_stream
@@ -83,6 +84,9 @@ def georeference(request: GeoreferenceRequest) -> Georeferenced:
         fitted=fitted,
         cameras=tuple(image._replace(pose=fitted.similarity.pose(image.pose)) for image in images),
         used=dict(zip(used, map(float, fitted.distances_m), strict=True)),
+        untrusted=tuple(
+            name for name in used if not is_trusted(places[name].probability, places[name].score, True)
+        ),
         left_out=tuple(left_out),
         findings=found.findings,
         start=start.source,

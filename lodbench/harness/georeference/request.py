@@ -44,6 +44,7 @@ class Georeferenced:
         cameras: All of the model's, in the city's coordinates.
         used: Images by whose masks it was placed, and how far, in metres, each was found from where the
             similarity puts it.
+        untrusted: Those among ``used`` whose poses are more likely wrong than right, as far as can be told.
         left_out: Name and reason of each image that had no part in it.
         findings: What its photos say besides; see the method.
         start: Where the rough places came from, in words.
@@ -55,12 +56,18 @@ class Georeferenced:
     fitted: FittedSimilarity
     cameras: tuple[FoundPose, ...]
     used: Mapping[str, float]
+    untrusted: tuple[str, ...]
     left_out: tuple[tuple[str, str], ...]
     findings: dict[str, Any]
     start: str
     crs: str | None
     files: Mapping[str, Path]
     notes: tuple[str, ...]
+
+    @property
+    def is_trusted(self) -> bool:
+        """Returns whether most of the images it was placed by are more likely right than wrong."""
+        return 2 * len(self.untrusted) < len(self.used)
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain values for JSON."""
@@ -77,6 +84,8 @@ class Georeferenced:
             "crs": self.crs,
             "start": self.start,
             "used": dict(self.used),
+            "trusted": self.is_trusted,
+            "untrusted": list(self.untrusted),
             "left_out": [list(pair) for pair in self.left_out],
             "files": {name: str(path) for name, path in self.files.items()},
             "notes": list(self.notes),
