@@ -12,12 +12,14 @@ from importlib.metadata import EntryPoint
 import pytest
 
 import lodbench
+from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.errors import ConfigError
 from lodbench.harness.runs import code_digest as module
 from lodbench.harness.runs.code_digest import code_digest
 from lodbench.methods.registry import make_method
 from lodbench.plugins import PlugIn
+from tests.harness.scripted import Flying, Scripted, run
 from tests.town import write_dataset
 
 
@@ -38,8 +40,6 @@ def test_a_run_from_python_is_one_that_verifies_and_shows_itself(tmp_path, capsy
         assert found.mask_png
         assert len(repr(found)) < 800
         assert re.fullmatch(r"Pose\(center=\([-\d., ]+\), pitch=.*, roll=.*, yaw=.* deg\)", repr(found.pose))
-    from lodbench.cli import main
-
     assert main(["verify", str(run.folder)]) == 0, capsys.readouterr().out
     # The same again resumes into the same folder; another setting has another.
     runs = tmp_path / "runs"
@@ -148,8 +148,6 @@ def half_known(tmp_path):
 
 def test_queries_without_a_truth_are_answered_beside_those_that_are_scored(half_known, tmp_path, capsys):
     """A test split whose truth is withheld; a flight's photos of which a few are surveyed."""
-    from lodbench.cli import main
-
     root, city = half_known
     run = lodbench.run_method("lodlocv2", root, city=city, runs=tmp_path / "runs")
     assert set(run.poses) == set(run.queries.index)
@@ -172,8 +170,6 @@ def test_what_takes_the_truth_is_not_asked_of_them_and_counts_as_no_answer(half_
 
 
 def test_the_answers_of_a_split_without_a_truth_are_told(half_known, tmp_path, capsys):
-    from lodbench.cli import main
-
     root, city = half_known
     words = ["dataset=folder", f"dataset.root={root}", f"city={city}", "method=prior_only"]
     assert main(["run", *words, f"paths.runs={tmp_path / 'runs'}"]) == 0
@@ -194,3 +190,28 @@ def test_rows_of_other_queries_have_another_protocol(tmp_path):
     alone, other = protocols["prior_only"], protocols[protocols.index != "prior_only"].item()
     assert len(alone) == 2
     assert other < alone
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_what_ties_photos_together_names_the_folder_of_a_method_for_flights(dataset, tmp_path):
+    entries = dataset.entries
+    east = replace(dataset, entries=tuple(replace(entry, sequence="east") for entry in entries))
+    placed = replace(dataset, entries=tuple(replace(e, reconstructed=e.prior) for e in entries))
+    done = [run(Flying(), each, tmp_path) for each in (dataset, east, placed)]
+    assert [each.resumed for each in done] == [0, 0, 0]
+    assert len({each.folder for each in done}) == 3
+    assert "flights" not in done[0].inputs
+    # Photos that are asked one by one are the same however they belong together.
+    assert len({run(Scripted(), each, tmp_path).folder for each in (dataset, east, placed)}) == 1
+
+
+def test_flights_that_changed_since_are_told_by_verify(tmp_path, capsys):
+    root, city = write_dataset(tmp_path / "town", count=2)
+    names = [entry.name for entry in open_folder(FolderParams(str(root), str(city))).entries]
+    flights = root / "sequences.txt"
+    flights.write_text("".join(f"{name} east\n" for name in names))
+    done = lodbench.run_method("flight", root, city=city, runs=tmp_path / "runs")
+    assert main(["verify", str(done.folder)]) == 0, capsys.readouterr().out
+    flights.write_text("".join(f"{name} flight_{name}\n" for name in names))
+    assert main(["verify", str(done.folder)]) == 1
+    assert "flights" in capsys.readouterr().out

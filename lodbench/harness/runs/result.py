@@ -84,6 +84,12 @@ def queries_digest(dataset: Dataset, entries: tuple[Entry, ...]) -> str:
     )
 
 
+def flights_digest(entries: tuple[Entry, ...]) -> str | None:
+    """Returns a digest of what ties photos together: flights and reconstructions; None where nothing does."""
+    tied = [e for e in entries if e.sequence or e.reconstructed is not None]
+    return digest_of([[e.key, e.sequence, pose_numbers(e.reconstructed)] for e in tied]) if tied else None
+
+
 def split_digest(entries: tuple[Entry, ...]) -> str:
     """Returns a digest of which queries are scored, in which splits."""
     return digest_of([entry.key for entry in entries])

@@ -32,7 +32,7 @@ from lodbench.harness.runs.changed_answers import (
 )
 from lodbench.harness.runs.predict import PREDICTIONS_FILE
 from lodbench.harness.runs.prepare import prior_of
-from lodbench.harness.runs.result import Result, chosen_entries, queries_digest
+from lodbench.harness.runs.result import Result, chosen_entries, flights_digest, queries_digest
 from lodbench.harness.runs.stored import StoredRun, read_run
 from lodbench.rendering import Scorer, make_renderer
 from lodbench.segmentation import Segmenter
@@ -115,6 +115,8 @@ def verify_run(
             inputs["queries"] = queries_digest(dataset, entries)
             if "priors" in inputs:
                 inputs["priors"] = prior_digest(entries)
+        if "flights" in inputs:
+            inputs["flights"] = flights_digest(entries) or ""
         # What was said of a pose file stands with its method: the file itself need not be there.
         told = replace(dataset, notes=dataset.notes + tuple(config["method"].get("notes", ())))
         if "masks" in inputs and segmenter is not None:
