@@ -166,9 +166,19 @@ def test_the_result_of_another_model_is_not_written_over(capsys, case, tmp_path,
     (tmp_path / "similarity.json").write_text(text)
     code, told = georeference(capsys, case, tmp_path, "--masks", case.masks, "--start", case.rough)
     assert code == 2
-    assert "similarity.json is not of" in told
+    assert "similarity.json is no result of placing" in told
     assert "--out OTHER" in told
     assert [file.name for file in tmp_path.iterdir()] == ["similarity.json"]
+
+
+@pytest.mark.parametrize("name", ["geo.txt", "cameras.geojson", "colmap"])
+def test_somebody_else_s_file_is_not_written_over(capsys, case, tmp_path, name):
+    """Control points of ODM, or the model itself in `colmap`: projects have files of these names."""
+    shutil.copytree(case.model, tmp_path / "colmap") if name == "colmap" else (tmp_path / name).touch()
+    code, told = georeference(capsys, case, tmp_path, "--masks", case.masks, "--start", case.rough)
+    assert code == 2
+    assert f"{name} is no result of placing" in told
+    assert [file.name for file in tmp_path.iterdir()] == [name]
 
 
 @pytest.mark.parametrize(

@@ -21,22 +21,31 @@ from lodbench.harness.photo.outputs import ground_below_m
 from lodbench.storage import make_folder, write_text
 
 SIMILARITY_FILE = "similarity.json"
+_NAMES = {
+    "colmap": "colmap",
+    "metashape": "metashape_reference.txt",
+    "pix4d": "calibrated_external_camera_parameters.txt",
+    "odm": "geo.txt",
+    "map": "cameras.geojson",
+    "map findings": "map_findings.geojson",
+}
 
 
 def require_no_other(out: Path, model: Path) -> None:
-    """Refuses a folder that holds the result of another model.
+    """Refuses a folder that holds the result of another model, or files of somebody else's under its names.
 
     Args:
         out: The folder, which need not be there.
         model: What is to be placed.
 
     Raises:
-        DatasetError: It does, or its file is of somebody else.
+        DatasetError: It does.
     """
-    file = out / SIMILARITY_FILE
-    if file.exists() and _model_of(file) != str(model.resolve()):
+    there = [out / name for name in (SIMILARITY_FILE, *_NAMES.values()) if (out / name).exists()]
+    if there and _model_of(out / SIMILARITY_FILE) != str(model.resolve()):
         raise DatasetError(
-            f"{file} is not of {model} and would be written over.", "Name another folder: --out OTHER"
+            f"{there[0]} is no result of placing {model} and would be written over.",
+            "Name another folder: --out OTHER",
         )
 
 
@@ -60,24 +69,22 @@ def write_georeferenced(
     """
     out, cameras, crs = request.out, list(placed.cameras), placed.crs
     make_folder(out)
-    writers: dict[str, tuple[str, Callable[[Path], None]]] = {
-        "colmap": ("colmap", lambda path: write_moved_colmap(request.model, placed.fitted.similarity, path)),
-        "metashape": ("metashape_reference.txt", lambda path: write_metashape(cameras, path, crs)),
-        "pix4d": ("calibrated_external_camera_parameters.txt", lambda path: write_pix4d(cameras, path)),
-        "odm": ("geo.txt", lambda path: write_odm(cameras, path, crs)),
+    writers: dict[str, Callable[[Path], None]] = {
+        "colmap": lambda path: write_moved_colmap(request.model, placed.fitted.similarity, path),
+        "metashape": lambda path: write_metashape(cameras, path, crs),
+        "pix4d": lambda path: write_pix4d(cameras, path),
+        "odm": lambda path: write_odm(cameras, path, crs),
     }
     if frame is not None:
-        writers["map"] = (
-            "cameras.geojson",
-            lambda path: write_geojson(_features(placed, scene, frame), path),
-        )
+        writers["map"] = lambda path: write_geojson(_features(placed, scene, frame), path)
         doubts = contradiction_features(scene, frame, placed.findings, "reconstruction")
-        writers["map findings"] = ("map_findings.geojson", lambda path: write_geojson(doubts, path))
+        writers["map findings"] = lambda path: write_geojson(doubts, path)
     files, notes = {}, list(placed.notes)
-    for name, (file, write) in writers.items():
+    for name, write in writers.items():
+        file = out / _NAMES[name]
         try:
-            write(out / file)
-            files[name] = out / file
+            write(file)
+            files[name] = file
         except LodbenchError as fault:
             notes.append(f"{name} was not written: {fault.message}")
     files["similarity"] = out / SIMILARITY_FILE
