@@ -17,7 +17,7 @@ from lodbench.cli import main
 from lodbench.datasets.exchange.colmap import write_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.photo.flights import FINDINGS_FILE, FLIGHTS_FILE
+from lodbench.harness.photo.many import FINDINGS_FILE, FLIGHTS_FILE, PhotoAnswer, write_answers
 from lodbench.rendering import make_renderer
 from lodbench.reporting.answers import UNTRUSTED
 from lodbench.synthesis.view_sampling import view_of
@@ -227,3 +227,9 @@ def test_results_of_other_photos_are_not_written_over(capsys, flight, tmp_path):
         "localized_2.csv",
     ]
     assert set(errors_m(tmp_path, flight.truth)) == {"DJI_0001.JPG", "DJI_0002.JPG"}
+
+
+def test_findings_of_another_command_are_not_written_over(tmp_path):
+    (tmp_path / FINDINGS_FILE).write_text("of georeference")
+    written = write_answers(tmp_path, [PhotoAnswer(Path("DJI_0001.JPG"), None, "it has no pose")])
+    assert written.table.name == "localized_2.csv"

@@ -30,7 +30,14 @@ from lodbench.harness.photo.flight_inputs import (
 )
 from lodbench.harness.photo.flight_pages import page_of_photos
 from lodbench.harness.photo.localize import OpenMap, inputs_of, open_map, write_answer
-from lodbench.harness.photo.many import Answers, PhotoAnswer, numbered, write_answers
+from lodbench.harness.photo.many import (
+    FINDINGS_FILE,
+    FLIGHTS_FILE,
+    Answers,
+    PhotoAnswer,
+    numbered,
+    write_answers,
+)
 from lodbench.harness.photo.prepare import PreparedPhoto, prepare_photo
 from lodbench.harness.photo.request import PhotoRequest
 from lodbench.harness.tracebacks import told_as_fault
@@ -39,8 +46,6 @@ from lodbench.methods.measured_calls import localize_flight
 from lodbench.methods.protocol import FlightEstimate, SupportsFlights
 from lodbench.storage import random_stream, write_text
 from lodbench.storage.json_text import finite
-
-FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
 
 
 def localize_flights(

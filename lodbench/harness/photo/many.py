@@ -20,6 +20,7 @@ from lodbench.harness.photo.request import LocalizedPhoto, PhotoRequest
 from lodbench.storage import hide_formula, make_folder, write_text
 
 TABLE_FILE, MAP_FILE, VIEW_FILE = "localized.csv", "localized.geojson", "localized_3d.html"
+FLIGHTS_FILE, FINDINGS_FILE = "flights.json", "map_findings.geojson"
 COLUMNS = (
     "photo", "latitude_deg", "longitude_deg", "height_m", "heading_deg", "pitch_deg", "roll_deg", "crs",
     "east", "north", "up", "score", "probability", "trust", "moved_m", "failure", "flight", "notes",
@@ -138,7 +139,7 @@ def write_answers(out: Path, answers: Sequence[PhotoAnswer], flights: Sequence[F
     """Writes ``localized.csv`` and ``localized.geojson``, numbered where those of other photos are there."""
     make_folder(out)
     photos = {hide_formula(str(answer.photo)) for answer in answers}
-    number = next(n for n in itertools.count(1) if _is_free(numbered(out / TABLE_FILE, n), photos))
+    number = next(n for n in itertools.count(1) if _is_free(out, n, photos))
     written = Answers(tuple(answers), tuple(flights), out, number)
     _write_table(written.table, answers)
     _write_map(written.map, answers)
@@ -150,10 +151,14 @@ def numbered(path: Path, number: int) -> Path:
     return path if number == 1 else path.with_stem(f"{path.stem}_{number}")
 
 
-def _is_free(table: Path, photos: set[str]) -> bool:
-    """Tells whether a table may be written: there is none, or it is of these very photos."""
+def _is_free(out: Path, number: int, photos: set[str]) -> bool:
+    """Tells whether files of a number may be written: there are none, or their table is of these photos."""
+    table, *others = (
+        numbered(out / name, number)
+        for name in (TABLE_FILE, MAP_FILE, VIEW_FILE, FLIGHTS_FILE, FINDINGS_FILE)
+    )
     if not table.exists():
-        return True
+        return not any(other.exists() for other in others)
     try:
         with table.open(encoding="utf-8", newline="") as stream:
             return {row["photo"] for row in csv.DictReader(stream)} == photos
