@@ -19,7 +19,7 @@ Truth and priors may be missing only where ``dataset.json`` says so: a misspelt 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -201,14 +201,30 @@ def _read_split(folder: Path, split: str) -> tuple[list[Entry], dict[str, Pose],
     if not has_priors:
         notes.append(f"{split}: there are no priors; prior=uniform draws them around the truth")
     sequences = read_words(folder / SEQUENCE_FILE) if (folder / SEQUENCE_FILE).is_file() else {}
+    notes += [f"{split}: {note}" for note in _sequence_notes(sequences, names)]
     entries = [
         _entry(folder, split, name, cameras, priors.get(name, ()), sequences.get(name, "")) for name in names
     ]
     entries = _with_reconstructions(entries, folder / RECONSTRUCTION_FOLDER)
+    tied = sum(entry.reconstructed is not None for entry in entries)
+    if (folder / RECONSTRUCTION_FOLDER).is_dir() and tied < len(entries):
+        notes.append(
+            f"{split}: {RECONSTRUCTION_FOLDER} has {tied} of {len(entries)} photos, under their names"
+        )
     several = sum(len(entry.hypotheses) > 1 for entry in entries)
     if several:
         notes.append(f"{split}: {several} queries have several priors; the first is the prior of each")
     return entries, {f"{split}/{name}": pose for name, pose in truth.items()}, notes
+
+
+def _sequence_notes(sequences: Mapping[str, str], names: Sequence[str]) -> Iterator[str]:
+    """Yields what does not match between photos and the flights that a file says they belong to."""
+    strange = list(sequences.keys() - set(names))
+    if strange:
+        yield f"{SEQUENCE_FILE} names {min(strange)}, which is no photo here ({len(strange)} such)"
+    alone = [name for name in names if name not in sequences]
+    if sequences and alone:
+        yield f"{SEQUENCE_FILE} does not name {alone[0]} ({len(alone)} such): these are taken for one flight"
 
 
 def _entry(

@@ -3,11 +3,15 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from lodbench.datasets.exchange.colmap import write_colmap
+from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.folder import FolderParams, open_folder, select_splits
 from lodbench.datasets.prior_sources import prior_digest
 from lodbench.errors import ConfigError, DatasetError
+from lodbench.geometry import Camera, Pose
 
 POSE = "1 0 0 0 1 2 3"
 CAMERA = "PINHOLE 640 512 9 9 3 2"
@@ -51,6 +55,23 @@ class TestOneFolder:
         assert entry.image.is_file()
         assert entry.mask.is_file()
         assert entry.key in dataset.truth
+
+    def test_flights_and_reconstructions_of_other_names_are_told(self, tmp_path, city):
+        names = ("a.jpg", "b.jpg", "c.jpg")
+        root = write_split(tmp_path / "flight", names, names, names)
+        (root / "sequences.txt").write_text("a.jpg east\nb east\nb.jpeg east\n")
+        camera = Camera(640, 512, 9.0, 9.0, 3.0, 2.0)
+        write_colmap(
+            [FoundPose("a.jpg", "", Pose.from_center(np.eye(3), np.zeros(3)), camera)],
+            root / "reconstruction",
+        )
+        dataset = open_at(root, city)
+        assert [entry.sequence for entry in dataset.entries] == ["east", "", ""]
+        assert dataset.notes == (
+            "flight: sequences.txt names b, which is no photo here (2 such)",
+            "flight: sequences.txt does not name b.jpg (2 such): these are taken for one flight",
+            "flight: reconstruction has 1 of 3 photos, under their names",
+        )
 
     def test_an_entry_holds_no_truth(self, tmp_path, city):
         (entry,) = open_at(write_split(tmp_path / "flight"), city).entries

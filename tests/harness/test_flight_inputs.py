@@ -14,7 +14,7 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.photo.flight_inputs import picture_file, poses_in_model
+from lodbench.harness.photo.flight_inputs import picture_file, poses_in_model, tied_notes
 from lodbench.methods.flight.tracks import width_looked_at
 from tests.town import CAMERA
 
@@ -48,6 +48,15 @@ def test_no_photo_gets_the_pose_of_another_of_its_name(tmp_path, images, photos,
 def test_a_model_of_other_photos_is_refused(tmp_path):
     with pytest.raises(DatasetError, match="none of these photos"):
         poses_in_model(model_of(tmp_path / "model", "a.jpg"), [Path("b.jpg")])
+
+
+def test_photos_that_a_model_lacks_are_told(tmp_path):
+    photos = [Path(f"x/{name}.jpg") for name in "abcd"]
+    known = poses_in_model(model_of(tmp_path / "model", "a.jpg", "b.jpg", "d.jpg"), photos)
+    assert tied_notes(Path("sparse"), photos, known) == ["3 of these photos are in sparse, under their names"]
+    (few,) = tied_notes(Path("sparse"), photos[:3], known)
+    assert few == "2 of these photos are in sparse, under their names: too few to tie the photos together"
+    assert tied_notes(Path("sparse"), photos[:2], known) == tied_notes(None, photos, {}) == []
 
 
 def test_undistorted_copies_are_as_wide_as_features_are_looked_for_in(tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
@@ -18,6 +18,7 @@ from lodbench.datasets.undistort import undistorted
 from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
 from lodbench.harness.photo.prepare import PreparedPhoto
+from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS
 from lodbench.segmentation import resized
 from lodbench.storage import file_digest, write_bytes
 
@@ -96,6 +97,15 @@ def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pos
             f"{model} has none of these photos.", f"Its images are called {', '.join([*images][:3])}."
         )
     return known
+
+
+def tied_notes(model: Path | None, photos: Sequence[Path], known: Mapping[Path, Pose]) -> list[str]:
+    """Returns a line that says how many of a flight's photos a model has, where it lacks some; else none."""
+    tied = sum(photo in known for photo in photos)
+    if model is None or tied == len(photos):
+        return []
+    few = ": too few to tie the photos together" if tied < FEWEST_PHOTOS else ""
+    return [f"{tied} of these photos are in {model}, under their names{few}"]
 
 
 def with_small_mask(photo: PreparedPhoto) -> PreparedPhoto:

@@ -26,6 +26,7 @@ from lodbench.harness.photo.flight_inputs import (
     names_of,
     picture_file,
     poses_in_model,
+    tied_notes,
     with_small_mask,
 )
 from lodbench.harness.photo.flight_pages import page_of_photos
@@ -83,6 +84,7 @@ def localize_flights(
             else:
                 estimates[row] = estimate
         taken = _taken(flight, [names[row] for row in rows])
+        taken += tied_notes(reconstruction, [photos[row] for row in mine], known)
         if request.center is None and request.given.height_m is None:
             note = heights_note([ready[row][0].stated for row in mine], request.heights)
             taken += [] if note is None else [note]
