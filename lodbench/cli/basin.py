@@ -16,6 +16,7 @@ from lodbench.errors import ConfigError
 from lodbench.evaluation.basin import BasinStep, basin_steps, protocol_lines
 from lodbench.harness.runs.basin import Basin, write_basin
 from lodbench.harness.runs.cost_maps import CostGrid
+from lodbench.methods.protocol import SupportsPriorWidth
 from lodbench.methods.registry import configure_method
 from lodbench.params import to_params
 from lodbench.reporting.table_formats import format_text
@@ -52,7 +53,8 @@ def task(config: DictConfig) -> None:
     steps = basin_steps(options.ranges, options.yaw_ranges, options.limits or [values["limit"]])
     # Every step's configuration is made before the first one runs: a fault stops before any work.
     jobs = [(step, _configuration(values, step)) for step in steps]
-    basin = Basin(tuple(protocol_lines(values["tilt"], values["seed"])), [])
+    is_told = isinstance(configure_method(section(values, "method")).make(), SupportsPriorWidth)
+    basin = Basin(tuple(protocol_lines(values["tilt"], values["seed"], is_told)), [])
     for step, job in jobs:
         run = run_config(job)
         basin.add(step, run)

@@ -82,18 +82,27 @@ def basin_steps(
     return (*far, *(BasinStep(ORIENTATION, width, fewest) for width in sorted(yaw_ranges_deg)))
 
 
-def protocol_lines(tilt: str, seed: int) -> list[str]:
-    """Returns the protocol in words, as it is printed with every basin."""
+def protocol_lines(tilt: str, seed: int, is_told: bool) -> list[str]:
+    """Returns the protocol in words, as it is printed with every basin.
+
+    Args:
+        tilt: Which pitch and roll the method is given.
+        seed: Of the priors.
+        is_told: Whether the method searches as far as priors are off, not as far as it is set.
+    """
     tilts = {
         "truth": "the true pitch and roll (an oracle, as the paper's tables most likely have)",
         "prior": f"pitch and roll +-{_BASE.pitch_deg:g} deg",
     }
+    search = (
+        "2 x Delta wide on each axis, ends included, at the method's stride; no pose is dropped, "
+        "not even one below a roof or the ground"
+    )
     return [
         "priors: uniform around the truth, +-Delta in x, y and z, +-"
         f"{_BASE.yaw_deg:g} deg in yaw (translation table); +-Delta in yaw, "
         f"+-{_BASE.x_m:g}/{_BASE.y_m:g}/{_BASE.z_m:g} m in x/y/z (orientation table)",
         f"tilt={tilt}: {tilts.get(tilt, tilt)}",
-        "search: 2 x Delta wide on each axis, ends included, at the method's stride; no pose is dropped, "
-        "not even one below a roof or the ground",
+        f"search: {search if is_told else 'as the method is set, whatever Delta: it takes no width'}",
         f"random numbers: one stream per query, seed {seed}; a wider prior errs the same way, only further",
     ]

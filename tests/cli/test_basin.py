@@ -59,6 +59,8 @@ def test_a_basin_leaves_tables_maps_and_runs_that_verify(lodbench, tmp_path, dat
 def test_a_row_is_the_run_with_the_same_settings(lodbench, tmp_path, data):
     done = lodbench("basin", *data, "method=prior_only", "ranges=[20]", "yaw_ranges=[]", "maps=false")
     assert done.returncode == 0, done.stderr
+    # It cannot be told how far off priors are: it searches as it is.
+    assert "search: as the method is set, whatever Delta" in done.stdout
     (folder,) = (tmp_path / "runs" / "folder" / "basin").iterdir()
     (line,) = csv.DictReader((folder / "basin.csv").open())
     widths = [f"prior.{axis}_m=20" for axis in "xyz"]

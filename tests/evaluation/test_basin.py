@@ -34,7 +34,7 @@ def test_bad_ranges_stop_before_any_work(ranges, yaws, limits, said):
 
 
 def test_the_protocol_says_which_tilt_and_that_no_pose_is_dropped():
-    text = " ".join(protocol_lines("truth", 3))
+    text = " ".join(protocol_lines("truth", 3, True))
     assert "oracle" in text
     assert "no pose is dropped" in text
     assert "seed 3" in text
