@@ -91,5 +91,5 @@ def _reason(term: PhotoTerms | None, away: float, fits_badly: bool) -> str:
     if term is None:
         return "its mask shows no outline of a building where the other photos say it was"
     if fits_badly:
-        return f"its mask fits the map half as well as the others' (IoU {term.iou:.2f})"
+        return f"its mask fits the map less than half as well as the others' (IoU {term.iou:.2f})"
     return f"it lies {away:.0f} times further from where the other photos say it was than sensors err"
