@@ -10,9 +10,12 @@ from lodbench.bench.figures import Report
 from lodbench.bench.options import add_options, options_of
 from lodbench.bench.reconstructions import Noise, measure_reconstructions
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
+from lodbench.cli.bench_flights import require_city
 from lodbench.cli.bench_views import seeds
-from lodbench.cli.segmenters import segmenter_of
+from lodbench.cli.segmenters import require_frames_looked_at, segmenter_of
+from lodbench.errors import require_within
 from lodbench.execution import ProgressCallback
+from lodbench.geometry.similarity import FEWEST_POSES
 from lodbench.synthesis.camera_paths import FLIGHT_PATHS
 from lodbench.synthesis.flights.dataset import FlightsParams
 
@@ -36,7 +39,16 @@ def add_uses(actions: Any) -> None:
 
 
 def measure_georeference(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    """Returns how far off reconstructions are placed."""
+    """Returns how far off reconstructions are placed.
+
+    Raises:
+        LodbenchError: An option is out of range, or as ``measure_reconstructions``.
+    """
+    require_city(options)
+    require_within("--photos", options.photos, FEWEST_POSES)
+    require_within("--mask-iou", options.mask_iou, 0, 1, "(]")
+    require_within("--noise-m", options.noise_m, 0)
+    require_within("--noise-deg", options.noise_deg, 0)
     flights = FlightsParams(
         str(options.city),
         num_photos=options.photos,
@@ -49,6 +61,15 @@ def measure_georeference(options: argparse.Namespace, steps: ProgressCallback) -
 
 
 def measure_track(options: argparse.Namespace, steps: ProgressCallback) -> Report:
-    """Returns how fast and how well frames are tracked."""
+    """Returns how fast and how well frames are tracked.
+
+    Raises:
+        LodbenchError: An option is out of range, or as ``measure_tracking``.
+    """
+    require_city(options)
     asked = options_of(options, TrackingOptions)
-    return measure_tracking(options.city, options.seeds, segmenter_of(options.segmenter), asked, steps)
+    # The first, which is searched for, does not count.
+    require_within("--frames", asked.frames, 2)
+    segmenter = segmenter_of(options.segmenter)
+    require_frames_looked_at(segmenter, options.segmenter)
+    return measure_tracking(options.city, options.seeds, segmenter, asked, steps)

@@ -84,8 +84,7 @@ def measure(options: argparse.Namespace, steps: ProgressCallback) -> Report:
 
 def _require_sound(options: argparse.Namespace) -> None:
     """Refuses here what flights would refuse by names that are not typed."""
-    if not options.city.exists():
-        raise DatasetError(f"The city model {options.city} does not exist.", "Check the path after --city.")
+    require_city(options)
     require_within("--flights", options.flights, 1)
     require_within("--photos", options.photos, 1)
     require_within("--focal", options.focal, 0, 0.2)
@@ -95,6 +94,20 @@ def _require_sound(options: argparse.Namespace) -> None:
     require_within("--photo-width", options.photo_width, FINE_SIZE[0], RGB_CAMERA.width)
     if options.reconstruct and options.look is None:
         raise ConfigError("--reconstruct needs photos.", "Add --look plain.")
+    if options.relative_poses == "reconstruction" and not options.reconstruct:
+        raise ConfigError("--relative-poses reconstruction needs one.", "Add --reconstruct --look plain.")
+    if options.relative_poses == "tracks" and options.look is None:
+        raise ConfigError("--relative-poses tracks needs photos.", "Add --look plain.")
+
+
+def require_city(options: argparse.Namespace) -> None:
+    """Makes sure that the city model is there.
+
+    Raises:
+        DatasetError: It is not.
+    """
+    if not options.city.exists():
+        raise DatasetError(f"The city model {options.city} does not exist.", "Check the path after --city.")
 
 
 def _counts(text: str) -> list[int]:

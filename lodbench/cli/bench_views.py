@@ -166,9 +166,13 @@ def seeds(text: str) -> list[int]:
     """Returns seeds as typed.
 
     Raises:
-        ConfigError: One is no whole number.
+        ConfigError: One is no whole number, or given twice: what it draws would count twice.
     """
-    return whole_numbers("Seeds", text, "Write --seeds 0,1,2")
+    hint = "Write --seeds 0,1,2"
+    found = whole_numbers("Seeds", text, hint)
+    if len(set(found)) < len(found):
+        raise ConfigError(f"A seed is given twice: {text}.", hint)
+    return found
 
 
 def _pair(text: str) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from lodbench.datasets.inputs import Input
 from lodbench.datasets.query import Dataset
 from lodbench.errors import ConfigError
 from lodbench.segmentation import Segmenter
-from lodbench.segmentation.choice import AUTO, chosen_segmenter
+from lodbench.segmentation.choice import AUTO, FOR_PHOTOS, chosen_segmenter
 from lodbench.segmentation.registry import make_segmenter
 
 # A segmenter and its parameters.
@@ -26,6 +26,16 @@ def segmenter_of(name: str, words: Sequence[str] = ()) -> Segmenter:
         LodbenchError: There is none of this name, an option is not one of it, or its weights are missing.
     """
     return make_segmenter(name, option_pairs(words))[0]
+
+
+def require_frames_looked_at(segmenter: Segmenter, name: str) -> None:
+    """Makes sure that a segmenter makes masks of pixels, as frames of a video need it.
+
+    Raises:
+        ConfigError: It does not, such as one that reads masks.
+    """
+    if not hasattr(segmenter, "probability"):
+        raise ConfigError(f"--segmenter {name} looks at no frames.", f"{FOR_PHOTOS} does.")
 
 
 def require_one_mask_source(asked: argparse.Namespace, *flags: str) -> None:

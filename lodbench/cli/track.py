@@ -17,8 +17,8 @@ from lodbench.cli.place_options import (
     city_settings,
     rough_settings,
 )
-from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
-from lodbench.errors import ConfigError, DatasetError, require_within
+from lodbench.cli.segmenters import require_frames_looked_at, require_one_mask_source, segmenter_of
+from lodbench.errors import DatasetError, require_within
 from lodbench.reporting.safe_text import plain_text
 from lodbench.segmentation.choice import FOR_PHOTOS
 
@@ -59,9 +59,9 @@ def main(argv: Sequence[str]) -> int:
     if asked.masks is not None and asked.footage.is_dir():
         require_some_mask(asked.masks, [photo.name for photo in footage.photos()])
     if asked.masks is None:
-        segmenter = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
-        if not hasattr(segmenter, "probability"):
-            raise ConfigError(f"--segmenter {asked.segmenter} looks at no frames.", f"{FOR_PHOTOS} does.")
+        name = asked.segmenter or FOR_PHOTOS
+        segmenter = segmenter_of(name, asked.segmenter_option)
+        require_frames_looked_at(segmenter, name)
     own = {"footage": footage, "masks": asked.masks, "segmenter": segmenter}
     done = track(TrackRequest(**city_settings(asked), **rough_settings(asked), **own))
     sys.stdout.write(_as_json(done) if asked.json else describe(done))

@@ -11,6 +11,7 @@ from lodbench.bench.reconstructions import Noise, measure_reconstructions
 from lodbench.bench.tracking import TrackingOptions, measure_tracking
 from lodbench.citymap import CityMap
 from lodbench.citymodel import open_scene
+from lodbench.cli import main
 from lodbench.datasets.query import Query
 from lodbench.errors import ConfigError
 from lodbench.geometry import EulerAngles
@@ -51,6 +52,29 @@ def test_frames_are_counted_whether_found_or_lost(city):
     assert values["frames lost", ""] == 3
     assert values["frames within 2 m and 2 deg", "%"] == 0.0
     assert values["photos per second from pixels to pose", "1/s"] > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("tracking --frames 1", "--frames=1 is not at least 2"),
+        ("tracking --segmenter masks", "--segmenter masks looks at no frames"),
+        ("tracking --city absent.gml", "absent.gml does not exist"),
+        ("tracking --seeds 0,1,0", "A seed is given twice: 0,1,0"),
+        ("georeference --photos 2", "--photos=2 is not at least 3"),
+        ("georeference --mask-iou 2", "--mask-iou=2 is not"),
+        ("georeference --noise-m -1", "--noise-m=-1 is not at least 0"),
+        ("georeference --noise-deg nan", "--noise-deg=nan is not finite"),
+        ("georeference --city absent.gml", "absent.gml does not exist"),
+        ("flights --relative-poses reconstruction --look plain", "--relative-poses reconstruction needs one"),
+        ("flights --relative-poses tracks", "--relative-poses tracks needs photos"),
+    ],
+)
+def test_what_cannot_be_measured_is_told_before_any_work(city, capsys, words, said):
+    what, *more = words.split()
+    place = [] if "--city" in more else ["--city", str(city)]
+    assert main(["bench", what, *place, *more]) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_joint_solves_have_one_thread_for_linear_algebra_as_runs_have(city):
