@@ -170,8 +170,10 @@ def test_a_distorted_silhouette_is_what_opencv_draws(city):
         ({"focal": 0.5}, "focal"),
         ({"reconstruct": True}, "dataset.look=plain"),
         ({"look": "plain", "distortion": 0.1}, "without distortion"),
-        ({"missing": 0.9}, "0.9"),
-        ({"own_m": -1.0}, "-1.0"),
+        ({"missing": 0.9}, "dataset.missing=0.9 is not"),
+        ({"missing": 0.5, "extra": 0.5, "wrong_heights": 0.1}, "more than all there are"),
+        ({"own_m": -1.0}, "dataset.own_m=-1 is not at least 0"),
+        ({"shared_yaw_deg": float("nan")}, "dataset.shared_yaw_deg=nan is not finite"),
     ],
 )
 def test_settings_out_of_range_are_refused(city, wrong, told):

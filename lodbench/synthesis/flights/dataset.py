@@ -21,7 +21,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.scene import Scene
 from lodbench.datasets.folder import RECONSTRUCTION_FOLDER, SEQUENCE_FILE, FolderParams, open_folder
 from lodbench.datasets.query import Dataset
-from lodbench.errors import ConfigError, DatasetError, nearest_names, require_within
+from lodbench.errors import ConfigError, DatasetError, nearest_names, require_numbers, require_within
 from lodbench.geometry import Camera, Pose
 from lodbench.rendering import Renderer, make_renderer
 from lodbench.storage import digest_of, random_stream, write_text
@@ -74,8 +74,7 @@ class FlightsParams:
     name: str = "flights"
 
     def __post_init__(self) -> None:
-        if self.num_flights < 1 or self.num_photos < 1:
-            raise ConfigError("dataset.num_flights and dataset.num_photos are at least 1.")
+        require_numbers(self, "dataset", ("num_flights", "num_photos"), 1)
         if self.path is not None and self.path not in FLIGHT_PATHS:
             raise ConfigError(
                 f"dataset.path={self.path} is not known.", nearest_names(self.path, FLIGHT_PATHS)
@@ -88,7 +87,14 @@ class FlightsParams:
         require_within("dataset.photo_width", self.photo_width, FINE_SIZE[0], RGB_CAMERA.width, "[]")
         if self.look is not None and self.distortion != 0:
             raise ConfigError("dataset.look draws photos without distortion.", "Set dataset.distortion=0.")
-        self.shared(), self.own(), self.map_errors()
+        errors = ("shared_m", "own_m", "shared_height_m", "shared_tilt_deg", "own_tilt_deg")
+        require_numbers(self, "dataset", (*errors, "shared_yaw_deg", "own_yaw_deg"), 0)
+        require_numbers(self, "dataset", ("wrong_heights", "missing", "extra"), 0, 0.5)
+        if self.wrong_heights + self.missing + self.extra > 1:
+            raise ConfigError(
+                "Wrong heights, missing and extra buildings are more than all there are.",
+                "No building is wrong in two ways: their shares are at most 1 together.",
+            )
 
     def shared(self) -> SensorErrors:
         """Returns what all photos of a flight are wrong about."""
