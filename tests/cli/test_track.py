@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -235,8 +236,31 @@ def test_bad_input_is_one_line(capsys, footage, tmp_path, source, more, said):
     assert "Traceback" not in told
 
 
-def test_a_video_s_camera_must_be_given(capsys, footage, tmp_path):
-    words = footage.words("flight.avi", "--masks", footage.folder / "masks", "--out", tmp_path)
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("flight.avi", "A video does not say its camera"),
+        ("photos/photo_0.png", "is one photo"),
+        ("city.obj", "no video that OpenCV reads"),
+    ],
+)
+def test_a_video_s_camera_must_be_given(capsys, footage, tmp_path, source, said):
+    words = footage.words(source, "--masks", footage.folder / "masks", "--out", tmp_path)
     at = words.index("--camera")
     assert main(words[:at] + words[at + 2 :]) == 2
-    assert "A video does not say its camera" in capsys.readouterr().err
+    assert said in capsys.readouterr().err
+
+
+def test_photos_with_masks_are_not_decoded_but_of_the_camera_s_size(capsys, footage, tmp_path, monkeypatch):
+    shutil.copytree(footage.folder / "photos", tmp_path / "photos")
+    cv2.imwrite(str(tmp_path / "photos" / "photo_3.png"), np.zeros((120, 160, 3), np.uint8))
+    monkeypatch.delattr("lodbench.harness.track.frames.read_picture")
+    words = footage.words("photos", "--masks", footage.folder / "masks", "--out", tmp_path / "out")
+    words[1] = str(tmp_path / "photos")
+    assert main(words) == 3
+    told = capsys.readouterr().out
+    assert "lost from photo_3.png to photo_3.png: it is 160 x 120, not as the camera" in told
+    # PNGs have no clock.
+    assert "note: no clock tells the photos apart: 1 a second is assumed; --fps says how many" in told
+    assert main([*words, "--fps", "2"]) == 3
+    assert "no clock" not in capsys.readouterr().out

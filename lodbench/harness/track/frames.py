@@ -38,11 +38,19 @@ _AHEAD = 2
 
 
 class Shot(NamedTuple):
-    """A frame as it was taken: its pixels are (H, W, 3) BGR, or None where they cannot be decoded."""
+    """A frame as it was taken.
+
+    Attributes:
+        name: Of the frame.
+        time_s: When it was taken, seconds.
+        pixels: (H, W, 3) BGR, or None where they cannot be decoded, or are of a photo whose mask is there.
+        size: Width and height, None where they are not known.
+    """
 
     name: str
     time_s: float
     pixels: NDArray[np.uint8] | None
+    size: tuple[int, int] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +108,7 @@ class Footage:
         Raises:
             DatasetError: It is no video, or has no frames.
         """
-        pixels = next(self._of_video()).pixels
-        return None if pixels is None else (pixels.shape[1], pixels.shape[0])
+        return next(self._of_video()).size
 
     def first_photo(self) -> Path | None:
         """Returns the first photo of a folder; None for a video."""
@@ -111,9 +118,15 @@ class Footage:
         photos = self.photos()[:: self.every]
         clocks = _clocks(photos) if self.rate is None else None
         rate = self.rate or _PHOTO_RATE
+        if clocks is None and self.rate is None and len(photos) > 1:
+            self.notes.append(
+                f"no clock tells the photos apart: {rate:g} a second is assumed; --fps says how many"
+            )
         for number, photo in enumerate(photos):
             when = self.every * number / rate if clocks is None else clocks[number]
-            yield Shot(photo.name, when, read_picture(photo))
+            # A mask that is there is looked at alone: decoding a drone's photo takes longer than aligning it.
+            pixels = read_picture(photo) if self.masks is None else None
+            yield Shot(photo.name, when, pixels, _stated_size(photo) if pixels is None else _size(pixels))
 
     def _of_video(self) -> Iterator[Shot]:
         import cv2
@@ -136,8 +149,10 @@ class Footage:
                 is_told = self.rate is None and math.isfinite(stamp_s) and stamp_s > time_s
                 time_s = stamp_s if is_told else (number / rate if self.rate else time_s + 1.0 / rate)
                 if number % self.every == 0:
-                    is_whole, pixels = video.retrieve()
-                    yield Shot(_frame_name(number), time_s, np.asarray(pixels) if is_whole else None)
+                    is_whole, found = video.retrieve()
+                    pixels = np.asarray(found, dtype=np.uint8) if is_whole else None
+                    size = None if pixels is None else _size(pixels)
+                    yield Shot(_frame_name(number), time_s, pixels, size)
                 number += 1
         finally:
             video.release()
@@ -147,6 +162,18 @@ class Footage:
             self.notes.append(
                 f"{number} of the video's {count:.0f} frames can be read: it is cut off or damaged"
             )
+
+
+def _size(pixels: NDArray[np.uint8]) -> tuple[int, int]:
+    return pixels.shape[1], pixels.shape[0]
+
+
+def _stated_size(photo: Path) -> tuple[int, int] | None:
+    try:
+        stated = read_photo_metadata(photo)
+    except LodbenchError:
+        return None
+    return stated.width, stated.height
 
 
 def _frame_name(number: int) -> str:
@@ -195,6 +222,8 @@ class MaskMaker:
             self.seconds += time.perf_counter() - started
 
     def _made(self, shot: Shot) -> Mask:
+        if shot.size not in (None, (self.camera.width, self.camera.height)):
+            raise QueryFault("it is {} x {}, not as the camera".format(*shot.size))
         if self.folder is not None:
             file = find_mask(self.folder, shot.name)
             if file is None:
@@ -202,9 +231,6 @@ class MaskMaker:
             return read_mask(file)
         if shot.pixels is None:
             raise QueryFault("its pixels cannot be decoded")
-        size = shot.pixels.shape[1], shot.pixels.shape[0]
-        if size != (self.camera.width, self.camera.height):
-            raise QueryFault(f"it is {size[0]} x {size[1]}, not as the camera")
         network: Any = self.segmenter
         return np.asarray(network.probability(np.ascontiguousarray(shot.pixels[..., ::-1])))
 

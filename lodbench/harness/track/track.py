@@ -173,11 +173,12 @@ def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose,
     """Returns the camera, the rough pose of the first frame (city's coordinates), and whose height it has."""
     first = request.footage.first_photo()
     if first is None:
+        size = request.footage.video_size()
         if request.camera is None:
             raise ConfigError(
                 "A video does not say its camera.", "Give --camera 'SIMPLE_PINHOLE W H FOCAL_PX CX CY'."
             )
-        size = request.footage.video_size() or (request.camera.width, request.camera.height)
+        size = size or (request.camera.width, request.camera.height)
         stated = PhotoMetadata(request.footage.source.name, *size)
     else:
         stated = read_photo_metadata(first)
