@@ -39,6 +39,10 @@ def places(known: dict[Path, Pose]) -> dict[str, int]:
         (["1/a.jpg", "2/a.jpg"], ["x/2/a.jpg", "x/1/a.jpg"], {"x/2/a.jpg": 2, "x/1/a.jpg": 1}),
         (["1/a.jpg", "2/a.jpg", "b.jpg"], ["x/a.jpg", "x/b.jpg"], {"x/b.jpg": 3}),
         (["a.jpg", "b.jpg"], ["1/a.jpg", "2/a.jpg", "1/b.jpg"], {"1/b.jpg": 2}),
+        # Programs leave endings out, or write them in other letters; a PNG is another photo.
+        (["a", "c/b.jpg", "d.png"], ["x/a.JPG", "x/b.JPG", "x/d.jpg"], {"x/a.JPG": 1, "x/b.JPG": 2}),
+        (["1/a", "2/a"], ["x/2/a.jpg", "x/1/a.jpg"], {"x/2/a.jpg": 2, "x/1/a.jpg": 1}),
+        (["a", "b"], ["x/a.jpg", "x/a.png", "x/b.jpg"], {"x/b.jpg": 2}),
     ],
 )
 def test_no_photo_gets_the_pose_of_another_of_its_name(tmp_path, images, photos, expected):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lodbench.datasets.exchange.colmap import read_colmap
 from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.own import find_mask
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES
 from lodbench.datasets.pictures import encoded, read_picture
 from lodbench.datasets.undistort import undistorted
 from lodbench.errors import DatasetError
@@ -72,7 +73,8 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
 def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pose]:
     """Returns the poses of photos in a COLMAP model, by file; none without a model.
 
-    Where several photos or images have one name, folders tell them apart; what they do not is left out.
+    A model's names may lack their endings, or have them in other letters. Where several photos or images have
+    one name, folders tell them apart; what they do not is left out.
 
     Raises:
         DatasetError: The model cannot be read, or has none of the photos.
@@ -80,23 +82,36 @@ def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pos
     if model is None:
         return {}
     images: dict[str, list[FoundPose]] = defaultdict(list)
-    for image in read_colmap(model):
-        images[PurePosixPath(image.name).name].append(image)
+    found = list(read_colmap(model))
+    for image in found:
+        images[_bare(PurePosixPath(image.name)).name].append(image)
     named = Counter(photo.name for photo in photos)
     matched: dict[Path, FoundPose] = {}
     for photo in photos:
-        same = images.get(photo.name, [])
+        same = [image for image in images.get(photo.stem, []) if _is_called(photo, image.name)]
         if named[photo.name] > 1 or len(same) > 1:
-            same = [image for image in same if photo.absolute().as_posix().endswith(f"/{image.name}")]
+            whole = _bare(photo.absolute()).as_posix()
+            same = [image for image in same if whole.endswith(f"/{_bare(PurePosixPath(image.name))}")]
         if len(same) == 1:
             matched[photo] = same[0]
     claims = Counter(image.name for image in matched.values())
     known = {photo: image.pose for photo, image in matched.items() if claims[image.name] == 1}
     if not known:
         raise DatasetError(
-            f"{model} has none of these photos.", f"Its images are called {', '.join([*images][:3])}."
+            f"{model} has none of these photos.",
+            f"Its images are called {', '.join(image.name for image in found[:3])}.",
         )
     return known
+
+
+def _is_called(photo: Path, name: str) -> bool:
+    """Tells whether a model's name of a photo's stem has its ending, or none."""
+    ending = PurePosixPath(name).suffix.lower()
+    return ending == photo.suffix.lower() or ending not in PHOTO_SUFFIXES
+
+
+def _bare(path: PurePath) -> PurePath:
+    return path.with_suffix("") if path.suffix.lower() in PHOTO_SUFFIXES else path
 
 
 def tied_notes(model: Path | None, photos: Sequence[Path], known: Mapping[Path, Pose]) -> list[str]:
