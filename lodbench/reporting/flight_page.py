@@ -122,7 +122,14 @@ def flight_page(
         left_out=left_out,
         map=markup(draw_map(spots, vertices, triangles, marked=marked, is_flight=True)),
         constants=constant_rows(constants),
-        heights=heights_in_words(constants["height"]) if "height" in constants else "",
+        heights=_heights(constants.get("height")),
         notes=findings.get("notes", ()),
         map_rows=map_rows(findings),
     )
+
+
+def _heights(constant: Mapping[str, Any] | None) -> str:
+    """Returns what the photos say of stated heights; "" where these are held."""
+    if constant is None:
+        return ""
+    return heights_in_words(constant) if constant["told"] else "heights are not told: left as stated"

@@ -74,6 +74,14 @@ def test_photos_are_turned_by_the_slider_their_rows_and_the_map(tmp_path, scheme
         assert complaints == []
 
 
+def test_heights_that_photos_do_not_tell_are_not_said_to_be_off():
+    silent = {"value": -9.2, "sigma": 16.0, "unit": "m", "told": False}
+    constants = {"height": silent, "east": silent}
+    words = page(findings={"constants": constants})
+    assert "Heights are not told: left as stated." in words
+    assert "too high" not in words
+
+
 def test_an_ellipse_has_the_axes_of_the_covariance():
     turn = np.radians(30.0)
     axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
