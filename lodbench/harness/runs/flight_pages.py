@@ -41,6 +41,7 @@ def flight_findings(verdict: Verdict) -> dict[str, dict[str, Any]]:
         said = found[file.stem] = read_json(file)
         try:
             constants_in_words(said.get("constants", {})), map_in_words(said)
+            len(said.get("lost", [])), dict(said.get("reasons", {})), list(said.get("notes", []))
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise DatasetError(
                 f"{file} does not tell constants, buildings and changes as method=flight does ({error!r}).",
