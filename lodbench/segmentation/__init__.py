@@ -9,6 +9,7 @@ from lodbench.segmentation.protocol import (
     binary_mask,
     check_instances,
     check_mask,
+    no_wider,
     notes_of,
     resized,
 )
@@ -22,6 +23,7 @@ __all__ = [
     "binary_mask",
     "check_instances",
     "check_mask",
+    "no_wider",
     "notes_of",
     "resized",
 ]

@@ -193,6 +193,13 @@ def resized(probability: NDArray[np.float32], width: int, height: int) -> NDArra
     return np.asarray(cv2.resize(probability, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
+def no_wider(probability: NDArray[np.float32], width: int, camera: Camera) -> NDArray[np.float32]:
+    """Returns the probability at most so wide, of the camera's aspect where it was wider."""
+    if probability.shape[1] <= width:
+        return probability
+    return resized(probability, width, max(1, round(width * camera.height / camera.width)))
+
+
 def binary_mask(probability: NDArray[np.float32], width: int, height: int) -> NDArray[np.bool_]:
     """Returns the (height, width) mask: averaged over each target pixel's area, then thresholded."""
     return np.asarray(resized(probability, width, height) >= BUILDING_THRESHOLD)

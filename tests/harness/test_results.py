@@ -9,16 +9,19 @@ import sys
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 
+import numpy as np
 import pytest
 
 import lodbench
 from lodbench.cli import main
 from lodbench.datasets.folder import FolderParams, open_folder
 from lodbench.errors import ConfigError
+from lodbench.harness import RunSettings, run_method
 from lodbench.harness.runs import code_digest as module
 from lodbench.harness.runs.code_digest import code_digest
 from lodbench.methods.registry import make_method
 from lodbench.plugins import PlugIn
+from lodbench.segmentation.masks import MaskFiles, MasksParams
 from tests.harness.scripted import Flying, Scripted, run
 from tests.town import write_dataset
 
@@ -215,3 +218,23 @@ def test_flights_that_changed_since_are_told_by_verify(tmp_path, capsys):
     flights.write_text("".join(f"{name} flight_{name}\n" for name in names))
     assert main(["verify", str(done.folder)]) == 1
     assert "flights" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_masks_of_a_flight_are_held_no_larger_than_methods_need(dataset, tmp_path):
+    class Masked(Flying):
+        requires = frozenset({"mask"})
+
+        def localize_flight(self, queries, city_map, streams):
+            shapes.extend(query.mask.shape for query in queries)
+            return super().localize_flight(queries, city_map, streams)
+
+    class Wide(MaskFiles):
+        def segment(self, entry):
+            return np.ones((1200, 1600), np.float32)
+
+    shapes = []
+    method = Masked()
+    settings = RunSettings(tmp_path / "runs", {"method": {"name": method.name}}, threads=1)
+    run_method(method, dataset, Wide(MasksParams()), settings)
+    assert shapes == [(903, 1204)] * 3

@@ -20,7 +20,7 @@ from lodbench.errors import DatasetError
 from lodbench.geometry import Pose
 from lodbench.harness.photo.prepare import PreparedPhoto
 from lodbench.methods.flight.reconstruction import FEWEST_PHOTOS
-from lodbench.segmentation import resized
+from lodbench.segmentation import no_wider
 from lodbench.storage import file_digest, write_bytes
 
 # Masks of a flight are held at this width, pixels: half as much again as methods look at.
@@ -125,10 +125,9 @@ def tied_notes(model: Path | None, photos: Sequence[Path], known: Mapping[Path, 
 
 def with_small_mask(photo: PreparedPhoto) -> PreparedPhoto:
     """Returns a photo whose mask is no larger than methods need: hundreds are held at a time."""
-    if photo.mask is None or photo.mask.shape[1] <= _MASK_WIDTH:
+    if photo.mask is None:
         return photo
-    height = max(1, round(_MASK_WIDTH * photo.pinhole.height / photo.pinhole.width))
-    return replace(photo, mask=resized(photo.mask, _MASK_WIDTH, height))
+    return replace(photo, mask=no_wider(photo.mask, _MASK_WIDTH, photo.pinhole))
 
 
 def picture_file(photo: PreparedPhoto, folder: Path, number: int) -> Path | None:

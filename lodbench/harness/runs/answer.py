@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from lodbench.methods import Estimate, Method
 from lodbench.methods.measured_calls import localize_flight, localize_queries, localize_query
 from lodbench.methods.protocol import Streams, SupportsBatches, SupportsFlights
 from lodbench.methods.sound_estimate import note_fault, number_fault, uncertainty_fault
-from lodbench.segmentation import binary_mask
+from lodbench.segmentation import binary_mask, no_wider
 from lodbench.storage import make_folder, write_text
 from lodbench.storage.atomic import writable
 
@@ -33,6 +33,8 @@ from lodbench.storage.atomic import writable
 FLIGHTS_FOLDER = "flights"
 # Masks are stored, and compared with the truth, at most at this width, pixels: the paper's fine size.
 _MASK_WIDTH = 602
+# Those of a flight are held at most at this width, pixels: of 500 drone's photos the whole have 40 GB.
+_HELD_WIDTH = 2 * _MASK_WIDTH
 # No query is to blame for these. A plug-in's sys.exit is a fault like others: it would end a run silently.
 _ENDS_RUN = (ConfigError, InputChanged, WorkersGone)
 
@@ -103,7 +105,8 @@ def answer(
     for each in asked:
         with _failing(each, folder):
             started = time.perf_counter()
-            each.query = preparation.query(each.entry)
+            query = preparation.query(each.entry)
+            each.query = _with_small_mask(query) if isinstance(method, SupportsFlights) else query
             each.prepare_s = time.perf_counter() - started
     ready = [(each, each.query) for each in asked if each.query is not None]
     if isinstance(method, SupportsFlights) and ready:
@@ -128,6 +131,14 @@ def answer(
     for each, query in ready:
         with _failing(each, folder):
             each.estimate = localize_query(method, query, city_map, each.streams)
+
+
+def _with_small_mask(query: Query) -> Query:
+    """Returns a query whose mask is no larger than methods need: those of a whole flight are held."""
+    if query.building_probability is None:
+        return query
+    small = no_wider(query.building_probability, _HELD_WIDTH, query.camera)
+    return replace(query, building_probability=small)
 
 
 def _answer_flight(
