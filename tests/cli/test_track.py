@@ -251,6 +251,15 @@ def test_a_video_s_camera_must_be_given(capsys, footage, tmp_path, source, said)
     assert said in capsys.readouterr().err
 
 
+def test_a_rough_pose_that_is_lacking_is_asked_for_in_words_of_track(capsys, footage, tmp_path):
+    words = footage.words("flight.avi", "--masks", footage.folder / "masks", "--out", tmp_path)
+    at = words.index("--center")
+    assert main([*words[:at], *words[at + 4 :], "--crs", "EPSG:25832"]) == 2
+    told = capsys.readouterr().err
+    assert "hint: Give --lat and --lon" in told
+    assert "localize" not in told
+
+
 def test_photos_with_masks_are_not_decoded_but_of_the_camera_s_size(capsys, footage, tmp_path, monkeypatch):
     shutil.copytree(footage.folder / "photos", tmp_path / "photos")
     cv2.imwrite(str(tmp_path / "photos" / "photo_3.png"), np.zeros((120, 160, 3), np.uint8))

@@ -194,7 +194,12 @@ def _start(request: TrackRequest, frame: MapFrame | None) -> tuple[Camera, Pose,
             f"{request.city.name} names no reference system, so GPS means nothing in it.",
             "Name it with --crs, or give --center EAST NORTH UP in the city's coordinates.",
         )
-    pose = pose_from_photo(stated, frame, request.heights, request.given)
+    try:
+        pose = pose_from_photo(stated, frame, request.heights, request.given)
+    except DatasetError as fault:
+        # What it names are options of track, too.
+        hint = fault.hint.replace("lodbench localize takes", "Give")
+        raise DatasetError(fault.message, hint) from fault
     return camera, pose, () if request.given.height_m is not None else (stated,)
 
 
