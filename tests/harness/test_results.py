@@ -196,16 +196,20 @@ def test_rows_of_other_queries_have_another_protocol(tmp_path):
 
 
 @pytest.mark.usefixtures("own_cache")
-def test_what_ties_photos_together_names_the_folder_of_a_method_for_flights(dataset, tmp_path):
+def test_what_ties_photos_together_names_the_folder_of_a_method_for_flights(dataset, tmp_path, caplog):
     entries = dataset.entries
     east = replace(dataset, entries=tuple(replace(entry, sequence="east") for entry in entries))
     placed = replace(dataset, entries=tuple(replace(e, reconstructed=e.prior) for e in entries))
     done = [run(Flying(), each, tmp_path) for each in (dataset, east, placed)]
+    # Those that nothing names are said to be taken for one.
+    assert caplog.text.count("taken for one flight each: 3 photos of ") == 2
     assert [each.resumed for each in done] == [0, 0, 0]
     assert len({each.folder for each in done}) == 3
     assert "flights" not in done[0].inputs
     # Photos that are asked one by one are the same however they belong together.
+    caplog.clear()
     assert len({run(Scripted(), each, tmp_path).folder for each in (dataset, east, placed)}) == 1
+    assert not caplog.text
 
 
 def test_flights_that_changed_since_are_told_by_verify(tmp_path, capsys):

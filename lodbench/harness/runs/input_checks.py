@@ -6,6 +6,7 @@ What is wrong with all queries ends the run in one line. What is wrong with some
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 from lodbench.citymodel.crs import is_same_plane
@@ -19,6 +20,7 @@ from lodbench.geometry import Pose
 from lodbench.harness.city import FURTHEST_M, distance_outside_m
 from lodbench.harness.runs.requirements import needs_segmenter
 from lodbench.methods import Method
+from lodbench.methods.protocol import SupportsFlights
 from lodbench.segmentation import Segmenter
 from lodbench.segmentation.masks import MaskFiles
 
@@ -97,6 +99,14 @@ def require_pictures(
         hint = "A mask shows what its photo shows, in any size."
         _require_some(masked, _mask_fault, hint)
         _tell_scaled(masked)
+
+
+def tell_flights(method: Method, entries: Sequence[Entry]) -> None:
+    """Says which photos are taken for one flight because nothing names theirs: they may not be one."""
+    unnamed = Counter(entry.split for entry in entries if not entry.sequence)
+    if isinstance(method, SupportsFlights) and max(unnamed.values(), default=0) > 1:
+        listed = ", ".join(f"{count} photos of {split}" for split, count in unnamed.items())
+        _LOG.warning("nothing names the flights (sequences.txt): taken for one flight each: %s", listed)
 
 
 def _require_some(entries: Sequence[Entry], fault_of: Callable[[Entry], str], hint: str) -> None:

@@ -28,7 +28,12 @@ from lodbench.execution.fan_out import expect_workers
 from lodbench.execution.lock import only_one_in
 from lodbench.harness.city import open_city, scene_digest
 from lodbench.harness.runs.code_digest import code_digest, words_in
-from lodbench.harness.runs.input_checks import looks_at_photos, require_pictures, require_same_place
+from lodbench.harness.runs.input_checks import (
+    looks_at_photos,
+    require_pictures,
+    require_same_place,
+    tell_flights,
+)
 from lodbench.harness.runs.method_inputs import method_inputs, prepare_method
 from lodbench.harness.runs.predict import PREDICTIONS_FILE, Work, open_predictions, predict
 from lodbench.harness.runs.prepare import Preparation, require_choices, require_tilt
@@ -166,6 +171,7 @@ def _opened(
     # Once more: what was made for single queries is theirs.
     entries = chosen_entries(dataset, splits, settings.limit)
     require_pictures(dataset, entries, method, segmenter)
+    tell_flights(method, entries)
     scene, dataset = _open_city(dataset)
     require_same_place(dataset, entries, scene)
     require_direction(dataset, entries, scene)
