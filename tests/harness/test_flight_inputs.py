@@ -14,7 +14,7 @@ from lodbench.datasets.exchange.posed import FoundPose
 from lodbench.datasets.undistort import pinhole_of
 from lodbench.errors import DatasetError
 from lodbench.geometry import Camera, EulerAngles, Pose
-from lodbench.harness.photo.flight_inputs import picture_file, poses_in_model, tied_notes
+from lodbench.harness.photo.flight_inputs import masks_of, picture_file, poses_in_model, tied_notes
 from lodbench.methods.flight.tracks import width_looked_at
 from tests.town import CAMERA
 
@@ -61,6 +61,22 @@ def test_photos_that_a_model_lacks_are_told(tmp_path):
     (few,) = tied_notes(Path("sparse"), photos[:3], known)
     assert few == "2 of these photos are in sparse, under their names: too few to tie the photos together"
     assert tied_notes(Path("sparse"), photos[:2], known) == tied_notes(None, photos, {}) == []
+
+
+def test_a_copy_of_the_same_name_leaves_the_mask_to_the_original(tmp_path):
+    photos = [tmp_path / folder / "a.jpg" for folder in ("card", "backup", "other")]
+    for photo, content in zip(photos, (b"one", b"one", b"two"), strict=True):
+        photo.parent.mkdir()
+        photo.write_bytes(content)
+    (tmp_path / "masks").mkdir()
+    mask = tmp_path / "masks" / "a.png"
+    mask.touch()
+    found, reasons = masks_of(photos[:2], mask.parent)
+    assert found[0] == mask
+    assert reasons == {1: f"it is a copy of {photos[0]}"}
+    # Of two photos it is of neither.
+    _, reasons = masks_of(photos, mask.parent)
+    assert [row for row in reasons if "may be of" in reasons[row]] == [0, 2]
 
 
 def test_undistorted_copies_are_as_wide_as_features_are_looked_for_in(tmp_path):

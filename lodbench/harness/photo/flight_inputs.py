@@ -48,26 +48,38 @@ def masks_of(photos: Sequence[Path], masks: Path | None) -> tuple[list[Path | No
     A mask that may be of two photos is of neither; a photo that is another's copy says nothing new.
     """
     found = [find_mask(masks, f"{photo.parent.name}/{photo.name}") for photo in photos]
+    copies, unreadable = _copies_and_unreadable(photos)
+    reasons = copies | unreadable
     users: dict[Path | None, list[int]] = defaultdict(list)
     for row, mask in enumerate(found):
-        users[mask].append(row)
-    reasons: dict[int, str] = {}
-    first_of: dict[str, Path] = {}
+        if row not in copies:
+            users[mask].append(row)
     for row, (photo, mask) in enumerate(zip(photos, found, strict=True)):
-        try:
-            original = first_of.setdefault(file_digest(photo), photo)
-        except OSError as error:
-            reasons[row] = f"it cannot be read: {error.strerror}"
+        if row in reasons:
             continue
-        if original != photo:
-            reasons[row] = f"it is a copy of {original}"
-        elif masks is not None and mask is None:
+        if masks is not None and mask is None:
             reasons[row] = f"{masks} holds no mask of it"
         elif mask is not None and len(users[mask]) > 1:
             others = ", ".join(str(photos[other]) for other in users[mask] if other != row)
             own = Path(photo.parent.name) / f"{photo.stem}.png"
             reasons[row] = f"the mask {mask} may be of {others} as well: name it {own}"
     return found, reasons
+
+
+def _copies_and_unreadable(photos: Sequence[Path]) -> tuple[dict[int, str], dict[int, str]]:
+    """Returns by row which photo another is a copy of, and why others cannot be read, in words."""
+    copies: dict[int, str] = {}
+    unreadable: dict[int, str] = {}
+    first_of: dict[str, Path] = {}
+    for row, photo in enumerate(photos):
+        try:
+            original = first_of.setdefault(file_digest(photo), photo)
+        except OSError as error:
+            unreadable[row] = f"it cannot be read: {error.strerror}"
+            continue
+        if original != photo:
+            copies[row] = f"it is a copy of {original}"
+    return copies, unreadable
 
 
 def poses_in_model(model: Path | None, photos: Sequence[Path]) -> dict[Path, Pose]:
