@@ -19,7 +19,7 @@ def in_pose_lines(name: str) -> str:
 def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -> list[Path]:
     """Returns the photos of a folder and all below it, by name; or the one photo a path names.
 
-    Masks that ``lodbench mask`` put beside them are none.
+    Masks that ``lodbench mask`` put beside them, and what macOS keeps of photos (``._NAME``), are none.
 
     Args:
         folder: The folder, or one photo.
@@ -31,7 +31,9 @@ def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -
     """
     if folder.is_file():
         return [folder]
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES)
+    pictures = (path for path in folder.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES)
+    # macOS keeps files of its own beside photos that it copies to a card, in the same ending.
+    found = sorted(path for path in pictures if not path.name.startswith("._"))
     if not found:
         raise DatasetError(f"{folder} holds no photos.", f"Looked for {', '.join(PHOTO_SUFFIXES)} files.")
     aside = [masks.resolve()] if masks is not None else []

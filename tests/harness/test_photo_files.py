@@ -36,6 +36,12 @@ def test_masks_and_earlier_results_are_no_photos(flight, monkeypatch, relative):
         assert source / "a.JPG" in photos_of([source], flight / "better", flight / "masks", out)
 
 
+def test_what_macos_keeps_of_photos_is_none(flight):
+    (flight / "._a.JPG").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X        ")
+    found = photos_of([flight], flight / "masks", flight / "better", flight / "out")
+    assert [photo.name for photo in found] == ["a.JPG", "b.JPG"]
+
+
 def test_photos_among_their_masks_are_refused_in_one_line(capsys, flight):
     with pytest.raises(DatasetError, match="holds no photos outside the folders of masks"):
         photos_of([flight], flight)
