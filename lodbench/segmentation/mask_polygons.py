@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from lodbench.storage.json_text import parse_json
 
 Mask = NDArray[np.bool_]
 Ring = NDArray[np.int32]
+Corner = tuple[int, int]
 
 BUILDING, HOLE = "building", "hole"
 # Labels of other people's files that count as building, in small letters.
@@ -37,25 +38,24 @@ class MaskPolygon(NamedTuple):
 
 def polygons_of(mask: Mask) -> list[MaskPolygon]:
     """Returns a mask's connected parts, largest first; ``mask_of`` gives the same mask to the pixel."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    order = sorted(range(1, count), key=lambda label: -int(stats[label, cv2.CC_STAT_AREA]))
-    return [_polygon(np.asarray(labels == label)) for label in order]
+    parts = sorted(_parts(mask, 8), key=lambda found: -int(found[1].sum()))
+    return [_polygon(part, corner) for corner, part in parts]
 
 
 def mask_of(polygons: list[MaskPolygon], height: int, width: int) -> Mask:
-    """Returns the (height, width) mask of polygons, painted in order: each, then its holes taken out."""
-    canvas = np.zeros((height, width), np.uint8)
+    """Returns the (height, width) mask of polygons within it: all of them, each without its holes."""
+    mask = np.zeros((height, width), bool)
     for polygon in polygons:
-        cv2.fillPoly(canvas, [polygon.outer], 1)
-        for hole in polygon.holes:
-            cv2.fillPoly(canvas, [hole], 0)
-    return np.asarray(canvas > 0)
+        (x, y), part = _painted(polygon)
+        mask[y : y + part.shape[0], x : x + part.shape[1]] |= part
+    return mask
 
 
 def write_labelme(mask: Mask, photo: Path, path: Path) -> None:
     """Writes a mask as LabelMe's JSON: a polygon per part, one labelled ``hole`` per hole."""
     shapes = []
-    for polygon in polygons_of(mask):
+    # They are painted in this order: a part in another's hole after that hole.
+    for polygon in sorted(polygons_of(mask), key=lambda part: -cv2.contourArea(part.outer)):
         for label, ring in ((BUILDING, polygon.outer), *((HOLE, hole) for hole in polygon.holes)):
             points = (ring + 0.5).tolist()
             shape = {"label": label, "points": points, "group_id": None, "shape_type": "polygon", "flags": {}}
@@ -70,9 +70,7 @@ def write_coco(mask: Mask, photo: Path, path: Path) -> None:
     height, width = mask.shape
     annotations = []
     for number, polygon in enumerate(polygons_of(mask), start=1):
-        part = mask_of([polygon], height, width)
-        rows, columns = np.nonzero(part)
-        x, y = int(columns.min()), int(rows.min())
+        (x, y), part = _painted(polygon)
         outline: Any = [(polygon.outer + 0.5).ravel().tolist()]
         annotations.append(
             {
@@ -80,9 +78,9 @@ def write_coco(mask: Mask, photo: Path, path: Path) -> None:
                 "image_id": 1,
                 "category_id": 1,
                 "area": int(part.sum()),
-                "bbox": [x, y, int(columns.max()) - x + 1, int(rows.max()) - y + 1],
+                "bbox": [x, y, part.shape[1], part.shape[0]],
                 "iscrowd": int(bool(polygon.holes)),
-                "segmentation": {"size": [height, width], "counts": _runs(part)}
+                "segmentation": {"size": [height, width], "counts": _runs(part, x, y, height, width)}
                 if polygon.holes
                 else outline,
             }
@@ -164,19 +162,17 @@ def _from_coco(stored: dict[str, Any], path: Path, photo: str, height: int, widt
     image = (found or images)[0]
     _check_size(path, int(image["width"]), int(image["height"]), width, height)
     buildings = {c["id"] for c in stored["categories"] if str(c["name"]).lower() in _BUILDING_LABELS}
-    mask = np.zeros((height, width), bool)
+    canvas = np.zeros((height, width), np.uint8)
     for annotation in stored["annotations"]:
         if annotation["image_id"] != image["id"] or annotation["category_id"] not in buildings:
             continue
         segmentation = annotation["segmentation"]
         if isinstance(segmentation, dict):
-            mask |= _from_runs(segmentation, path, height, width)
+            canvas[_from_runs(segmentation, path, height, width)] = 1
             continue
         for ring in segmentation:
-            canvas = np.zeros((height, width), np.uint8)
             _paint(canvas, np.array(ring, np.float64).reshape(-1, 2), 1)
-            mask |= canvas > 0
-    return mask
+    return np.asarray(canvas > 0)
 
 
 def _check_size(path: Path, width: int, height: int, photo_width: int, photo_height: int) -> None:
@@ -194,12 +190,41 @@ def _paint(canvas: NDArray[np.uint8], points: NDArray[np.float64], value: int) -
     cv2.fillPoly(canvas, [np.rint((points - 0.5) * 16).astype(np.int32)], value, shift=4)
 
 
-def _polygon(part: Mask) -> MaskPolygon:
+def _parts(mask: Mask, connectivity: int) -> Iterator[tuple[Corner, Mask]]:
+    """Yields left and top of the box of each connected part, and the part in it."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        mask.astype(np.uint8), connectivity=connectivity
+    )
+    for label in range(1, count):
+        x, y, width, height = (int(value) for value in stats[label, :4])
+        yield (x, y), np.asarray(labels[y : y + height, x : x + width] == label)
+
+
+def _polygon(part: Mask, corner: Corner) -> MaskPolygon:
     outer = _outline(part)
-    filled = np.zeros(part.shape, np.uint8)
-    cv2.fillPoly(filled, [outer], 1)
-    count, labels = cv2.connectedComponents(((filled > 0) & ~part).astype(np.uint8), connectivity=4)
-    return MaskPolygon(outer, tuple(_outline(np.asarray(labels == label)) for label in range(1, count)))
+    holes = [
+        ring + place
+        for place, hole in _parts(_filled(outer, part.shape) & ~part, 4)
+        for ring in _hole_outlines(hole, part[place[1] :, place[0] :][: hole.shape[0], : hole.shape[1]])
+    ]
+    return MaskPolygon(outer + corner, tuple(np.asarray(hole + corner, np.int32) for hole in holes))
+
+
+def _hole_outlines(hole: Mask, part: Mask) -> Iterator[Ring]:
+    """Yields outlines that hold a hole and nothing of the (H, W) part around it.
+
+    A hole may close round some of the part but for a corner, which an outline cuts: it is parted there.
+    """
+    ring = _outline(hole)
+    rows = np.flatnonzero((_filled(ring, hole.shape) & part).any(axis=1))
+    if not len(rows):
+        yield ring
+        return
+    for first, last in ((0, rows[0]), (rows[0], len(hole))):
+        for (x, y), piece in _parts(hole[first:last], 4):
+            around = part[first + y :, x:][: piece.shape[0], : piece.shape[1]]
+            for found in _hole_outlines(piece, around):
+                yield np.add(found, (x, first + y), dtype=np.int32)
 
 
 def _outline(part: Mask) -> Ring:
@@ -207,11 +232,29 @@ def _outline(part: Mask) -> Ring:
     return np.asarray(contours[0][:, 0], np.int32)
 
 
-def _runs(part: Mask) -> list[int]:
-    """Returns COCO's uncompressed run lengths: column by column, zeros first."""
-    flat = part.T.ravel()
-    changes = np.flatnonzero(np.diff(np.concatenate([[False], flat])))
-    return [int(length) for length in np.diff(np.concatenate([[0], changes, [flat.size]]))]
+def _filled(ring: Ring, shape: tuple[int, ...]) -> Mask:
+    return cv2.fillPoly(np.zeros(shape, np.uint8), [ring], 1) > 0
+
+
+def _painted(polygon: MaskPolygon) -> tuple[Corner, Mask]:
+    """Returns left and top of a polygon's box, and its mask in it."""
+    corner, end = polygon.outer.min(axis=0), polygon.outer.max(axis=0) + 1
+    canvas = np.zeros((end - corner)[::-1], np.uint8)
+    cv2.fillPoly(canvas, [polygon.outer - corner], 1)
+    for hole in polygon.holes:
+        cv2.fillPoly(canvas, [hole - corner], 0)
+    return (int(corner[0]), int(corner[1])), np.asarray(canvas > 0)
+
+
+def _runs(part: Mask, x: int, y: int, height: int, width: int) -> list[int]:
+    """Returns COCO's uncompressed run lengths of a part at a place: column by column, zeros first."""
+    columns, rows = np.nonzero(part.T)
+    places = (columns + x) * height + rows + y
+    is_first = np.diff(places, prepend=-2) > 1
+    is_last = np.append(is_first[1:], True)
+    ends = np.column_stack([places[is_first], places[is_last] + 1]).ravel()
+    ends = ends[:-1] if ends[-1] == height * width else ends
+    return [int(length) for length in np.diff(ends, prepend=0, append=height * width)]
 
 
 def _from_runs(segmentation: dict[str, Any], path: Path, height: int, width: int) -> Mask:

@@ -26,11 +26,30 @@ def test_any_mask_comes_back_to_the_pixel(mask):
     assert np.array_equal(mask_of(polygons_of(mask), *mask.shape), mask)
 
 
+def wall_round_a_block():
+    """A wall of fewer pixels than the block in its court."""
+    mask = np.ones((40, 60), bool)
+    mask[1:-1, 1:-1] = False
+    mask[3:-3, 3:-3] = True
+    return mask
+
+
+def court_that_closes_but_for_a_corner():
+    """A block whose court runs round a shed that touches the block at one corner."""
+    mask = np.ones((40, 60), bool)
+    mask[10:30, 10:40] = False
+    mask[14:20, 14:20] = True
+    mask[10:14, 10:14] = True
+    return mask
+
+
 @pytest.mark.parametrize("name", ["labelme", "coco"])
-def test_files_come_back_to_the_pixel(name, tmp_path):
+@pytest.mark.parametrize("drawn", [town, wall_round_a_block, court_that_closes_but_for_a_corner])
+def test_files_come_back_to_the_pixel(drawn, name, tmp_path):
     path = tmp_path / "mask.json"
-    WRITERS[name](town(), tmp_path / "photo.jpg", path)
-    assert np.array_equal(read_polygons(path, "photo.jpg", 40, 60), town())
+    WRITERS[name](drawn(), tmp_path / "photo.jpg", path)
+    assert np.array_equal(read_polygons(path, "photo.jpg", 40, 60), drawn())
+    assert np.array_equal(mask_of(polygons_of(drawn()), 40, 60), drawn())
     with pytest.raises(DatasetError, match=r"photo of 60 x 40, this one has 30 x 20"):
         read_polygons(path, "photo.jpg", 20, 30)
 
