@@ -8,7 +8,8 @@ from hypothesis import given, strategies
 from hypothesis.extra.numpy import arrays
 
 from lodbench.errors import DatasetError
-from lodbench.segmentation.mask_polygons import WRITERS, mask_of, polygons_of, read_polygons
+from lodbench.segmentation.mask_polygons import mask_of, polygons_of
+from lodbench.segmentation.polygon_files import polygon_text, read_polygons
 
 
 def town():
@@ -47,7 +48,7 @@ def court_that_closes_but_for_a_corner():
 @pytest.mark.parametrize("drawn", [town, wall_round_a_block, court_that_closes_but_for_a_corner])
 def test_files_come_back_to_the_pixel(drawn, name, tmp_path):
     path = tmp_path / "mask.json"
-    WRITERS[name](drawn(), tmp_path / "photo.jpg", path)
+    path.write_text(polygon_text(name, drawn(), "photo.jpg"))
     assert np.array_equal(read_polygons(path, "photo.jpg", 40, 60), drawn())
     assert np.array_equal(mask_of(polygons_of(drawn()), 40, 60), drawn())
     with pytest.raises(DatasetError, match=r"photo of 60 x 40, this one has 30 x 20"):
@@ -55,7 +56,7 @@ def test_files_come_back_to_the_pixel(drawn, name, tmp_path):
 
 
 def test_coco_is_as_its_own_readers_expect(tmp_path):
-    WRITERS["coco"](town(), tmp_path / "photo.jpg", tmp_path / "mask.json")
+    (tmp_path / "mask.json").write_text(polygon_text("coco", town(), "photo.jpg"))
     stored = json.loads((tmp_path / "mask.json").read_text())
     block, house, shed = stored["annotations"]
     assert block["bbox"] == [8, 5, 32, 25]
@@ -70,13 +71,94 @@ def test_coco_is_as_its_own_readers_expect(tmp_path):
 
 
 def test_geojson_counts_rows_downwards_and_keeps_yards(tmp_path):
-    WRITERS["geojson"](town(), tmp_path / "photo.jpg", tmp_path / "mask.json")
+    (tmp_path / "mask.json").write_text(polygon_text("geojson", town(), "photo.jpg"))
     features = json.loads((tmp_path / "mask.json").read_text())["features"]
     outer, yard = features[0]["geometry"]["coordinates"]
     assert outer[0] == outer[-1]
     assert min(y for _, y in outer) == -29.5
     assert max(x for x, _ in yard) == 33.5
     assert len(features) == 3
+
+
+SQUARE = [[2, 3], [6, 3], [6, 8], [2, 8]]
+
+
+def labelme(*labels):
+    shapes = [{"label": label, "points": SQUARE} for label in labels]
+    return {"shapes": shapes, "imageWidth": 60, "imageHeight": 40}
+
+
+def coco(**changed):
+    image = {"id": 1, "file_name": "a/photo.jpg", "width": 60, "height": 40}
+    drawn = {"id": 1, "image_id": 1, "category_id": 1, "segmentation": [np.ravel(SQUARE).tolist()]}
+    return {"images": [image], "categories": [{"id": 1, "name": "roof"}], "annotations": [drawn]} | changed
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (labelme("Gebäude", "hole"), "shows no building: its labels are Gebäude"),
+        (coco(categories=[{"id": 1, "name": "bldg"}]), "shows no building: its labels are bldg"),
+        (coco(annotations=[{"image_id": 7, "category_id": 1}]), "none of them of its image 1"),
+        (coco(annotations=[{"image_id": 1, "category_id": 1, "segmentation": []}]), "a roof has no outline"),
+        (
+            coco(images=[*coco()["images"], {"id": 2, "file_name": "b/photo.jpg"}]),
+            "2 images called photo.jpg",
+        ),
+        (
+            coco(
+                annotations=[
+                    {
+                        "image_id": 1,
+                        "category_id": 1,
+                        "segmentation": {"size": [60, 40], "counts": [9, 9, 2382]},
+                    }
+                ]
+            ),
+            "do not fill the photo",
+        ),
+    ],
+)
+def test_no_mask_is_made_of_what_holds_no_building(content, words, tmp_path):
+    path = tmp_path / "drawn.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(DatasetError, match=words):
+        read_polygons(path, "photo.jpg", 40, 60)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        labelme("Roof ", "car"),
+        coco(
+            categories=[{"id": "1", "name": "roof"}, {"id": 2, "name": "car"}],
+            annotations=[*coco()["annotations"], {"image_id": "1", "category_id": 2}],
+        ),
+    ],
+)
+def test_what_is_labelled_as_something_else_is_left_out_aloud(content, tmp_path, caplog):
+    path = tmp_path / "drawn.json"
+    path.write_text(json.dumps(content))
+    assert read_polygons(path, "photo.jpg", 40, 60)[4, 4]
+    assert "left out, for they are no buildings: car (1)" in caplog.text
+
+
+def test_rectangles_have_two_corners_or_four(tmp_path):
+    path, found = tmp_path / "drawn.json", []
+    for corners in (SQUARE, SQUARE[::2]):
+        content = labelme("house")
+        content["shapes"][0] |= {"shape_type": "rectangle", "points": corners}
+        path.write_text(json.dumps(content))
+        found.append(read_polygons(path, "photo.jpg", 40, 60))
+    assert found[0].any()
+    assert np.array_equal(*found)
+
+
+def test_a_photo_without_buildings_has_an_empty_mask(tmp_path):
+    path = tmp_path / "drawn.json"
+    for content in (labelme(), coco(annotations=[])):
+        path.write_text(json.dumps(content))
+        assert not read_polygons(path, "photo.jpg", 40, 60).any()
 
 
 def test_polygons_drawn_by_others_count_pixels_whose_centres_they_hold(tmp_path):

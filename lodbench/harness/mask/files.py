@@ -12,10 +12,11 @@ from lodbench.harness.mask.session import MaskSession
 from lodbench.harness.tracebacks import told_as_fault
 from lodbench.reporting.overlays import write_picture
 from lodbench.segmentation import Segmenter, binary_mask
-from lodbench.segmentation.mask_polygons import WRITERS, polygon_file, read_polygons
 from lodbench.segmentation.masks import read_mask
 from lodbench.segmentation.photo_segmenter import photo_probability
 from lodbench.segmentation.photos import read_photo
+from lodbench.segmentation.polygon_files import polygon_file, polygon_text, read_polygons
+from lodbench.storage import write_text
 
 Mask = NDArray[np.bool_]
 
@@ -57,5 +58,5 @@ def saved(mask: Mask, photo: Path, out: Path, formats: tuple[str, ...]) -> tuple
     written = [out]
     for name in formats:
         written.append(polygon_file(out, name))
-        WRITERS[name](mask, photo, written[-1])
+        write_text(written[-1], polygon_text(name, mask, photo.name))
     return tuple(written)

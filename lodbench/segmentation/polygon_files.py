@@ -1,0 +1,246 @@
+"""Masks in files of programs that draw polygons: LabelMe, COCO and GeoJSON, and back from the first two."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import Counter
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lodbench.errors import DatasetError
+from lodbench.segmentation.mask_polygons import Mask, Ring, painted, polygons_of
+from lodbench.storage.json_text import parse_json
+
+_LOGGER = logging.getLogger(__name__)
+
+BUILDING, HOLE = "building", "hole"
+# Labels of other people's files that count as building, in small letters.
+_BUILDING_LABELS = (BUILDING, "buildings", "house", "houses", "roof", "roofs")
+
+
+def labelme_of(mask: Mask, photo: str) -> dict[str, Any]:
+    """Returns a mask as LabelMe's JSON values: a polygon per part, one labelled ``hole`` per hole."""
+    shapes = []
+    # They are painted in this order: a part in another's hole after that hole.
+    for polygon in sorted(polygons_of(mask), key=lambda part: -cv2.contourArea(part.outer)):
+        for label, ring in ((BUILDING, polygon.outer), *((HOLE, hole) for hole in polygon.holes)):
+            points = (ring + 0.5).tolist()
+            shape = {"label": label, "points": points, "group_id": None, "shape_type": "polygon", "flags": {}}
+            shapes.append(shape)
+    height, width = mask.shape
+    image = {"imagePath": photo, "imageData": None, "imageHeight": height, "imageWidth": width}
+    return {"version": "5.4.1", "flags": {}, "shapes": shapes, **image}
+
+
+def coco_of(mask: Mask, photo: str) -> dict[str, Any]:
+    """Returns a mask as COCO's JSON values, an annotation per part: run lengths where it has holes."""
+    height, width = mask.shape
+    annotations = []
+    for number, polygon in enumerate(polygons_of(mask), start=1):
+        (x, y), part = painted(polygon)
+        outline: Any = [(polygon.outer + 0.5).ravel().tolist()]
+        annotations.append(
+            {
+                "id": number,
+                "image_id": 1,
+                "category_id": 1,
+                "area": int(part.sum()),
+                "bbox": [x, y, part.shape[1], part.shape[0]],
+                "iscrowd": int(bool(polygon.holes)),
+                "segmentation": {"size": [height, width], "counts": _runs(part, x, y, height, width)}
+                if polygon.holes
+                else outline,
+            }
+        )
+    image = {"id": 1, "file_name": photo, "width": width, "height": height}
+    categories = [{"id": 1, "name": BUILDING}]
+    return {"images": [image], "categories": categories, "annotations": annotations}
+
+
+def geojson_of(mask: Mask, photo: str) -> dict[str, Any]:
+    """Returns a mask as GeoJSON in pixels, rows counted down from 0, as QGIS shows a photo without place."""
+    features = []
+    for polygon in polygons_of(mask):
+        rings = [_closed(ring) for ring in (polygon.outer, *polygon.holes) if len(ring) > 2]
+        if rings:
+            geometry = {"type": "Polygon", "coordinates": rings}
+            properties = {"label": BUILDING, "photo": photo}
+            features.append({"type": "Feature", "properties": properties, "geometry": geometry})
+    return {"type": "FeatureCollection", "features": features}
+
+
+FORMATS: dict[str, Callable[[Mask, str], dict[str, Any]]] = {
+    "labelme": labelme_of,
+    "coco": coco_of,
+    "geojson": geojson_of,
+}
+
+
+def polygon_text(name: str, mask: Mask, photo: str) -> str:
+    """Returns the text of a file of a format, by its name, that holds the mask of a photo of a name."""
+    return json.dumps(FORMATS[name](mask, photo), indent=1) + "\n"
+
+
+def polygon_file(mask: Path, name: str) -> Path:
+    """Returns where polygons of a format lie beside a mask; ``.geojson`` is an ending of its own."""
+    return mask.with_suffix(".geojson" if name == "geojson" else f".{name}.json")
+
+
+def read_polygons(path: Path, photo: str, height: int, width: int) -> Mask:
+    """Returns the (height, width) mask in a LabelMe or COCO file; of several images, the photo's.
+
+    What is labelled as something else is left out, with a warning.
+
+    Raises:
+        DatasetError: It is neither, is of another photo's size, holds a shape that is no polygon, nothing
+            labelled as a building, or several images of the photo's name.
+    """
+    try:
+        stored = parse_json(path.read_text(encoding="utf-8"))
+        if isinstance(stored, dict) and "shapes" in stored:
+            return _from_labelme(stored, path, height, width)
+        if isinstance(stored, dict) and "annotations" in stored:
+            return _from_coco(stored, path, photo, height, width)
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        hint = "It takes polygons; a mask that is a picture is given with --mask."
+        raise DatasetError(f"{path.name} is no JSON file.", hint) from error
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise DatasetError(f"{path.name} cannot be read: {type(error).__name__} {error}.", _HINT) from error
+    raise DatasetError(f"{path.name} is neither LabelMe's JSON nor COCO's.", _HINT)
+
+
+_HINT = "LabelMe has shapes, COCO has images, categories and annotations."
+
+
+def _from_labelme(stored: dict[str, Any], path: Path, height: int, width: int) -> Mask:
+    _check_size(path, int(stored["imageWidth"]), int(stored["imageHeight"]), width, height)
+    labels = [str(shape["label"]) for shape in stored["shapes"]]
+    named = [label for label in labels if not _is_one_of(label, (HOLE,))]
+    _check_labels(named, named, path)
+    canvas = np.zeros((height, width), np.uint8)
+    for shape, label in zip(stored["shapes"], labels, strict=True):
+        is_hole, kind = _is_one_of(label, (HOLE,)), shape.get("shape_type", "polygon")
+        if not is_hole and not _is_one_of(label):
+            continue
+        if kind not in ("polygon", "rectangle"):
+            raise DatasetError(f"{path.name} holds a {kind}.", "Only polygons and rectangles are read.")
+        points = np.array(shape["points"], np.float64).reshape(-1, 2)
+        if kind == "rectangle" and len(points) == 2:
+            (x, y), (right, down) = points
+            points = np.array([[x, y], [right, y], [right, down], [x, down]])
+        _paint(canvas, points, 0 if is_hole else 1)
+    return np.asarray(canvas > 0)
+
+
+def _from_coco(stored: dict[str, Any], path: Path, photo: str, height: int, width: int) -> Mask:
+    image = _image_of(stored["images"], path, photo)
+    _check_size(path, int(image["width"]), int(image["height"]), width, height)
+    names = {str(c["id"]): str(c["name"]) for c in stored["categories"]}
+    # Some programs write one id as a number and as text.
+    wanted = [a for a in stored["annotations"] if str(a["image_id"]) == str(image["id"])]
+    if stored["annotations"] and not wanted and len(stored["images"]) == 1:
+        raise DatasetError(f"{path.name} has annotations, none of them of its image {image['id']}.", _HINT)
+    labels = [names[str(annotation["category_id"])] for annotation in wanted]
+    _check_labels(names.values(), labels, path)
+    canvas = np.zeros((height, width), np.uint8)
+    for annotation, label in zip(wanted, labels, strict=True):
+        if not _is_one_of(label):
+            continue
+        segmentation = annotation.get("segmentation")
+        if not segmentation:
+            raise DatasetError(
+                f"{path.name}: a {label} has no outline.", "Boxes are no masks: export polygons."
+            )
+        if isinstance(segmentation, dict):
+            canvas[_from_runs(segmentation, path, height, width)] = 1
+            continue
+        for ring in segmentation:
+            _paint(canvas, np.array(ring, np.float64).reshape(-1, 2), 1)
+    return np.asarray(canvas > 0)
+
+
+def _image_of(images: list[dict[str, Any]], path: Path, photo: str) -> dict[str, Any]:
+    """Returns the image of a photo's name; the only one, whatever it is called.
+
+    Raises:
+        DatasetError: None is, or several are.
+    """
+    found = [image for image in images if Path(str(image["file_name"])).name == photo]
+    if len(found) > 1:
+        names = " and ".join(str(image["file_name"]) for image in found[:2])
+        raise DatasetError(
+            f"{path.name} has {len(found)} images called {photo}: {names}.", "Export the one alone."
+        )
+    if not found and len(images) != 1:
+        raise DatasetError(f"{path.name} has {len(images)} images, none of them {photo}.")
+    return (found or images)[0]
+
+
+def _is_one_of(label: str, names: Collection[str] = _BUILDING_LABELS) -> bool:
+    return label.strip().lower() in names
+
+
+def _check_labels(known: Collection[str], used: Collection[str], path: Path) -> None:
+    """Warns of shapes whose labels are no building's.
+
+    Raises:
+        DatasetError: No known label is.
+    """
+    if known and not any(map(_is_one_of, known)):
+        raise DatasetError(
+            f"{path.name} shows no building: its labels are {', '.join(sorted(set(known)))}.",
+            f"What counts is labelled as one of {', '.join(_BUILDING_LABELS)}.",
+        )
+    others = Counter(label for label in used if not _is_one_of(label))
+    if others:
+        told = ", ".join(f"{label} ({count})" for label, count in sorted(others.items()))
+        _LOGGER.warning("%s: left out, for they are no buildings: %s.", path.name, told)
+
+
+def _check_size(path: Path, width: int, height: int, photo_width: int, photo_height: int) -> None:
+    if (width, height) != (photo_width, photo_height):
+        raise DatasetError(
+            f"{path.name} is of a photo of {width} x {height}, this one has {photo_width} x {photo_height}.",
+            "Draw on the photo as it is stored.",
+        )
+
+
+def _paint(canvas: NDArray[np.uint8], points: NDArray[np.float64], value: int) -> None:
+    """Paints a polygon; its points count from the first pixel's corner."""
+    if not np.isfinite(points).all() or np.abs(points).max(initial=0) > 1e6:
+        raise ValueError("a point that is no pixel")
+    cv2.fillPoly(canvas, [np.rint((points - 0.5) * 16).astype(np.int32)], value, shift=4)
+
+
+def _runs(part: Mask, x: int, y: int, height: int, width: int) -> list[int]:
+    """Returns COCO's uncompressed run lengths of a part at a place: column by column, zeros first."""
+    columns, rows = np.nonzero(part.T)
+    places = (columns + x) * height + rows + y
+    is_first = np.diff(places, prepend=-2) > 1
+    is_last = np.append(is_first[1:], True)
+    ends = np.column_stack([places[is_first], places[is_last] + 1]).ravel()
+    ends = ends[:-1] if ends[-1] == height * width else ends
+    return [int(length) for length in np.diff(ends, prepend=0, append=height * width)]
+
+
+def _from_runs(segmentation: dict[str, Any], path: Path, height: int, width: int) -> Mask:
+    counts = segmentation["counts"]
+    if isinstance(counts, str):
+        raise DatasetError(f"{path.name} holds compressed run lengths.", "Export polygons instead.")
+    lengths = np.array(counts, np.int64)
+    is_of_photo = list(segmentation.get("size", [height, width])) == [height, width]
+    if not is_of_photo or lengths.sum() != height * width or (lengths < 0).any():
+        raise ValueError("run lengths that do not fill the photo")
+    values = np.arange(len(lengths)) % 2 == 1
+    return np.repeat(values, lengths).reshape(width, height).T
+
+
+def _closed(ring: Ring) -> list[list[float]]:
+    points = np.vstack([ring, ring[:1]]) + 0.5
+    return [[float(x), -float(y)] for x, y in points]
