@@ -138,9 +138,28 @@ class TestPage:
         assert json.loads(told)["share"] > before.mean()
         assert json.loads(self.ask(server, "POST", "undo")[1])["undone"] is True
         assert np.array_equal(server.session.mask, before)
-        assert json.loads(self.ask(server, "POST", "save", "{}")[1]) == {"told": "saved: mask.png"}
+        assert json.loads(self.ask(server, "POST", "save", "{}")[1]) == {
+            "told": "saved: mask.png",
+            "saved": True,
+        }
         assert server.kept == [1]
         assert self.ask(server, "POST", "stop", "{}")[0] == 200
+
+    def test_a_save_that_fails_is_told_on_the_page_and_the_mask_stays(self, server, capsys):
+        def full():
+            raise OSError(28, "No space left on device", "mask.png")
+
+        server.save, before = full, server.session.mask
+        status, told = self.ask(server, "POST", "save", "{}")
+        assert status == 200
+        assert json.loads(told) == {"told": "NOT saved: mask.png: No space left on device", "saved": False}
+        assert np.array_equal(server.session.mask, before)
+        assert "Traceback" not in capsys.readouterr().err
+
+    def test_close_asks_where_something_is_not_saved(self, server):
+        page = self.ask(server, "GET", "")[1].decode()
+        assert "if (changed && !confirm(" in page
+        assert "if (answer.saved) changed = false;" in page
 
     def test_others_are_kept_out(self, server):
         for options in ({"token": "guess"}, {"token": ""}, {"host": "evil.example:80"}):

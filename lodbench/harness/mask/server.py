@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from lodbench.harness.mask.session import MaskSession
+from lodbench.storage.atomic import final_name
 from lodbench.storage.json_text import parse_json
 
 # No stroke is larger, bytes; and none has more points or a wider brush, pixels.
@@ -102,10 +103,18 @@ class _Handler(BaseHTTPRequestHandler):
             case "undo":
                 return {"undone": session.undo(), "share": float(session.mask.mean())}
             case "save":
-                return {"told": self.server.save()}
+                return self._saved()
             case "stop":
-                return {"told": "stopped"}
+                return {"told": "Closed. This page may be left."}
         return None
+
+    def _saved(self) -> dict[str, Any]:
+        """Returns what was saved, or why nothing was: the page stays, and what was drawn with it."""
+        try:
+            return {"told": self.server.save(), "saved": True}
+        except OSError as error:
+            reason = f"{final_name(error.filename) or 'a file'}: {error.strerror or error}"
+            return {"told": f"NOT saved: {reason}", "saved": False}
 
     def _asked(self) -> str | None:
         """Returns what is asked for below the token; None for what is not meant for this page."""
