@@ -32,30 +32,29 @@ examples:
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     asked = _parser().parse_args(argv)
+    from lodbench.cli.segmenters import require_one_mask_source, segmenter_of
     from lodbench.datasets.photo_files import mask_name
-    from lodbench.harness.mask.files import opened_session, saved
+    from lodbench.harness.mask.files import opened_session, require_untouched, saved
 
-    out = asked.out or asked.photo.with_name(mask_name(asked.photo.stem))
+    if asked.photo.is_dir():
+        raise ConfigError(f"{asked.photo} is a folder.", "Name a photo: lodbench mask PHOTO")
+    require_one_mask_source(asked, "--mask", "--import")
+    polygons: Path | None = vars(asked)["import"]
     require_within("--port", asked.port, 0, 65535)
-    if out.is_dir():
-        inside = shlex.quote(str(out / mask_name(asked.photo.stem)))
-        raise ConfigError(f"--out {out} is a folder.", f"Name a file: --out {inside}")
-    if out.suffix.lower() != ".png":
-        png = shlex.quote(str(out.with_suffix(".png")))
-        raise ConfigError(f"--out {out} is no PNG file.", f"Masks are PNG: --out {png}")
-    if out.exists() and asked.photo.exists() and out.samefile(asked.photo):
-        raise ConfigError("--out is the photo itself.", "Leave it out, or name another file.")
-    asked.mask = _start(asked, out)
+    out = asked.out or asked.photo.with_name(mask_name(asked.photo.stem))
+    _check_out(out, asked.photo)
+    mask = _start(asked, polygons, out)
+    formats = tuple(dict.fromkeys(asked.export))
+    if asked.out is None:
+        require_untouched(out, asked.photo, formats, polygons)
     segmenter = None
-    if asked.mask is None and asked.polygons is None:
-        from lodbench.cli.segmenters import segmenter_of
+    if mask is None and polygons is None:
         from lodbench.segmentation.choice import FOR_PHOTOS
         from lodbench.segmentation.photo_segmenter import require_photo_segmenter
 
         made = segmenter_of(asked.segmenter or FOR_PHOTOS, asked.segmenter_option)
         segmenter = require_photo_segmenter(made)
-    session = opened_session(asked.photo, asked.mask, asked.polygons, segmenter)
-    formats = tuple(dict.fromkeys(asked.export))
+    session = opened_session(asked.photo, mask, polygons, segmenter)
 
     def save() -> tuple[Path, ...]:
         return saved(session.mask, asked.photo, out, formats)
@@ -68,7 +67,25 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def _start(asked: argparse.Namespace, out: Path) -> Path | None:
+def _check_out(out: Path, photo: Path) -> None:
+    """Makes sure that a mask can be saved under a name.
+
+    Raises:
+        ConfigError: It is a folder, no PNG file, or the photo itself.
+    """
+    from lodbench.datasets.photo_files import mask_name
+
+    if out.is_dir():
+        inside = shlex.quote(str(out / mask_name(photo.stem)))
+        raise ConfigError(f"--out {out} is a folder.", f"Name a file: --out {inside}")
+    if out.suffix.lower() != ".png":
+        png = shlex.quote(str(out.with_suffix(".png")))
+        raise ConfigError(f"--out {out} is no PNG file.", f"Masks are PNG: --out {png}")
+    if out.exists() and photo.exists() and out.samefile(photo):
+        raise ConfigError("--out is the photo itself.", "Leave it out, or name another file.")
+
+
+def _start(asked: argparse.Namespace, polygons: Path | None, out: Path) -> Path | None:
     """Returns the mask to start from: what was named, else the one that was saved before.
 
     Raises:
@@ -76,7 +93,7 @@ def _start(asked: argparse.Namespace, out: Path) -> Path | None:
     """
     named: Path | None = asked.mask
     # Polygons were written from that mask: what comes back is meant to replace it.
-    if asked.out is not None or asked.polygons is not None or not out.exists():
+    if asked.out is not None or polygons is not None or not out.exists():
         return named
     makes_new = asked.segmenter is not None or bool(asked.segmenter_option)
     if makes_new or (named is not None and named.exists() and not named.samefile(out)):
@@ -110,9 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     add("photo", type=Path, metavar="PHOTO", help="as it is stored")
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--mask", type=Path, metavar="FILE", help="start from this mask: white is building")
-    start.add_argument(
-        "--import", dest="polygons", type=Path, metavar="FILE", help="start from polygons of LabelMe or COCO"
-    )
+    start.add_argument("--import", type=Path, metavar="FILE", help="start from polygons of LabelMe or COCO")
     start.add_argument(
         "--segmenter", metavar="NAME", help="from its mask (efficient_unet, where none is saved)"
     )

@@ -218,6 +218,20 @@ class TestCommand:
         assert "--out OTHER.png" in capsys.readouterr().err
         assert saved.read_bytes() == before
 
+    @pytest.mark.parametrize("name", ["labelme", "coco", "geojson"])
+    def test_polygons_that_another_program_changed_are_not_replaced(self, photo, capsys, name):
+        cv2.imwrite(str(photo.parent / "photo_mask.png"), houses()[1].astype(np.uint8) * 255)
+        export = ["mask", str(photo), "--no-page", "--export", name]
+        assert main(export) == main(export) == 0
+        (polygons,) = photo.parent.glob("photo_mask.*json")
+        drawn = polygons.read_text().replace("40.5", "41.5")
+        polygons.write_text(drawn)
+        assert main(export) == 2
+        assert f"{polygons} is not as it was exported" in capsys.readouterr().err
+        assert polygons.read_text() == drawn
+        if name != "geojson":
+            assert main([*export, "--import", str(polygons)]) == 0
+
     def test_it_starts_from_a_plug_in_that_looks_at_photos(self, photo, monkeypatch):
         monkeypatch.setattr("lodbench.segmentation.registry.load_plugin", lambda group, name: Bright)
         assert main(["mask", str(photo), "--segmenter", "bright", "--no-page"]) == 0
@@ -238,6 +252,10 @@ class TestCommand:
             (["--segmenter", "masks"], "looks at no photo alone"),
             (["--segmenter", "semantic"], "segmenter.weights is not set"),
             (["--import", str(photo)], "is no JSON file"),
+            (["--import", "a.json", "--segmenter-option", "size=64"], "is not used with --import"),
         ):
             assert main(["mask", str(photo), "--no-page", *words]) == 2
             assert told in capsys.readouterr().err
+        for folder in (".", "/"):
+            assert main(["mask", folder]) == 2
+            assert "is a folder" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,34 @@ def opened_session(
             probability = photo_probability(segmenter, photo)
         return MaskSession(pixels, binary_mask(probability, width, height))
     return MaskSession(pixels, np.zeros((height, width), bool))
+
+
+def require_untouched(out: Path, photo: Path, formats: tuple[str, ...], polygons: Path | None) -> None:
+    """Makes sure that no polygons are replaced that another program has written since the mask was saved.
+
+    Args:
+        out: The mask.
+        photo: Its photo.
+        formats: Of the polygons that will be written beside it.
+        polygons: What the mask starts from, if from polygons: they may be replaced.
+
+    Raises:
+        DatasetError: Some would be.
+        QueryFault: The mask cannot be read.
+    """
+    for name in formats:
+        file = polygon_file(out, name)
+        if not file.exists() or (polygons is not None and polygons.exists() and polygons.samefile(file)):
+            continue
+        before = np.asarray(read_mask(out) >= 0.5) if out.exists() else None
+        if before is None or file.read_bytes() != polygon_text(name, before, photo.name).encode():
+            back = (
+                "move it away" if name == "geojson" else f"bring it back: --import {shlex.quote(str(file))}"
+            )
+            raise DatasetError(
+                f"{file} is not as it was exported, and would be replaced.",
+                f"Save elsewhere: --out OTHER.png; or {back}",
+            )
 
 
 def saved(mask: Mask, photo: Path, out: Path, formats: tuple[str, ...]) -> tuple[Path, ...]:
