@@ -11,6 +11,10 @@ from lodbench.errors import ConfigError, nearest_names, require_within
 from lodbench.segmentation.probability import check_normalise
 from lodbench.segmentation.torch_segmenter import TorchSegmenter, hub_folder, is_hub_id
 from lodbench.storage import digest_of, file_digest
+from lodbench.storage.json_text import parse_json
+
+# Where a checkpoint says how photos are brought to it.
+_PREPROCESSOR = "preprocessor_config.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +67,8 @@ class Semantic(TorchSegmenter):
     @cached_property
     def weights_digest(self) -> str:
         """Returns the SHA-256 of the checkpoint's configuration and weights."""
-        parts = [self._folder / "config.json", *sorted(self._folder.glob("*.safetensors"))]
+        parts = [self._folder / "config.json", self._folder / _PREPROCESSOR]
+        parts += sorted(self._folder.glob("*.safetensors"))
         return digest_of([file_digest(part) for part in parts if part.is_file()], length=64)
 
     def _init(self) -> str | None:
@@ -73,25 +78,78 @@ class Semantic(TorchSegmenter):
         """Returns the network as a module that answers with one logit per pixel.
 
         Raises:
-            ConfigError: The folder holds no such checkpoint, or it has no class of these names.
+            ConfigError: The folder holds no such checkpoint or not all of its weights, it has no class of
+                these names or no other, or asks for photos that are not made.
         """
-        from transformers import AutoModelForSemanticSegmentation
-
         from lodbench.segmentation.nets.semantic import OneAgainstRest
 
-        try:
-            model = AutoModelForSemanticSegmentation.from_pretrained(
-                str(self._folder), local_files_only=True, use_safetensors=True
+        model = self._model()
+        labels = {int(index): str(label) for index, label in model.config.id2label.items()}
+        for wanted in self.params.classes:
+            if wanted not in labels.values():
+                raise ConfigError(
+                    f"{self._folder.name} has no class {wanted!r}.",
+                    nearest_names(wanted, set(labels.values())),
+                )
+        classes = [index for index, label in labels.items() if label in self.params.classes]
+        if len(classes) == len(labels) > 1:
+            raise ConfigError(
+                "segmenter.classes names all classes of the network: all of a photo would be building.",
+                "Leave out what is no building.",
             )
-        except (OSError, ValueError, KeyError, RuntimeError) as error:
+        return OneAgainstRest(model, classes, *_normalisation(self._folder))
+
+    def _model(self) -> Any:
+        """Returns the checkpoint's network, every weight of it from the checkpoint.
+
+        Raises:
+            ConfigError: There is no such checkpoint, or weights are missing.
+        """
+        from safetensors import SafetensorError
+        from transformers import AutoModelForSemanticSegmentation
+        from transformers.utils import logging
+
+        logging.disable_progress_bar()
+        logging.set_verbosity_error()  # what is missing is told below
+        try:
+            model, found = AutoModelForSemanticSegmentation.from_pretrained(
+                str(self._folder), local_files_only=True, use_safetensors=True, output_loading_info=True
+            )
+        except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
             raise ConfigError(
                 f"{self._folder} holds no semantic segmentation network: {str(error).splitlines()[0][:100]}",
                 "A folder with config.json and safetensors is wanted.",
             ) from error
-        names = {str(label): int(index) for index, label in model.config.id2label.items()}
-        for wanted in self.params.classes:
-            if wanted not in names:
-                raise ConfigError(
-                    f"{self._folder.name} has no class {wanted!r}.", nearest_names(wanted, list(names))
-                )
-        return OneAgainstRest(model, [names[wanted] for wanted in self.params.classes])
+        missing = sorted(name for name in found["missing_keys"] if not name.endswith("num_batches_tracked"))
+        if missing:
+            raise ConfigError(
+                f"{self._folder} lacks {len(missing)} weights of the network: {', '.join(missing[:3])}, ...",
+                "They would be random. Was only the backbone trained?",
+            )
+        return model
+
+
+def _normalisation(folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Returns mean and deviation, red first, of the photos in [0, 1] that a checkpoint learnt from.
+
+    They are ImageNet's where it does not say.
+
+    Raises:
+        ConfigError: What it says cannot be read, or is more than that.
+    """
+    from lodbench.segmentation.nets.sam2_unet import DEVIATION, MEAN
+
+    path = folder / _PREPROCESSOR
+    if not path.is_file():
+        return MEAN, DEVIATION
+    try:
+        stored = parse_json(path.read_text(encoding="utf-8"))
+        mean = tuple(float(value) for value in stored.get("image_mean") or MEAN)
+        deviation = tuple(float(value) for value in stored.get("image_std") or DEVIATION)
+        if len(mean) != 3 or len(deviation) != 3 or min(deviation) <= 0:
+            raise ValueError("image_mean and image_std are three numbers each")
+        if stored.get("do_flip_channel_order"):
+            raise ValueError("photos with blue first are not made")
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise ConfigError(f"{path} cannot be followed: {error}.", "Fetch the checkpoint again.") from error
+    return ((0.0,) * 3, (1.0,) * 3) if stored.get("do_normalize") is False else (mean, deviation)

@@ -17,7 +17,6 @@ from lodbench.segmentation.nets import hiera, sam2_unet  # noqa: E402
 from lodbench.segmentation.nets.sam1_adapter import Sam1Adapter, fill_sam, high_frequencies  # noqa: E402
 from lodbench.segmentation.nets.weights import read_weights, save_weights  # noqa: E402
 from lodbench.segmentation.sam2_unet import Sam2UNetParams, Sam2UNetSegmenter  # noqa: E402
-from lodbench.segmentation.semantic import Semantic, SemanticParams  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -151,17 +150,6 @@ def test_missing_hub_access_is_told_in_one_line():
     assert "hf download facebook/no-such-model" in told.value.hint
 
 
-def test_a_gated_repository_without_its_weights_is_told(tmp_path, monkeypatch):
-    import huggingface_hub
-
-    (tmp_path / "README.md").write_text("agree to the licence first")
-    monkeypatch.setattr(huggingface_hub, "snapshot_download", lambda *args, **kwargs: str(tmp_path))
-    with pytest.raises(ConfigError, match="holds no safetensors of facebook/sam3") as told:
-        Semantic(SemanticParams("facebook/sam3"))
-    for words in ("https://huggingface.co/facebook/sam3", "accept", "hf auth login", "hf download"):
-        assert words in told.value.hint
-
-
 def test_out_of_memory_falls_to_tiles(small, capsys):
     segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=512, normalise="none", weights="random"))
     run, sides = segmenter._run, []
@@ -247,44 +235,3 @@ def test_high_frequencies_forget_what_is_even():
     assert float(high_frequencies(even).max()) < 1e-5
     board = (torch.arange(32)[:, None] + torch.arange(32)) % 2
     assert float(high_frequencies(board.float().expand(1, 3, 32, 32)).mean()) > 0.4
-
-
-@pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory):
-    from transformers import SegformerConfig, SegformerForSemanticSegmentation
-
-    torch.manual_seed(0)
-    labels = {0: "road", 1: "building", 2: "house", 3: "sky"}
-    config = SegformerConfig(
-        depths=[1, 1, 1, 1], hidden_sizes=[8, 16, 16, 16], decoder_hidden_size=16, id2label=labels,
-        label2id={v: k for k, v in labels.items()}, num_attention_heads=[1, 1, 1, 1],
-    )  # fmt: skip
-    folder = tmp_path_factory.mktemp("segformer")
-    SegformerForSemanticSegmentation(config).save_pretrained(folder)
-    return folder
-
-
-def test_classes_by_name_sum_their_probabilities(checkpoint):
-    photo = photo_of(48, 64)
-    one, two, both = (
-        Semantic(SemanticParams(str(checkpoint), classes=names, size=64)).probability(photo)
-        for names in (["building"], ["house"], ["building", "house"])
-    )
-    assert both.shape == (48, 64)
-    np.testing.assert_allclose(one + two, both, atol=1e-5)
-    assert both.std() > 1e-5
-
-
-def test_an_unknown_class_or_folder_is_told(checkpoint, tmp_path):
-    with pytest.raises(ConfigError, match="no class 'bulding'") as told:
-        Semantic(SemanticParams(str(checkpoint), classes=["bulding"])).logits(photo_of(32, 32))
-    assert "building" in told.value.hint
-    with pytest.raises(ConfigError, match="no semantic segmentation network"):
-        Semantic(SemanticParams(str(tmp_path))).logits(photo_of(32, 32))
-    file = tmp_path / "net.onnx"
-    file.write_bytes(b"")
-    # Neither is taken for a repository of the hub.
-    for weights, said in ((str(file), "is no folder"), ("nets/net.onnx", "There is no folder")):
-        with pytest.raises(ConfigError, match=said) as told:
-            Semantic(SemanticParams(weights))
-        assert "huggingface" not in told.value.hint

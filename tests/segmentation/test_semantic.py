@@ -1,0 +1,149 @@
+"""Checkpoints of strangers: classes by name, what they say of photos, and what they lack."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from lodbench.errors import ConfigError
+
+torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
+pytest.importorskip("transformers", reason="transformers is not installed (extra [models])")
+
+from lodbench.segmentation.semantic import Semantic, SemanticParams  # noqa: E402
+
+
+def photo_of(height, width):
+    return np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def config_of(labels):
+    from transformers import SegformerConfig
+
+    return SegformerConfig(
+        depths=[1, 1, 1, 1], hidden_sizes=[8, 16, 16, 16], decoder_hidden_size=16, num_labels=len(labels),
+        id2label=dict(enumerate(labels)), num_attention_heads=[1, 1, 1, 1],
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    from transformers import SegformerForSemanticSegmentation
+
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("segformer")
+    SegformerForSemanticSegmentation(config_of(["road", "building", "house", "sky"])).save_pretrained(folder)
+    return folder
+
+
+def test_classes_by_name_sum_their_probabilities(checkpoint):
+    photo = photo_of(48, 64)
+    one, two, both = (
+        Semantic(SemanticParams(str(checkpoint), classes=names, size=64)).probability(photo)
+        for names in (["building"], ["house"], ["building", "house"])
+    )
+    assert both.shape == (48, 64)
+    np.testing.assert_allclose(one + two, both, atol=1e-5)
+    assert both.std() > 1e-5
+
+
+def test_an_unknown_class_or_folder_is_told(checkpoint, tmp_path):
+    with pytest.raises(ConfigError, match="no class 'bulding'") as told:
+        Semantic(SemanticParams(str(checkpoint), classes=["bulding"])).logits(photo_of(32, 32))
+    assert "building" in told.value.hint
+    with pytest.raises(ConfigError, match="no semantic segmentation network"):
+        Semantic(SemanticParams(str(tmp_path))).logits(photo_of(32, 32))
+    file = tmp_path / "net.onnx"
+    file.write_bytes(b"")
+    # Neither is taken for a repository of the hub.
+    for weights, said in ((str(file), "is no folder"), ("nets/net.onnx", "There is no folder")):
+        with pytest.raises(ConfigError, match=said) as told:
+            Semantic(SemanticParams(weights))
+        assert "huggingface" not in told.value.hint
+
+
+def probability(folder, *classes, size=64):
+    return Semantic(SemanticParams(str(folder), classes=list(classes), size=size)).probability(
+        photo_of(48, 64)
+    )
+
+
+def test_the_only_class_is_no_certainty_and_all_classes_are_refused(checkpoint, tmp_path):
+    from transformers import SegformerForSemanticSegmentation
+
+    torch.manual_seed(0)
+    network = SegformerForSemanticSegmentation(config_of(["building"])).eval()
+    network.save_pretrained(tmp_path)
+    found = probability(tmp_path, "building")
+    assert 0.05 < found.min() < found.max() < 0.95
+    with pytest.raises(ConfigError, match="names all classes"):
+        probability(checkpoint, "road", "building", "house", "sky")
+
+
+def test_classes_of_one_name_count_together(checkpoint, tmp_path):
+    shutil.copytree(checkpoint, tmp_path, dirs_exist_ok=True)
+    config = json.loads((tmp_path / "config.json").read_text())
+    config["id2label"]["2"] = "building"
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    np.testing.assert_allclose(
+        probability(tmp_path, "building"), probability(checkpoint, "building", "house"), atol=1e-6
+    )
+
+
+def test_a_backbone_alone_is_no_network(tmp_path, capfd):
+    from transformers import SegformerModel
+
+    SegformerModel(config_of(["road", "building"])).save_pretrained(tmp_path)
+    capfd.readouterr()
+    with pytest.raises(ConfigError, match=r"lacks \d+ weights of the network: decode_head"):
+        probability(tmp_path, "building")
+    assert capfd.readouterr().err == ""
+
+
+def test_a_file_that_was_cut_off_is_told(checkpoint, tmp_path):
+    shutil.copytree(checkpoint, tmp_path, dirs_exist_ok=True)
+    weights = tmp_path / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:20_000])
+    with pytest.raises(ConfigError, match="no semantic segmentation network"):
+        probability(tmp_path, "building")
+
+
+def test_photos_are_normalised_as_the_checkpoint_says(checkpoint, tmp_path):
+    shutil.copytree(checkpoint, tmp_path, dirs_exist_ok=True)
+    file = tmp_path / "preprocessor_config.json"
+
+    def said(**words):
+        file.write_text(json.dumps(words))
+        return probability(tmp_path, "building")
+
+    as_imagenet = probability(checkpoint, "building")
+    assert np.array_equal(said(do_resize=True), as_imagenet)
+    assert np.array_equal(
+        said(image_mean=[0.485, 0.456, 0.406], image_std=[0.229, 0.224, 0.225], do_normalize=True),
+        as_imagenet,
+    )
+    assert np.abs(said(image_mean=[0.5] * 3, image_std=[0.5] * 3) - as_imagenet).max() > 1e-4
+    assert np.array_equal(said(do_normalize=False), said(image_mean=[0.0] * 3, image_std=[1.0] * 3))
+    for words in ({"image_mean": [0.5]}, {"do_flip_channel_order": True}, {"image_std": [0, 1, 1]}):
+        with pytest.raises(ConfigError, match="cannot be followed"):
+            said(**words)
+
+
+def test_what_the_checkpoint_says_of_photos_counts_for_its_digest(checkpoint, tmp_path):
+    shutil.copytree(checkpoint, tmp_path, dirs_exist_ok=True)
+    params = SemanticParams(str(tmp_path))
+    before = Semantic(params).weights_digest
+    (tmp_path / "preprocessor_config.json").write_text('{"image_mean": [0.5, 0.5, 0.5]}')
+    assert Semantic(params).weights_digest != before
+
+
+def test_a_gated_repository_without_its_weights_is_told(tmp_path, monkeypatch):
+    import huggingface_hub
+
+    (tmp_path / "README.md").write_text("agree to the licence first")
+    monkeypatch.setattr(huggingface_hub, "snapshot_download", lambda *args, **kwargs: str(tmp_path))
+    with pytest.raises(ConfigError, match="holds no safetensors of facebook/sam3") as told:
+        Semantic(SemanticParams("facebook/sam3"))
+    for words in ("https://huggingface.co/facebook/sam3", "accept", "hf auth login", "hf download"):
+        assert words in told.value.hint
