@@ -86,8 +86,9 @@ class TorchSegmenter(PhotoSegmenter):
     def _net(self) -> Any:
         import torch
 
+        device = self._device  # told before anything is built
         torch.manual_seed(0)
-        return self.build(self._init()).to(self._device).eval()
+        return self.build(self._init()).to(device).eval()
 
     def _init(self) -> str | None:
         """Returns the file that the network's weights are in, or None for random ones."""
@@ -111,12 +112,22 @@ class TorchSegmenter(PhotoSegmenter):
 
     @cached_property
     def _device(self) -> Any:
+        """Returns torch's device.
+
+        Raises:
+            ConfigError: It is not there.
+        """
         import torch
 
         wanted = self.params.device
         if wanted == "auto":
             wanted = "cuda" if torch.cuda.is_available() else "cpu"
-        return torch.device(wanted)
+        try:
+            return torch.zeros(1, device=wanted).device
+        except (RuntimeError, AssertionError) as error:
+            raise ConfigError(
+                f"segmenter.device={wanted} is not there.", "segmenter.device=cpu is; auto takes the best."
+            ) from error
 
     def logits(self, photo: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Returns (h, w) logits of a (H, W, 3) RGB photo, at its own aspect.

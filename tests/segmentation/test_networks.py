@@ -150,6 +150,14 @@ def test_missing_hub_access_is_told_in_one_line():
     assert "hf download facebook/no-such-model" in told.value.hint
 
 
+@pytest.mark.parametrize("device", ["cuda:99", "gpu"])
+def test_a_device_that_is_not_there_is_told(small, device):
+    params = Sam2UNetParams(encoder="toy", size=64, weights="random", device=device)
+    with pytest.raises(ConfigError, match=f"segmenter.device={device} is not there") as told:
+        Sam2UNetSegmenter(params).logits(photo_of(64, 64))
+    assert "segmenter.device=cpu" in told.value.hint
+
+
 def test_out_of_memory_falls_to_tiles(small, capsys):
     segmenter = Sam2UNetSegmenter(Sam2UNetParams(encoder="toy", size=512, normalise="none", weights="random"))
     run, sides = segmenter._run, []
