@@ -80,7 +80,13 @@ def _pair(word: str) -> tuple[str, Any]:
     key, equals, text = word.partition("=")
     if not equals:
         raise ConfigError(f"The option {word!r} has no value.", "Options are key=value.")
+    return key, _value(text)
+
+
+def _value(text: str) -> Any:
     try:
-        return key, json.loads(text)
+        return json.loads(text)
     except ValueError:
-        return key, text
+        # Lists of words need no quotes, as in the settings of a run.
+        is_list = text.startswith("[") and text.endswith("]")
+        return [_value(part.strip()) for part in text[1:-1].split(",")] if is_list else text

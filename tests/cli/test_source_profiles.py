@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from lodbench.citymodel import open_scene
+from lodbench.cli.source_profiles import option_pairs
 from lodbench.datasets.pose_text import format_camera, format_pose, lines_to_text
 from lodbench.geometry import Camera, EulerAngles, Pose
 from tests.town import write_dataset
@@ -146,3 +147,14 @@ class TestSource:
             (tmp_path / "tiles" / Path(name).name).write_bytes(data)
         done = lodbench("city", "info", "tiles", "--json", "--source", "plateau")
         assert json.loads(done.stdout)["buildings"] == 35
+
+
+def test_lists_of_words_in_options_need_no_quotes():
+    words = ["classes=[building, my house]", "scales=[0.5,1]", 'names=["a,b"]', "none=[]", "text=[a"]
+    assert option_pairs(words) == {
+        "classes": ["building", "my house"],
+        "scales": [0.5, 1],
+        "names": ["a,b"],
+        "none": [],
+        "text": "[a",
+    }
