@@ -104,7 +104,9 @@ def run_config(values: dict[str, Any]) -> Run:
     named = named_segmenter(section(values, "segmenter"))
     opener, dataset_params = dataset_opener(section(values, "dataset"))
     dataset = with_source(opener(dataset_params), section(values, "source"))
-    segmenter, segmenter_params = named or default_segmenter(dataset, segmented_inputs(method))
+    segmenter, segmenter_params = named or default_segmenter(
+        dataset, segmented_inputs(method), tuple(options.split)
+    )
     dataset, prior = with_prior(dataset, section(values, "prior"), options.seed)
     config = {
         **asdict(options),

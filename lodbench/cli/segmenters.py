@@ -66,13 +66,21 @@ def named_segmenter(values: Mapping[str, Any]) -> Made | None:
     return None if values.get("name") == AUTO else make_segmenter(str(values.get("name", "")), values)
 
 
-def default_segmenter(dataset: Dataset, wanted: Collection[Input] = frozenset({Input.MASK})) -> Made:
+def default_segmenter(
+    dataset: Dataset, wanted: Collection[Input] = frozenset({Input.MASK}), splits: tuple[str, ...] = ()
+) -> Made:
     """Returns the segmenter of a dataset where none is named; prints which and why, if masks are wanted.
 
+    Args:
+        dataset: What is to be segmented.
+        wanted: What the method looks at of what a segmenter makes.
+        splits: That are run; the dataset's default ones if none is named.
+
     Raises:
-        DatasetError: Masks are needed, and the dataset has neither masks nor photos.
+        DatasetError: Masks are needed, and the splits have neither masks nor photos.
+        ConfigError: A split is not one of the dataset.
     """
-    name, reason = chosen_segmenter(dataset, wanted)
+    name, reason = chosen_segmenter(dataset, wanted, splits)
     if wanted:
         sys.stdout.write(f"segmenter={name}: {reason}; segmenter=NAME takes another\n")
     return make_segmenter(name)

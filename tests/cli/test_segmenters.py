@@ -152,6 +152,16 @@ class TestNoneNamed:
         dataset = replace(open_folder(params), segmenter="compact")
         assert chosen_segmenter(dataset) == ("compact", "as folder says")
 
+    def test_the_splits_that_are_run_count_alone(self, with_masks):
+        dataset = open_folder(FolderParams(str(with_masks[0]), str(with_masks[1])))
+        (split,) = dataset.splits
+        bare = [replace(entry, split="bare", mask=None, image=entry.mask) for entry in dataset.entries]
+        both = replace(
+            dataset, splits=(split, "bare"), entries=(*dataset.entries, *bare), default_splits=(split,)
+        )
+        assert chosen_segmenter(both) == ("masks", "2 of 2 queries have masks made beforehand")
+        assert chosen_segmenter(both, splits=("bare",))[0] == "efficient_unet"
+
     def test_neither_masks_nor_photos_is_a_fault(self, dataset, tmp_path, capsys):
         bare = tmp_path / "bare"
         shutil.copytree(dataset[0], bare)
