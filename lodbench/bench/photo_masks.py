@@ -206,6 +206,8 @@ def measure_photo_masks(
 
 
 def mean_and_interval(values: list[float]) -> list[str]:
-    """Returns a mean and its 95 % interval by bootstrap, as two cells of a table."""
+    """Returns a mean and its 95 % interval by bootstrap, as two cells; one value has no interval."""
+    if len(values) == 1:
+        return [f"{values[0]:.3f}", "-"]
     interval: Interval = bootstrap_means(np.array(values)[:, None])[0]
     return [f"{np.mean(values):.3f}", f"({interval[0]:.3f} to {interval[1]:.3f})"]

@@ -23,6 +23,7 @@ from lodbench.cli import bench_flight_uses, bench_flights, bench_real, bench_seg
 from lodbench.cli.bench_views import add_city, city_file
 from lodbench.cli.parser import Parser
 from lodbench.execution import ProgressCallback
+from lodbench.storage import make_folder
 
 Measure = Callable[[argparse.Namespace, ProgressCallback], Report]
 
@@ -30,6 +31,8 @@ Measure = Callable[[argparse.Namespace, ProgressCallback], Report]
 def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code."""
     options = _parser().parse_args(argv)
+    if getattr(options, "pictures", None) is not None:
+        make_folder(options.pictures)  # a name that is no folder's is told before the work
     with ProgressCallback(f"bench {options.what}") as steps:
         report = MEASURES[options.what](options, steps)
     if getattr(options, "pictures", None) is not None:

@@ -83,8 +83,10 @@ def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -
             "--blocks and --grabcut are for silhouettes.", "Say how far they are off: --guided-by 20,2."
         )
     if options.photos is not None:
-        if options.city is not None or options.data is not None or options.views is not None:
-            raise ConfigError("--photos are measured by themselves.", "Leave out --city, --data and --views.")
+        others = ("city", "data", "visible", "views")
+        if options.instances or any(getattr(options, name) is not None for name in others):
+            left_out = "Leave out --city, --data, --visible, --views and --instances."
+            raise ConfigError("--photos are measured by themselves.", left_out)
         return _photos(options, steps)
     if options.instances:
         if options.data is None:
@@ -92,8 +94,6 @@ def measure_segmentation(options: argparse.Namespace, steps: ProgressCallback) -
         segmenter = segmenter_of(options.segmenter or "compact_instances", options.segmenter_option)
         return measure_instances(segmenter, options.data, steps)
     if options.city is not None:
-        if options.data is not None or options.visible is not None:
-            raise ConfigError("--city draws masks of its own.", "Leave out --data, or --city.")
         return _curve(options, steps)
     if options.visible is not None and options.data is None:
         raise ConfigError("--visible is of no use without --data.", "Name the set that it is the same as.")
@@ -139,6 +139,12 @@ def _disturbance(text: str) -> Disturbance:
 
 
 def _curve(options: argparse.Namespace, steps: ProgressCallback) -> Report:
+    others = ("data", "visible", "segmenter")
+    if options.segmenter_option or any(getattr(options, name) is not None for name in others):
+        raise ConfigError(
+            "--city draws masks of its own.",
+            "Leave out --data, --visible, --segmenter and --segmenter-option, or --city.",
+        )
     count = _VIEWS_OF_CITY if options.views is None else options.views
     views = ViewsParams(str(options.city), count, views_seed=options.seed)
     return measure_iou_recall(views, [make_method(name) for name in options.method.split(",")], steps)

@@ -147,6 +147,7 @@ def test_the_command_measures_the_shipped_network(sets, tmp_path, capsys):
         (["--data", "nowhere"], "no folder nowhere"),
         (["--visible", "there"], "--visible is of no use without --data"),
         (["--city", "a.obj", "--data", "there"], "--city draws masks of its own"),
+        (["--city", "a.obj", "--segmenter", "compact"], "--city draws masks of its own"),
         (["--town", "tset"], "Did you mean test?"),
         (["--views", "0"], "views=0"),
         (["--city", "a.obj", "--views", "0"], "views=0"),

@@ -11,6 +11,7 @@ import pytest
 from lodbench.bench.disturbed_silhouettes import Disturbance, disturbed
 from lodbench.bench.photo_masks import measure_photo_masks
 from lodbench.cli import main
+from lodbench.cli.bench import MEASURES
 from lodbench.segmentation.compact import CompactParams
 from lodbench.segmentation.photo_segmenter import PhotoSegmenter
 
@@ -75,6 +76,7 @@ def test_what_is_refused(folder, capsys):
         ([str(folder)], "has no mask"),
         ([str(folder / "town")], "holds no photos"),
         ([str(folder), "--views", "3"], "by themselves"),
+        ([str(folder), "--instances"], "by themselves"),
         ([str(folder), "--segmenter", "masks"], "looks at no photo alone"),
         ([str(folder), "--blocks"], "--guided-by 20,2"),
         ([str(folder), "--guided-by", "20,2", "--segmenter", "masks"], "is not guided"),
@@ -82,6 +84,21 @@ def test_what_is_refused(folder, capsys):
     ):
         assert main(["bench", "segmentation", "--photos", *wrong]) == 2
         assert words in capsys.readouterr().err
+
+
+def test_a_single_photo_has_no_interval(folder):
+    text = measure_photo_masks(Reddish(CompactParams(name="reddish")), folder).to_text()
+    assert ["village", "1", "0.250", "-"] in [line.split() for line in text.splitlines()]
+
+
+def test_pictures_that_cannot_be_kept_are_told_before_the_work(folder, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setitem(MEASURES, "segmentation", lambda options, steps: asked.append(options))
+    (folder / "file").write_text("")
+    words = ["bench", "segmentation", "--photos", str(folder), "--pictures", str(folder / "file")]
+    assert main(words) == 2
+    assert "file: File exists" in capsys.readouterr().err
+    assert asked == []
 
 
 @pytest.mark.parametrize(("value", "words"), [("20", "is not PX,DEG"), ("2000,1", "is not within")])
