@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import redirect_stdout
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,11 @@ from lodbench.errors import ConfigError, LodbenchError, nearest_names
 from lodbench.plugins import KINDS, find_plugin
 
 _SOURCE = "source"
+# Kinds that read files of a user's.
+_OF_SAMPLES = ("city-reader", "pose-format")
 _EPILOG = """\
 docs/plugins.md has an example of each kind, and says what its check proves. Exit code: 0 it keeps to the
-protocol, 1 it does not, 2 there is no such plug-in.
+protocol, 1 it does not, 2 there is no such plug-in, setting or sample.
 """
 
 
@@ -28,7 +31,7 @@ def main(argv: Sequence[str]) -> int:
     """Runs the command; returns the exit code.
 
     Raises:
-        ConfigError: There is no such kind, or no such plug-in.
+        ConfigError: There is no such kind, plug-in, setting or sample.
     """
     kinds = {kind.label: group for group, kind in KINDS.items()}
     parser = Parser("lodbench check-plugin", "Check a plug-in against the protocol of its kind.", _EPILOG)
@@ -45,6 +48,7 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--json", action="store_true", help="one check per line, for machines")
     options = parser.parse_args(argv)
+    _require_sample(options.kind, options.sample)
     if options.kind == "method":
         from lodbench.cli.check_method import main as check_method
 
@@ -58,10 +62,12 @@ def main(argv: Sequence[str]) -> int:
     if options.settings and kinds.get(options.kind) not in CONFIGURED:
         hint = f"Leave {options.settings[0]} out."
         raise ConfigError(f"A {options.kind} is checked without settings.", hint)
-    if options.kind == _SOURCE:
-        checks = list(_source_checks(options.name))
-    else:
-        checks = list(_checks(kinds[options.kind], options.name, options.settings, options.sample))
+    # What the plug-in prints is no line of the report's.
+    with redirect_stdout(sys.stderr):
+        if options.kind == _SOURCE:
+            checks = list(_source_checks(options.name))
+        else:
+            checks = list(_checks(kinds[options.kind], options.name, options.settings, options.sample))
     faults = [check for check in checks if check.status != OK]
     if options.json:
         lines = [json.dumps(asdict(check)) for check in checks]
@@ -73,8 +79,22 @@ def main(argv: Sequence[str]) -> int:
     return 1 if faults else 0
 
 
+def _require_sample(kind: str, sample: Path | None) -> None:
+    """Makes sure that a sample that was named is there, and is looked at.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    if sample is None:
+        return
+    if kind not in _OF_SAMPLES:
+        raise ConfigError(f"A {kind} reads no sample.", "Leave --sample out.")
+    if not sample.exists():
+        raise ConfigError(f"There is no sample {sample}.", "Check the path.")
+
+
 def _checks(group: str, name: str, settings: Sequence[str], sample: Path | None) -> Iterator[Check]:
-    from lodbench.harness.conformance.checks import CONFIGURED, check_plugin
+    from lodbench.harness.conformance.checks import CONFIGURED, check_plugin, require_settings
 
     plug_in = find_plugin(group, name)
     try:
@@ -84,6 +104,7 @@ def _checks(group: str, name: str, settings: Sequence[str], sample: Path | None)
         return
     if config is not None and settings:
         config |= _settings(settings, CONFIGURED[group])
+        require_settings(plug_in, config)
     yield from check_plugin(plug_in, config, sample)
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+from lodbench.cli import main
 from lodbench.errors import QueryFault
 from lodbench.harness.conformance.export import export_rules
 from lodbench.harness.conformance.segmenters import segmenter_rules
 from lodbench.harness.conformance.trial import Tried, check_rules, trial_dataset
 from lodbench.plugins import load_plugin, plugin_names
+from lodbench.segmentation.masks import MaskFiles
 from lodbench.storage import write_text
 
 
@@ -163,3 +167,35 @@ class TestExportFormats:
             (fault,) = faults(export_rules, part, trial, tmp_path / part.__name__)
             assert words in fault
         assert faults(export_rules, Names, trial, tmp_path / "sound") == []
+
+
+class TestCommand:
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            (["segmenter", "compact", "segmenter.sise=64"], "segmenter.sise is not a setting"),
+            (["segmenter", "compact", "segmenter.size=1"], "segmenter.size=1 is not within"),
+            (["prior", "basin", "prior.seed=1"], "prior.seed is not a setting"),
+            (["matcher", "mutual_nn", "--sample", "x"], "A matcher reads no sample"),
+            (["method", "prior_only", "--sample", "x"], "A method reads no sample"),
+            (["pose-format", "tum", "--sample", "nowhere.txt"], "There is no sample nowhere.txt"),
+        ],
+    )
+    def test_what_was_typed_wrong_is_no_fault_of_the_plug_in(self, capsys, words, said):
+        assert main(["check-plugin", *words]) == 2
+        printed = capsys.readouterr()
+        assert said in printed.err
+        assert printed.out == ""
+
+    def test_what_a_plug_in_prints_is_no_line_of_the_report(self, capsys, monkeypatch):
+        segment = MaskFiles.segment
+
+        def talking(self, entry):
+            sys.stdout.write("hello\n")
+            return segment(self, entry)
+
+        monkeypatch.setattr(MaskFiles, "segment", talking)
+        assert main(["check-plugin", "segmenter", "masks", "--json"]) == 0
+        printed = capsys.readouterr()
+        assert all(json.loads(line)["status"] == "ok" for line in printed.out.splitlines())
+        assert "hello" in printed.err

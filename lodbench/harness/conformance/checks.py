@@ -6,10 +6,10 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from lodbench.checks import FAULT, OK, Check
-from lodbench.errors import LodbenchError
+from lodbench.errors import ConfigError, LodbenchError
 from lodbench.harness.conformance.city import fit_rules, reader_rules, renderer_rules
 from lodbench.harness.conformance.data import dataset_rules, metric_rules, pose_format_rules, prior_rules
 from lodbench.harness.conformance.export import export_rules
@@ -64,7 +64,7 @@ def check_plugin(
             yield Check("plug-in", "configuration", FAULT, f"there is no {where}", hint)
             return
         yield Check("plug-in", "configuration", OK, where)
-    params_type = part if plug_in.group == "priors" else getattr(part, "params_type", None)
+    params_type = _params_type_of(plug_in.group, part)
     if params_type is not None:
         parameters = _parameters(params_type)
         yield parameters
@@ -74,12 +74,47 @@ def check_plugin(
         scene, dataset = trial_dataset(Path(folder))
 
         def make() -> Any:
-            wanted = {key: value for key, value in (config or {}).items() if _has(params_type, key)}
-            params = to_params(wanted, cast(type[Any], params_type), section or plug_in.name)
+            params = _params_of(params_type, config or {}, section or plug_in.name)
             return params if plug_in.group == "priors" else part(params)
 
         tried = Tried(part, plug_in.name, config, make, Path(folder), scene, dataset, sample)
         yield from check_rules(CHECKED[plug_in.group](tried))
+
+
+def require_settings(plug_in: PlugIn, config: Mapping[str, Any]) -> None:
+    """Makes sure that a plug-in has settings: wrong ones are no fault of its.
+
+    Raises:
+        ConfigError: One is unknown, or its value is not to be had.
+    """
+    try:
+        params_type = _params_type_of(plug_in.group, plug_in.load())
+    except LodbenchError:  # told by the checks
+        return
+    if params_type is None or _parameters(params_type).status != OK:
+        return
+    try:
+        _params_of(params_type, config, CONFIGURED[plug_in.group])
+    except ConfigError:
+        raise
+    except Exception:  # a plug-in may raise anything: that is told with its answers
+        return
+
+
+def _params_type_of(group: str, part: Any) -> Any:
+    """Returns the class of a plug-in's parameters; None where it has none, as datasets' functions."""
+    return part if group == "priors" else getattr(part, "params_type", None)
+
+
+def _params_of(params_type: Any, config: Mapping[str, Any], section: str) -> Any:
+    """Returns parameters filled from a configuration.
+
+    Raises:
+        ConfigError: A setting is unknown, or its value is not to be had.
+    """
+    return to_params(
+        {key: value for key, value in config.items() if _has(params_type, key)}, params_type, section
+    )
 
 
 def _has(params_type: Any, key: str) -> bool:
