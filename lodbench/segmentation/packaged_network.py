@@ -133,6 +133,12 @@ class PackagedNetwork(PhotoSegmenter):
                 f"{self._path} answers {found.shape} to a photo of {tile.shape[:2]}.",
                 hint,
             )
+        # Logits that are all within 0 and 1 would call the whole photo building.
+        if self.params.weights and 0 <= found.min() < found.max() <= 1:
+            raise ConfigError(
+                f"{self._path} answers values within 0 and 1: probabilities, where logits are wanted.",
+                "Export it without the sigmoid at its end.",
+            )
         return np.asarray(found[0, 0])
 
     def build(self, init: str | None) -> Any:

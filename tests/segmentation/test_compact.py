@@ -81,6 +81,22 @@ def test_another_network_does_not_come_back_from_onnx(tmp_path):
         Compact(CompactParams()).build(str(tmp_path / "junk.onnx"))
 
 
+def test_a_network_that_answers_probabilities_is_refused(net, tmp_path):
+    from lodbench.segmentation.nets.onnx_export import write_onnx
+
+    class Sure(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.net = net
+
+        def forward(self, photos):
+            return (self.net(photos)[0].sigmoid(),)
+
+    write_onnx(Sure(), tmp_path / "sure.onnx", 32)
+    with pytest.raises(ConfigError, match="probabilities, where logits are wanted"):
+        Compact(CompactParams(weights=str(tmp_path / "sure.onnx"), size=64)).logits(photo_of(64, 64))
+
+
 def test_the_weights_fit_the_package(weights):
     assert weights.stat().st_size <= 8_000_000
 
