@@ -35,7 +35,7 @@ def main(argv: Sequence[str]) -> int:
         _EPILOG,
     )
     add_dataset_options(parser)
-    parser.add_argument("--headers-only", action="store_true", help="do not decode the photos")
+    parser.add_argument("--headers-only", action="store_true", help="do not decode photos and masks")
     parser.add_argument("--json", action="store_true", help="print plain values instead of text")
     options = parser.parse_args(argv[1:])
     dataset, card = open_named(options), config_card(options.dataset)

@@ -52,7 +52,9 @@ GPS_IN_IMAGE = FindingCode(
 PRIORS_UNLIKE_PAPER = FindingCode(
     525, _W, "The priors' median errors differ from the paper's by more than 10 %."
 )
-MASK_UNFIT = FindingCode(526, _E, "A mask cannot be read, or has another aspect than its photo.")
+MASK_UNFIT = FindingCode(
+    526, _E, "A mask, or labels of buildings, cannot be read, or has another aspect than its photo."
+)
 CRS_DIFFERS = FindingCode(527, _E, "The dataset states another reference system than its city model has.")
 PRIOR_FAR = FindingCode(528, _E, "A prior lies kilometres outside the city model; its query fails.")
 KEY_TWICE = FindingCode(529, _E, "Several queries of a split have one name; nothing runs on them.")

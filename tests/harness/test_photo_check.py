@@ -5,6 +5,7 @@ from PIL import Image
 
 from lodbench.datasets.query import Dataset, Entry
 from lodbench.findings import Findings
+from lodbench.geometry import Camera
 from lodbench.harness.photo.check import check_photos
 
 
@@ -26,3 +27,16 @@ def test_a_large_photo_is_read_in_silence_and_a_bomb_is_a_finding(tmp_path, size
     details = [item.detail for item in findings.items]
     assert len(details) == (problem is not None)
     assert all(str(problem) in detail for detail in details)
+
+
+def test_masks_that_a_run_would_refuse_are_findings(tmp_path):
+    camera = Camera(60, 40, 50.0, 50.0, 30.0, 20.0)
+    of_labels, colours = tmp_path / "labels.png", tmp_path / "colours.png"
+    Image.new("L", (60, 40), 1).save(of_labels)
+    Image.new("RGB", (60, 40), (200, 10, 10)).save(colours)
+    entry = Entry("a.png", "data", camera, None, None, of_labels, instances=colours)
+    for with_pixels, said in ((True, ["largest value is 1", "is not a grey image"]), (False, [])):
+        findings = Findings()
+        check_photos(Dataset("own", "", tmp_path, None, None, ("data",), (entry,), {}), with_pixels, findings)
+        details = [item.detail for item in findings.items]
+        assert all(words in detail for words, detail in zip(said, details, strict=True))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
 from lodbench.datasets.codes import GPS_IN_IMAGE, IMAGE_SIZE, IMAGE_UNREADABLE, MASK_UNFIT
+from lodbench.datasets.instance_labels import read_labels
 from lodbench.datasets.photo_metadata import read_photo_metadata
 from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.query import Dataset, Entry
-from lodbench.errors import DatasetError
+from lodbench.errors import DatasetError, QueryFault
 from lodbench.execution import Progress
 from lodbench.findings import Findings
+from lodbench.segmentation.masks import read_mask
 
 
 def check_photos(dataset: Dataset, with_pixels: bool, findings: Findings) -> None:
@@ -16,19 +21,37 @@ def check_photos(dataset: Dataset, with_pixels: bool, findings: Findings) -> Non
 
     Args:
         dataset: As opened.
-        with_pixels: Whether to decode every photo; their headers are read in any case.
+        with_pixels: Whether to decode every photo and mask; their headers are read in any case.
         findings: Receives them, under the queries' names.
     """
     for entry in dataset.entries:
-        if entry.mask is not None and entry.camera is not None:
-            fault = mask_fault(entry.mask, (entry.camera.width, entry.camera.height))
-            if fault:
-                findings.add(MASK_UNFIT, entry.key, fault)
+        for fault in _mask_faults(entry, with_pixels):
+            findings.add(MASK_UNFIT, entry.key, fault)
     entries = [entry for entry in dataset.entries if entry.image is not None]
     with Progress("photos", len(entries)) as progress:
         for entry in entries:
             _check_photo(entry, with_pixels, findings)
             progress.advance()
+
+
+def _mask_faults(entry: Entry, with_pixels: bool) -> Iterator[str]:
+    """Yields what is wrong with a query's mask, and with its labels of single buildings."""
+    readers: tuple[tuple[Path | None, Callable[[Path], object]], ...] = (
+        (entry.mask, read_mask),
+        (entry.instances, read_labels),
+    )
+    for file, read in readers:
+        if file is None:
+            continue
+        size = None if entry.camera is None else (entry.camera.width, entry.camera.height)
+        fault = "" if size is None else mask_fault(file, size)
+        if not fault and with_pixels:
+            try:
+                read(file)
+            except QueryFault as error:
+                fault = error.message
+        if fault:
+            yield fault
 
 
 def _check_photo(entry: Entry, with_pixels: bool, findings: Findings) -> None:
