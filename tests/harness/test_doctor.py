@@ -76,8 +76,10 @@ def test_an_exit_without_an_answer_is_reported(probe):
     assert probe("pass").status == BROKEN
 
 
-def test_noise_of_a_library_is_no_answer(probe):
-    check = probe("""print('hello from a driver'); print('{"ok": true, "detail": "draws", "hint": ""}')""")
+@pytest.mark.parametrize("noise", ["print('bye')", "import os; os.write(1, bytes([10, 255]))"])
+def test_noise_of_a_library_is_no_answer(probe, noise):
+    answer = """print('{"ok": true, "detail": "draws", "hint": ""}', flush=True)"""
+    check = probe(f"print('hello from a driver'); {answer}; {noise}")
     assert (check.status, check.detail) == (OK, "draws")
 
 

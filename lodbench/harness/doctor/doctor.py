@@ -31,6 +31,8 @@ _PROBE_TIMEOUT_S = 120.0
 RENDERER_TRIALS = {"silhouette": True, "reference": True, "raster": True, "pyrender": False, "open3d": False}
 # Segmenters whose weights come with the base install.
 NETWORKS = ("compact", "compact_instances", "efficient_unet")
+# How the line begins that a trial answers with.
+_ANSWER = '{"ok": '
 # Between a plug-in's name and its package, which is named where two have one of that name.
 PACKAGE_FOLLOWS = " of "
 
@@ -87,10 +89,13 @@ def run_probe(section: str, name: str, is_base: bool, timeout_s: float) -> Check
     """Returns how a trial of ``lodbench.harness.doctor.probes`` went in a process of its own."""
     command = [sys.executable, "-m", "lodbench.harness.doctor.probes", name]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)  # noqa: S603
+        done = subprocess.run(  # noqa: S603
+            command, capture_output=True, text=True, errors="replace", timeout=timeout_s
+        )
     except subprocess.TimeoutExpired:
         return Check(section, name, BROKEN, f"gave no answer within {timeout_s:.0f} s", "", is_base)
-    lines = done.stdout.splitlines()
+    # Libraries speak before it, and on their way out.
+    lines = [line for line in done.stdout.splitlines() if line.startswith(_ANSWER)]
     if done.returncode != 0 or not lines:
         return Check(section, name, BROKEN, _end_of(done.returncode, done.stderr), "", is_base)
     answer = json.loads(lines[-1])
