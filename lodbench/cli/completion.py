@@ -83,7 +83,7 @@ def answer(words: Sequence[str]) -> int:
     elif words[0] in CONFIGURED:
         found = _settings(words[0], words[1:-1], typed)
     else:
-        found = _flags(words[0], words[1:-1])
+        found = _flags(words[0], words[1:-1], typed)
     sys.stdout.write("".join(f"{word}\n" for word in sorted(found) if word.startswith(typed)))
     return 0
 
@@ -111,8 +111,11 @@ class _Found(Exception):
     """Leaves a command once its parser is known."""
 
 
-def _flags(command: str, before: Sequence[str]) -> Iterable[str]:
-    """Returns the actions and flags of a command with a parser of its own, asked without running it."""
+def _flags(command: str, before: Sequence[str], typed: str) -> Iterable[str]:
+    """Returns what may follow in a command with a parser of its own, asked without running it.
+
+    Flags where one is begun, else the words that there is a choice of; where a file may stand, none.
+    """
     from lodbench.cli import COMMANDS
 
     if command not in COMMANDS:
@@ -138,5 +141,11 @@ def _flags(command: str, before: Sequence[str]) -> Iterable[str]:
     if not parsers:
         return []
     last = parsers[-1]
-    choices = [name for action in last._actions for name in getattr(action, "_name_parser_map", {})]
-    return [*choices, *(flag for flag in last._option_string_actions if flag.startswith("--"))]
+    flag = last._option_string_actions.get(before[-1]) if before else None
+    if flag is not None and flag.nargs != 0:
+        return map(str, flag.choices or ())
+    if typed.startswith("-"):
+        return [name for name in last._option_string_actions if name.startswith("--")]
+    return [
+        str(word) for action in last._actions if not action.option_strings for word in action.choices or ()
+    ]

@@ -26,12 +26,19 @@ import pytest
         ("dataset check --hea", ["--headers-only"]),
         ("leaderboard bu", ["build"]),
         ("leaderboard add --ma", ["--map"]),
+        ("completion z", ["zsh"]),
+        ("mask --export co", ["coco"]),
         ("nothing x", []),
         ("run seed=1", []),
     ],
 )
 def test_the_answers(lodbench, words, expected):
     assert lodbench("__complete", *words.split()).stdout.splitlines() == expected
+
+
+@pytest.mark.parametrize("words", [["mask"], ["mask", "--mask"], ["localize", "a.jpg", "--city"]])
+def test_nothing_stands_before_files(lodbench, words):
+    assert lodbench("__complete", *words, "").stdout == ""
 
 
 def in_shell(shell: str, script: str) -> list[str]:
