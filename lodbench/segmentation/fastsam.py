@@ -23,7 +23,8 @@ from lodbench.storage import file_digest
 _LICENCE = "ultralytics and weights trained with it are under AGPL-3.0"
 _EXPORT = (
     "Where ultralytics is installed, outside this environment: "
-    "yolo export model=FastSAM-x.pt format=onnx imgsz={size}; then segmenter.weights=FastSAM-x.onnx"
+    "yolo export model=FastSAM-x.pt format=onnx imgsz={size} (without nms); "
+    "then segmenter.weights=FastSAM-x.onnx"
 )
 # What YOLO networks see beside a photo that is not square.
 _GREY = 114
@@ -155,6 +156,8 @@ class FastSam(PhotoSegmenter):
             or prototypes is None
             or prototypes.shape[1:] != (side, side)
             or len(rows) < 5 + len(prototypes)
+            # An export with nms=True answers the other way round: few instances, and what is known of each.
+            or len(rows) >= rows.shape[1]
         ):
             raise ConfigError(
                 f"{self._path} answers {shapes}, not the rows and the prototypes of a segmentation network.",

@@ -101,7 +101,10 @@ def weights(tmp_path_factory):
     torch = pytest.importorskip("torch", reason="torch is not installed (extra [torch])")
     pytest.importorskip("onnx", reason="onnx is not installed (extra [torch])")
     whole = [SIZE / 2, SIZE / 2, float(SIZE), float(SIZE)]
-    rows = torch.tensor([[*whole, 0.9, 0.1, 1.0, 0.0], [*whole, 0.1, 0.8, 0.0, 1.0], [0.0] * 8]).T[None]
+    # As many anchors as strides of 8, 16 and 32 pixels make.
+    rows = torch.tensor([[*whole, 0.9, 0.1, 1.0, 0.0], [*whole, 0.1, 0.8, 0.0, 1.0], *([[0.0] * 8] * 82)]).T[
+        None
+    ]
 
     class Finder(torch.nn.Module):
         def forward(self, photos):
@@ -165,3 +168,19 @@ class TestAdapter:
         (tmp_path / "text.onnx").write_text("hello")
         with pytest.raises(ConfigError, match="no ONNX network"):
             self.segmenter(tmp_path / "text.onnx").probability(self.photo())
+
+    def test_an_export_with_suppression_is_refused(self, weights):
+        class Suppressed:
+            def setInput(self, blob): ...
+
+            def getUnconnectedOutLayersNames(self):
+                return ()
+
+            def forward(self, names):
+                return np.zeros((1, 300, 38), np.float32), np.zeros((1, 32, 16, 16), np.float32)
+
+        segmenter = self.segmenter(weights)
+        segmenter._net = Suppressed()
+        with pytest.raises(ConfigError, match=r"answers \[\(1, 300, 38\), .*not the rows") as told:
+            segmenter.probability(self.photo())
+        assert "without nms" in told.value.hint
