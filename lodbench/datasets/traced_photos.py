@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 from lodbench.errors import DatasetError
@@ -25,9 +26,9 @@ def traced_photos(folder: Path) -> list[tuple[Path, Path]]:
         raise DatasetError(
             f"{folder} holds no photos.", "Put them in PLACE/photos, and their masks in PLACE/masks."
         )
-    stems = [(photo.parent, photo.stem) for photo in photos]
-    for photo, stem in zip(photos, stems, strict=True):
-        if stems.count(stem) > 1:
+    masks = Counter(map(traced_mask, photos))
+    for photo in photos:
+        if masks[traced_mask(photo)] > 1:
             raise DatasetError(f"{photo} and another photo share a name: their masks would be one.")
     pairs = [(photo, traced_mask(photo)) for photo in photos]
     for photo, mask in pairs:

@@ -83,6 +83,19 @@ class TestStrokes:
         session.stroke(np.array([[60.0, 75.0], [90.0, 75.0]]), 3.0, is_building=True)
         assert not session.mask[48:53, 58:63].any()
 
+    def test_undo_keeps_what_strokes_changed_and_not_the_whole_photo(self):
+        start = np.zeros((3000, 4000), bool)
+        session = MaskSession(np.zeros((3000, 4000, 3), np.uint8), start)
+        places = [(100.0, 100.0), (2000.0, 1500.0), (120.0, 110.0)]
+        for place in places:
+            session.stroke(np.array([place]), 9.0, is_building=True, is_exact=True)
+        assert sum(part.nbytes for _, state in session._before for part in state) < start.nbytes // 10
+        session.undo()
+        assert session.mask.sum() == 2 * (session.mask[:300, :300]).sum()
+        assert [session.undo() for _ in places] == [True, True, False]
+        assert np.array_equal(session.mask, start)
+        assert not session._state.strokes.any()
+
     def test_a_stroke_beside_the_photo_is_none(self):
         photo, truth = houses()
         session = MaskSession(photo, truth)

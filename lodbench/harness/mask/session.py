@@ -20,6 +20,10 @@ class _State(NamedTuple):
     mask: Mask
     strokes: NDArray[np.int8]
 
+    def of(self, window: tuple[slice, slice]) -> _State:
+        """Returns a copy of a part."""
+        return _State(self.mask[window].copy(), self.strokes[window].copy())
+
 
 class MaskSession:
     """A photo's mask and the strokes drawn so far.
@@ -32,7 +36,8 @@ class MaskSession:
     def __init__(self, photo: NDArray[np.uint8], mask: Mask) -> None:
         self.photo = photo
         self._state = _State(mask.copy(), np.zeros(mask.shape, np.int8))
-        self._before: list[_State] = []
+        # Windows that strokes changed, as they were before: whole photos would take gigabytes.
+        self._before: list[tuple[tuple[slice, slice], _State]] = []
 
     @property
     def mask(self) -> Mask:
@@ -60,12 +65,12 @@ class MaskSession:
         under = painted > 0
         if not under.any():
             return
-        self._before = [*self._before[1 - _UNDO_STEPS :], self._state]
+        window = _surroundings(under, radius_px)
+        self._before = [*self._before[1 - _UNDO_STEPS :], (window, self._state.of(window))]
         strokes, mask = self._state.strokes.copy(), self.mask.copy()
         strokes[under] = 1 if is_building else -1
         mask[under] = is_building
         if not is_exact:
-            window = _surroundings(under, radius_px)
             mask[window] = _followed(self.photo[window], mask[window], strokes[window])
         self._state = _State(mask, strokes)
 
@@ -73,7 +78,10 @@ class MaskSession:
         """Takes the last stroke back; tells whether there was one."""
         if not self._before:
             return False
-        self._state = self._before.pop()
+        window, before = self._before.pop()
+        state = _State(self._state.mask.copy(), self._state.strokes.copy())
+        state.mask[window], state.strokes[window] = before
+        self._state = state
         return True
 
 
