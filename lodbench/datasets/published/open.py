@@ -45,7 +45,7 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
 
     Raises:
         DatasetError: Parts are missing (the hint says which, and where to get them), or malformed.
-        ConfigError: The frame is unknown, or the origin no place.
+        ConfigError: The frame is unknown, the origin no place, or the file of priors is nowhere.
     """
     if params.frame not in _FRAMES:
         raise ConfigError(f"dataset.frame={params.frame} is unknown.", nearest_names(params.frame, _FRAMES))
@@ -53,6 +53,7 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
         raise ConfigError("dataset.origin takes three numbers: easting, northing, height.")
     found = survey(spec, params.root, params.city_model, params.prior_file)
     require_data(found)
+    _require_prior_file(params, found)
     findings = Findings()
     _note_missing_splits(spec, found, findings)
     complete = [files for files in found.splits if files.is_complete]
@@ -85,6 +86,21 @@ def open_published(spec: PublishedSpec, params: PublishedParams) -> Dataset:
         textured_map=textured,
         photo_crs=spec.photo_crs,
         photo_origin=None if params.origin is None else tuple(params.origin),
+    )
+
+
+def _require_prior_file(params: PublishedParams, found: Survey) -> None:
+    """Makes sure that a file of priors that was named is in a split.
+
+    Raises:
+        ConfigError: It is in none: every query would fail.
+    """
+    if params.prior_file is None or any(files.priors is not None for files in found.splits):
+        return
+    there = {path.name for files in found.splits for path in files.folder.iterdir() if path != files.truth}
+    raise ConfigError(
+        f"dataset.prior_file={params.prior_file} is in no split of {found.root}.",
+        nearest_names(params.prior_file, there),
     )
 
 

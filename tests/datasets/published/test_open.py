@@ -128,6 +128,9 @@ class TestQuirks:
         assert renamed.findings == ()
         name = UAVD4L_NAMES["inTraj"][0]
         assert_same(renamed.entries[0].prior, renamed.truth[f"in_traj/{name}"])
+        with pytest.raises(ConfigError, match=r"prior_file=mime\.txt is in no split") as told:
+            self.open(root, prior_file="mime.txt")
+        assert "mine.txt" in told.value.hint
         chosen = self.open(root, prior_file="mine.txt")
         assert_same(chosen.entries[0].prior, both.entries[0].prior)
 
