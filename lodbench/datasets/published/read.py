@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from lodbench.datasets.codes import (
     FILE_CHOSEN,
     NAME_DISAGREES,
@@ -19,6 +21,7 @@ from lodbench.datasets.codes import (
     SAME_POSE,
     SEVERAL_PRIORS,
 )
+from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.published.layout import SplitFiles
 from lodbench.datasets.published.poses import (
     by_stem,
@@ -35,6 +38,8 @@ from lodbench.geometry import Pose, wrap_deg
 
 # Synthetic views: easting@northing@height@pitch@yaw@roll, each cut to a whole number.
 _SYNTHETIC_NAME = re.compile(r"(-?\d+)@(-?\d+)@(-?\d+)@(-?\d+)@(-?\d+)@(-?\d+)")
+# Share of a mask's pixels that are black or white.
+_MASK_SHARE = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +71,7 @@ def read_split(files: SplitFiles, findings: Findings) -> SplitContent:
             findings.add(NOT_IN_SPLIT, f"{split}/{name}")
     priors = _priors(files, names, findings)
     cameras = read_split_cameras(files.cameras, names, images, findings)
+    drawn = images if files.images is not None and files.images.name == "query" and _are_masks(images) else {}
     entries = tuple(
         Entry(
             name=name,
@@ -73,7 +79,7 @@ def read_split(files: SplitFiles, findings: Findings) -> SplitContent:
             camera=cameras.get(name),
             prior=priors[name][0] if name in priors else None,
             image=images.get(name),
-            mask=_mask(files, name, images),
+            mask=_mask(files, name) or drawn.get(name),
             hypotheses=tuple(priors.get(name, ())),
         )
         for name in names
@@ -113,13 +119,19 @@ def _priors(files: SplitFiles, names: Iterable[str], findings: Findings) -> dict
     return by_stem(found, names, files.priors, findings) if files.priors.is_dir() else found
 
 
-def _mask(files: SplitFiles, name: str, images: dict[str, Path]) -> Path | None:
+def _mask(files: SplitFiles, name: str) -> Path | None:
     for folder in MASK_FOLDERS:
         for file in (name, Path(name).stem + ".png"):
             if (files.folder / folder / file).is_file():
                 return files.folder / folder / file
-    # LoD-Loc v2's code keeps the masks in the photos' place, under their names.
-    return images.get(name) if files.images is not None and files.images.name == "query" else None
+    return None
+
+
+def _are_masks(images: dict[str, Path]) -> bool:
+    """Tells by the first whether pictures in the photos' place are masks, as LoD-Loc v2's code has them."""
+    picture = next((found for path in images.values() if (found := read_picture(path)) is not None), None)
+    # Nearly all of a mask is black or white, however a JPEG blurred its outlines; no photo is.
+    return picture is not None and float(np.mean((picture < 32) | (picture > 223))) > _MASK_SHARE
 
 
 def _report(entries: tuple[Entry, ...], truth: dict[str, Pose], findings: Findings) -> None:

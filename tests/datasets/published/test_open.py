@@ -24,6 +24,7 @@ from tests.data.published_layouts import (
     write_swiss,
     write_uavd4l,
 )
+from tests.datasets.dji_photo import write_photo
 
 
 def open_published(params: PublishedParams) -> Dataset:
@@ -250,6 +251,14 @@ class TestColmapTree:
             assert entry.mask == entry.image
             np.testing.assert_allclose(entry.hypotheses[1].center - entry.prior.center, [5, 0, 0], atol=1e-9)
         assert codes(dataset) == {"SEVERAL_PRIORS": 4}
+
+    def test_photos_in_the_masks_place_are_no_masks(self, tmp_path):
+        root = write_lodlocv2(tmp_path)
+        for photo in (root / "data" / "UAVD4L-LoD" / "inTraj" / "query").iterdir():
+            write_photo(photo, np.random.default_rng(0).integers(0, 256, (494, 660), dtype=np.uint8))
+        dataset = open_published(PublishedParams("uavd4l_lodv2", str(root)))
+        assert [entry.mask is None for entry in dataset.entries] == [True, True, False, False]
+        assert all(entry.image.is_file() for entry in dataset.entries)
 
     def test_the_swiss_scenes_lie_there_too(self, colmap_tree):
         dataset = open_published(PublishedParams("swiss_epflv2", str(colmap_tree)))
