@@ -27,6 +27,7 @@ from lodbench.citymodel.options import ReadOptions
 from lodbench.datasets.exchange.colmap import is_colmap, read_colmap
 from lodbench.datasets.folder_about import ABOUT_FILE, read_about, stated_city, stated_crs
 from lodbench.datasets.instance_labels import INSTANCES_FOLDER
+from lodbench.datasets.photo_files import mask_names
 from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
@@ -241,8 +242,7 @@ def _entry(
         camera=cameras.get(name),
         prior=priors[0] if priors else None,
         image=_first_file(folder / "Query_image", [name]) or _first_file(folder / RENDERED_IMAGES, [name]),
-        # A mask is stored under the photo's name, or under its stem as PNG.
-        mask=_first_file(folder / "masks", [name, Path(name).stem + ".png"]),
+        mask=_first_file(folder / "masks", mask_names(name)),
         hypotheses=priors,
         sequence=sequence,
         instances=_first_file(folder / INSTANCES_FOLDER, [Path(name).stem + ".png"]),
@@ -269,5 +269,5 @@ def _truth_file(folder: Path) -> Path | None:
     return _first_file(folder, [TRUTH_FILE, RENDERED_TRUTH_FILE])
 
 
-def _first_file(folder: Path, names: list[str]) -> Path | None:
+def _first_file(folder: Path, names: Sequence[str]) -> Path | None:
     return next((folder / name for name in names if (folder / name).is_file()), None)

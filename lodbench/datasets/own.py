@@ -11,7 +11,7 @@ from typing import Any
 
 from lodbench.datasets.folder import write_poses
 from lodbench.datasets.folder_about import ABOUT_FILE, sealed_about
-from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines, mask_name
+from lodbench.datasets.photo_files import PHOTO_SUFFIXES, in_pose_lines, mask_names
 from lodbench.datasets.photo_metadata import PhotoMetadata, read_photo_metadata
 from lodbench.datasets.picture_faults import is_decodable, mask_fault
 from lodbench.datasets.pictures import encoded, read_picture
@@ -72,8 +72,7 @@ def find_mask(folder: Path | None, name: str) -> Path | None:
 
 
 def _mask_names(image: PurePosixPath) -> list[str]:
-    own = (image.name, f"{image.stem}.png", mask_name(image.stem))
-    return list(dict.fromkeys(str(image.parent / spelt) for spelt in own))
+    return list(dict.fromkeys(str(image.parent / spelt) for spelt in mask_names(image.name)))
 
 
 def find_photo(folder: Path, name: str) -> Path | None:

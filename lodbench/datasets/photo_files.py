@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from lodbench.errors import DatasetError
 
@@ -46,6 +46,12 @@ def find_photos(folder: Path, masks: Path | None = None, *others: Path | None) -
     photos = [path for path in found if are_photos[path.parent]]
     saved = {path.with_name(mask_name(path.stem)) for path in photos}
     return [path for path in photos if path not in saved]
+
+
+def mask_names(photo: str) -> tuple[str, ...]:
+    """Returns what the mask of a photo of a name may be called in a folder of masks, in the order tried."""
+    stem = PurePosixPath(photo).stem
+    return photo, f"{stem}.png", mask_name(stem)
 
 
 def mask_name(stem: str) -> str:

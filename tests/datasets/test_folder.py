@@ -89,11 +89,12 @@ class TestOneFolder:
         assert dataset.notes == ("d: z.jpg has a camera but no pose",)
 
     def test_a_mask_has_the_photos_name_or_its_stem(self, tmp_path, city):
-        root = write_split(tmp_path / "d", truth=["a.jpg", "b.jpg"], priors=["a.jpg", "b.jpg"])
+        photos = ["a.jpg", "b.jpg", "c.jpg"]
+        root = write_split(tmp_path / "d", truth=photos, priors=photos)
         (root / "masks").mkdir()
-        for name in ("a.jpg", "a.png", "b.png"):
+        for name in ("a.jpg", "a.png", "b.png", "b_mask.png", "c_mask.png"):
             (root / "masks" / name).touch()
-        assert [e.mask.name for e in open_at(root, city).entries] == ["a.jpg", "b.png"]
+        assert [e.mask.name for e in open_at(root, city).entries] == ["a.jpg", "b.png", "c_mask.png"]
 
 
 class TestSplits:

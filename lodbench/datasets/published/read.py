@@ -21,6 +21,7 @@ from lodbench.datasets.codes import (
     SAME_POSE,
     SEVERAL_PRIORS,
 )
+from lodbench.datasets.photo_files import mask_names
 from lodbench.datasets.pictures import read_picture
 from lodbench.datasets.published.layout import SplitFiles
 from lodbench.datasets.published.poses import (
@@ -121,7 +122,7 @@ def _priors(files: SplitFiles, names: Iterable[str], findings: Findings) -> dict
 
 def _mask(files: SplitFiles, name: str) -> Path | None:
     for folder in MASK_FOLDERS:
-        for file in (name, Path(name).stem + ".png"):
+        for file in mask_names(name):
             if (files.folder / folder / file).is_file():
                 return files.folder / folder / file
     return None

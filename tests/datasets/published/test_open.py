@@ -135,6 +135,12 @@ class TestQuirks:
         chosen = self.open(root, prior_file="mine.txt")
         assert_same(chosen.entries[0].prior, both.entries[0].prior)
 
+    def test_masks_as_the_command_names_them(self, root):
+        folder = root / "UAVD4L-LoD" / "inTraj" / "masks"
+        for mask in list(folder.iterdir()):
+            mask.rename(mask.with_name(f"{mask.stem}_mask.png"))
+        assert all(entry.mask.parent.name == "masks" for entry in self.open(root).entries[:4])
+
     def test_a_synthetic_name_that_states_another_pose(self, root):
         file = root / "UAVD4L-LoD" / "Synthesis" / "GT_pose.txt"
         words = file.read_text().split()
