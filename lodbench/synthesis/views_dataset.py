@@ -132,16 +132,10 @@ class ViewsParams:
         require_numbers(self, "dataset", ("range_m", "height_m"), 0)
         if self.area is not None and self.area not in AREAS:
             raise ConfigError(f"dataset.area is one of {', '.join(AREAS)}, not {self.area}.")
-        self.sampling()
-
-    def sampling(self) -> ViewSampling:
-        """Returns which views are drawn, all over the city.
-
-        Raises:
-            ConfigError: A range is empty, or beyond what a view can have.
-        """
-        share, seed = self.building_share, self.views_seed
-        return ViewSampling(self.camera_height_m, building_share=share, seed=seed)
+        for name, most in (("camera_height_m", 1e5), ("building_share", 1)):
+            low, high = getattr(self, name)
+            require_within(f"dataset.{name}", low, 0, most)
+            require_within(f"dataset.{name}", high, low, most)
 
     def prior(self, tilt: str = "prior") -> UniformPrior:
         """Returns what is told of the priors' errors: the published ones, with this tilt and range.
@@ -165,7 +159,9 @@ def draw_queries(scene: Scene, renderer: Renderer, params: ViewsParams) -> tuple
     """
     camera = RGB_CAMERA.scaled(*FINE_SIZE)
     seed = params.views_seed
-    sampling = replace(params.sampling(), area_m=_area_m(scene, params.area))
+    heights_m, share = params.camera_height_m, params.building_share
+    area_m = _area_m(scene, params.area)
+    sampling = ViewSampling(heights_m, building_share=share, area_m=area_m, seed=seed)
     views = sample_views(scene, renderer, camera, sampling, params.num_views, "accuracy")
     world, told = params.world, params.prior()
     seen = world.seen(scene)
