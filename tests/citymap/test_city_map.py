@@ -182,10 +182,11 @@ def test_usage_loses_nothing_between_threads(scene):
 
 
 def test_depth_agrees_with_open3d(city_map, scene):
-    pytest.importorskip("open3d")
-    rays = CityMap(scene, "open3d", threads=1)
     ours = city_map.depth(CAMERA, ROTATIONS, CENTERS)
-    theirs = rays.depth(CAMERA, ROTATIONS, CENTERS)
+    try:
+        theirs = CityMap(scene, "open3d", threads=1).depth(CAMERA, ROTATIONS, CENTERS)
+    except RenderingError as error:  # not installed, or without a library of the system
+        pytest.skip(f"no Open3D here: {error} {error.hint}")
     assert theirs.shape == ours.shape
     differs = np.abs(ours - theirs) > 1e-3 * np.maximum(ours, 1)
     # Float32 rays miss or hit at edges only.
