@@ -65,9 +65,9 @@ def _add_drawing(add: Any) -> None:
     add("--prior-range", type=float, help="prior's error along x, y and z, +- metres (10, 10, 30)")
     add("--prior-height", type=float, help="prior's error along z, +- metres")
     heights = "of the cameras above the ground, metres (100,160); lower over a village"
-    add("--camera-height", type=_pair, default=(100.0, 160.0), metavar="LOW,HIGH", help=heights)
+    add("--camera-height", type=_range, default=(100.0, 160.0), metavar="LOW,HIGH", help=heights)
     shares = "of buildings in a picture; other views are drawn again (0.1,0.8)"
-    add("--building-share", type=_pair, default=(0.1, 0.8), metavar="LOW,HIGH", help=shares)
+    add("--building-share", type=_range, default=(0.1, 0.8), metavar="LOW,HIGH", help=shares)
     add("--area", choices=AREAS, help="half of the city to look at (all of it)")
     drawn = "level of detail that views and masks are drawn from, or finest (the map's)"
     add("--mask-lod", help=drawn)
@@ -175,16 +175,10 @@ def seeds(text: str) -> list[int]:
     return found
 
 
-def _pair(text: str) -> tuple[float, float]:
-    """Returns two numbers as typed, in brackets or not, as settings have them.
-
-    Raises:
-        ConfigError: They are not two numbers.
-    """
+def _range(text: str) -> tuple[float, float]:
+    """Returns LOW,HIGH as typed, or in brackets as settings have them."""
     try:
-        low, high = map(float, text.strip("[]").split(","))
-    except ValueError as error:
-        raise ConfigError(
-            f"{text!r} is not two numbers.", "Write LOW,HIGH, as --camera-height 40,80"
-        ) from error
+        low, high = (float(part) for part in text.strip("[]").split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} is not LOW,HIGH, as in 40,80") from None
     return low, high

@@ -15,6 +15,7 @@ from lodbench.evaluation.queries import ERROR
 from lodbench.methods.contour_alignment import ContourAlignment
 from lodbench.methods.registry import make_method
 from lodbench.synthesis.views_dataset import ViewsParams
+from tests.town import box_obj
 
 
 def answers(*rows):
@@ -82,6 +83,17 @@ def test_a_city_or_a_method_named_twice_counts_once(city, monkeypatch):
     assert views.look == "hard"
 
 
+def test_a_lone_house_is_flown_over_lower(tmp_path, capsys):
+    house = tmp_path / "house.obj"
+    house.write_text(box_obj([(0, 0, 10, 8, 0, 6)]))
+    words = ["bench", "accuracy", "--city", str(house), "--views", "1", "--method", "prior_only"]
+    assert main(words) == 2
+    assert "hint: Give --camera-height [40,80] to fly lower" in capsys.readouterr().err
+    low = ["--camera-height", "[30,50]", "--building-share", "0.02,0.8"]
+    assert main([*words, *low]) == 0
+    assert "1 views" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -90,6 +102,7 @@ def test_a_city_or_a_method_named_twice_counts_once(city, monkeypatch):
             "region looks at photos, and no photos are drawn.\n  hint: Add --look hard.",
         ),
         (["--look", "pretty"], "There is no look pretty."),
+        (["--building-share", "0.1"], "0.1 is not LOW,HIGH"),
     ],
 )
 def test_methods_that_look_at_photos_need_a_look_that_there_is(options, said, capsys):

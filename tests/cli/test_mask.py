@@ -169,11 +169,6 @@ class TestPage:
         assert np.array_equal(server.session.mask, before)
         assert "Traceback" not in capsys.readouterr().err
 
-    def test_close_asks_where_something_is_not_saved(self, server):
-        page = self.ask(server, "GET", "")[1].decode()
-        assert "if (changed && !confirm(" in page
-        assert "if (answer.saved) changed = false;" in page
-
     def test_others_are_kept_out(self, server):
         for options in ({"token": "guess"}, {"token": ""}, {"host": "evil.example:80"}):
             assert self.ask(server, "GET", "mask.png", **options)[0] == 404
