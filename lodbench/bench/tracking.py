@@ -113,7 +113,8 @@ def _drawn(scene: Scene, seed: int, options: TrackingOptions) -> list[SyntheticQ
         target = middle + _SPEED_M * (time_s - 0.5 * options.frames / _RATE) * ahead
         pose = view_of(target, height_m + 2.0 * np.sin(time_s), angles)
         queries.append(SyntheticQuery(f"frame_{k:06d}", pose, pose, none, 1.0))
-    return Photographer(scene, options.look, seed).views(queries, RGB_CAMERA.scaled(*options.size))
+    cameras = [RGB_CAMERA.scaled(*options.size)] * len(queries)
+    return Photographer(scene, options.look, seed).views(queries, cameras)
 
 
 def _tracked(

@@ -31,9 +31,17 @@ class Photographer:
         props, land = make_surroundings(scene, seed)
         self._renderer = PhotoRenderer(scene, props, land.cover)
 
-    def views(self, queries: Sequence[SyntheticQuery], camera: Camera) -> list[SyntheticQuery]:
-        """Returns queries (scene frame) with photos, each in its own light; names become those of JPEGs."""
-        return [self._taken(query, camera, *self._look("views", "look", query.name)) for query in queries]
+    def views(self, queries: Sequence[SyntheticQuery], cameras: Sequence[Camera]) -> list[SyntheticQuery]:
+        """Returns queries (scene frame) with photos, each in its own light; names become those of JPEGs.
+
+        Args:
+            queries: What is photographed.
+            cameras: What takes each.
+        """
+        return [
+            self._taken(query, camera, *self._look("views", "look", query.name))
+            for query, camera in zip(queries, cameras, strict=True)
+        ]
 
     def flight(self, queries: Sequence[SyntheticQuery], camera: Camera, number: int) -> list[SyntheticQuery]:
         """Returns a flight's queries with photos: one sun, exposures apart; else as ``views``."""

@@ -195,14 +195,19 @@ def open_views(params: ViewsParams) -> Dataset:
     scene = open_cached_city(city, lod=lod, options=options, roof_height=params.roof_height).scene
     of_the_scene = ("city_model", "lod", "crs", "name", "layers")  # its digest says it
     drawn = {key: value for key, value in asdict(params).items() if key not in of_the_scene}
-    key = digest_of([VIEWS_VERSION, "instances", drawn, scene.digest(), scene.origin.tolist()])
+    world = params.world
+    # Photos once showed the map's world, whatever was told.
+    shown = ["shown"] if params.look is not None and world.describe() else []
+    key = digest_of([VIEWS_VERSION, "instances", drawn, scene.digest(), scene.origin.tolist(), *shown])
 
     def write(folder: Path) -> None:
         queries, rejections = draw_queries(scene, make_renderer("silhouette", scene, None), params)
         camera = RGB_CAMERA
         if params.look is not None:
             camera = RGB_CAMERA.scaled(*PHOTO_SIZE)
-            queries = Photographer(scene, params.look, params.views_seed).views(queries, camera)
+            cameras = [world.lens(camera, index) for index in range(len(queries))]
+            photographer = Photographer(world.seen(scene), params.look, params.views_seed)
+            queries = photographer.views(queries, cameras)
         write_queries(folder / SPLIT, queries, camera, scene.origin)
         write_text(folder / _FACTS_FILE, json.dumps({"rejections": rejections, "mask_lod": scene.lod}))
 
