@@ -73,7 +73,7 @@ class TestTheMethod:
         cv2.imwrite(str(tmp_path / "grey.png"), grey.astype(np.uint8))
         query = replace(photographed[1], image=tmp_path / "grey.png")
         estimate = Region(FAST).localize(query, city_map, streams())
-        assert pose_error(estimate.pose, truths[1]).translation_m < 1.5
+        assert pose_error(estimate.pose, truths[1]).translation_m < 2.0
 
     def test_a_photo_of_noise_is_not_trusted(self, city_map, photographed, tmp_path):
         noise = np.random.default_rng(1).integers(0, 256, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
@@ -153,7 +153,7 @@ class TestTheMethod:
         cv2.imwrite(str(tmp_path / "thermal.png"), radiometric.astype(np.uint16))
         query = replace(photographed[1], image=tmp_path / "thermal.png")
         estimate = Region(FAST).localize(query, city_map, streams())
-        assert pose_error(estimate.pose, truths[1]).translation_m < 1.5
+        assert pose_error(estimate.pose, truths[1]).translation_m < 2.0
 
     def test_starts_are_tops_of_different_hills(self, city_map, photographed):
         query, params = photographed[0], Params(starts=8)

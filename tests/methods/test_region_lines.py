@@ -26,11 +26,11 @@ from tests.town import CAMERA, prior_of, true_poses
 SHADES = np.array([[0, 0, 0], [60, -10, 20], [-30, 40, 10], [20, 50, -40]], dtype=np.float64)
 
 
-def shaded_photo(city_map, truth, number):
+def shaded_photo(city_map, truth, number, camera=CAMERA):
     """Returns a photo of the town whose faces are lit by where they look."""
-    normals = city_map.normals(CAMERA, truth.rotation[None], truth.center[None])[0]
+    normals = city_map.normals(camera, truth.rotation[None], truth.center[None])[0]
     shade = np.where(np.abs(normals) > 0.5, [1, 2, 3], 0).max(axis=2)
-    noise = random_stream(0, "shaded", number).normal(0.0, 6.0, (CAMERA.height, CAMERA.width, 3))
+    noise = random_stream(0, "shaded", number).normal(0.0, 6.0, (camera.height, camera.width, 3))
     return np.clip(110.0 + SHADES[shade] + noise, 0, 255).astype(np.uint8)
 
 
@@ -41,12 +41,12 @@ def shaded(city_map, truths):
 
 
 def with_roofs(truth):
-    """Returns (8,) a pose and roofs as the map has them."""
-    return np.append(vector_from_pose(truth), [0.0, 0.0])
+    """Returns (9,) a pose, the lens as told and roofs as the map has them."""
+    return np.append(vector_from_pose(truth), np.zeros(3))
 
 
 def line_fit(photo, query, roofs, vector):
-    """Returns what lines seen from (8,) say of a photo in array form."""
+    """Returns what lines seen from (9,) say of a photo in array form."""
     params = Params()
     return LineFit(levels_of(photo, query, 1.0, params), query, roofs, vector, params)
 
@@ -56,7 +56,8 @@ def fit_of(photo, query, roofs, truth):
 
 
 def test_lines_fit_best_at_the_truth(roofs, queries, truths, shaded):
-    moves = np.concatenate([d * np.eye(8) * [1.5, 1.5, 4.0, 1.0, 1.0, 1.0, 1.5, 1.5] for d in (-1.0, 1.0)])
+    far = [1.5, 1.5, 4.0, 1.0, 1.0, 1.0, 3.0, 1.5, 1.5]
+    moves = np.concatenate([d * np.eye(9) * far for d in (-1.0, 1.0)])
     for photo, query, truth in zip(shaded, queries, truths, strict=True):
         fit, vector = fit_of(photo, query, roofs, truth), with_roofs(truth)
         assert len(fit) > 100
@@ -104,9 +105,9 @@ def test_lines_choose_among_the_search_s_tops(city_map, scene, roofs, queries, t
         reach = scene, query.camera, query.prior, 60.0, 20.0
         around = Surroundings(edges_in_reach(*reach), city_map, params)
         fit = PhotoFit(photo, (200, 150), params, is_coarse=False)
-        regions_of = partial(RoofEvidence, query, fit=fit, params=params)
+        regions_of = partial(RoofEvidence, query, fit=fit, params=params, lens_percent=0.2)
         streams = partial(random_stream, 0, "test", number)
-        starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, 5))), number, axis=0)
+        starts = with_roofs(truth) + np.roll(np.pad(moves, ((0, 0), (0, 6))), number, axis=0)
         found = Alignment(photo, query, regions_of, around, params, streams).from_best(starts, roofs)
         assert int(found.evidence.argmax()) == (len(moves) - 1 + number) % len(moves)
         assert np.linalg.norm(found.vector[:3] - truth.center) < 1.0
@@ -126,7 +127,7 @@ def test_a_wider_prior_has_more_starts():
 
 
 def test_a_pose_without_lines_in_view_counts_nothing(roofs, queries, truths, shaded):
-    away = with_roofs(truths[0]) + np.array([5000.0, 0, 0, 0, 0, 0, 0, 0])
+    away = with_roofs(truths[0]) + np.array([5000.0, *np.zeros(8)])
     fit = line_fit(shaded[0], queries[0], roofs, away)
     assert len(fit) == 0
     assert fit.sharpness(away) == 0.0

@@ -62,7 +62,7 @@ def sigmas(points, worth=1.0, prior=PRIOR):
 
 
 def test_it_is_how_answers_scatter_over_maps_that_are_wrong(monkeypatch):
-    """Monte Carlo: buildings stand elsewhere and roofs are higher, and least squares answers."""
+    """Monte Carlo: buildings stand elsewhere, roofs are higher, lenses longer; least squares answers."""
     points, worth = outline_of(9), 2.0
     for name in ("_TOGETHER_PX", "_OWN_PX", "_PART_M", "_BASE_M"):
         monkeypatch.setattr(map_errors, name, 1e-6)
@@ -75,6 +75,7 @@ def test_it_is_how_answers_scatter_over_maps_that_are_wrong(monkeypatch):
         up = up + 0.35 * generator.normal()
         b = points.buildings
         moved = -(slopes[:, 0] * east[b] + slopes[:, 1] * north[b]) + slopes[:, 7] * up[b]
+        moved += slopes[:, 6] * 0.2 * generator.normal()
         # What the photo does not say of its own, and where the prior was drawn.
         noise = generator.multivariate_normal(np.zeros(6), curvature)
         errors.append(np.linalg.solve(curvature, pulls.T @ moved + noise))
@@ -90,7 +91,16 @@ def test_more_buildings_say_more_however_sharp_the_photo():
 
 def test_an_exact_map_leaves_the_curvature(monkeypatch):
     points = outline_of(9)
-    for name in ("_PLACE_M", "_ROOF_M", "_PART_M", "_ROOFS_M", "_BASE_M", "_TOGETHER_PX", "_OWN_PX"):
+    for name in (
+        "_PLACE_M",
+        "_ROOF_M",
+        "_PART_M",
+        "_ROOFS_M",
+        "_BASE_M",
+        "_LENS_PERCENT",
+        "_TOGETHER_PX",
+        "_OWN_PX",
+    ):
         monkeypatch.setattr(map_errors, name, 1e-6)
     plain = np.sqrt(np.diagonal(np.linalg.inv(information_of(points, 1.0) + PRIOR)))
     np.testing.assert_allclose(sigmas(points), plain, rtol=5e-3)

@@ -75,10 +75,10 @@ def test_points_move_by_their_share_of_the_height(scene, roofs):
 def test_evidence_is_that_of_the_map_with_those_roofs(scene, roofs, queries, truths):
     params = Params()
     fit = PhotoFit(photo_of(roofs.at(0), truths[0], 0), (200, 150), params, False)
-    evidence = RoofEvidence(queries[0], roofs, fit, params)
+    evidence = RoofEvidence(queries[0], roofs, fit, params, lens_percent=0.2)
     poses = vector_from_pose(truths[0]) + random_stream(0, "poses").normal(0.0, 0.5, (6, 6))
     heights = np.array([-1.5, 0.0, 0.2, 0.9, 1.0, 7.0])
-    nats = evidence.nats(np.column_stack([poses, heights, np.full(6, 0.4)]))
+    nats = evidence.nats(np.column_stack([poses, np.zeros(6), heights, np.full(6, 0.4)]))
     for i, roofs_m in enumerate([-1.5, 0.0, 0.0, 1.0, 1.0, 3.0]):
         seen = CityMap(World(shared_roofs_m=roofs_m).seen(scene), threads=1)
         assert nats[i] == Evidence(queries[0], seen, fit, params).nats(poses[i : i + 1])[0]
@@ -88,11 +88,11 @@ def test_lines_know_how_high_roofs_are(roofs, queries, truths):
     """Photos of a town whose roofs are a metre lower: its lines fit best with roofs a metre lower."""
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
         photo = photo_of(roofs.at(-2), truth, number)
-        true = np.append(vector_from_pose(truth), [-1.0, 0.0])
+        true = np.append(vector_from_pose(truth), [0.0, -1.0, 0.0])
         for seen_at in (0.0, -1.0):
-            fit = line_fit(photo, query, roofs, np.append(true[:6], [seen_at, 0.0]))
+            fit = line_fit(photo, query, roofs, np.append(true[:7], [seen_at, 0.0]))
             heights = np.linspace(-2.5, 1.0, 15)
-            nats = fit(np.column_stack([np.repeat(true[None, :6], 15, axis=0), heights, np.zeros(15)]))
+            nats = fit(np.column_stack([np.repeat(true[None, :7], 15, axis=0), heights, np.zeros(15)]))
             assert abs(heights[int(np.argmax(nats))] + 1.0) <= 0.5
 
 
@@ -137,7 +137,7 @@ def test_lines_tell_each_roof_s_height(roofs, uneven, queries, truths):
     town, own_m = uneven
     found, true = [], []
     for number, (query, truth) in enumerate(zip(queries, truths, strict=True)):
-        vector = np.append(vector_from_pose(truth), [0.0, 0.0])
+        vector = np.append(vector_from_pose(truth), np.zeros(3))
         fit = line_fit(photo_of(town.at(0), truth, number), query, roofs, vector)
         told = fit.own_roofs_m(vector)
         is_told = np.abs(told) > 0.3

@@ -38,7 +38,7 @@ class Aligned(NamedTuple):
     """A pose and a height of roofs that put the model's lines on the photo's edges.
 
     Attributes:
-        vector: (8,) both.
+        vector: (9,) both, and the lens.
         lines: What edges say of others.
         regions: What regions and prior say of them, with each roof at a height of its own.
         sharpness: As of ``LineFit``: whether the map is exact enough for it to count.
@@ -53,8 +53,13 @@ class Aligned(NamedTuple):
     evidence: Floats
 
     def nats(self, vectors: Floats, share: float = 1.0) -> Floats:
-        """Returns the (N,) logarithm of the likelihood of such, (N, 8), of a share of the photo's nats."""
+        """Returns the (N,) logarithm of the likelihood of such, (N, 9), of a share of the photo's nats."""
         return _nats(self.lines, self.regions, vectors, share)
+
+    def lead_over(self, other: Aligned) -> float:
+        """Returns by how many nats its lines are likelier than another's, as either at least has it."""
+        both = np.stack([self.vector, other.vector])
+        return min(float(lines(both) @ (1.0, -1.0)) for lines in (self.lines, other.lines))
 
 
 def _nats(lines: LineFit, regions: RoofEvidence, vectors: Floats, share: float = 1.0) -> Floats:
@@ -101,7 +106,7 @@ class Alignment:
         self._around, self._params, self._streams = around, params, streams
 
     def from_best(self, starts: Floats, roofs: RaisedRoofs) -> Aligned | None:
-        """Returns what is near the best of (M, 8) and puts lines on edges; None without lines in view.
+        """Returns what is near the best of (M, 9) and puts lines on edges; None without lines in view.
 
         Lines alone lead in the first rounds, after which each roof is drawn where they put it; in the last
         the regions have their say too. Only a few starts are followed through the first, one from there on.
@@ -115,7 +120,7 @@ class Alignment:
             evidence[k] = begun[k].evidence()
         found = begun[int(evidence.argmax())]
         for number in range(1, len(_ROUNDS)):
-            roofs = roofs.each_by_itself(found.lines.own_roofs_m(found.vector), float(found.vector[7]))
+            roofs = roofs.each_by_itself(found.lines.own_roofs_m(found.vector), float(found.vector[8]))
             next_round = self._begun(number, found.vector[None], roofs)
             if not next_round:
                 return None
@@ -124,13 +129,15 @@ class Alignment:
         return Aligned(found.vector, found.lines, found.regions, sharpness, evidence)
 
     def _begun(self, number: int, starts: Floats, roofs: RaisedRoofs) -> dict[int, _Round]:
-        """Returns what a round sees from each of (M, 8), but for those without lines in view."""
+        """Returns what a round sees from each of (M, 9), but for those without lines in view."""
         blur_px, spread_px = _ROUNDS[number]
         levels, regions = levels_of(self._photo, self._query, blur_px, self._params), self._regions_of(roofs)
 
         def begin(start: Floats) -> _Round | None:
             lines = LineFit(levels, self._query, roofs, start, self._params)
-            cloud = self._around.cloud(start[:6], regions.at(start[6]), spread_px)
+            cloud = self._around.cloud(
+                start[:7], regions.at(start[7]), spread_px, regions.prior_information()
+            )
             return _Round(start, lines, regions, cloud) if len(lines) and cloud is not None else None
 
         # The first makes what all share.

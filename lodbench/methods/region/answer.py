@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lodbench.datasets.query import Query
 from lodbench.methods.protocol import Streams
-from lodbench.methods.region.aligned import Alignment
+from lodbench.methods.region.aligned import Aligned, Alignment
 from lodbench.methods.region.averaging import posterior_mean
 from lodbench.methods.region.evidence import PhotoFit
 from lodbench.methods.region.map_errors import covariance_under_map_errors
@@ -22,7 +22,9 @@ from lodbench.methods.region.trust import NO_LINES, TYPICAL_LINES, LineSigns
 from lodbench.methods.region.uncertainty import information_at
 
 Floats = NDArray[np.float64]
-# Of (N, 8) poses and roofs, and of a share of the photo's nats.
+# How far apart outlines of cameras lie that the mean is taken of, pixels of the fine size.
+_APART_PX = 1.5
+# Of (N, 9) cameras and roofs, and of a share of the photo's nats.
 Nats = Callable[[Floats, float], Floats]
 
 
@@ -38,6 +40,7 @@ class Answer(NamedTuple):
         sharpness: Whether edges lie on them or beside them, as of ``LineFit``.
         evidence: (M,) the logarithm of what speaks for each top of the search, up to a constant: lines, or
             where there are none what the search says; -inf of hopeless ones. The vector comes from the best.
+        lens_percent: How much longer the lens is than told.
     """
 
     vector: Floats
@@ -47,12 +50,14 @@ class Answer(NamedTuple):
     lines: float
     sharpness: float
     evidence: Floats
+    lens_percent: float = 0.0
 
 
 class Answering:
     """Ends the search for one photo.
 
-    Vectors of eight numbers are a pose, and how much higher and wider than in the map all roofs are.
+    Vectors of nine numbers are a pose, by how many percent the lens is longer than told, and how much higher
+    and wider than in the map all roofs are.
 
     Args:
         photo: As of ``read_picture``.
@@ -81,15 +86,11 @@ class Answering:
             tops: The best as the search sees them first; lines choose among them.
             streams: Of random numbers.
         """
-        params, starts = self._params, np.array([np.append(top.cloud.mean, [0.0, 0.0]) for top in tops])
+        params, starts = self._params, np.array([np.append(top.cloud.mean, np.zeros(3)) for top in tops])
         searched = np.array([top.log_posterior for top in tops])
         if params.lines_weight <= 0:
             return self._by_regions(starts[0], TYPICAL_LINES, searched)
-        # Lines say what edges say, and more: the regions join them without.
-        fit = self._fit.with_edges(0.0)
-        regions_of = partial(RoofEvidence, self._query, fit=fit, params=params)
-        alignment = Alignment(self._photo, self._query, regions_of, self._around, params, streams)
-        aligned = alignment.from_best(starts, self._roofs)
+        aligned = self._of_either_lens(starts, streams)
         if aligned is None:
             return self._by_regions(starts[0], NO_LINES, searched)
         start = starts[int(aligned.evidence.argmax())]
@@ -100,23 +101,48 @@ class Answering:
             return self._by_regions(start, signs, aligned.evidence)
         covariances = self._certainty(aligned.nats, aligned.vector, aligned.regions)
         mean = self._mean(aligned.nats, aligned.vector, covariances[0], aligned.regions)
-        return Answer(mean[:6], *covariances, *signs, aligned.evidence)
+        return Answer(mean[:6], *covariances, *signs, aligned.evidence, float(mean[6]))
+
+    def _of_either_lens(self, starts: Floats, streams: Streams) -> Aligned | None:
+        """Returns the lines on the edges with the lens as told, or another where that is plainly better.
+
+        Only beside an exact map does a photo tell its lens: elsewhere roofs make up for it (docs/adr/0061).
+        """
+        params = self._params
+        told = self._aligned(starts, params.lens_percent, streams)
+        if told is None or params.lens_doubt_percent <= 0 or told.sharpness < params.least_sharpness:
+            return told
+        start = starts[[int(told.evidence.argmax())]]
+        other = self._aligned(start, params.lens_doubt_percent, streams)
+        if other is None or other.lead_over(told) < params.lens_nats:
+            return told
+        return other._replace(evidence=told.evidence)
+
+    def _aligned(self, starts: Floats, lens_percent: float, streams: Streams) -> Aligned | None:
+        """Returns the lines of the model on the photo's edges, the lens off by so much: a deviation."""
+        # Lines say what edges say, and more: the regions join them without.
+        fit, params = self._fit.with_edges(0.0), self._params
+        regions_of = partial(RoofEvidence, self._query, fit=fit, params=params, lens_percent=lens_percent)
+        alignment = Alignment(self._photo, self._query, regions_of, self._around, params, streams)
+        return alignment.from_best(starts, self._roofs)
 
     def _by_regions(self, vector: Floats, signs: LineSigns, evidence: Floats) -> Answer:
-        """Returns the mean of what regions and outlines leave around (8,), of a wider photo."""
+        """Returns the mean of what regions and outlines leave around (9,), of a wider photo."""
         params, of_map = self._params, (self._query, self._roofs)
-        fine = RoofEvidence(*of_map, self._fit, params)
+        lens_percent = params.lens_percent
+        fine = RoofEvidence(*of_map, self._fit, params, lens_percent)
         covariances = self._certainty(_of_share(fine), vector, fine)
         if params.place_sigma_m <= 0:
             return Answer(vector[:6], *covariances, *signs, evidence)
         size = working_size(self._query.camera, params.mean_width)
-        wide = RoofEvidence(*of_map, PhotoFit(self._photo, size, params, is_coarse=False), params)
+        of_wide = PhotoFit(self._photo, size, params, is_coarse=False)
+        wide = RoofEvidence(*of_map, of_wide, params, lens_percent)
         mean = self._mean(_of_share(wide), vector, covariances[0], wide)
         return Answer(mean[:6], *covariances, *signs, evidence)
 
     def _certainty(self, nats: Nats, vector: Floats, regions: RoofEvidence) -> tuple[Floats, Floats]:
         """Returns the covariance (6, 6) of an answer's error, and the same if the map had none."""
-        pose, evidence = vector[:6], regions.at(float(vector[6]))
+        pose, evidence = vector[:6], regions.at(float(vector[7]))
 
         def of_poses(poses: Floats) -> Floats:
             return nats(np.column_stack([poses, np.tile(vector[6:], (len(poses), 1))]), 1.0)
@@ -127,21 +153,31 @@ class Answering:
         return covariance, np.asarray(np.linalg.inv(information + prior))
 
     def _mean(self, nats: Nats, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
-        """Returns the posterior's mean around (8,), eaves as they are; or, if so told, the point."""
+        """Returns the posterior's mean around (9,), eaves as they are; or, if so told, the point."""
         least_m = self._params.place_sigma_m
         if least_m <= 0:
             return vector
 
         def whole(vectors: Floats) -> Floats:
-            return np.column_stack([vectors, np.full(len(vectors), vector[7])])
+            return np.column_stack([vectors, np.full(len(vectors), vector[8])])
 
         return posterior_mean(
             lambda vectors, share: nats(whole(vectors), share),
             lambda vectors: regions.log_prior(whole(vectors)),
-            vector[:7],
-            regions.widened(covariance)[:7, :7],
+            vector[:8],
+            regions.widened(self._with_lens(vector, covariance, regions))[:8, :8],
             least_m,
         )
+
+    def _with_lens(self, vector: Floats, covariance: Floats, regions: RoofEvidence) -> Floats:
+        """Returns the covariance (7, 7) of cameras around (9,), given that of poses, (6, 6)."""
+        evidence, prior = regions.at(float(vector[7])), regions.prior_information()
+        cloud = self._around.cloud(vector[:7], evidence, _APART_PX, prior)
+        # A longer lens is made up for by poses that show the same.
+        along = np.eye(7)[6] / prior[6, 6] if cloud is None else cloud.covariance[:, 6]
+        whole = np.outer(along, along) / along[6]
+        whole[:6, :6] += covariance
+        return np.asarray(whole)
 
 
 def _of_share(evidence: RoofEvidence) -> Nats:

@@ -25,6 +25,7 @@ _EDGE_SHARES = np.array([1.0, 1.0, 0.1, 0.1, 0.1, 0.5])
 # And where it ends for good, in half widths, and how softly there: evidence of pixels that are not
 # independent outweighs any softer end, and from far below nearly every photo is parted well by some roof.
 _WALLS, _WALL_SHARE = np.array([np.inf, np.inf, 1.3, 5.0, 5.0, 2.5]), 0.02
+_LENS = slice(6, 7)
 
 
 class PhotoFit:
@@ -85,20 +86,19 @@ class Evidence:
         return other
 
     def fits(self, vectors: Floats) -> Floats:
-        """Returns the (N,) fit of poses (N, 6), centre in metres and angles in degrees; nats per pixel."""
-        rotations = rotations_from_euler(vectors[:, 3:])
-        return self._scorer.fit(self.camera, rotations, np.ascontiguousarray(vectors[:, :3]), self.fit)
+        """Returns the (N,) fit of poses (N, 6) or cameras (N, 7), see ``views_of``; nats per pixel."""
+        return self._scorer.fit(self.camera, *views_of(vectors), self.fit)
 
     def log_posterior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the posterior of poses (N, 6)."""
         return self.nats(vectors) + self.log_prior(vectors)
 
     def nats(self, vectors: Floats) -> Floats:
-        """Returns the (N,) logarithm of the photo's likelihood, up to a constant."""
+        """Returns the (N,) logarithm of the likelihood of poses or cameras, up to a constant."""
         return np.asarray(self._samples * self.fits(vectors))
 
     def log_prior(self, vectors: Floats) -> Floats:
-        """Returns the (N,) logarithm of the prior, up to a constant."""
+        """Returns the (N,) logarithm of the prior of poses (N, 6), up to a constant."""
         offsets = self.offsets(vectors)
         beyond = np.maximum(np.abs(offsets) - self._range, 0.0) / (_EDGE_SHARES * self._range)
         through = np.maximum(np.abs(offsets) - _WALLS * self._range, 0.0) / (_WALL_SHARE * self._range)
@@ -113,3 +113,18 @@ class Evidence:
     def prior_information(self) -> Floats:
         """Returns (6, 6) the inverse of the prior's covariance."""
         return np.diag(self._sigmas**-2.0)
+
+
+def views_of(vectors: Floats) -> tuple[Floats, Floats]:
+    """Returns the rotations (N, 3, 3) and centres (N, 3), metres, that show what some cameras see.
+
+    A longer lens stretches what a camera sees across and down, and so do the first two rows of a rotation
+    that are stretched: cameras of many lenses are drawn as if they had the one that is told.
+
+    Args:
+        vectors: (N, 6) poses, centre in metres and angles in degrees; or (N, 7 or more), then by how many
+            percent the lens is longer than told.
+    """
+    rotations = rotations_from_euler(vectors[:, 3:6])
+    rotations[:, :2] *= 1.0 + 0.01 * vectors[:, _LENS].sum(axis=1)[:, None, None]
+    return rotations, np.ascontiguousarray(vectors[:, :3])

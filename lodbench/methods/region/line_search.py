@@ -68,7 +68,7 @@ def line_starts(
     open_to_it = np.diag(np.square([half_m, half_m, half_z_m, *tilts_deg, 0.5 * coarse.stride_yaw_deg]))
     clouds = []
     for k, start in enumerate(found):
-        lines = LineFit(levels, query, roofs, np.append(start, [0.0, 0.0]), coarse)
+        lines = LineFit(levels, query, roofs, np.append(start, np.zeros(3)), coarse)
         if len(lines):
             value, cloud = _posterior(lines, evidence), Cloud(start, open_to_it)
             clouds.append(climb(value, cloud, _GENERATIONS, params.population, streams("line start", k)))
@@ -79,7 +79,7 @@ def _posterior(lines: LineFit, evidence: Evidence) -> Callable[[Floats], Floats]
     """Returns what edges and prior say of poses (N, 6), roofs as in the map."""
 
     def value(vectors: Floats) -> Floats:
-        whole = np.column_stack([vectors, np.zeros((len(vectors), 2))])
+        whole = np.column_stack([vectors, np.zeros((len(vectors), 3))])
         return lines(whole) + evidence.log_prior(vectors)
 
     return value

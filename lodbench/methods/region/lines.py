@@ -16,8 +16,8 @@ from scipy.special import logsumexp, softmax
 
 from lodbench.datasets.query import Query
 from lodbench.geometry import Camera
-from lodbench.geometry.angles import rotations_from_euler
 from lodbench.methods.contour_alignment.pose_vector import pose_from_vector
+from lodbench.methods.region.evidence import views_of
 from lodbench.methods.region.params import Params, working_size
 from lodbench.methods.region.roofs import STEP_M, RaisedRoofs, step_of
 from lodbench.rendering.edge_levels import (
@@ -107,7 +107,7 @@ class LineFit:
         camera = query.camera.scaled(levels.shape[1], levels.shape[0])
         self._intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._levels = levels
-        step = int(step_of(vector[6]))
+        step = int(step_of(vector[7]))
         points, spacing_px = points_on_lines(roofs, step, camera, vector[:6])
         self.buildings, buildings = np.unique(points.buildings, return_inverse=True)
         self._points = points._replace(buildings=buildings)
@@ -125,12 +125,12 @@ class LineFit:
         return len(self._points.kinds)
 
     def __call__(self, vectors: Floats, share: float = 1.0) -> Floats:
-        """Returns the (N,) logarithm of the likelihood of poses and roofs (N, 8), up to a constant.
+        """Returns the (N,) logarithm of the likelihood of cameras and roofs (N, 9), up to a constant.
 
         How strongly edges stand out along outlines and along creases is taken as fits the first pose best.
 
         Args:
-            vectors: Poses and roofs.
+            vectors: Cameras and roofs.
             share: Of the photo's nats that count.
         """
         return np.asarray(logsumexp(self._of_buildings(vectors, share), axis=2).sum(axis=1))
@@ -158,7 +158,7 @@ class LineFit:
         return (on - max(near, far)) / max(on - far, _LEAST_CONTRAST)
 
     def _best_strengths(self, vector: Floats) -> NDArray[np.int64]:
-        """Returns (2,) how strongly edges stand out along outlines and creases, as fits (8,) best.
+        """Returns (2,) how strongly edges stand out along outlines and creases, as fits (9,) best.
 
         One after the other, twice.
         """
@@ -186,8 +186,7 @@ class LineFit:
 
     def _sums(self, vectors: Floats, worth: Floats, own_m: Floats, offset_px: float = 0.0) -> Floats:
         sums = np.zeros((len(vectors), len(self.buildings), len(own_m)))
-        rotations, centers = rotations_from_euler(vectors[:, 3:6]), np.ascontiguousarray(vectors[:, :3])
-        of_all_m = vectors[:, 6:] - self._of_map_m
+        (rotations, centers), of_all_m = views_of(vectors), vectors[:, 7:] - self._of_map_m
 
         def work(part: slice) -> None:
             view = rotations[part], centers[part], of_all_m[part], self._intrinsics

@@ -21,11 +21,13 @@ Floats = NDArray[np.float64]
 # Standard deviations, metres: where a building stands, how high its roof is as a whole and by parts, how high
 # all roofs are, where walls end.
 _PLACE_M, _ROOF_M, _PART_M, _ROOFS_M, _BASE_M = 0.5, 0.7, 0.7, 0.35, 0.1
+# How far the lens may be from what is told, percent.
+_LENS_PERCENT = 0.2
 # Pixels of the fine size: how far outlines of a photo err together with what is near them, and each point by
 # itself; over which distance they do, and parts of a roof.
 _TOGETHER_PX, _OWN_PX, _NEAR_PX, _PART_PX = 1.0, 1.0, 12.0, 20.0
-# Columns of an outline's slopes: the pose, then its building's roof and base.
-_POSE, _EAST_NORTH, _ROOF, _BASE = slice(0, 6), slice(0, 2), 7, 8
+# Columns of an outline's slopes: the pose, the lens, then its building's roof and base.
+_POSE, _EAST_NORTH, _LENS, _ROOF, _BASE = slice(0, 6), slice(0, 2), 6, 7, 8
 # More points say no more; fewer say nothing.
 _MOST_POINTS, _LEAST_POINTS = 600, 6
 # So that directions that no outline tells can be divided by, as a share of the others.
@@ -83,5 +85,7 @@ def _variance_of_pulls(pulls: Floats, slopes: Floats, pixels: Floats, buildings:
     of_buildings = np.zeros((int(buildings.max()) + 1, 6, 2))
     np.add.at(of_buildings, buildings, pulls[:, :, None] * slopes[:, None, _EAST_NORTH])
     variance += _PLACE_M**2 * np.einsum("kai,kbi->ab", of_buildings, of_buildings)
-    of_roofs = pulls.T @ slopes[:, _ROOF]
-    return np.asarray(variance + _ROOFS_M**2 * np.outer(of_roofs, of_roofs))
+    for column, sigma in ((_ROOF, _ROOFS_M), (_LENS, _LENS_PERCENT)):
+        of_all = pulls.T @ slopes[:, column]
+        variance += sigma**2 * np.outer(of_all, of_all)
+    return np.asarray(variance)

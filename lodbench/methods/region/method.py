@@ -29,6 +29,9 @@ from lodbench.methods.region.search import Surroundings, climbed, grid_starts, j
 from lodbench.methods.region.trust import TRUSTED, Signs, trust_of
 from lodbench.methods.region.uncertainty import share_of_best
 
+# A lens so many deviations from what is told is worth a note.
+_NEWS = 3.0
+
 
 class Region:
     """Finds the pose whose silhouette splits the photo into two regions that look most unlike each other."""
@@ -129,8 +132,11 @@ def _found(seen: _Seen, params: Params, streams: Streams, by_lines: bool = False
         covariance=answer.covariance,
         probability=share_of_best(answer.evidence) * trust_of(signs),
         alternatives=tuple(pose_from_vector(other) for other in others),
-        notes=beyond_range(
-            final.offsets(answer.vector[None])[0], answer.if_map_is_right, params.half_widths()
+        notes=(
+            *_lens_notes(answer.lens_percent, params),
+            *beyond_range(
+                final.offsets(answer.vector[None])[0], answer.if_map_is_right, params.half_widths()
+            ),
         ),
     )
 
@@ -145,6 +151,14 @@ def _signs(answer: Answer, judge: Evidence, top: NDArray[np.float64], params: Pa
         answer.sharpness,
         max(0.0, beyond),
     )
+
+
+def _lens_notes(percent: float, params: Params) -> tuple[str, ...]:
+    """Returns a sentence on a lens that is plainly not as told, or nothing."""
+    if abs(percent) < _NEWS * params.lens_percent:
+        return ()
+    longer = "longer" if percent > 0 else "shorter"
+    return (f"by this photo the focal length is {abs(percent):.1f} % {longer} than told: found with that",)
 
 
 def _probability(estimate: Estimate) -> float:

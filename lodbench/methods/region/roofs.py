@@ -1,4 +1,4 @@
-"""How much higher and wider than in the map all roofs are: two numbers beside the pose, metres.
+"""How much higher and wider than in the map all roofs are, beside the camera: two numbers, metres.
 
 Blocks end somewhere between eaves and ridge, and are as wide as walls or as roofs, as whoever made the map
 decided: its roofs err alike. The photo tells by how much, and a camera that has to make up for it ends too
@@ -133,12 +133,16 @@ def step_of(roofs_m: Floats) -> NDArray[np.int64]:
 class RoofEvidence:
     """What photo and prior say of poses, and of how much higher and wider all roofs are, up to a constant.
 
-    Of (N, 8) vectors; silhouettes are those of the map's eaves, whatever the last number says.
+    Of (N, 9) vectors: a camera as of ``views_of``, then roofs and eaves. Silhouettes are those of the map's
+    eaves, whatever the last number says.
     """
 
-    def __init__(self, query: Query, roofs: RaisedRoofs, fit: PhotoFit, params: Params) -> None:
+    def __init__(
+        self, query: Query, roofs: RaisedRoofs, fit: PhotoFit, params: Params, lens_percent: float
+    ) -> None:
         self._evidence = lru_cache(None)(lambda step: Evidence(query, roofs.at(step), fit, params))
         self._sigmas_m = np.maximum([params.roofs_m, params.eaves_m], _LEAST_SIGMA_M)
+        self._lens_percent = lens_percent
 
     def at(self, roofs_m: float) -> Evidence:
         """Returns the evidence on poses alone, (N, 6), of roofs so much higher."""
@@ -146,25 +150,33 @@ class RoofEvidence:
 
     def nats(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the photo's likelihood, up to a constant."""
-        steps, nats = step_of(vectors[:, 6]), np.zeros(len(vectors))
+        steps, nats = step_of(vectors[:, 7]), np.zeros(len(vectors))
         for step in np.unique(steps):
             chosen = steps == step
-            nats[chosen] = self._evidence(int(step)).nats(vectors[chosen, :6])
+            nats[chosen] = self._evidence(int(step)).nats(vectors[chosen, :7])
         return nats
 
     def log_prior(self, vectors: Floats) -> Floats:
         """Returns the (N,) logarithm of the prior, up to a constant."""
         poses = self._evidence(0).log_prior(vectors[:, :6])
-        roofs, eaves = vectors[:, 6] / self._sigmas_m[0], vectors[:, 7]
+        roofs, eaves = vectors[:, 7] / self._sigmas_m[0], vectors[:, 8]
         exact, wide = np.minimum(_EXACT_M, self._sigmas_m[1]), self._sigmas_m[1]
         of_eaves = np.logaddexp(*(-0.5 * (eaves / sigma) ** 2 - np.log(sigma) for sigma in (exact, wide)))
-        return np.asarray(poses - 0.5 * roofs**2 + of_eaves)
+        lens = vectors[:, 6] / self._lens_percent
+        return np.asarray(poses - 0.5 * (lens**2 + roofs**2) + of_eaves)
 
     def widened(self, covariance: Floats, most_m: float = math.inf) -> Floats:
-        """Returns the covariance (8, 8) of a pose's, (6, 6), and of the roofs beforehand.
+        """Returns the covariance (9, 9) of a camera's, (7, 7), and of the roofs beforehand.
 
         Their deviations are ``most_m`` at most.
         """
-        whole = np.diag(np.concatenate([np.zeros(6), np.minimum(self._sigmas_m, most_m) ** 2]))
-        whole[:6, :6] = covariance
+        whole = np.diag(np.concatenate([np.zeros(7), np.minimum(self._sigmas_m, most_m) ** 2]))
+        whole[:7, :7] = covariance
         return whole
+
+    def prior_information(self) -> Floats:
+        """Returns (7, 7) the inverse of the prior's covariance of cameras."""
+        information = np.zeros((7, 7))
+        information[:6, :6] = self._evidence(0).prior_information()
+        information[6, 6] = self._lens_percent**-2.0
+        return information

@@ -145,16 +145,27 @@ class Surroundings:
         turns = rotation_derivatives(vector)
         return sample_outline(self._edges, camera, pose, turns, silhouette, _SPACING_PX)
 
-    def cloud(self, vector: Floats, evidence: Evidence, spread_px: float) -> Cloud | None:
+    def cloud(
+        self, vector: Floats, evidence: Evidence, spread_px: float, prior: Floats | None = None
+    ) -> Cloud | None:
         """Returns poses whose outlines lie about ``spread_px`` apart, or the prior allows no more.
 
         None where no outline is in view.
+
+        Args:
+            vector: (6,) the pose in the middle; or (7,) with the lens, then of cameras.
+            evidence: Knows the prior of poses and the working size.
+            spread_px: How far apart.
+            prior: (7, 7) information of cameras beforehand.
         """
-        points = self.outline(vector, evidence)
+        points, prior = (
+            self.outline(vector[:6], evidence),
+            evidence.prior_information() if prior is None else prior,
+        )
         if not len(points):
             return None
-        slopes = (points.moves[:, :6] * points.normals[:, None, :]).sum(axis=2)
+        slopes = (points.moves[:, : len(vector)] * points.normals[:, None, :]).sum(axis=2)
         weights = points.lengths / points.lengths.sum()
-        information = (slopes * weights[:, None]).T @ slopes / spread_px**2 + evidence.prior_information()
+        information = (slopes * weights[:, None]).T @ slopes / spread_px**2 + prior
         covariance = np.linalg.inv(information)
         return Cloud(vector, np.asarray(0.5 * (covariance + covariance.T)))
