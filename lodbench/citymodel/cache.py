@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache
+from glob import escape
 from pathlib import Path
 
 from lodbench.citymodel.meshing import CityMesh, mesh_model
@@ -209,5 +210,8 @@ def _digest(path: Path) -> list[str]:
     if path.is_dir():
         return [file_digest(file) for file in sorted(path.rglob("*")) if file.is_file()]
     if path.suffix.lower() == ".shp":
-        return [file_digest(file) for file in sorted(path.parent.glob(f"{path.stem}.*"))]
-    return [file_digest(path)]
+        # Names from browsers have brackets: "houses [2].shp".
+        return [file_digest(file) for file in sorted(path.parent.glob(f"{escape(path.stem)}.*"))]
+    # What a GIS that has a GeoPackage open wrote last stands beside it.
+    log = path.with_name(f"{path.name}-wal")
+    return [file_digest(file) for file in (path, log) if file == path or log.is_file()]

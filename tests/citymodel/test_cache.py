@@ -10,6 +10,7 @@ from lodbench.citymodel import cache
 from lodbench.citymodel.options import ReadOptions
 from lodbench.plugins import PlugIn
 from lodbench.storage import digest
+from tests.citymodel.footprint_files import squares
 from tests.town import box_obj
 
 
@@ -48,3 +49,21 @@ def test_another_version_of_what_reads_makes_another_scene(key, monkeypatch, lib
     before, there = key(), digest.version
     monkeypatch.setattr(digest, "version", lambda name: "0.1" if name == library else there(name))
     assert key() != before
+
+
+def test_a_shapefile_with_brackets_in_its_name_is_told_by_its_content(tmp_path):
+    """Browsers name a second download so; two of them were one city."""
+    pytest.importorskip("pyogrio")
+    keys = []
+    for number, count in ((1, 3), (2, 4)):
+        city = squares(tmp_path / f"houses [{number}].shp", count)
+        keys.append(cache.scene_key(city, None, ReadOptions(), None))
+    assert keys[0] != keys[1]
+
+
+def test_what_a_gis_has_not_written_into_a_geopackage_yet_counts(tmp_path):
+    pytest.importorskip("pyogrio")
+    city = squares(tmp_path / "houses.gpkg", driver="GPKG")
+    before = cache.scene_key(city, None, ReadOptions(), None)
+    (tmp_path / "houses.gpkg-wal").write_bytes(b"a house more")
+    assert cache.scene_key(city, None, ReadOptions(), None) != before
