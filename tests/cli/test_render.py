@@ -141,6 +141,20 @@ def test_photos_and_other_pictures_are_never_replaced(render, tmp_path, layers):
         assert (out / "view_00.png").read_bytes() == photo
 
 
+@pytest.mark.parametrize(("kind", "name"), [("instance", "view_01.json"), ("label", "labels.json")])
+def test_files_of_one_s_own_are_never_replaced(render, tmp_path, kind, name):
+    """Tools of annotation write JSON under the name of the photo."""
+    out = tmp_path / "out, (1)"
+    out.mkdir()
+    (out / name).write_text('{"shapes": []}')
+    done, _ = render(f"kind={kind}")
+    assert done.returncode == 2
+    assert f"{name} is there already, and is no such file" in done.stderr
+    assert [file.name for file in out.iterdir()] == [name]
+    (out / name).unlink()
+    assert [render(f"kind={kind}")[0].returncode for _ in range(2)] == [0, 0]
+
+
 @pytest.mark.parametrize("renderer", ["reference", "raster"])
 def test_silhouettes_are_the_same_bytes_whatever_the_renderer(render, renderer):
     done, out = render()
@@ -229,6 +243,10 @@ def test_a_textured_map_is_drawn_and_its_pictures_serve_as_references(dataset, r
     ]
     for reference in references:
         assert (read(reference.image) == (40, 120, 200)).all(axis=2).mean() > 0.05
+    before = (root / "intrinsic.txt").read_text()
+    done, _ = render("kind=colour", f"textured_map={tmp_path / 'map.obj'}", "size=[64,48]", f"out={root}")
+    assert "intrinsic.txt is read" in done.stderr
+    assert (root / "intrinsic.txt").read_text() == before
     done, _ = render("kind=depth", f"textured_map={tmp_path / 'map.obj'}")
     assert done.returncode == 2
     assert "textured map" in done.stderr

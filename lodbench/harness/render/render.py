@@ -33,6 +33,9 @@ from lodbench.storage import make_folder, write_text
 
 # Kinds and renderers that can draw a textured map.
 _TEXTURED = (("colour", None), ("colour", "raster"), ("colour", "pyrender"))
+# What is written beside views of a textured map, so that they serve as references.
+_REFERENCES = ("poses.txt", "intrinsic.txt")
+_OTHER_FOLDER = "Name another folder: out=DIR."
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +104,8 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
     kind = KINDS[params.kind]
     shots, out = _shots(params), Path(params.out).expanduser()
     _require_room(shots, out, kind)
+    if params.textured_map is not None:
+        _require_inputs_kept(params, out)
     options = options or ReadOptions()
     options = options if params.crs is None else replace(options, crs=params.crs)
     options = replace(options, layers=tuple(params.layers)) if params.layers else options
@@ -124,14 +129,21 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
 
 
 def _require_room(shots: list[Shot], out: Path, kind: Kind) -> None:
-    """Raises ConfigError where photos would be replaced, or pictures that are not of the kind drawn."""
-    hint = "Name another folder: out=DIR."
-    for shot in shots:
-        if shot.photo is not None and shot.photo.resolve().parent == out.resolve():
-            raise ConfigError(f"{out} holds the photos: pictures drawn would replace them.", hint)
-        file = out / f"{Path(shot.name).stem}.png"
-        if not kind.may_replace(file):
-            raise ConfigError(f"{file} is there already, and is no such picture.", hint)
+    """Raises ConfigError where photos would be replaced, or files that are not of the kind drawn."""
+    if any(shot.photo is not None and shot.photo.resolve().parent == out.resolve() for shot in shots):
+        raise ConfigError(f"{out} holds the photos: pictures drawn would replace them.", _OTHER_FOLDER)
+    file = kind.in_the_way(out, [Path(shot.name).stem for shot in shots])
+    if file is not None:
+        what = "picture" if file.suffix == ".png" else "file"
+        raise ConfigError(f"{file} is there already, and is no such {what}.", _OTHER_FOLDER)
+
+
+def _require_inputs_kept(params: RenderParams, out: Path) -> None:
+    """Raises ConfigError where what is written beside views of a textured map would replace the inputs."""
+    inputs = {Path(name).expanduser().resolve() for name in (params.poses, params.intrinsics)}
+    for name in _REFERENCES:
+        if (out / name).resolve() in inputs:
+            raise ConfigError(f"{out / name} is read: what is written would replace it.", _OTHER_FOLDER)
 
 
 def _draw_textured(
@@ -148,13 +160,11 @@ def _draw_textured(
             files.append(path)
             progress.advance()
     names = [path.name for path in files]
-    lines = {
-        "poses.txt": [format_pose(name, shot.pose) for name, shot in zip(names, shots, strict=True)],
-        "intrinsic.txt": [format_camera(name, shot.camera) for name, shot in zip(names, shots, strict=True)],
-    }
-    for name, content in lines.items():
-        write_text(out / name, lines_to_text(content))
-    return *files, *(out / name for name in lines)
+    poses = [format_pose(name, shot.pose) for name, shot in zip(names, shots, strict=True)]
+    cameras = [format_camera(name, shot.camera) for name, shot in zip(names, shots, strict=True)]
+    for name, lines in zip(_REFERENCES, (poses, cameras), strict=True):
+        write_text(out / name, lines_to_text(lines))
+    return *files, *(out / name for name in _REFERENCES)
 
 
 def _shots(params: RenderParams) -> list[Shot]:
