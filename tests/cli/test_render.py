@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lodbench.citymodel import open_scene
-from lodbench.datasets.pose_text import read_cameras, read_poses
+from lodbench.datasets.pose_text import format_pose, read_cameras, read_poses
 from lodbench.datasets.references import read_references
 from lodbench.rendering.raster import RasterRenderer
 from tests.town import write_dataset
@@ -209,9 +209,20 @@ def test_inputs_that_do_not_go_together(render, dataset, file, edit, expected):
     assert not out.exists()
 
 
+def test_cameras_that_see_nothing_of_the_city_are_told(render, dataset):
+    """Poses of another tile, or in local coordinates, draw empty pictures."""
+    file = dataset[0] / "GT_pose.txt"
+    poses = {name: pose.shifted((90_000.0, 0.0, 0.0)) for name, pose in read_poses(file).items()}
+    file.write_text("".join(f"{format_pose(name, pose)}\n" for name, pose in poses.items()))
+    done, _ = render()
+    assert done.returncode == 0
+    assert "note: the cameras are 89." in done.stdout
+    assert "Is it the right tile" in done.stdout
+
+
 def test_help_says_what_the_pictures_hold(lodbench):
     text = lodbench("render", "--help").stdout
-    for word in ("centimetres", "655.35 m", "labels.json", "images=DIR", "0.1 m"):
+    for word in ("centimetres", "655.35 m", "labels.json", "images=DIR", "NAME.json", "0.1 m"):
         assert word in text
 
 

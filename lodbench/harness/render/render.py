@@ -21,7 +21,7 @@ from lodbench.datasets.pose_text import (
 from lodbench.errors import ConfigError, DatasetError
 from lodbench.execution import Progress
 from lodbench.geometry import Camera, Pose
-from lodbench.harness.city import open_city
+from lodbench.harness.city import far_words, open_city
 from lodbench.harness.render.kinds import KINDS, Kind, View, choose_renderer
 from lodbench.plugins import blaming
 from lodbench.rendering import open_renderer
@@ -64,7 +64,7 @@ class Rendered:
     Attributes:
         files: What the views share, then the views in the order of the poses; of a textured map the
             views, then their poses and cameras.
-        notes: What was met in the city.
+        notes: What was met in the city, and how far off cameras are that see none of it.
     """
 
     files: tuple[Path, ...]
@@ -112,11 +112,13 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
     city = open_city(Path(params.city).expanduser(), params.lod, options, params.roof_height)
     renderer = open_renderer(name, city.scene)
     kind.check(city.scene)
+    far = far_words([shot.pose for shot in shots], city.scene)
+    notes = (*([] if far is None else [f"the cameras are {far[0]}. {far[1]}"]), *city.notes())
     if params.textured_map is not None:
         mesh = open_textured_map(Path(params.textured_map).expanduser(), city.scene, options=options)
         textured = PyrenderTextured(mesh) if params.renderer == "pyrender" else TexturedRenderer(mesh)
         drawn = _draw_textured(textured, shots, city.scene.origin, out)
-        return Rendered(drawn, city.notes() + mesh.notes)
+        return Rendered(drawn, notes + mesh.notes)
     make_folder(out)
     files = kind.prepare(city.scene, out)
     with Progress(f"{params.kind} pictures", len(shots)) as progress:
@@ -125,7 +127,7 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
             with blaming("renderers", name, f"draw {shot.name}"):
                 files += kind.write(View(renderer, shot.camera, pose, path, shot.photo))
             progress.advance()
-    return Rendered(tuple(files), city.notes())
+    return Rendered(tuple(files), notes)
 
 
 def _require_room(shots: list[Shot], out: Path, kind: Kind) -> None:
