@@ -147,9 +147,16 @@ def _from_and_to(asked: argparse.Namespace) -> tuple[list[Path], Path]:
 
 
 def _require_other(out: Path, files: Sequence[Path]) -> None:
-    """Raises CityModelError if a file to write is one of those to read."""
-    if any(out.resolve() == file.resolve() for file in files):
-        raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
+    """Raises CityModelError if a file to write is one of those to read, or would be from then on."""
+    place = out.resolve()
+    for file in files:
+        if place == file.resolve():
+            raise CityModelError(f"{out} is the city itself.", "Choose another name to write to.")
+        if file.is_dir() and place.is_relative_to(file.resolve()):
+            raise CityModelError(
+                f"{out} lies in the folder that is read, and would be one of its tiles.",
+                f"Write it outside of {file}.",
+            )
 
 
 def _may_be_a_tile(out: Path, files: Sequence[Path]) -> bool:

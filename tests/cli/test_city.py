@@ -120,6 +120,18 @@ class TestCheck:
         is_clear(lodbench("city", "check", "a.gml", "--geojson", "./a.gml"), "a.gml is the city itself")
         assert path.read_bytes() == before
 
+    @pytest.mark.parametrize(
+        "words", [["check", "tiles", "--geojson"], ["convert", "tiles"], ["convert", "tiles", "--tiles", "9"]]
+    )
+    def test_nothing_is_written_among_the_tiles_that_are_read(self, lodbench, tmp_path, words):
+        """It would replace one of them, or be a tile the next time: findings are no footprints."""
+        (tmp_path / "tiles").mkdir()
+        path = write(tmp_path / "tiles" / "a.gml", box_city())
+        out = [] if "convert" not in words else ["-o"]
+        done = lodbench("city", *words, *out, "tiles/a.gml")
+        is_clear(done, "tiles/a.gml lies in the folder that is read", "outside of tiles")
+        assert path.read_text() == box_city()
+
 
 class TestConvert:
     @pytest.mark.parametrize("suffix", ["obj", "ply", "glb", "json", "scene"])
