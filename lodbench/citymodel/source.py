@@ -123,7 +123,7 @@ def open_sources(path: Path, layers: Sequence[str] = ()) -> tuple[Source, ...]:
         return (_gzip_source(path),)
     if magic == b"PK\x03\x04":
         return _zip_sources(path, layers)
-    return (_file_source(path),)
+    return (file_source(path),)
 
 
 def is_city_file(path: Path) -> bool:
@@ -145,7 +145,7 @@ def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
         if file.suffix.lower() in suffixes
         and file.is_file()
         and _may_hold_buildings(file.relative_to(folder))
-        and not _is_tile_index(_file_source(file))
+        and not is_tile_index(file_source(file))
     ]
     chosen = _of_layers([(file.relative_to(folder), file) for file in files], layers)
     sources = tuple(source for file in chosen for source in _sources_among(file, layers))
@@ -182,11 +182,13 @@ def _may_hold_buildings(path: Path | PurePosixPath) -> bool:
     return not _OTHER_FOLDERS.intersection(part.lower() for part in path.parts)
 
 
-def _file_source(path: Path) -> Source:
+def file_source(path: Path) -> Source:
+    """Returns the source of a file that is neither compressed nor an archive."""
     return Source(str(path), lambda: path.open("rb"), path)
 
 
-def _is_tile_index(source: Source) -> bool:
+def is_tile_index(source: Source) -> bool:
+    """Tells whether a file is the index that stands beside tiles cut by ``city convert --tiles``."""
     if not source.name.lower().endswith(".geojson"):
         return False
     try:
@@ -235,7 +237,7 @@ def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[st
             not member.is_dir()
             and name.suffix.lower() in _CITY_SUFFIXES + _VECTOR_SUFFIXES
             and _may_hold_buildings(name)
-            and not _is_tile_index(_zip_source(path, member))
+            and not is_tile_index(_zip_source(path, member))
         ):
             chosen.append((name, member))
     for member in _of_layers(sorted(chosen, key=lambda pair: str(pair[0])), layers):
