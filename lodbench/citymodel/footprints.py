@@ -43,8 +43,9 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
 
     A file whose polygons stand upright (the MultiPatches of a FileGDB) holds the buildings' surfaces
     themselves; they come back as they are, as level 2. So do slanting ones where nothing tells heights:
-    with heights they are footprints draped over the ground. Ground heights come from a column, else from
-    ``options.terrain``, else ``options.ground_m``.
+    with heights they are footprints draped over the ground. Ground heights come from
+    ``options.ground_column``, else ``options.terrain``, else a column that looks like one, else
+    ``options.ground_m``.
 
     Args:
         path: What GDAL opens, ``/vsizip/`` paths included.
@@ -145,13 +146,18 @@ def _ground(
     crs: str,
     options: ReadOptions,
 ) -> NDArray[np.float64]:
-    """Returns the ground height of each polygon: from a column, else the terrain, else NaN."""
+    """Returns the ground height of each polygon, NaN where nothing gives it.
+
+    A column that is named goes before the terrain, which fills its gaps; one whose name is merely known
+    is asked only where there is no terrain.
+    """
     ground = np.full(len(owner), np.nan)
-    column = columns.ground(options)
-    if column is not None:
-        ground = column[owner]
-    elif options.terrain is not None:
-        ground = ground_under(corners, crs, options)
+    if options.terrain is None or options.ground_column is not None:
+        column = columns.ground(options)
+        ground = ground if column is None else column[owner]
+    if options.terrain is not None:
+        under = ground_under(corners, crs, options)
+        ground = np.where(np.isfinite(ground), ground, under)
     return ground
 
 

@@ -152,8 +152,9 @@ def _read_ascii(path: Path) -> Terrain:
             shape = int(header["nrows"]), int(header["ncols"])
             if not 0 < shape[0] * shape[1] <= _MAX_CELLS:
                 raise ValueError("the size is out of range")
+            cells = [header.get(name) or header["cellsize"] for name in ("dx", "dy")]
             placing = [value for name, value in header.items() if name != "nodata_value"]
-            if not all(map(math.isfinite, placing)) or header.get("cellsize", 1.0) <= 0:
+            if not all(map(math.isfinite, placing)) or min(cells) <= 0:
                 raise ValueError("its place is not finite, or its cells have no size")
             stream.seek(position)
             heights = np.array(stream.read().split(), dtype=np.float64).reshape(shape)
@@ -162,8 +163,7 @@ def _read_ascii(path: Path) -> Terrain:
             f"{path} is no ASCII grid ({error}).", "It begins with ncols and nrows."
         ) from None
     heights[heights == header.get("nodata_value", -9999.0)] = np.nan
-    size = header.get("cellsize", 1.0)
-    half = 0.5 * size
-    west = header.get("xllcorner", header.get("xllcenter", 0.0) - half)
-    south = header.get("yllcorner", header.get("yllcenter", 0.0) - half)
-    return Terrain(heights, west, south + shape[0] * size, size, size)
+    width, height = cells
+    west = header.get("xllcorner", header.get("xllcenter", 0.0) - 0.5 * width)
+    south = header.get("yllcorner", header.get("yllcenter", 0.0) - 0.5 * height)
+    return Terrain(heights, west, south + shape[0] * height, width, height)
