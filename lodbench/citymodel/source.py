@@ -32,6 +32,7 @@ _ARCHIVE_SUFFIXES = (".gz", ".zip")
 # Beside the tiles, PLATEAU and others deliver these; none holds a building.
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
 _MAX_MEMBERS = 100_000
+_NO_NESTING = "Archives inside an archive are not read"
 # How the index begins that stands beside tiles cut by ``city convert --tiles``: it is no footprints.
 TILE_INDEX = {"type": "FeatureCollection", "lodbench": "tile index"}
 _TILE_INDEX = re.compile(rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"\s*,\s*"lodbench"\s*:\s*"tile index"')
@@ -162,12 +163,16 @@ def _sources_among(file: Path, layers: Sequence[str]) -> tuple[Source, ...]:
     try:
         return open_sources(file, layers)
     except NotACity as error:
-        fault = error
+        return (_refused(str(file), file, error),)
+
+
+def _refused(name: str, path: Path, fault: NotACity, stamp: tuple[int, ...] = ()) -> Source:
+    """Returns what is passed over among tiles, and told."""
 
     def refuse() -> BinaryIO:
         raise fault
 
-    return (Source(str(file), refuse, file),)
+    return Source(name, refuse, path, stamp=stamp)
 
 
 def _of_layers(files: Sequence[tuple[PurePath, Item]], layers: Sequence[str]) -> list[Item]:
@@ -214,15 +219,26 @@ def _zip_sources(path: Path, layers: Sequence[str]) -> tuple[Source, ...]:
     if len(members) > _MAX_MEMBERS:
         raise CityModelError(f"{path} holds more than {_MAX_MEMBERS} files.", "Unpack the tiles you need.")
     sources = tuple(_zip_members(path, members, layers))
+    packed = tuple(_packed_members(path, members))
     if not sources:
         names = ", ".join(member.filename for member in members[:5])
         hint = f"It holds: {names}." if names else "It is empty."
-        if any(member.filename.lower().endswith(_ARCHIVE_SUFFIXES) for member in members):
+        if packed:
             # These may well hold tiles: no folder passes over them.
-            hint = "Archives inside an archive are not read: unpack the outer one."
-            raise CityModelError(f"{path} holds no city file.", hint)
+            raise CityModelError(f"{path} holds no city file.", f"{_NO_NESTING}: unpack the outer one.")
         raise NotACity(f"{path} holds no city file.", hint)
-    return sources
+    return sources + packed
+
+
+def _packed_members(path: Path, members: list[zipfile.ZipInfo]) -> Iterator[Source]:
+    """Yields the archives inside an archive, which are not read."""
+    for member in members:
+        if member.filename.lower().endswith(_ARCHIVE_SUFFIXES) and _may_hold_buildings(
+            PurePosixPath(member.filename)
+        ):
+            name = f"{path}!{member.filename}"
+            fault = NotACity(f"{name}: {_NO_NESTING}.", "Unpack the outer one.")
+            yield _refused(name, path, fault, (member.CRC, member.file_size))
 
 
 def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[str]) -> Iterator[Source]:

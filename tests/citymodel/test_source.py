@@ -95,6 +95,15 @@ class TestZip:
         with pytest.raises(CityModelError, match="unsafe path"):
             read_city_model(self.archive(tmp_path, {name: BOX}))
 
+    def test_archives_inside_are_told(self, tmp_path: Path) -> None:
+        """Publishers pack tiles twice: those were missing from the city without a word."""
+        members = {"a.gml": BOX, "tiles/b.zip": b"PK", "__MACOSX/tiles/._b.zip": b"PK"}
+        path = self.archive(tmp_path, members)
+        model = read_city_model(path)
+        told = [item for item in model.findings.items if item.code.number == 211]
+        assert [item.object_id for item in told] == [f"{path}!tiles/b.zip"]
+        assert "not read" in told[0].detail
+
     def test_nothing_inside(self, tmp_path: Path) -> None:
         with pytest.raises(CityModelError, match="no city file") as caught:
             read_city_model(self.archive(tmp_path, {"inner.zip": b"PK"}))
