@@ -10,6 +10,7 @@ from functools import cache
 from glob import escape
 from pathlib import Path
 
+from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
@@ -80,12 +81,13 @@ def open_cached_city(
         progress: As for ``read_city_model``; never called where the cache has the scene.
 
     Raises:
-        CityModelError: The file cannot be read, or has no building at that level.
+        CityModelError: The file cannot be read, or has no building at that level; or a scene is of another
+            level or reference system.
         ConfigError: ``LODBENCH_CACHE_GB`` is no size.
     """
     path, options = Path(path), options or ReadOptions()
     if is_scene(path):
-        return _open_scene_folder(path, lod)
+        return _open_scene_folder(path, lod, options.crs)
     limit_bytes = cache_limit_bytes()
     folder = cache_root() / "scenes" / scene_key(path, lod, options, roof_height)
     if is_scene(folder):
@@ -169,12 +171,25 @@ def source_digest(source: Source) -> object:
     return source.stamp or _digest(source.path)
 
 
-def _open_scene_folder(folder: Path, lod: str | None) -> OpenCity:
+def _open_scene_folder(folder: Path, lod: str | None, crs: str | None) -> OpenCity:
+    """Returns a scene that was converted: what was asked for then stays.
+
+    Raises:
+        CityModelError: It is damaged, or of another level of detail or reference system than asked for.
+    """
     city = _load(folder)
+    again = "Convert the file it was made from again"
     if lod is not None and lod != city.scene.lod:
         raise CityModelError(
-            f"{folder} holds level of detail {city.scene.lod or 'none'}, not {lod}.",
-            "Convert the file it was made from again.",
+            f"{folder} holds level of detail {city.scene.lod or 'none'}, not {lod}.", f"{again}."
+        )
+    own = city.scene.crs
+    # Degrees and feet of the file were projected when the scene was made, to a system of another name.
+    is_other = crs is not None and require_crs(crs).is_metric and (own is None or not is_same_plane(own, crs))
+    if is_other:
+        raise CityModelError(
+            f"{folder} is in {own or 'no reference system that is known'}, not in {crs}.",
+            f"{again}, with crs={crs}.",
         )
     return city
 

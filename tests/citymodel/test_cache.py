@@ -6,8 +6,10 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from lodbench.citymodel import cache
+from lodbench.citymodel import cache, read_city_model
+from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.options import ReadOptions
+from lodbench.errors import CityModelError
 from lodbench.plugins import PlugIn
 from lodbench.storage import digest
 from tests.citymodel.footprint_files import squares
@@ -67,3 +69,15 @@ def test_what_a_gis_has_not_written_into_a_geopackage_yet_counts(tmp_path):
     before = cache.scene_key(city, None, ReadOptions(), None)
     (tmp_path / "houses.gpkg-wal").write_bytes(b"a house more")
     assert cache.scene_key(city, None, ReadOptions(), None) != before
+
+
+@pytest.mark.parametrize(("own", "others"), [("EPSG:25832", "EPSG:25833"), (None, "EPSG:25832")])
+def test_a_scene_of_another_reference_system_is_refused(tmp_path, own, others):
+    """What is asked for was not heard: latitudes and longitudes were those of the scene's own system."""
+    city, target = tmp_path / "city.obj", tmp_path / "city.scene"
+    city.write_text(box_obj())
+    convert_city(read_city_model(city, crs=own), target)
+    for crs in (None, "EPSG:4326", *([] if own is None else [own, f"{own}+7837"])):
+        assert cache.open_cached_city(target, options=ReadOptions(crs=crs)).scene.crs == own
+    with pytest.raises(CityModelError, match=f"not in {others}"):
+        cache.open_cached_city(target, options=ReadOptions(crs=others))
