@@ -53,7 +53,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _report(done: Exported) -> int:
     """Says what was written; returns the exit code."""
-    sys.stdout.write(f"{done.path}: {done.count} poses\n")
+    sys.stdout.write(f"{done.path}: {done.count} pose{'s' * (done.count != 1)}\n")
     if done.without_pose:
         names = ", ".join(done.without_pose[:3]) + (", ..." if len(done.without_pose) > 3 else "")
         sys.stdout.write(f"  {len(done.without_pose)} queries have no pose: {names}\n")
