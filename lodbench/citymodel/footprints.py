@@ -24,7 +24,7 @@ from lodbench.citymodel.crs import resolve_crs
 from lodbench.citymodel.extrude import clean_rings, extrude
 from lodbench.citymodel.gdal import missing_bytes, read_vector
 from lodbench.citymodel.options import ReadOptions
-from lodbench.citymodel.raw import RawCity, starts_of, take_segments
+from lodbench.citymodel.raw import NotACity, RawCity, starts_of, take_segments
 from lodbench.citymodel.terrain import HIGHEST_M, LOWEST_M, ground_under
 from lodbench.citymodel.vector_columns import Columns
 from lodbench.citymodel.vector_surfaces import surfaces_as_read
@@ -55,6 +55,7 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
     Raises:
         CityModelError: pyogrio is not installed, the file cannot be read, has no reference system
             or no heights.
+        NotACity: It is empty.
     """
     findings = Findings()
     for what in missing_bytes(path):
@@ -66,8 +67,10 @@ def read_footprints(path: str, source: str, options: ReadOptions) -> RawCity:
         raise CityModelError(
             f"{source} names no reference system (a Shapefile needs its .prj).", "Name it: crs=EPSG:4326."
         )
+    if not geometries:
+        raise NotACity(f"{source} has no footprints.", "Is it the building tile of the city?")
     polygons = _parse(geometries, source)
-    columns = Columns(table, len(geometries))
+    columns = Columns(table, len(geometries), source)
     if polygons.has_z and _are_surfaces(polygons, columns, options):
         city = surfaces_as_read(polygons, columns.ids(), source, crs)
     else:

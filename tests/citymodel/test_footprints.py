@@ -274,7 +274,7 @@ class TestReading:
         assert tops == pytest.approx([50 * foot, 4 * 3.0, 20.0])
 
     def test_faults(self, tmp_path: Path) -> None:
-        with pytest.raises(CityModelError, match="No column of heights"):
+        with pytest.raises(CityModelError, match="has no column of heights"):
             self.read(tmp_path, geojson([([square()], {"name": "x"})]))
         with pytest.raises(CityModelError, match="no column 'hight'") as caught:
             self.read(tmp_path, geojson([([square()], {"height": 3})]), height_column="hight")
@@ -373,8 +373,8 @@ class TestParts:
         assert blocks.kind.tolist() == [3, 2, 1, 1, 1]
 
     def test_find_column(self) -> None:
-        assert find_column(["ID", "Bldg_Height"], None, ("height", "bldgheight")) == "Bldg_Height"
-        assert find_column(["a"], None, ("height",)) is None
+        assert find_column(["ID", "Bldg_Height"], ("height", "bldgheight")) == "Bldg_Height"
+        assert find_column(["a"], ("height",)) is None
 
     @pytest.mark.parametrize(
         "text",

@@ -149,6 +149,15 @@ class TestFolder:
         model = read_city_model(tmp_path)
         assert model.findings.counts() == {"LB211 FILE_SKIPPED": 2}
 
+    def test_footprints_of_nothing_are_passed_over_and_told(self, tmp_path: Path) -> None:
+        """A tile of the woods has no houses; nor has it, often, any column."""
+        pytest.importorskip("pyogrio")
+        write(tmp_path / "1.gml", BOX)
+        write(tmp_path / "2.geojson", b'{"type": "FeatureCollection", "features": []}')
+        assert read_city_model(tmp_path).findings.counts() == {"LB211 FILE_SKIPPED": 1}
+        with pytest.raises(CityModelError, match=r"2\.geojson has no footprints"):
+            read_city_model(tmp_path / "2.geojson")
+
     def test_an_archive_of_other_things_is_passed_over_and_told(self, tmp_path: Path) -> None:
         write(tmp_path / "1.gml", BOX)
         with zipfile.ZipFile(tmp_path / "nothing.zip", "w") as archive:
