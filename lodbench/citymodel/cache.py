@@ -10,15 +10,19 @@ from functools import cache
 from glob import escape
 from pathlib import Path
 
+import numpy as np
+
 from lodbench.citymodel.crs import is_same_plane, require_crs
 from lodbench.citymodel.meshing import CityMesh, mesh_model
 from lodbench.citymodel.model import CityModel
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.read import read_city_model
+from lodbench.citymodel.scale import is_true_to_scale
 from lodbench.citymodel.scene import Scene
 from lodbench.citymodel.scene_file import FORMAT_VERSION, is_scene, read_scene, write_scene
 from lodbench.citymodel.source import Source, open_sources
 from lodbench.errors import CityModelError
+from lodbench.findings import Findings
 from lodbench.plugins import find_plugin
 from lodbench.storage import digest_of, file_digest, make_folder
 from lodbench.storage.digest import digest_of_code, package_files
@@ -26,6 +30,8 @@ from lodbench.storage.paths import cache_limit_bytes, cache_root
 from lodbench.storage.pruning import mark_used, prune_cache
 
 _LOGGER = logging.getLogger(__name__)
+# Mercator of the whole world: what is read in it now is projected anew, away from the equator.
+_WORLD = "EPSG:3857"
 # What decides the numbers besides our own code. Those of extras need not be there.
 _LIBRARIES = (
     "mapbox_earcut", "numpy", "pyproj", "shapely", "lxml", "trimesh", "scipy",
@@ -175,7 +181,8 @@ def _open_scene_folder(folder: Path, lod: str | None, crs: str | None) -> OpenCi
     """Returns a scene that was converted: what was asked for then stays.
 
     Raises:
-        CityModelError: It is damaged, or of another level of detail or reference system than asked for.
+        CityModelError: It is damaged, of another level of detail or reference system than asked for, or
+            was written when Mercator of the whole world was taken as metres.
     """
     city = _load(folder)
     again = "Convert the file it was made from again"
@@ -191,7 +198,14 @@ def _open_scene_folder(folder: Path, lod: str | None, crs: str | None) -> OpenCi
             f"{folder} is in {own or 'no reference system that is known'}, not in {crs}.",
             f"{again}, with crs={crs}.",
         )
+    if own is not None and own.startswith(_WORLD) and not _is_true_to_scale(city.scene, own):
+        raise CityModelError(f"{folder} is in {own}, whose metres are no metres there.", f"{again}.")
     return city
+
+
+def _is_true_to_scale(scene: Scene, crs: str) -> bool:
+    middle = scene.origin[:2] + np.mean(scene.extent_m, axis=0)[:2]
+    return is_true_to_scale(require_crs(crs), middle, Findings())
 
 
 def _load(folder: Path) -> OpenCity:

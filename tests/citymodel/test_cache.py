@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 
+import numpy as np
 import pytest
 
-from lodbench.citymodel import cache, read_city_model
+from lodbench.citymodel import cache, open_scene, read_city_model
 from lodbench.citymodel.convert import convert_city
 from lodbench.citymodel.options import ReadOptions
 from lodbench.errors import CityModelError
@@ -81,3 +83,19 @@ def test_a_scene_of_another_reference_system_is_refused(tmp_path, own, others):
         assert cache.open_cached_city(target, options=ReadOptions(crs=crs)).scene.crs == own
     with pytest.raises(CityModelError, match=f"not in {others}"):
         cache.open_cached_city(target, options=ReadOptions(crs=others))
+
+
+@pytest.mark.parametrize(("north", "is_read"), [(6_600_000.0, False), (10_000.0, True)])
+def test_a_scene_in_mercator_of_the_whole_world_is_read_at_the_equator_alone(tmp_path, north, is_read):
+    """Earlier versions wrote such scenes, at 51 degrees north with houses 1.6 times too large."""
+    city = tmp_path / "city.obj"
+    city.write_text(box_obj())
+    scene = open_scene(city)
+    placed = replace(scene, crs="EPSG:3857+5773", origin=np.array([650_000.0, north, 0.0]))
+    target = tmp_path / "city.scene"
+    cache.store_city(cache.OpenCity(placed, {}, 1.0, 0.0), target)
+    if is_read:
+        assert cache.open_cached_city(target).scene.crs == "EPSG:3857+5773"
+    else:
+        with pytest.raises(CityModelError, match="no metres there"):
+            cache.open_cached_city(target)
