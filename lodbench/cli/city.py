@@ -67,6 +67,8 @@ def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
 
     if asked.geojson is not None:
         _require_other(asked.geojson, [asked.file])
+        if asked.geojson.is_dir() or not asked.geojson.parent.is_dir():
+            raise CityModelError(f"{asked.geojson} is no file in a folder that is there.", "--geojson FILE")
     start = time.perf_counter()
     model = _read([asked.file], replace(options, is_strict=False, has_details=True))
     read_seconds = time.perf_counter() - start

@@ -11,7 +11,7 @@ from lodbench.cli.parser import Parser
 
 _EXAMPLES = """\
 FILE is CityGML, CityJSON, footprints with heights (.gpkg, .shp, .geojson, .fgb, .parquet) or a mesh
-(.obj, .ply, .stl, .glb); a .gz or .zip of these, or a folder of tiles.
+(.obj, .ply, .stl, .glb); a .zip of these, a .gz of all but footprints, or a folder of tiles.
 
 examples:
   lodbench city info 53394525_bldg_6697_op.gml
@@ -51,7 +51,7 @@ def city_parser() -> argparse.ArgumentParser:
         if name == "convert":
             _add_convert(action.add_argument)
         else:
-            what = "file, archive, folder of tiles or scene"
+            what = "file, archive or folder of tiles" + ("; or a scene" if name == "info" else "")
             action.add_argument("file", type=Path, metavar="FILE", help=what)
         if name == "check":
             points = "write the findings as points, for QGIS"

@@ -120,6 +120,13 @@ class TestCheck:
         is_clear(lodbench("city", "check", "a.gml", "--geojson", "./a.gml"), "a.gml is the city itself")
         assert path.read_bytes() == before
 
+    @pytest.mark.parametrize("name", [".", "nowhere/a.geojson"])
+    def test_findings_go_to_a_file(self, lodbench, tmp_path, name):
+        write(tmp_path / "a.gml", box_city())
+        is_clear(
+            lodbench("city", "check", "a.gml", "--geojson", name), "is no file in a folder that is there"
+        )
+
     @pytest.mark.parametrize(
         "words", [["check", "tiles", "--geojson"], ["convert", "tiles"], ["convert", "tiles", "--tiles", "9"]]
     )
