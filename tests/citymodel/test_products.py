@@ -132,6 +132,15 @@ class TestDerivedLevel:
         with pytest.raises(ConfigError, match="roof_height=middle"):
             mesh_model(model, roof_height="middle")
 
+    def test_what_a_notebook_shows_of_a_city_is_short(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.gml", gable())
+        model = read_city_model(path)
+        said = f"1 buildings, {len(model.polygons)} polygons, LoD 2, {model.crs}, {path}"
+        assert repr(model) == f"CityModel({said})"
+        shown = repr(mesh_model(model, roof_height="max"))
+        assert "findings=Findings(1 x LB411 OPTION_UNUSED)" in shown
+        assert len(shown) < 300
+
     def test_a_level_may_be_a_number(self, tmp_path: Path) -> None:
         path = write(tmp_path / "a.gml", gable())
         assert open_scene(path, lod=2).lod == "2"  # type: ignore[arg-type]
