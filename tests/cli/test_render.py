@@ -235,6 +235,18 @@ def test_a_photo_that_is_none(render, tmp_path, layers):
     assert not out.exists()
 
 
+def test_a_photo_of_another_shape_is_no_background(render, tmp_path, layers):
+    """It was pressed into the camera's, and nothing in the overlay lay where it should."""
+    for name in layers:
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((240, 240, 3), dtype=np.uint8))
+    done, out = render("kind=overlay", f"images={tmp_path}")
+    assert done.returncode == 2
+    assert "view_00.png is 240 x 240, its camera 320 x 240: another aspect" in done.stderr
+    done, _ = render("kind=depth", f"images={tmp_path}")
+    assert "images= is not used by kind=depth" in done.stderr
+    assert not out.exists()
+
+
 def test_a_textured_map_is_drawn_and_its_pictures_serve_as_references(dataset, render, tmp_path):
     root, city = dataset
     low, high = open_scene(city).extent_m

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from lodbench.citymodel.options import ReadOptions
 from lodbench.citymodel.texture_files import open_textured_map
+from lodbench.datasets.picture_faults import aspect_fault
+from lodbench.datasets.pictures import picture_size
 from lodbench.datasets.pose_text import (
     format_camera,
     format_pose,
@@ -96,10 +98,7 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
             cannot draw the kind, the textured map lies elsewhere, or pictures are in the way that are not
             of the kind; nothing is written then.
     """
-    if params.textured_map is not None and (params.kind, params.renderer) not in _TEXTURED:
-        raise ConfigError(
-            "A textured map is drawn by kind=colour and renderer=raster or pyrender.", "Add kind=colour."
-        )
+    _require_heard(params)
     name = choose_renderer(params.kind, None if params.textured_map else params.renderer)
     kind = KINDS[params.kind]
     shots, out = _shots(params), Path(params.out).expanduser()
@@ -128,6 +127,16 @@ def render_poses(params: RenderParams, options: ReadOptions | None = None) -> Re
                 files += kind.write(View(renderer, shot.camera, pose, path, shot.photo))
             progress.advance()
     return Rendered(tuple(files), notes)
+
+
+def _require_heard(params: RenderParams) -> None:
+    """Raises ConfigError where the kind or the renderer draws neither photos nor textured maps."""
+    if params.textured_map is not None and (params.kind, params.renderer) not in _TEXTURED:
+        raise ConfigError(
+            "A textured map is drawn by kind=colour and renderer=raster or pyrender.", "Add kind=colour."
+        )
+    if params.images is not None and params.kind in KINDS and params.kind != "overlay":
+        raise ConfigError(f"images= is not used by kind={params.kind}.", "Add kind=overlay.")
 
 
 def _require_room(shots: list[Shot], out: Path, kind: Kind) -> None:
@@ -191,5 +200,12 @@ def _shot(params: RenderParams, name: str, pose: Pose, cameras: dict[str, Camera
     if photo is not None and not is_readable_picture(photo):
         raise DatasetError(
             f"{photo} is no picture, or not there.", "images= holds photos named as the poses."
+        )
+    size = None if photo is None else picture_size(photo)
+    own = cameras[name].width, cameras[name].height
+    if size is not None and aspect_fault(size, own):
+        raise DatasetError(
+            f"{photo} is {size[0]} x {size[1]}, its camera {own[0]} x {own[1]}: another aspect.",
+            "images= holds the photos that the intrinsics are of, of any size.",
         )
     return Shot(name, pose, camera, photo)
