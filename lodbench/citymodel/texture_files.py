@@ -58,7 +58,9 @@ def read_textured(path: Path, up_axis: str = "auto", options: ReadOptions | None
         CityModelError: It is CityGML or a mesh that cannot be read, or has no triangles.
     """
     if path.is_dir():
-        files = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
+        found = sorted(file for file in path.rglob("*") if file.suffix.lower() in _MESHES + _CITIES)
+        # Beside each file macOS keeps one of its own, of the same ending.
+        files = [file for file in found if not file.name.startswith("._")]
         if not files:
             raise DatasetError(
                 f"{path} holds no textured mesh.", f"Looked for {', '.join(_MESHES + _CITIES)}."

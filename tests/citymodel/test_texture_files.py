@@ -137,6 +137,7 @@ def test_a_folder_of_tiles_is_one_map(tmp_path):
     for number in range(3):
         tile = tmp_path / f"tile_{number}"
         write_obj(tile, "../pictures/roof.png", shift=(30.0 * number, 0, 0))
+        (tile / "._map.obj").write_bytes(b"\0\5\x16\7 of macOS")
     write_picture(tmp_path / "pictures" / "roof.png")
     mesh = read_textured(tmp_path)
     assert len(mesh.corners) == 6
