@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.metadata
+import linecache
 import re
 import shutil
 import sys
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -122,6 +124,24 @@ class TestTheCodeThatNamesARun:
         monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
         with pytest.raises(ConfigError, match="Typed cannot be read"):
             code_digest(typed())
+
+    def test_cells_of_a_notebook_count(self, monkeypatch):
+        """Python finds no source of a class that was typed; what it calls may stand in another cell."""
+        notebook = ModuleType("__main__")
+        monkeypatch.setitem(sys.modules, "__main__", notebook)
+
+        def digest_after(name: str, text: str) -> str:
+            monkeypatch.setitem(linecache.cache, name, (len(text), None, text.splitlines(True), name))
+            exec(compile(text, name, "exec"), vars(notebook))  # noqa: S102 - as a notebook does
+            return code_digest(notebook.Method())
+
+        method = "class Method:\n    far_m = 1\n    def localize(self): return step(self)\n"
+        before = digest_after("<cell 1>", method)
+        assert digest_after("<cell 2>", method) == before
+        stepped = digest_after("<cell 3>", "def step(method): return 0\n")
+        assert digest_after("<cell 4>", "def step(method): return 50\n") != stepped
+        assert digest_after("<cell 5>", "def step(method): return 0\n") == stepped
+        assert digest_after("<cell 6>", method.replace("1", "2")) != stepped
 
 
 def test_the_public_names_are_there():
