@@ -209,6 +209,7 @@ def test_rows_of_other_queries_have_another_protocol(tmp_path):
         for name, limit in (("prior_only", None), ("prior_only", 1), ("lodlocv2", None))
     ]
     table = lodbench.compare(runs)
+    assert lodbench.compare(runs[0]).equals(lodbench.compare(runs[:1]))
     protocols = table[table["method"] != "Prior"].groupby("method")["protocol"].agg(set)
     alone, other = protocols["prior_only"], protocols[protocols.index != "prior_only"].item()
     assert len(alone) == 2
