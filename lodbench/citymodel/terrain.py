@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,11 +93,12 @@ def _raster_heights_m(path: Path, points: NDArray[np.float64], crs: str) -> NDAr
     shut = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "{none}"}
     driver, place = raster_driver(path), path.resolve()
     try:
-        with rasterio.Env(**shut), rasterio.open(place, driver=driver) as raster:
-            step = raster.transform
-            if step.b or step.d or step.e >= 0:
-                raise CityModelError(f"The raster {path} is turned.", "Warp it to north up (gdalwarp).")
-            grid = Terrain(np.zeros((0, 0)), step.c, step.f, step.a, -step.e)
+        with (
+            warnings.catch_warnings(action="ignore", category=rasterio.errors.NotGeoreferencedWarning),
+            rasterio.Env(**shut),
+            rasterio.open(place, driver=driver) as raster,
+        ):
+            grid = _empty_grid(raster.transform, path)
             own_crs = crs if raster.crs is None else raster.crs.to_wkt()
             if raster.crs is not None:
                 points = _projected(points, crs, own_crs)
@@ -116,6 +119,22 @@ def _raster_heights_m(path: Path, points: NDArray[np.float64], crs: str) -> NDAr
         north=grid.north - rows[0] * grid.cell_y,
     )
     return part.at(points) * unit_m
+
+
+def _empty_grid(step: Any, path: Path) -> Terrain:
+    """Returns the place and the cells of a raster, without heights, by its affine transform.
+
+    Raises:
+        CityModelError: It has none, or is turned.
+    """
+    if step.is_identity:
+        raise CityModelError(
+            f"The raster {path} does not say where it lies; a world file beside it is not read.",
+            "Put its place into it: gdal_translate -of GTiff FILE PLACED.tif",
+        )
+    if step.b or step.d or step.e >= 0:
+        raise CityModelError(f"The raster {path} is turned.", "Warp it to north up (gdalwarp).")
+    return Terrain(np.zeros((0, 0)), step.c, step.f, step.a, -step.e)
 
 
 def _projected(points: NDArray[np.float64], crs: str, target: str) -> NDArray[np.float64]:

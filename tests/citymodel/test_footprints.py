@@ -183,6 +183,11 @@ class TestReading:
             raster.write(heights, 1)
         with pytest.raises(CityModelError, match="turned"):
             self.read(tmp_path, text, terrain=str(tmp_path / "t.tif"))
+        with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+            with rasterio.open(tmp_path / "nowhere.tif", "w", **shape) as raster:
+                raster.write(heights, 1)
+        with pytest.raises(CityModelError, match="does not say where it lies"):
+            self.read(tmp_path, text, terrain=str(tmp_path / "nowhere.tif"))
         with pytest.raises(CityModelError, match="as a raster"):
             self.read(tmp_path, text, terrain=str(write(tmp_path / "no.tif", "II*")))
 
