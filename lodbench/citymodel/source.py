@@ -33,9 +33,11 @@ _ARCHIVE_SUFFIXES = (".gz", ".zip")
 _OTHER_FOLDERS = frozenset({"codelists", "metadata", "schemas", "specification"})
 _MAX_MEMBERS = 100_000
 _NO_NESTING = "Archives inside an archive are not read"
-# How the index begins that stands beside tiles cut by ``city convert --tiles``: it is no footprints.
-TILE_INDEX = {"type": "FeatureCollection", "lodbench": "tile index"}
-_TILE_INDEX = re.compile(rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"\s*,\s*"lodbench"\s*:\s*"tile index"')
+# How GeoJSON begins that lodbench writes, which is no footprints: the index beside tiles cut by
+# ``city convert --tiles``, findings, and what was found of photos.
+OWN_GEOJSON = {"type": "FeatureCollection", "lodbench": "result"}
+TILE_INDEX = {**OWN_GEOJSON, "lodbench": "tile index"}
+_OWN = re.compile(rb'\s*\{\s*"type"\s*:\s*"FeatureCollection"\s*,\s*"lodbench"\s*:\s*"([^"]*)"')
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +148,7 @@ def _folder_sources(folder: Path, layers: Sequence[str]) -> tuple[Source, ...]:
         if file.suffix.lower() in suffixes
         and file.is_file()
         and _may_hold_buildings(file.relative_to(folder))
-        and not is_tile_index(file_source(file))
+        and own_geojson(file_source(file)) is None
     ]
     chosen = _of_layers([(file.relative_to(folder), file) for file in files], layers)
     sources = tuple(source for file in chosen for source in _sources_among(file, layers))
@@ -192,15 +194,16 @@ def file_source(path: Path) -> Source:
     return Source(str(path), lambda: path.open("rb"), path)
 
 
-def is_tile_index(source: Source) -> bool:
-    """Tells whether a file is the index that stands beside tiles cut by ``city convert --tiles``."""
+def own_geojson(source: Source) -> str | None:
+    """Returns what GeoJSON of lodbench's own says it is, ``tile index`` or ``result``; None of others."""
     if not source.name.lower().endswith(".geojson"):
-        return False
+        return None
     try:
         with source.open() as stream:
-            return _TILE_INDEX.match(stream.read(HEAD_BYTES)) is not None
+            found = _OWN.match(stream.read(HEAD_BYTES))
     except (OSError, CityModelError):
-        return False  # whoever reads it says what is wrong with it
+        return None  # whoever reads it says what is wrong with it
+    return None if found is None else found[1].decode("utf-8", "replace")
 
 
 def _gzip_source(path: Path) -> Source:
@@ -253,7 +256,7 @@ def _zip_members(path: Path, members: list[zipfile.ZipInfo], layers: Sequence[st
             not member.is_dir()
             and name.suffix.lower() in _CITY_SUFFIXES + _VECTOR_SUFFIXES
             and _may_hold_buildings(name)
-            and not is_tile_index(_zip_source(path, member))
+            and own_geojson(_zip_source(path, member)) is None
         ):
             chosen.append((name, member))
     for member in _of_layers(sorted(chosen, key=lambda pair: str(pair[0])), layers):

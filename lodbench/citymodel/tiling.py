@@ -11,7 +11,7 @@ import numpy as np
 
 from lodbench.citymodel.crs import require_crs
 from lodbench.citymodel.model import CityModel
-from lodbench.citymodel.source import TILE_INDEX, file_source, is_tile_index
+from lodbench.citymodel.source import TILE_INDEX, file_source, own_geojson
 from lodbench.citymodel.subset import footprint_boxes, keep_buildings
 from lodbench.errors import CityModelError
 from lodbench.storage.json_text import parse_json
@@ -79,7 +79,7 @@ def require_no_others(index: Path, files: Collection[str]) -> None:
     """
     if not index.exists():
         return
-    if not index.is_file() or not is_tile_index(file_source(index)):
+    if not index.is_file() or own_geojson(file_source(index)) != TILE_INDEX["lodbench"]:
         raise CityModelError(
             f"{index} is there already, and is no index of tiles.", "Name the tiles otherwise: -o OUT."
         )

@@ -63,10 +63,13 @@ def _info(asked: argparse.Namespace, options: ReadOptions) -> int:
 def _check(asked: argparse.Namespace, options: ReadOptions) -> int:
     from lodbench.citymodel.check import check_city
     from lodbench.citymodel.check_report import findings_geojson, format_report
+    from lodbench.citymodel.source import OWN_GEOJSON, file_source, own_geojson
     from lodbench.storage import write_bytes
 
     if asked.geojson is not None:
-        _require_other(asked.geojson, [asked.file])
+        is_ours = own_geojson(file_source(asked.geojson)) == OWN_GEOJSON["lodbench"]
+        if not is_ours and (asked.geojson.exists() or asked.geojson.suffix.lower() != ".geojson"):
+            _require_other(asked.geojson, [asked.file])
         if asked.geojson.is_dir() or not asked.geojson.parent.is_dir():
             raise CityModelError(f"{asked.geojson} is no file in a folder that is there.", "--geojson FILE")
     start = time.perf_counter()

@@ -131,13 +131,20 @@ class TestCheck:
         "words", [["check", "tiles", "--geojson"], ["convert", "tiles"], ["convert", "tiles", "--tiles", "9"]]
     )
     def test_nothing_is_written_among_the_tiles_that_are_read(self, lodbench, tmp_path, words):
-        """It would replace one of them, or be a tile the next time: findings are no footprints."""
+        """It would replace one of them, or be a tile the next time."""
         (tmp_path / "tiles").mkdir()
         path = write(tmp_path / "tiles" / "a.gml", box_city())
         out = [] if "convert" not in words else ["-o"]
         done = lodbench("city", *words, *out, "tiles/a.gml")
         is_clear(done, "tiles/a.gml lies in the folder that is read", "outside of tiles")
         assert path.read_text() == box_city()
+
+    def test_findings_may_lie_beside_tiles_and_replace_none(self, lodbench, tmp_path):
+        write(tmp_path / "a.gml", box_city())
+        words = ["city", "check", ".", "--geojson"]
+        assert [lodbench(*words, "findings.geojson").returncode for _ in range(2)] == [0, 0]
+        (tmp_path / "houses.geojson").write_text('{"type": "FeatureCollection", "features": []}')
+        is_clear(lodbench(*words, "houses.geojson"), "lies in the folder that is read")
 
 
 class TestConvert:
